@@ -85,7 +85,9 @@ class Transformation:
     def __post_init__(self) -> None:
         _store_sorted(self, "inputs", self.inputs, attrgetter("name"))
         _store_sorted(self, "outputs", self.outputs, attrgetter("name"))
-        _refuse_duplicates(f"port of transformation {self.label!r}", [p.name for p in (*self.inputs, *self.outputs)])
+        _refuse_duplicates(
+            f"port of transformation {self.label!r}", [*(p.name for p in self.inputs), *(p.name for p in self.outputs)]
+        )
         if self.labor_us < 0 or self.upkeep_us < 0:
             raise InvalidValueError(f"transformation {self.label!r} has a negative cost")
 
