@@ -1,0 +1,38 @@
+"""The planners, each a function of a problem (`planning.Planner`), by the name the user writes.
+
+* `cpsat`: exact, by constraint programming with lazily added groundedness.
+* `exhaustive`: the oracle, which tries every set of units and every wiring; about ten transformations.
+* `branch-and-bound`: the paper's Algorithms 1 and 2 with the merging of section IV-D; not optimal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from types import MappingProxyType
+
+from cfgplan.planning import Plan, Planner, Problem, Progress
+
+
+def _imported_on_use(module: str) -> Planner:
+    """The module's function `plan`; the module and its engine are imported at the first call."""
+
+    def planner(
+        problem: Problem,
+        *,
+        time_limit_s: float | None = None,
+        report: Callable[[Progress], None] | None = None,
+    ) -> Plan:
+        plan: Planner = import_module(module).plan
+        return plan(problem, time_limit_s=time_limit_s, report=report)
+
+    return planner
+
+
+PLANNERS: Mapping[str, Planner] = MappingProxyType(
+    {
+        "cpsat": _imported_on_use("cfgplan.planners.cpsat"),
+        "exhaustive": _imported_on_use("cfgplan.planners.exhaustive"),
+        "branch-and-bound": _imported_on_use("cfgplan.planners.branch_and_bound"),
+    }
+)

@@ -1,0 +1,70 @@
+"""What rests on what: the AND-OR graph over a model's booleans, its closure, and cuts from it."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Collection
+
+
+class Support:
+    """Each proposition rests on *any* of some others, or on *all* of them; sources rest on all of none.
+
+    A set of true propositions is grounded when each can be derived from sources, in some order.
+    Propositions are the indices of a model's booleans.
+    """
+
+    def __init__(self) -> None:
+        self.any_of: dict[int, tuple[int, ...]] = {}
+        self.all_of: dict[int, tuple[int, ...]] = {}
+        self._above: dict[int, list[int]] = defaultdict(list)
+
+    def rests_on_any(self, proposition: int, choices: Collection[int]) -> None:
+        self.any_of[proposition] = tuple(choices)
+        for choice in choices:
+            self._above[choice].append(proposition)
+
+    def rests_on_all(self, proposition: int, parts: Collection[int]) -> None:
+        self.all_of[proposition] = tuple(dict.fromkeys(parts))
+        for part in self.all_of[proposition]:
+            self._above[part].append(proposition)
+
+    def grounded(self, true: Collection[int]) -> dict[int, int]:
+        """The true propositions that can be derived within `true`, each with its place in the order."""
+        missing = {p: len(self.all_of[p]) for p in true if p in self.all_of}
+        ahead = sorted(p for p, count in missing.items() if count == 0)
+        rank: dict[int, int] = {}
+        for proposition in ahead:
+            if proposition in rank:
+                continue
+            rank[proposition] = len(rank)
+            for above in self._above[proposition]:
+                if above in missing:
+                    missing[above] -= 1
+                    if missing[above] == 0:
+                        ahead.append(above)
+                elif above in true and above not in rank:
+                    ahead.append(above)
+        return rank
+
+    def cut(self, true: Collection[int], rank: Collection[int]) -> tuple[list[int], list[int]]:
+        """Why the ungrounded ones are not: (propositions, ways in), where any of the former needs one of the latter.
+
+        The propositions are the true ones that rest on any of others and can't be derived. Whatever rests
+        on all of some parts, one of them among these, can't be the first way into them; what is left can.
+        """
+        unfounded = [p for p in sorted(true) if p in self.any_of and p not in rank]
+        dead = set(unfounded)
+        ahead = list(unfounded)
+        alive_choices: dict[int, int] = {}
+        while ahead:
+            for above in self._above[ahead.pop()]:
+                if above in dead:
+                    continue
+                if above in self.any_of:
+                    alive_choices[above] = alive_choices.get(above, len(self.any_of[above])) - 1
+                    if alive_choices[above] > 0:
+                        continue
+                dead.add(above)
+                ahead.append(above)
+        ways_in = {choice for p in unfounded for choice in self.any_of[p] if choice not in dead}
+        return unfounded, sorted(ways_in)

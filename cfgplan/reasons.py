@@ -1,0 +1,173 @@
+"""Why a target can't be met, in words, from the forward closure of what can be started at all."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Mapping, Sequence
+
+from cfgplan.domain import Environment, InputPort, Similarity, Transformation
+from cfgplan.planning import Problem
+
+
+def unmet_reasons(problem: Problem) -> dict[str, str]:
+    """One short reason for each target, by its label, that no update can meet; empty if all can be met."""
+    environment = problem.environment
+    givers = Givers(environment.library, problem.similarity)
+    possible = startable(environment, givers)
+    return {
+        target.label: _reason(f"target {target.label}", target.tag, environment, givers, possible)
+        for target in environment.targets
+        if possible.isdisjoint(givers.of(target.tag))
+    }
+
+
+class Givers:
+    """Which transformations have an output that may feed a demanded tag: the validity matrix by rows."""
+
+    def __init__(self, library: Sequence[Transformation], similarity: Similarity) -> None:
+        self._offering: dict[str, set[str]] = defaultdict(set)
+        for transformation in library:
+            for port in transformation.outputs:
+                self._offering[port.tag].add(transformation.label)
+        self._similarity = similarity
+        self._rows: dict[str, tuple[str, ...]] = {}
+
+    def of(self, tag: str) -> tuple[str, ...]:
+        """The labels of the transformations that offer what `tag` demands, sorted."""
+        if tag not in self._rows:
+            offered = self._similarity.offers.get(tag, frozenset())
+            self._rows[tag] = tuple(sorted({label for each in offered for label in self._offering.get(each, ())}))
+        return self._rows[tag]
+
+
+def startable(environment: Environment, givers: Givers) -> frozenset[str]:
+    """The labels of all transformations of which a unit can be fed in some valid, grounded wiring.
+
+    More providers never hurt, so one wiring feeds them all at once. A feedback input may be fed by any
+    member of the answer, the other inputs only by members that come before.
+    """
+    alive = frozenset(environment.transformation)
+    while True:
+        reached = _forward_closure(environment, givers, alive)
+        if reached == alive or not any(
+            p.feedback for label in reached for p in environment.transformation[label].inputs
+        ):
+            return reached
+        alive = reached
+
+
+def distinct_groups(transformation: Transformation) -> list[list[InputPort]]:
+    """The input ports that must be fed by different transformations, group by group."""
+    groups: dict[str, list[InputPort]] = defaultdict(list)
+    for port in transformation.inputs:
+        if port.distinct is not None:
+            groups[port.distinct].append(port)
+    return [group for _, group in sorted(groups.items()) if len(group) > 1]
+
+
+def assign_different(choices: Mapping[str, Collection[str]]) -> dict[str, str] | None:
+    """A feeder of its own for each port out of the port's `choices`, or None (Kuhn's matching)."""
+    port_of: dict[str, str] = {}
+
+    def assign(port: str, tried: set[str]) -> bool:
+        for label in choices[port]:
+            if label not in tried:
+                tried.add(label)
+                if label not in port_of or assign(port_of[label], tried):
+                    port_of[label] = port
+                    return True
+        return False
+
+    if not all(assign(port, set()) for port in choices):
+        return None
+    return {port: label for label, port in port_of.items()}
+
+
+def _forward_closure(environment: Environment, givers: Givers, alive: frozenset[str]) -> frozenset[str]:
+    """What can be fed, from sources on; feedback inputs may be fed by anything `alive`."""
+    waiting: dict[str, list[str]] = defaultdict(list)
+    missing: dict[str, int] = {}
+    ahead: list[str] = []
+    for label in sorted(alive):
+        transformation = environment.transformation[label]
+        tags = {port.tag for port in transformation.inputs if not port.feedback}
+        fed_back = all(not alive.isdisjoint(givers.of(p.tag)) for p in transformation.inputs if p.feedback)
+        missing[label] = len(tags) + (0 if fed_back else 1)
+        for tag in tags:
+            waiting[tag].append(label)
+        if missing[label] == 0:
+            ahead.append(label)
+    demanded_by = _demands_on(waiting, givers)
+    crowded = [label for label in sorted(alive) if distinct_groups(environment.transformation[label])]
+    reached: set[str] = set()
+    fed_tags: set[str] = set()
+    while ahead:
+        while ahead:
+            label = ahead.pop()
+            if label in reached or not _groups_can_be_fed(environment.transformation[label], givers, reached, alive):
+                continue
+            reached.add(label)
+            for tag in demanded_by.get(label, ()):
+                if tag not in fed_tags:
+                    fed_tags.add(tag)
+                    for consumer in waiting[tag]:
+                        missing[consumer] -= 1
+                        if missing[consumer] == 0:
+                            ahead.append(consumer)
+        ahead = [
+            label
+            for label in crowded
+            if missing[label] == 0
+            and label not in reached
+            and _groups_can_be_fed(environment.transformation[label], givers, reached, alive)
+        ]
+    return frozenset(reached)
+
+
+def _demands_on(tags: Iterable[str], givers: Givers) -> dict[str, list[str]]:
+    demanded_by: dict[str, list[str]] = defaultdict(list)
+    for tag in tags:
+        for label in givers.of(tag):
+            demanded_by[label].append(tag)
+    return demanded_by
+
+
+def _groups_can_be_fed(
+    transformation: Transformation, givers: Givers, before: Collection[str], alive: Collection[str]
+) -> bool:
+    return all(
+        assign_different(
+            {p.name: [g for g in givers.of(p.tag) if g in (alive if p.feedback else before)] for p in group}
+        )
+        is not None
+        for group in distinct_groups(transformation)
+    )
+
+
+def _reason(who: str, tag: str, environment: Environment, givers: Givers, possible: frozenset[str]) -> str:
+    """The dead end nearest to the demand for `tag` of `who`, which nothing in `possible` can feed."""
+    wanted = f"{who} wants {tag}"
+    if not givers.of(tag):
+        return f"{wanted}, but no output matches"
+    ahead, seen = list(givers.of(tag)), set(givers.of(tag))
+    for label in ahead:
+        transformation = environment.transformation[label]
+        for port in transformation.inputs:
+            if not givers.of(port.tag):
+                return f"{wanted}, but input {port.name} of {label} needs {port.tag}, and no output matches"
+        for port in transformation.inputs:
+            if possible.isdisjoint(givers.of(port.tag)):
+                new = [giver for giver in givers.of(port.tag) if giver not in seen]
+                ahead += new
+                seen.update(new)
+        for group in distinct_groups(transformation):
+            if assign_different({p.name: givers.of(p.tag) for p in group}) is None:
+                names = " and ".join(port.name for port in group)
+                return f"{wanted}, but inputs {names} of {label} need different transformations, and there are too few"
+    for label in ahead:
+        if all(not possible.isdisjoint(givers.of(p.tag)) for p in environment.transformation[label].inputs):
+            groups = distinct_groups(environment.transformation[label])
+            names = " and ".join(port.name for group in groups for port in group)
+            return f"{wanted}, but inputs {names} of {label} need different transformations, and too few can be fed"
+    ring = ", ".join(ahead[:4]) + (" ..." if len(ahead) > 4 else "")
+    return f"{wanted}, but what could give it is fed only by itself: {ring}"

@@ -1,0 +1,122 @@
+"""Small environments of every kind, drawn by Hypothesis."""
+
+from __future__ import annotations
+
+from hypothesis import strategies as st
+
+from cfgplan.domain import (
+    ComputationUnit,
+    Environment,
+    InputPort,
+    OutputPort,
+    Publication,
+    Similarity,
+    Stream,
+    Subscription,
+    Target,
+    Transformation,
+)
+from cfgplan.planning import Problem
+
+TAGS = ("A", "B", "C", "D")
+COSTS = st.sampled_from([0, 0, 1, 1, 2, 3, 5, 8])
+
+
+@st.composite
+def similarities(draw: st.DrawFn) -> Similarity:
+    """Every tag matches itself; some match others, in any direction, so that validity may be cyclic."""
+    extra = draw(st.sets(st.tuples(st.sampled_from(TAGS), st.sampled_from(TAGS)), max_size=4))
+    return Similarity({tag: frozenset({tag} | {offered for offered, wanted in extra if wanted == tag}) for tag in TAGS})
+
+
+@st.composite
+def transformations(draw: st.DrawFn, label: str, *, special: bool) -> Transformation:
+    """Up to three inputs and two outputs; the special ones may be pinned, required, fed back or distinct."""
+    seldom = st.sampled_from([False, False, False, True]) if special else st.just(False)
+    inputs = []
+    for name in ("a", "b", "c")[: draw(st.sampled_from([0, 0, 0, 1, 1, 1, 2, 2, 3]))]:
+        group = draw(st.sampled_from([None, None, "g", "g"])) if special else None
+        inputs.append(InputPort(name, draw(st.sampled_from(TAGS)), distinct=group, feedback=draw(seldom)))
+    outputs = [OutputPort(name, draw(st.sampled_from(TAGS))) for name in ("x", "y")[: draw(st.sampled_from([1, 1, 2]))]]
+    return Transformation(
+        label,
+        tuple(inputs),
+        tuple(outputs),
+        labor_us=draw(COSTS),
+        upkeep_us=draw(COSTS),
+        pinned=draw(seldom),
+        required=draw(seldom),
+    )
+
+
+@st.composite
+def problems(draw: st.DrawFn, *, most: int = 6, special: bool = True) -> Problem:
+    """A problem of at most `most` transformations, with up to four running units in any state of repair."""
+    labels = [f"t{i}" for i in range(draw(st.integers(1, most)))]
+    library = [draw(transformations(label, special=special)) for label in labels]
+    relation = draw(similarities())
+    given = sorted({port.tag for transformation in library for port in transformation.outputs})
+    wanted = st.one_of(*[st.sampled_from(given)] * 7, st.sampled_from(TAGS))
+    targets = [
+        Target(f"q{i}", draw(wanted), f"/{i}", draw(st.integers(0, 2)))
+        for i in range(draw(st.sampled_from([1, 1, 1, 2, 2, 3])))
+    ]
+    units = draw(running_units(library, targets, relation)) if draw(st.sampled_from([False, True, True])) else []
+    horizon_s = draw(st.sampled_from([0, 1, 1, 2, 10]))
+    max_cost_us = draw(st.one_of(st.none(), st.none(), st.integers(0, 30)))
+    environment = Environment(tuple(units), tuple(library), tuple(targets))
+    return Problem(environment, relation, horizon_s, max_cost_us)
+
+
+@st.composite
+def running_units(draw: st.DrawFn, library: list[Transformation], targets: list[Target]) -> list[ComputationUnit]:
+    """Units with gaps, dead feeders, unfit streams, cycles and stale topics; some of a transformation that left."""
+    gone = Transformation("gone", (), (OutputPort("x", "A"),))
+    count = draw(st.integers(1, 4))
+    kinds = [draw(st.sampled_from([*library, *library, gone])) for _ in range(count)]
+    ids = [f"{kind.label}.{i + 1}" for i, kind in enumerate(kinds)]
+    offered = [
+        (port.tag, Stream(unit, port.name)) for unit, kind in zip(ids, kinds, strict=True) for port in kind.outputs
+    ]
+    topics = [*(target.topic for target in targets), "/stale"]
+    units = []
+    for unit_id, kind in zip(ids, kinds, strict=True):
+        subscriptions = []
+        for port in kind.inputs:
+            fit = [stream for tag, stream in offered if relation.holds(tag, port.tag)]
+            unfit = [*(stream for _, stream in offered), Stream("dead.1", "x"), None]
+            stream = draw(
+                st.one_of(st.sampled_from(fit or unfit), st.sampled_from(fit or unfit), st.sampled_from(unfit))
+            )
+            if stream is not None:
+                subscriptions.append(Subscription(port.name, stream))
+        published = draw(st.lists(st.sampled_from(topics), max_size=2, unique=True))
+        publications = [Publication(draw(st.sampled_from(kind.outputs)).name, topic) for topic in published]
+        units.append(ComputationUnit(unit_id, kind.label, tuple(subscriptions), tuple(publications)))
+    return units
+
+
+def reordered(problem: Problem, draw: st.DrawFn) -> Problem:
+    """The same problem with all its lists in another order."""
+    environment = problem.environment
+    return Problem(
+        Environment(
+            tuple(draw(st.permutations(environment.units))),
+            tuple(
+                Transformation(
+                    t.label,
+                    tuple(draw(st.permutations(t.inputs))),
+                    tuple(draw(st.permutations(t.outputs))),
+                    t.labor_us,
+                    t.upkeep_us,
+                    t.pinned,
+                    t.required,
+                )
+                for t in draw(st.permutations(environment.library))
+            ),
+            tuple(draw(st.permutations(environment.targets))),
+        ),
+        Similarity(dict(draw(st.permutations(list(problem.similarity.offers.items()))))),
+        problem.horizon_s,
+        problem.max_cost_us,
+    )
