@@ -1,0 +1,190 @@
+"""Class expressions of description logic as hashable values, equal when they are written alike.
+
+Conjunctions and disjunctions are sets: the order of their parts and repetitions don't count. Names are IRIs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+THING_IRI = "http://www.w3.org/2002/07/owl#Thing"
+NOTHING_IRI = "http://www.w3.org/2002/07/owl#Nothing"
+
+
+@dataclass(frozen=True, slots=True)
+class Named:
+    """A named class."""
+
+    iri: str
+
+
+@dataclass(frozen=True, slots=True)
+class Nominal:
+    """The class of exactly one individual, {a}."""
+
+    iri: str
+
+
+@dataclass(frozen=True, slots=True)
+class Not:
+    """Complement, ¬C."""
+
+    concept: Concept
+
+
+@dataclass(frozen=True, slots=True)
+class And:
+    """Conjunction of two or more, C ⊓ D; made by `conjunction`."""
+
+    parts: frozenset[Concept]
+
+
+@dataclass(frozen=True, slots=True)
+class Or:
+    """Disjunction of two or more, C ⊔ D; made by `disjunction`."""
+
+    parts: frozenset[Concept]
+
+
+@dataclass(frozen=True, slots=True)
+class Some:
+    """Existential restriction, ∃r.C."""
+
+    role: str
+    filler: Concept
+
+
+@dataclass(frozen=True, slots=True)
+class Only:
+    """Value restriction, ∀r.C."""
+
+    role: str
+    filler: Concept
+
+
+@dataclass(frozen=True, slots=True)
+class AtLeast:
+    """Number restriction, ≥n r.C."""
+
+    number: int
+    role: str
+    filler: Concept
+
+
+@dataclass(frozen=True, slots=True)
+class AtMost:
+    """Number restriction, ≤n r.C."""
+
+    number: int
+    role: str
+    filler: Concept
+
+
+Concept: TypeAlias = Named | Nominal | Not | And | Or | Some | Only | AtLeast | AtMost
+
+TOP = Named(THING_IRI)
+BOTTOM = Named(NOTHING_IRI)
+
+
+def conjunction(parts: Iterable[Concept]) -> Concept:
+    """C ⊓ D ⊓ ..., flat, without ⊤ and repetitions; ⊤ if nothing is left."""
+    flat: set[Concept] = set()
+    for part in parts:
+        flat.update(part.parts if isinstance(part, And) else (part,))
+    flat.discard(TOP)
+    if BOTTOM in flat:
+        return BOTTOM
+    if len(flat) > 1:
+        return And(frozenset(flat))
+    return flat.pop() if flat else TOP
+
+
+def disjunction(parts: Iterable[Concept]) -> Concept:
+    """C ⊔ D ⊔ ..., flat, without ⊥ and repetitions; ⊥ if nothing is left."""
+    flat: set[Concept] = set()
+    for part in parts:
+        flat.update(part.parts if isinstance(part, Or) else (part,))
+    flat.discard(BOTTOM)
+    if TOP in flat:
+        return TOP
+    if len(flat) > 1:
+        return Or(frozenset(flat))
+    return flat.pop() if flat else BOTTOM
+
+
+def negation(concept: Concept) -> Concept:
+    """¬C, without double negation."""
+    if isinstance(concept, Not):
+        return concept.concept
+    if concept == TOP:
+        return BOTTOM
+    return TOP if concept == BOTTOM else Not(concept)
+
+
+def some(role: str, filler: Concept) -> Concept:
+    """∃r.C; ⊥ if the filler is."""
+    return BOTTOM if filler == BOTTOM else Some(role, filler)
+
+
+def at_least(number: int, role: str, filler: Concept) -> Concept:
+    """≥n r.C, as ⊤ or ∃r.C where that is the same."""
+    if number == 0:
+        return TOP
+    return some(role, filler) if number == 1 else AtLeast(number, role, filler)
+
+
+def in_description_logic(concept: Concept, name: Callable[[str], str]) -> str:
+    """The concept in DL syntax, its parts in alphabetical order; `name` shortens an IRI."""
+    match concept:
+        case Named(iri):
+            return {THING_IRI: "⊤", NOTHING_IRI: "⊥"}.get(iri) or name(iri)
+        case Nominal(iri):
+            return f"{{{name(iri)}}}"
+        case Not(part):
+            return f"¬{_operand(part, name)}"
+        case And(parts):
+            return " ⊓ ".join(sorted((_operand(part, name) for part in parts), key=_names_first))
+        case Or(parts):
+            return " ⊔ ".join(sorted((_operand(part, name) for part in parts), key=_names_first))
+        case Some(role, filler):
+            return f"∃{name(role)}.{_operand(filler, name)}"
+        case Only(role, filler):
+            return f"∀{name(role)}.{_operand(filler, name)}"
+        case AtLeast(number, role, filler):
+            return f"≥{number} {name(role)}.{_operand(filler, name)}"
+        case AtMost(number, role, filler):
+            return f"≤{number} {name(role)}.{_operand(filler, name)}"
+
+
+def in_functional_syntax(concept: Concept) -> str:
+    """The concept in OWL functional syntax with full IRIs, the same text for equal concepts."""
+    match concept:
+        case Named(iri):
+            return f"<{iri}>"
+        case Nominal(iri):
+            return f"ObjectOneOf(<{iri}>)"
+        case Not(part):
+            return f"ObjectComplementOf({in_functional_syntax(part)})"
+        case And(parts):
+            return f"ObjectIntersectionOf({' '.join(sorted(map(in_functional_syntax, parts)))})"
+        case Or(parts):
+            return f"ObjectUnionOf({' '.join(sorted(map(in_functional_syntax, parts)))})"
+        case Some(role, filler):
+            return f"ObjectSomeValuesFrom(<{role}> {in_functional_syntax(filler)})"
+        case Only(role, filler):
+            return f"ObjectAllValuesFrom(<{role}> {in_functional_syntax(filler)})"
+        case AtLeast(number, role, filler):
+            return f"ObjectMinCardinality({number} <{role}> {in_functional_syntax(filler)})"
+        case AtMost(number, role, filler):
+            return f"ObjectMaxCardinality({number} <{role}> {in_functional_syntax(filler)})"
+
+
+def _operand(concept: Concept, name: Callable[[str], str]) -> str:
+    text = in_description_logic(concept, name)
+    return f"({text})" if isinstance(concept, And | Or) else text
+
+
+def _names_first(text: str) -> tuple[bool, str]:
+    return not text[0].isalnum(), text

@@ -1,0 +1,80 @@
+"""Why an offered tag does or does not feed a demanded one."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+from cfgplan.matching.concepts import And
+from cfgplan.matching.matrix import match
+from cfgplan.matching.ontology import Ontology
+from cfgplan.matching.syntax import parse_tag
+
+
+@dataclass(frozen=True)
+class MatchExplanation:
+    """Whether `offered` feeds `demanded`, the steps that prove it, or the demanded conjuncts that it lacks."""
+
+    offered: str
+    demanded: str
+    matches: bool
+    steps: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    def lines(self) -> tuple[str, ...]:
+        """The explanation as lines of text."""
+        verdict = "feeds" if self.matches else "does not feed"
+        return (
+            f"{self.offered}  {verdict}  {self.demanded}",
+            *(f"  because {step}" for step in self.steps),
+            *(f"  it lacks {part}" for part in self.missing),
+            *(f"  note: {warning}" for warning in self.warnings),
+        )
+
+
+@dataclass(frozen=True)
+class Nearest:
+    """An offered tag that comes near to a demanded one, and the conjuncts it lacks."""
+
+    offered: str
+    missing: tuple[str, ...]
+
+
+def explain_match(
+    offered_tag: str,
+    demanded_tag: str,
+    ontology: Ontology,
+    *,
+    reasoner: str = "auto",
+    time_limit_s: float | None = None,
+) -> MatchExplanation:
+    """Why one tag does or does not feed another. Raises TagError and InputError."""
+    concept = parse_tag(demanded_tag, ontology)
+    parts = sorted(map(ontology.render, concept.parts)) if isinstance(concept, And) else [ontology.render(concept)]
+    found = match([offered_tag], [demanded_tag, *parts], ontology, reasoner=reasoner, time_limit_s=time_limit_s)
+    holds = found.similarity.holds
+    missing = () if holds(offered_tag, demanded_tag) else tuple(p for p in parts if not holds(offered_tag, p))
+    return MatchExplanation(
+        offered_tag, demanded_tag, holds(offered_tag, demanded_tag), missing=missing, warnings=found.warnings
+    )
+
+
+def nearest_offers(
+    demanded_tag: str,
+    offered_tags: Collection[str],
+    ontology: Ontology,
+    k: int = 3,
+    *,
+    reasoner: str = "auto",
+    time_limit_s: float | None = None,
+) -> tuple[Nearest, ...]:
+    """The `k` offered tags that lack the fewest conjuncts of a demanded one, fewest first. Raises as `match`."""
+    concept = parse_tag(demanded_tag, ontology)
+    parts = sorted(map(ontology.render, concept.parts)) if isinstance(concept, And) else [ontology.render(concept)]
+    found = match(offered_tags, parts, ontology, reasoner=reasoner, time_limit_s=time_limit_s)
+    lacking = [
+        Nearest(tag, tuple(part for part in parts if not found.similarity.holds(tag, part)))
+        for tag in set(offered_tags)
+    ]
+    return tuple(sorted(lacking, key=lambda near: (len(near.missing), near.offered))[:k])

@@ -1,0 +1,117 @@
+"""Axioms in OWL functional syntax: from text to trees, and which names occur in which role.
+
+Reference: OWL 2 Structural Specification and Functional-Style Syntax (W3C, 2012).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from typing import Final, TypeAlias
+
+from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI
+
+Tree: TypeAlias = "str | tuple[Tree, ...]"
+"""An IRI without brackets, a keyword, number or literal; or a keyword followed by its arguments."""
+
+_TOKEN: Final = re.compile(r'<[^>]*>|"(?:[^"\\]|\\.)*"(?:\^\^<[^>]*>|@[\w-]+)?|[()]|[^\s()<>"]+')
+
+# How the arguments of a keyword are used: c class, r object property, i individual, n number, x anything else.
+# The last letter holds for all further arguments.
+_USES: Final = {
+    "SubClassOf": "c",
+    "EquivalentClasses": "c",
+    "DisjointClasses": "c",
+    "DisjointUnion": "c",
+    "ObjectIntersectionOf": "c",
+    "ObjectUnionOf": "c",
+    "ObjectComplementOf": "c",
+    "ObjectOneOf": "i",
+    "ObjectSomeValuesFrom": "rc",
+    "ObjectAllValuesFrom": "rc",
+    "ObjectHasValue": "ri",
+    "ObjectHasSelf": "r",
+    "ObjectMinCardinality": "nrc",
+    "ObjectMaxCardinality": "nrc",
+    "ObjectExactCardinality": "nrc",
+    "SubObjectPropertyOf": "r",
+    "ObjectPropertyChain": "r",
+    "ObjectInverseOf": "r",
+    "EquivalentObjectProperties": "r",
+    "DisjointObjectProperties": "r",
+    "InverseObjectProperties": "r",
+    "ObjectPropertyDomain": "rc",
+    "ObjectPropertyRange": "rc",
+    "FunctionalObjectProperty": "r",
+    "InverseFunctionalObjectProperty": "r",
+    "ReflexiveObjectProperty": "r",
+    "IrreflexiveObjectProperty": "r",
+    "SymmetricObjectProperty": "r",
+    "AsymmetricObjectProperty": "r",
+    "TransitiveObjectProperty": "r",
+    "ClassAssertion": "ci",
+    "ObjectPropertyAssertion": "ri",
+    "NegativeObjectPropertyAssertion": "ri",
+    "SameIndividual": "i",
+    "DifferentIndividuals": "i",
+    "DataPropertyDomain": "xc",
+    "DataPropertyAssertion": "xix",
+    "NegativeDataPropertyAssertion": "xix",
+    "HasKey": "cx",
+    "Class": "c",
+    "ObjectProperty": "r",
+    "NamedIndividual": "i",
+}
+
+LOGICAL: Final = frozenset(keyword for keyword in _USES if keyword not in {"Class", "ObjectProperty"}) | {
+    "SubDataPropertyOf",
+    "EquivalentDataProperties",
+    "DisjointDataProperties",
+    "DataPropertyRange",
+    "FunctionalDataProperty",
+    "DatatypeDefinition",
+    "Declaration",
+    "Rule",
+    "DLSafeRule",
+}
+"""The keywords of axioms that have a meaning; annotations, imports and headers have none."""
+
+
+def parse(text: str) -> Tree:
+    """The tree of one axiom. Raises ValueError if the brackets don't close."""
+    stack: list[list[Tree]] = [[]]
+    for token in _TOKEN.findall(text):
+        if token == "(":
+            head = stack[-1].pop() if stack[-1] and isinstance(stack[-1][-1], str) else ""
+            stack.append([head])
+        elif token == ")":
+            closed = tuple(stack.pop())
+            stack[-1].append(closed)
+        else:
+            stack[-1].append(token[1:-1] if token[0] == "<" else token)
+    if len(stack) != 1 or len(stack[0]) != 1:
+        raise ValueError(f"not one axiom in functional syntax: {text!r}")
+    return stack[0][0]
+
+
+class Signature:
+    """The names that occur in axioms, by what they are used as."""
+
+    def __init__(self, trees: Iterable[Tree]) -> None:
+        self.classes: set[str] = set()
+        self.roles: set[str] = set()
+        self.individuals: set[str] = set()
+        self._sets = {"c": self.classes, "r": self.roles, "i": self.individuals}
+        for tree in trees:
+            self._walk(tree)
+        self.classes -= {THING_IRI, NOTHING_IRI}
+
+    def _walk(self, tree: Tree) -> None:
+        uses = _USES.get(str(tree[0]), "x")
+        for position, argument in enumerate(tree[1:]):
+            if isinstance(argument, tuple):
+                self._walk(argument)
+                continue
+            names = self._sets.get(uses[min(position, len(uses) - 1)])
+            if names is not None and not argument.startswith("_:"):
+                names.add(argument)

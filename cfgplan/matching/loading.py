@@ -1,0 +1,238 @@
+"""Reading ontology files in any of OWL's syntaxes, with the ontologies that they import."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+from urllib.parse import unquote, urlsplit
+
+from cfgplan.errors import Fault, InputError
+from cfgplan.matching.functional import LOGICAL
+from cfgplan.matching.ontology import Ontology
+
+EXTENSIONS: Final = {
+    ".ttl": "ttl", ".nt": "ttl", ".n3": "ttl", ".owl": "rdf", ".rdf": "rdf", ".xml": "rdf",
+    ".owx": "owx", ".ofn": "ofn", ".fss": "ofn", ".omn": "omn",
+}  # fmt: skip
+_SYNTAX_NAMES: Final = {
+    "ttl": "Turtle", "rdf": "RDF/XML", "owx": "OWL/XML", "ofn": "functional syntax", "omn": "Manchester syntax",
+}  # fmt: skip
+_PREFIX: Final = re.compile(
+    r"""(?:@prefix|\bPREFIX|^Prefix:)\s*([\w.-]*):\s*<([^<>]*)>|\bxmlns:([\w.-]+)\s*=\s*["']([^"']*)["']""",
+    re.MULTILINE,
+)
+_ROOT: Final = re.compile(r"<rdf:RDF\b[^>]*?(?=/?>)")
+_LINE: Final = re.compile(r"line: (\d+), column: (\d+)|line_col: Pos\(\((\d+), (\d+)\)\)|BytePosition\((\d+)\)")
+_REASON: Final = re.compile(
+    r'message: "((?:[^"\\]|\\.)*)"|Msg\("((?:[^"\\]|\\.)*)"\)|(?:Validity)?Error\("((?:[^"\\]|\\.)*)"'
+)
+
+
+@dataclass(frozen=True)
+class _Document:
+    """One parsed file: its own IRI, the IRIs it imports, its axioms and prefixes."""
+
+    iri: str | None
+    imports: tuple[str, ...]
+    axioms: tuple[str, ...]
+    prefixes: dict[str, str]
+
+
+def load_ontology(paths: Sequence[Path]) -> Ontology:
+    """The union of ontology files and of everything they import; the open ontology if there are no files.
+
+    The syntax (Turtle, N-Triples, RDF/XML, OWL/XML, functional, Manchester) is told by the content. An import is a
+    relative path, a file beside the importing one that is named like the last part of the IRI or declares it, or
+    one of `paths`. Raises InputError with every file that can't be used.
+    """
+    if not paths:
+        return Ontology(is_open=True)
+    documents: dict[Path, _Document] = {}
+    faults: list[Fault] = []
+    waiting = [path.resolve() for path in reversed(paths)]
+    shown = {path.resolve(): str(path) for path in paths}
+    while waiting:
+        path = waiting.pop()
+        if path in documents:
+            continue
+        try:
+            document = documents[path] = _read(path, shown[path])
+        except InputError as error:
+            faults.extend(error.faults)
+            documents[path] = _Document(None, (), (), {})
+            continue
+        for iri in document.imports:
+            found = _imported_file(iri, path, documents, [p for p in shown if p not in documents])
+            if found is None:
+                faults.append(
+                    Fault(
+                        f"the import <{_relative(iri, path)}> can't be found",
+                        file=shown[path],
+                        line=_line_with(path, iri),
+                        mend=f"put the ontology beside {path.name} or remove the import",
+                    )
+                )
+            elif found not in documents:
+                shown.setdefault(found, str(Path(shown[path]).parent / _relative_path(found, path.parent)))
+                waiting.append(found)
+    if faults:
+        raise InputError(faults)
+    prefixes: dict[str, str] = {}
+    for document in documents.values():
+        for prefix, namespace in document.prefixes.items():
+            prefixes.setdefault(prefix, namespace)
+    axioms = [axiom for document in documents.values() for axiom in document.axioms]
+    return Ontology(axioms, prefixes, files=documents)
+
+
+def read_owlready(onto: Any) -> Ontology:
+    """The axioms of an `owlready2` ontology object and of those that it imports. Raises InputError."""
+    axioms: list[str] = []
+    for part in onto.indirectly_imported_ontologies() if hasattr(onto, "indirectly_imported_ontologies") else [onto]:
+        written = io.BytesIO()
+        part.save(written, format="rdfxml")
+        axioms.extend(_parse(written.getvalue().decode(), "rdf", f"owlready2 ontology <{part.base_iri}>").axioms)
+    return Ontology(axioms)
+
+
+def _read(path: Path, shown: str) -> _Document:
+    try:
+        text = path.read_bytes().decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise InputError.of("is no ontology: the file is not text in UTF-8", file=shown) from None
+    except FileNotFoundError:
+        raise InputError.of("the ontology file does not exist", file=shown, mend="check the path") from None
+    except OSError as error:
+        raise InputError.of(f"the ontology can't be read: {error.strerror}", file=shown) from None
+    if not text.strip():
+        raise InputError.of("the ontology file is empty", file=shown, mend="write an ontology, or don't name the file")
+    syntax = _syntax_of(text, path.suffix.lower())
+    base = path.as_uri()
+    if syntax == "ttl":
+        text = f"@base <{base}> . {text}"
+    elif syntax == "rdf" and "xml:base" not in text:
+        text = _ROOT.sub(lambda root: f'{root.group()} xml:base="{base}"', text, count=1)
+    document = _parse(text, syntax, shown)
+    if not document.axioms and not document.imports and document.iri is None:
+        raise InputError.of(
+            "is no ontology: it holds no axiom", file=shown, mend="write OWL, such as `:Robot a owl:Class .` in Turtle"
+        )
+    return document
+
+
+def _syntax_of(text: str, suffix: str) -> str:
+    lines = (line.strip() for line in text.splitlines())
+    start = next((line for line in lines if line and not line.startswith("#")), "")
+    if re.match(r"<\?xml|<!|<rdf:RDF|<Ontology\b", start):
+        return "rdf" if "<rdf:RDF" in text else "owx" if "<Ontology" in text else EXTENSIONS.get(suffix, "rdf")
+    if re.match(r"(Prefix|Ontology)\s*\(", start):
+        return "ofn"
+    if re.match(r"(Prefix|Ontology|Class|ObjectProperty|Individual):(\s|$)", start):
+        return "omn"
+    return "ttl" if EXTENSIONS.get(suffix) in (None, "rdf", "owx") else EXTENSIONS[suffix]
+
+
+def _parse(text: str, syntax: str, shown: str) -> _Document:
+    import pyhornedowl
+
+    try:
+        parsed = pyhornedowl.open_ontology_from_string(text, syntax)  # type: ignore[arg-type]
+    except (KeyboardInterrupt, SystemExit, MemoryError):
+        raise
+    except BaseException as error:  # a panic of the parser's native code is no Exception
+        raise InputError([_fault_of(str(error), text, syntax, shown)]) from None
+    axioms: list[str] = []
+    imports: list[str] = []
+    for component in parsed.get_axioms():
+        axiom = str(component.component)
+        keyword = axiom[: axiom.find("(")]
+        if keyword in LOGICAL:
+            axioms.append(axiom)
+        elif keyword == "Import":
+            imports.append(axiom[len("Import(") : -1].strip("<>"))
+    prefixes = {prefix: namespace for prefix, namespace in parsed.prefix_mapping if prefix not in ("_", "xml")}
+    for found in _PREFIX.finditer(text):
+        prefix, namespace = (found[1], found[2]) if found[2] is not None else (found[3], found[4])
+        prefixes.setdefault(prefix, namespace)
+    return _Document(parsed.get_iri(), tuple(sorted(imports)), tuple(axioms), prefixes)
+
+
+def _fault_of(error: str, text: str, syntax: str, shown: str) -> Fault:
+    line = column = None
+    found = _LINE.search(error)
+    if found and found[1]:
+        line, column = int(found[1]) + 1, int(found[2]) + 1
+        if line == 1:
+            column = max(1, column - (len(text) - len(text.split(" . ", 1)[-1])))
+    elif found and found[3]:
+        line, column = int(found[3]), int(found[4])
+    elif found and int(found[5]):
+        line = text.encode()[: int(found[5])].count(b"\n") + 1
+    elif syntax in ("rdf", "owx"):
+        line, column = _xml_error_place(text)
+    reason = _REASON.search(error)
+    message = next(filter(None, reason.groups()), "") if reason else ""
+    told = f": {message}" if message else ""
+    name = _SYNTAX_NAMES[syntax]
+    return Fault(
+        f"the ontology can't be read as {name}{told}", file=shown, line=line, column=column, mend=f"write valid {name}"
+    )
+
+
+def _xml_error_place(text: str) -> tuple[int | None, int | None]:
+    from xml.parsers import expat
+
+    parser = expat.ParserCreate()
+    try:
+        parser.Parse(text.encode(), True)
+    except expat.ExpatError as error:
+        return error.lineno, error.offset + 1
+    return None, None
+
+
+def _imported_file(iri: str, importer: Path, read: dict[Path, _Document], listed: Iterable[Path]) -> Path | None:
+    parts = urlsplit(iri)
+    if parts.scheme in ("", "file"):
+        path = importer.parent / unquote(parts.path)
+        if path.is_file():
+            return path.resolve()
+    for path, document in read.items():
+        if document.iri is not None and document.iri.rstrip("#/") == iri.rstrip("#/"):
+            return path
+    last = unquote(re.split(r"[#/:]", iri.rstrip("#/"))[-1])
+    for name in (last, *(last + extension for extension in EXTENSIONS)):
+        path = importer.parent / name
+        if last and path.is_file() and path.resolve() != importer:
+            return path.resolve()
+    siblings = [path for path in sorted(importer.parent.iterdir()) if path.suffix.lower() in EXTENSIONS]
+    for path in [*listed, *siblings]:
+        if path.resolve() not in read and _declares(path, iri):
+            return path.resolve()
+    return None
+
+
+def _declares(path: Path, iri: str) -> bool:
+    try:
+        return iri in path.read_text("utf-8-sig") and _read(path, str(path)).iri == iri
+    except (OSError, UnicodeDecodeError, InputError):
+        return False
+
+
+def _relative(iri: str, importer: Path) -> str:
+    return iri.removeprefix(importer.parent.as_uri() + "/")
+
+
+def _relative_path(path: Path, folder: Path) -> Path:
+    return path.relative_to(folder) if path.is_relative_to(folder) else path
+
+
+def _line_with(path: Path, iri: str) -> int | None:
+    wanted = _relative(iri, path)
+    for number, line in enumerate(path.read_text("utf-8-sig").splitlines(), start=1):
+        if wanted in line and "mport" in line:
+            return number
+    return None

@@ -1,0 +1,151 @@
+"""An ontology as a set of axioms with the names that tags can use."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Collection, Iterable, Mapping
+from functools import cached_property
+from pathlib import Path
+from types import MappingProxyType
+
+from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI, Concept, in_description_logic
+from cfgplan.matching.faults import UnknownNameError
+from cfgplan.matching.functional import Signature, Tree, parse
+from cfgplan.matching.names import Vocabulary, expanded, short_name, suggestion
+
+
+class Ontology:
+    """Axioms in OWL functional syntax with full IRIs, and the prefixes their file declares.
+
+    An *open* ontology knows no names: every name is free to use in tags and means nothing but itself.
+    Ontologies are values: those with the same axioms and prefixes are equal. `files` says where it was read from.
+    """
+
+    def __init__(
+        self,
+        axioms: Iterable[str] = (),
+        prefixes: Mapping[str, str] | None = None,
+        *,
+        is_open: bool = False,
+        files: Iterable[Path] = (),
+    ) -> None:
+        self.axioms: frozenset[str] = frozenset(axioms)
+        self.prefixes: Mapping[str, str] = MappingProxyType(dict(prefixes or {}))
+        self.is_open = is_open
+        self.files = tuple(files)
+
+    @classmethod
+    def from_owlready(cls, onto: object) -> Ontology:
+        """The axioms of an `owlready2` ontology object and of the ontologies that it imports. Raises InputError."""
+        from cfgplan.matching.loading import read_owlready
+
+        return read_owlready(onto)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Ontology):
+            return NotImplemented
+        return (self.axioms, self.prefixes, self.is_open) == (other.axioms, other.prefixes, other.is_open)
+
+    def __hash__(self) -> int:
+        return hash((self.axioms, self.is_open))
+
+    def __repr__(self) -> str:
+        return f"<Ontology of {len(self.axioms)} axioms{', open' if self.is_open else ''}>"
+
+    @cached_property
+    def trees(self) -> Mapping[str, Tree]:
+        """The tree of each axiom, in the order of the axioms' texts."""
+        return MappingProxyType({axiom: parse(axiom) for axiom in sorted(self.axioms)})
+
+    @cached_property
+    def digest(self) -> str:
+        """A hash of the axioms: equal for ontologies that say the same in the same words."""
+        lines = "\n".join(sorted(self.axioms)) + ("\nopen" if self.is_open else "")
+        return hashlib.sha256(lines.encode()).hexdigest()
+
+    @cached_property
+    def _signature(self) -> Signature:
+        return Signature(self.trees.values())
+
+    @cached_property
+    def class_names(self) -> Vocabulary:
+        """The vocabulary of classes."""
+        return Vocabulary("class", self._signature.classes, self.prefixes)
+
+    @cached_property
+    def individual_names(self) -> Vocabulary:
+        """The vocabulary of individuals."""
+        return Vocabulary("individual", self._signature.individuals, self.prefixes)
+
+    @cached_property
+    def property_names(self) -> Vocabulary:
+        """The vocabulary of object properties."""
+        return Vocabulary("property", self._signature.roles, self.prefixes)
+
+    @property
+    def classes(self) -> Mapping[str, str]:
+        """IRIs of the named classes by short name (`prefix:name` where the short name is ambiguous)."""
+        return self.class_names.by_short_name
+
+    @property
+    def individuals(self) -> Mapping[str, str]:
+        """IRIs of the individuals by short name (`prefix:name` where the short name is ambiguous)."""
+        return self.individual_names.by_short_name
+
+    @property
+    def properties(self) -> Mapping[str, str]:
+        """IRIs of the object properties by short name (`prefix:name` where the short name is ambiguous)."""
+        return self.property_names.by_short_name
+
+    def instances(
+        self, class_or_tag: str, *, reasoner: str = "auto", time_limit_s: float | None = None
+    ) -> tuple[str, ...]:
+        """The names of the individuals that belong to a class or tag, asserted or inferred, sorted.
+
+        Raises UnknownNameError for a name that is no class, TagError for a tag that can't be read, InputError for
+        an ontology that can't be reasoned with.
+        """
+        from cfgplan.matching.membership import instances
+
+        return instances(self, class_or_tag, reasoner=reasoner, time_limit_s=time_limit_s)
+
+    def find(self, name: str, vocabularies: Collection[Vocabulary]) -> tuple[Vocabulary, str] | None:
+        """The vocabulary and IRI of a name; None in an open ontology. Raises UnknownNameError."""
+        found = [(vocabulary, iri) for vocabulary in vocabularies if (iri := vocabulary.find(name)) is not None]
+        if len({iri for _, iri in found}) > 1:
+            choices = " or ".join(f"<{iri}>" for _, iri in found)
+            raise UnknownNameError(f"the name {name!r} is ambiguous", f"write {choices}")
+        if found:
+            return found[0]
+        if self.is_open:
+            return None
+        raise self._unknown(name, vocabularies)
+
+    def free_iri(self, name: str) -> str:
+        """The IRI of a name that an open ontology doesn't know."""
+        return expanded(name, self.prefixes) or name
+
+    def written(self, iri: str) -> str:
+        """How a tag writes this IRI."""
+        for vocabulary in (self.class_names, self.individual_names, self.property_names):
+            if iri in vocabulary:
+                return vocabulary.written(iri)
+        return {THING_IRI: "⊤", NOTHING_IRI: "⊥"}.get(iri) or short_name(iri)
+
+    def render(self, concept: Concept) -> str:
+        """A concept in DL syntax with short names."""
+        return in_description_logic(concept, self.written)
+
+    def _unknown(self, name: str, vocabularies: Collection[Vocabulary]) -> UnknownNameError:
+        wanted = " or ".join(vocabulary.what for vocabulary in vocabularies)
+        others = (self.class_names, self.individual_names, self.property_names)
+        for other in others:
+            if other not in vocabularies and other.find(name) is not None:
+                return UnknownNameError(f"{name!r} is {_article(other.what)}, but {_article(wanted)} is wanted here")
+        known = [short for vocabulary in vocabularies for short in vocabulary.by_short_name]
+        mend = suggestion(name, known) or "declare it in the ontology"
+        return UnknownNameError(f"the ontology has no {wanted} {name!r}", mend)
+
+
+def _article(noun: str) -> str:
+    return f"an {noun}" if noun[0] in "aeiou" else f"a {noun}"
