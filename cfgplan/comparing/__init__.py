@@ -1,0 +1,1 @@
+"""Planners side by side on families of instances: generators, runner, result rows, tables and plots."""

@@ -1,0 +1,27 @@
+"""Families of instances: seeded functions from parameters to a planning problem, by name.
+
+The same seed and parameters give the same problem on every machine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+
+from cfgplan.comparing.families.adversarial import adversarial
+from cfgplan.comparing.families.nao import nao
+from cfgplan.comparing.families.random_library import random_library
+from cfgplan.comparing.families.replanning import replanning
+from cfgplan.planning import Problem
+
+FAMILIES: Mapping[str, Callable[..., Problem]] = MappingProxyType(
+    {
+        "adversarial": adversarial,
+        "nao": nao,
+        "random_library": random_library,
+        "replanning": replanning,
+    }
+)
+"""Each is called with a seed and keyword parameters; see its docstring for what these mean."""
+
+__all__ = ["FAMILIES", "adversarial", "nao", "random_library", "replanning"]

@@ -1,0 +1,92 @@
+"""The paper's case study (section V) with any number of robots, on tags whose matching is known.
+
+Labor and upkeep are those of `models/nao/pipeline.yaml`; each robot's differ by a seeded few percent so that
+the robots are not all alike.
+"""
+
+from __future__ import annotations
+
+from random import Random
+
+from cfgplan.comparing.families.running import cheap_configuration, without
+from cfgplan.costs import MICROSECONDS
+from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Target, Transformation
+from cfgplan.errors import InvalidValueError
+from cfgplan.planning import Problem
+
+POSITION = "Position and hasSource some Ball"
+FUSED = "FusedPosition and hasSource some Ball"
+MILLISECONDS = MICROSECONDS // 1000
+
+PIPELINE: tuple[tuple[str, int, int, tuple[str, ...], tuple[str, ...]], ...] = (
+    ("bottom_cam", 400, 60, (), ("YUVImage",)),
+    (
+        "subsampler",
+        250,
+        80,
+        ("YUVImage",),
+        tuple(
+            f"{channel}{size}Image" for channel in "YUV" for size in ("640X480", "320X240", "160X120", "80X60", "40X30")
+        ),
+    ),
+    ("segmenter", 350, 50, ("Y80X60Image", "V80X60Image"), ("ConvHull",)),
+    ("ball_detector", 450, 90, ("ConvHull", "Y640X480Image", "Y320X240Image"), ("PixelPos",)),
+    ("self_localization", 300, 20, (), ("Pose",)),
+    ("ball_localization", 200, 10, ("PixelPos", "Pose"), (POSITION,)),
+)
+"""Label, labor and upkeep in milliseconds, what each input needs and each output gives (Table I)."""
+
+
+def nao(seed: int, *, robots: int = 2, event: str = "registered", fusion: int = 0, horizon_s: int = 60) -> Problem:
+    """`robots` NAOs that can all report where the ball is, to one target.
+
+    `event` is `registered` (nothing runs yet), `lost` (the first robot's pipeline has lost its segmenter) or
+    `left` (the first robot's transformations but its camera have left the library while its pipeline
+    runs). With `fusion` the target wants a position fused from that many different robots.
+    """
+    if robots < 1 or fusion > robots or fusion == 1:
+        raise InvalidValueError("the case needs a robot, and at least two of them for a fusion")
+    random = Random(seed)
+    library = [t for robot in range(1, robots + 1) for t in _pipeline(random, f"nao{robot:02}")]
+    targets = (Target("ball", POSITION, "/result"),)
+    running = Environment((), tuple(t for t in library if t.label.endswith("(nao01)")), targets)
+    similarity = Similarity({tag: frozenset({tag}) for t in library for port in t.outputs for tag in (port.tag,)})
+    if event != "registered":
+        running = cheap_configuration(running, similarity, horizon_s)
+    units = running.units
+    if event == "lost":
+        units = without(units, {"segmenter(nao01).1"})
+    elif event == "left":
+        library = [t for t in library if not t.label.endswith("(nao01)") or t.label == "bottom_cam(nao01)"]
+    elif event != "registered":
+        raise InvalidValueError(f"{event!r} is no event of the case: registered, lost or left")
+    if fusion:
+        ports = tuple(InputPort(f"position{i}", POSITION, distinct="sources") for i in range(1, fusion + 1))
+        fuse = Transformation(
+            "fuse_ball_pos",
+            ports,
+            (OutputPort("fused", FUSED),),
+            labor_us=150 * MILLISECONDS,
+            upkeep_us=10 * MILLISECONDS,
+        )
+        library.append(fuse)
+        targets = (Target("ball", FUSED, "/result"),)
+        similarity = Similarity({**similarity.offers, FUSED: frozenset({FUSED})})
+    return Problem(Environment(units, tuple(library), targets), similarity, horizon_s)
+
+
+def _pipeline(random: Random, robot: str) -> list[Transformation]:
+    def tag(concept: str) -> str:
+        return concept if concept == POSITION else f"{concept} and hasSource some {{{robot}}}"
+
+    return [
+        Transformation(
+            f"{name}({robot})",
+            tuple(InputPort(f"in{i}", tag(concept)) for i, concept in enumerate(needs)),
+            tuple(OutputPort(f"out{i}", tag(concept)) for i, concept in enumerate(gives)),
+            labor_us=round(labor * random.uniform(0.9, 1.1)) * MILLISECONDS,
+            upkeep_us=round(upkeep * random.uniform(0.9, 1.1)) * MILLISECONDS,
+            host=robot,
+        )
+        for name, labor, upkeep, needs, gives in PIPELINE
+    ]

@@ -1,0 +1,141 @@
+"""Random layered libraries: size, depth, branching, sharing, cycles and running units can be set.
+
+The layers and the lognormal costs follow the benchmarks of web-service composition; parent concepts
+stand for what a reasoner adds to equal names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from random import Random
+
+from cfgplan.comparing.families.running import wired_where_possible
+from cfgplan.costs import MICROSECONDS
+from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Target, Transformation
+from cfgplan.errors import InvalidValueError
+from cfgplan.planning import Problem
+from cfgplan.reasons import Givers, startable
+
+CHILDREN = 4
+"""Concepts of one parent."""
+MILLISECONDS = MICROSECONDS // 1000
+
+
+def random_library(
+    seed: int,
+    *,
+    transformations: int = 100,
+    depth: int = 5,
+    branching: int = 4,
+    arity: int = 2,
+    outputs: int = 1,
+    back: float = 0.1,
+    parents: float = 0.3,
+    sharing: float = 0.0,
+    targets: int = 3,
+    running: float = 0.0,
+    horizon_s: int = 60,
+) -> Problem:
+    """A library of `depth` layers, whose first needs no input, and targets among its last concepts that can be met.
+
+    About `branching` outputs give one concept. An input asks for a concept of the layer before (70 %) or
+    of any lower one, or, with probability `back`, of its own layer or a higher one, which closes cycles.
+    It asks for a parent of four concepts with probability `parents`, and for one of the tenth of the
+    layer that all like best with probability `sharing`. A unit of each transformation runs
+    with probability `running`. Costs are whole milliseconds.
+    """
+    if min(transformations, depth, branching, outputs) < 1 or transformations < depth:
+        raise InvalidValueError("a random library needs a transformation for each layer, a branching and an output")
+    random = Random(seed)
+    layers = _layers(transformations, depth, branching, outputs)
+    library: list[Transformation] = []
+    for number, layer in enumerate(layers):
+        given = layer.given(random, outputs)
+        for position, concepts in enumerate(given):
+            asked = [_asked(random, layers, number, back, parents, sharing) for _ in range(arity if number else 0)]
+            library.append(
+                Transformation(
+                    f"t{number}_{position}",
+                    tuple(InputPort(f"in{i}", tag) for i, tag in enumerate(asked)),
+                    tuple(OutputPort(f"out{i}", tag) for i, tag in enumerate(concepts)),
+                    labor_us=max(1, round(1000 * random.lognormvariate(0, 1))) * MILLISECONDS,
+                    upkeep_us=max(1, round(10 * random.lognormvariate(0, 1))) * MILLISECONDS,
+                )
+            )
+    similarity = Similarity({tag: frozenset(offered) for layer in layers for tag, offered in layer.offers().items()})
+    environment = Environment((), tuple(library), ())
+    wanted = _meetable(random, environment, similarity, layers, targets)
+    environment = Environment((), tuple(library), tuple(Target(t, t, f"/{t}") for t in wanted))
+    labels = [t.label for t in environment.library if random.random() < running]
+    return Problem(
+        Environment(wired_where_possible(environment, similarity, labels), environment.library, environment.targets),
+        similarity,
+        horizon_s,
+    )
+
+
+@dataclass(frozen=True)
+class _Layer:
+    number: int
+    size: int
+    concepts: tuple[str, ...]
+
+    def given(self, random: Random, outputs: int) -> list[list[str]]:
+        """The concepts that each transformation of the layer gives, each concept about equally often."""
+        deck: list[str] = []
+        hands: list[list[str]] = []
+        for _ in range(self.size):
+            hand: list[str] = []
+            while len(hand) < min(outputs, len(self.concepts)):
+                if not deck:
+                    deck = random.sample(self.concepts, len(self.concepts))
+                concept = deck.pop()
+                if concept not in hand:
+                    hand.append(concept)
+            hands.append(hand)
+        return hands
+
+    def parent(self, concept: str) -> str:
+        return f"p{self.number}_{self.concepts.index(concept) // CHILDREN}"
+
+    def offers(self) -> dict[str, set[str]]:
+        offers: dict[str, set[str]] = {concept: {concept} for concept in self.concepts}
+        for concept in self.concepts:
+            offers.setdefault(self.parent(concept), set()).add(concept)
+        return offers
+
+
+def _layers(transformations: int, depth: int, branching: int, outputs: int) -> list[_Layer]:
+    layers = []
+    for number in range(depth):
+        size = transformations // depth + (number < transformations % depth)
+        concepts = max(1, round(size * outputs / branching))
+        layers.append(_Layer(number, size, tuple(f"c{number}_{i}" for i in range(concepts))))
+    return layers
+
+
+def _asked(random: Random, layers: Sequence[_Layer], number: int, back: float, parents: float, sharing: float) -> str:
+    if random.random() < back:
+        layer = layers[random.randrange(number, len(layers))]
+    elif random.random() < 0.7:
+        layer = layers[number - 1]
+    else:
+        layer = layers[random.randrange(number)]
+    liked = layer.concepts[: max(1, len(layer.concepts) // 10)] if random.random() < sharing else layer.concepts
+    concept = random.choice(liked)
+    return layer.parent(concept) if random.random() < parents else concept
+
+
+def _meetable(
+    random: Random, environment: Environment, similarity: Similarity, layers: Sequence[_Layer], count: int
+) -> list[str]:
+    """Concepts that something startable gives, from the last layer downwards."""
+    givers = Givers(environment.library, similarity)
+    possible = startable(environment, givers)
+    found: list[str] = []
+    for layer in reversed(layers):
+        for concept in random.sample(layer.concepts, len(layer.concepts)):
+            if len(found) < count and not possible.isdisjoint(givers.of(concept)):
+                found.append(concept)
+    return found

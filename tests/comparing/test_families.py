@@ -1,0 +1,109 @@
+from __future__ import annotations
+
+import pytest
+
+from cfgplan.comparing.families import FAMILIES, adversarial, nao, random_library, replanning
+from cfgplan.comparing.families.adversarial import KINDS
+from cfgplan.comparing.families.running import cheap_configuration
+from cfgplan.planners import PLANNERS
+from cfgplan.planning import Problem, Status
+from cfgplan.reasons import unmet_reasons
+from cfgplan.validity import Rule, violations
+
+SMALL: list[tuple[str, dict[str, object]]] = [
+    ("nao", {"robots": 3, "event": "lost"}),
+    ("random_library", {"transformations": 40, "running": 0.4, "outputs": 2}),
+    ("replanning", {"transformations": 40, "failures": 2, "gone": 0.5}),
+    ("adversarial", {"kind": "cover", "size": 8}),
+]
+
+
+@pytest.mark.parametrize(("family", "parameters"), SMALL)
+def test_a_seed_gives_the_same_problem_and_another_seed_another(family: str, parameters: dict[str, object]) -> None:
+    build = FAMILIES[family]
+    assert build(7, **parameters) == build(7, **parameters)
+    assert build(7, **parameters).environment != build(8, **parameters).environment
+
+
+@pytest.mark.parametrize(("family", "parameters"), SMALL)
+@pytest.mark.parametrize("seed", range(5))
+def test_every_target_of_a_generated_problem_can_be_met(family: str, parameters: dict[str, object], seed: int) -> None:
+    problem = FAMILIES[family](seed, **parameters)
+    assert len(problem.environment.targets) > 0
+    assert unmet_reasons(problem) == {}
+
+
+def test_the_parameters_of_a_random_library_are_kept() -> None:
+    library = random_library(1, transformations=60, depth=4, arity=3, outputs=2, targets=5).environment.library
+    assert len(library) == 60
+    assert {len(t.inputs) for t in library} == {0, 3}
+    assert {len(t.outputs) for t in library} == {2}
+    assert {t.label.split("_")[0] for t in library} == {"t0", "t1", "t2", "t3"}
+
+
+def test_without_back_edges_inputs_ask_only_for_lower_layers() -> None:
+    def climbs(problem: Problem) -> bool:
+        return any(
+            int(port.tag[1:].split("_")[0]) >= int(t.label[1:].split("_")[0])
+            for t in problem.environment.library
+            for port in t.inputs
+        )
+
+    assert not climbs(random_library(3, back=0.0))
+    assert climbs(random_library(3, back=0.5))
+
+
+def test_more_sharing_means_fewer_demanded_concepts() -> None:
+    def demanded(sharing: float) -> int:
+        library = random_library(2, transformations=200, sharing=sharing).environment.library
+        return len({port.tag for t in library for port in t.inputs})
+
+    assert demanded(0.9) < demanded(0.0) / 2
+
+
+def test_the_share_of_running_units_is_what_was_asked_for() -> None:
+    assert random_library(1, running=0.0).environment.units == ()
+    problem = random_library(1, transformations=200, running=0.5)
+    assert 80 <= len(problem.environment.units) <= 120
+    gaps_only = {Rule.FED, Rule.LEAN, Rule.MET}
+    assert {v.rule for v in violations(problem.environment, problem.similarity)} <= gaps_only
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_configuration_that_a_replanning_starts_from_is_valid(seed: int) -> None:
+    problem = random_library(seed, targets=5)
+    running = cheap_configuration(problem.environment, problem.similarity, problem.horizon_s)
+    assert violations(running, problem.similarity) == []
+    failed = replanning(seed, targets=5, failures=2).environment
+    assert set(running.unit) > set(failed.unit)
+    assert len(running.units) - len(failed.units) == 2
+
+
+def test_the_paper_mends_the_lost_segmenter_by_one_new_unit() -> None:
+    plan = PLANNERS["cpsat"](nao(0, robots=2, event="lost"))
+    assert plan.change_set is not None
+    assert [unit.transformation for unit in plan.change_set.started] == ["segmenter(nao01)"]
+    assert [unit.id for unit in plan.change_set.rewired] == ["ball_detector(nao01).1"]
+    assert plan.change_set.stopped == ()
+
+
+def test_a_fusion_of_three_robots_runs_three_pipelines() -> None:
+    plan = PLANNERS["cpsat"](nao(0, robots=5, fusion=3))
+    assert plan.status is Status.OPTIMAL
+    assert plan.change_set is not None
+    assert len([u for u in plan.change_set.started if u.transformation.startswith("ball_localization")]) == 3
+
+
+@pytest.mark.parametrize(
+    ("kind", "size", "optimum_s"),
+    [("dedicated", 5, 11), ("tower", 5, 12), ("blow-up", 4, 15), ("ring", 4, 10), ("fusion", 3, 7)],
+)
+def test_the_optimum_of_a_hand_made_case_is_what_its_sentence_says(kind: str, size: int, optimum_s: int) -> None:
+    plan = PLANNERS["cpsat"](adversarial(0, kind=kind, size=size))
+    assert plan.status is Status.OPTIMAL
+    assert plan.cost_us == optimum_s * 1_000_000
+
+
+def test_every_hand_made_case_can_be_solved() -> None:
+    for kind in KINDS:
+        assert PLANNERS["cpsat"](adversarial(0, kind=kind, size=4)).status is Status.OPTIMAL
