@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
 
 from cfgplan.domain import ComputationUnit, Environment, Publication, Stream, Subscription
@@ -36,7 +37,7 @@ def plan(
             f"the exhaustive planner tries every set of units and {len(candidates)} are too many for it",
             mend=f"use the planner cpsat, or at most {MOST_UNITS} running units and transformations",
         )
-    runnable = _runnable(problem)
+    runnable = _runnable(problem, problem.environment.transformation)
     kept = {unit.id for unit in candidates if _is_pinned(problem, unit) and unit.transformation in runnable}
     best: tuple[Key, list[ComputationUnit]] | None = None
     tried = 0
@@ -45,7 +46,7 @@ def plan(
             break
         if not kept.issubset(unit.id for unit in chosen):
             continue
-        for units in _wirings(problem, chosen):
+        for units in _wirings(problem, chosen, partial(_is_worth_it, best, least)):
             if time_limit_s is not None and time.monotonic() - began > time_limit_s:
                 return _answer(problem, best, began, tried, stopped=True)
             tried += 1
@@ -66,10 +67,11 @@ def _answer(
     if best is None:
         if stopped:
             return Plan("exhaustive", Status.UNKNOWN, seconds=seconds, counts=counts)
+        runnable = _runnable(problem, problem.environment.transformation)
         reasons = {
             target.label: "no wiring of any set of units meets it"
             for target in problem.environment.targets
-            if not _gives(problem, _runnable(problem), target.tag)
+            if not _gives(problem, runnable, target.tag)
         }
         return Plan("exhaustive", Status.INFEASIBLE, reasons=reasons, seconds=seconds, counts=counts)
     (_, cost_us, _, _), units = best
@@ -89,6 +91,10 @@ def _answer(
         seconds=seconds,
         counts=counts,
     )
+
+
+def _is_worth_it(best: tuple[Key, list[ComputationUnit]] | None, least: Key, rewired: int) -> bool:
+    return best is None or (least[0], least[1], rewired, least[3]) < best[0]
 
 
 def _candidates(environment: Environment) -> list[ComputationUnit]:
@@ -157,13 +163,19 @@ def _demands(problem: Problem, chosen: tuple[ComputationUnit, ...]) -> list[_Dem
         for unit in chosen
         for port in environment.transformation[unit.transformation].inputs
     ]
-    return ports + [_Demand(None, target.topic, streams(target.tag)) for target in environment.targets]
+    return [_Demand(None, target.topic, streams(target.tag)) for target in environment.targets] + ports
 
 
-def _wirings(problem: Problem, chosen: tuple[ComputationUnit, ...]) -> Iterator[list[ComputationUnit]]:
-    """Every wiring of the chosen units that meets the targets, is grounded and distinct; not all are lean."""
+def _wirings(
+    problem: Problem, chosen: tuple[ComputationUnit, ...], worth_it: Callable[[int], bool]
+) -> Iterator[list[ComputationUnit]]:
+    """Every wiring of the chosen units that meets the targets, is grounded and distinct; not all are lean.
+
+    Wirings with so many rewired units that they are not `worth_it` are left.
+    """
     demands = _demands(problem, chosen)
     label_of = {unit.id: unit.transformation for unit in chosen}
+    running = problem.environment.unit
     choice: list[tuple[_Demand, Stream]] = []
 
     def may_feed(stream: Stream, demand: _Demand) -> bool:
@@ -177,8 +189,13 @@ def _wirings(problem: Problem, chosen: tuple[ComputationUnit, ...]) -> Iterator[
         return demand.feedback or not _leads_to(edges, demand.unit, stream.unit)
 
     def extend() -> Iterator[list[ComputationUnit]]:
+        wired = _wired(chosen, choice)
+        unfinished = {demand.unit for demand in demands[len(choice) :]}
+        rewired = [u for u in wired if u.id in running and u.id not in unfinished and u != running[u.id]]
+        if None not in unfinished and not worth_it(len(rewired)):
+            return
         if len(choice) == len(demands):
-            yield _wired(chosen, choice)
+            yield wired
             return
         demand = demands[len(choice)]
         for stream in demand.streams:
@@ -187,7 +204,8 @@ def _wirings(problem: Problem, chosen: tuple[ComputationUnit, ...]) -> Iterator[
                 yield from extend()
                 choice.pop()
 
-    if all(demand.streams for demand in demands):
+    labels = set(label_of.values())
+    if all(demand.streams for demand in demands) and _runnable(problem, labels) == labels:
         yield from extend()
 
 
@@ -227,10 +245,9 @@ def _needed(units: list[ComputationUnit], roots: set[str]) -> set[str]:
     return {unit.id for unit in units if any(_leads_to(edges, root, unit.id) for root in roots)}
 
 
-def _runnable(problem: Problem) -> set[str]:
-    """The largest set of transformations with a grounded wiring: found by removing what can't be fed."""
-    environment = problem.environment
-    alive = set(environment.transformation)
+def _runnable(problem: Problem, labels: Iterable[str]) -> set[str]:
+    """The largest part of `labels` with a grounded wiring: found by removing what can't be fed."""
+    alive = set(labels)
     while True:
         order: list[str] = []
         grew = True

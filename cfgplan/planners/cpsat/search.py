@@ -200,7 +200,7 @@ class Search:
 
     def hint(self) -> None:
         """Start from the incumbent's units."""
-        self.model.cp.clear_hints()
+        self.model.cp.clear_hints()  # type: ignore[no-untyped-call]
         if self.best is not None:
             running = {unit.id for unit in self.best.units}
             for runs, candidate in zip(self.model.runs, self.model.site.candidates, strict=True):
