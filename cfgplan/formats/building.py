@@ -1,0 +1,88 @@
+"""From a document to a world: templates expanded, every tag and every reference checked."""
+
+from __future__ import annotations
+
+import gc
+
+from cfgplan.domain import Environment, Target, Transformation
+from cfgplan.errors import Fault, InputError
+from cfgplan.formats.document import Document
+from cfgplan.formats.expansion import Expander
+from cfgplan.formats.places import Path, Source
+from cfgplan.formats.references import UnitChecker
+from cfgplan.formats.tags import TagChecker
+from cfgplan.formats.vocabulary import Vocabulary
+from cfgplan.formats.world import World
+
+Origins = dict[tuple[str, str], tuple[Source, Path]]
+
+
+def build(document: Document, vocabulary: Vocabulary) -> World:
+    """The world that a document describes; raises InputError with every fault of the document and of this stage."""
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        return _build(document, vocabulary)
+    finally:
+        if was_enabled:
+            gc.enable()
+
+
+def _build(document: Document, vocabulary: Vocabulary) -> World:
+    faults = list(document.faults)
+    origins: Origins = {}
+    tags = TagChecker(vocabulary, faults)
+    library = _library(document, vocabulary, tags, origins, faults)
+    targets = _targets(document, tags, origins, faults)
+    units = UnitChecker(document, library, targets, origins, faults).units()
+    if faults:
+        raise InputError(_in_file_order(faults, document))
+    environment = Environment(tuple(units), tuple(library.values()), tuple(targets.values()))
+    return World(document.path, environment, document.horizon_s, document.max_cost_us, document.ontology_paths, origins)
+
+
+def _library(
+    document: Document, vocabulary: Vocabulary, tags: TagChecker, origins: Origins, faults: list[Fault]
+) -> dict[str, Transformation]:
+    library: dict[str, Transformation] = {}
+    expander = Expander(document.defaults, vocabulary, tags, faults)
+    for file in document.files:
+        for index, part in file.transformations:
+            path = ("transformations", index)
+            for transformation in expander.expand(file.source, path, part):
+                if _is_new(("transformation", transformation.label), file.source, path, "label", origins, faults):
+                    library[transformation.label] = transformation
+    return library
+
+
+def _targets(document: Document, tags: TagChecker, origins: Origins, faults: list[Fault]) -> dict[str, Target]:
+    targets: dict[str, Target] = {}
+    topics: Origins = {}
+    for file in document.files:
+        for index, part in file.targets:
+            path = ("targets", index)
+            tags.check(part.tag, file.source, (*path, "tag"))
+            is_new = _is_new(("target", part.label), file.source, path, "label", origins, faults)
+            if _is_new(("topic", part.topic), file.source, path, "topic", topics, faults) and is_new:
+                targets[part.label] = Target(part.label, part.tag, part.topic, part.priority)
+    return targets
+
+
+def _is_new(name: tuple[str, str], source: Source, path: Path, key: str, origins: Origins, faults: list[Fault]) -> bool:
+    if name not in origins:
+        origins[name] = (source, path)
+        return True
+    first_source, first_path = origins[name]
+    first = first_source.place(first_path)
+    what = "topic" if name[0] == "topic" else f"{name[0]} label"
+    message = f"the {what} `{name[1]}` is taken: it stands in {first.file}, line {first.line} already"
+    if (first_source.file, first_path) == (source.file, path):
+        message = f"several expansions of this template have the label `{name[1]}`"
+    faults.append(source.fault((*path, key), message, "give each a name of its own"))
+    return False
+
+
+def _in_file_order(faults: list[Fault], document: Document) -> list[Fault]:
+    order = {file.source.file: number for number, file in enumerate(document.files)}
+    last = len(order)
+    return sorted(dict.fromkeys(faults), key=lambda f: (order.get(f.file or "", last), f.line or 0, f.column or 0))

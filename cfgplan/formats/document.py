@@ -1,0 +1,232 @@
+"""Environment files and what they include, read and validated as they stand, before any expansion."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path as FilePath
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from cfgplan.errors import Fault, InputError
+from cfgplan.formats.json_text import read_json
+from cfgplan.formats.places import Path, Source
+from cfgplan.formats.schema import (
+    DefaultsPart,
+    EnvironmentPart,
+    IncludedPart,
+    TargetPart,
+    TransformationPart,
+    UnitPart,
+)
+from cfgplan.formats.schema_faults import schema_faults
+from cfgplan.formats.yaml_text import read_yaml
+
+LARGEST_FILE_BYTES = 128 * 2**20
+SUFFIXES = (".yaml", ".yml", ".json")
+P = TypeVar("P", bound=BaseModel)
+
+Indexed = tuple[int, P]
+"""A part and its position in its file's list."""
+
+
+@dataclass(frozen=True)
+class File:
+    """The valid parts of one file, and the names of those that have faults.
+
+    A name is None where even that is missing.
+    """
+
+    source: Source
+    transformations: tuple[Indexed[TransformationPart], ...] = ()
+    units: tuple[Indexed[UnitPart], ...] = ()
+    targets: tuple[Indexed[TargetPart], ...] = ()
+    broken: Mapping[str, tuple[str | None, ...]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Document:
+    """An environment as its files say it; `faults` are those of syntax and schema."""
+
+    path: FilePath
+    horizon_s: int
+    max_cost_us: int | None
+    defaults: DefaultsPart
+    ontology_paths: tuple[FilePath, ...]
+    files: tuple[File, ...]
+    faults: tuple[Fault, ...]
+
+
+def read_document(path: str | os.PathLike[str]) -> Document:
+    """Read an environment file (YAML or JSON) and its includes.
+
+    Faults are collected in the document, for `build` to report together with those it finds;
+    InputError is raised only where there is nothing to go on with: a file that can't be read or parsed.
+    """
+    main = FilePath(path)
+    header, file, faults = _read_file(main, EnvironmentPart)
+    ontology = header.ontology or []
+    names = [ontology] if isinstance(ontology, str) else ontology
+    files, more = _included(main, file.source, header.include or [])
+    return Document(
+        main,
+        header.horizon,
+        header.max_cost,
+        header.defaults or DefaultsPart(),
+        tuple(main.parent / name for name in names),
+        (file, *files),
+        (*faults, *more),
+    )
+
+
+def read_source(path: FilePath) -> Source:
+    """The plain data of a YAML or JSON file; raises InputError."""
+    text = read_text(path)
+    if path.suffix == ".json":
+        return read_json(text, str(path))
+    return read_yaml(text, str(path))
+
+
+def read_text(path: FilePath) -> str:
+    """The text of a UTF-8 file; raises InputError."""
+    name = str(path)
+    try:
+        with path.open("rb") as stream:
+            content = stream.read(LARGEST_FILE_BYTES + 1)
+    except FileNotFoundError:
+        raise InputError.of("there is no such file", file=name, mend="check the path") from None
+    except IsADirectoryError:
+        raise InputError.of("this is a folder, not a file", file=name, mend="name the file in it") from None
+    except PermissionError:
+        raise InputError.of("the file may not be read", file=name, mend="give yourself the right to read it") from None
+    except (OSError, ValueError) as error:
+        raise InputError.of(f"the file can't be read: {error}", file=name, mend="check the path") from None
+    if len(content) > LARGEST_FILE_BYTES:
+        raise InputError.of(
+            f"the file is larger than {LARGEST_FILE_BYTES // 2**20} MiB", file=name, mend="split it by `include:`"
+        )
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        fault = Fault(
+            f"byte {content[error.start]:#04x} is not UTF-8", name, line, mend="save the file in the encoding UTF-8"
+        )
+        raise InputError([fault]) from None
+
+
+def _read_file(path: FilePath, part: type[P]) -> tuple[P, File, list[Fault]]:
+    source = read_source(path)
+    data = source.data
+    if not isinstance(data, dict):
+        raise InputError(
+            [
+                *source.faults,
+                source.fault(
+                    (), "this is not an environment", "a file is a mapping that begins with `format: cfgplan/1`"
+                ),
+            ]
+        )
+    faults = list(source.faults)
+    bad: dict[Any, set[int]] = {}
+    try:
+        model = part.model_validate(data)
+    except ValidationError as error:
+        errors = error.errors(include_url=False)
+        faults += schema_faults(source, (), errors, part)
+        bad = _bad_entries([e["loc"] for e in errors])
+        model = part.model_validate(_good_entries(data, bad))
+    return model, _file(source, model, data, bad), faults
+
+
+def _bad_entries(paths: list[Path]) -> dict[Any, set[int]]:
+    """The top-level keys with faults: to the positions of the bad entries, or to none if all of it is bad."""
+    bad: dict[Any, set[int]] = {}
+    wholly = set()
+    for path in paths:
+        bad.setdefault(path[0], set())
+        if path[0] in ("transformations", "units", "targets") and len(path) > 1 and isinstance(path[1], int):
+            bad[path[0]].add(path[1])
+        else:
+            wholly.add(path[0])
+    return {key: set() if key in wholly else entries for key, entries in bad.items()}
+
+
+def _good_entries(data: Mapping[str, Any], bad: Mapping[Any, set[int]]) -> dict[str, Any]:
+    good: dict[str, Any] = {"format": "cfgplan/1"}
+    for key, value in data.items():
+        if key not in bad:
+            good[key] = value
+        elif bad[key]:
+            good[key] = [item for index, item in enumerate(value) if index not in bad[key]]
+    return good
+
+
+def _file(source: Source, model: Any, data: Mapping[str, Any], bad: Mapping[Any, set[int]]) -> File:
+    def indexed(key: str) -> Iterator[Any]:
+        parts = getattr(model, key, None) or ()
+        positions = range(len(parts))
+        if bad.get(key):
+            return zip((i for i in range(len(data[key])) if i not in bad[key]), parts, strict=True)
+        return zip(positions, parts, strict=True)
+
+    names = {"transformations": "label", "units": "id", "targets": "label"}
+    broken = {
+        key: tuple(_name(data[key][index], names[key]) for index in sorted(bad[key])) or (None,)
+        for key in names
+        if key in bad
+    }
+    return File(source, tuple(indexed("transformations")), tuple(indexed("units")), tuple(indexed("targets")), broken)
+
+
+def _name(item: object, key: str) -> str | None:
+    name = item.get(key) if isinstance(item, dict) else None
+    return name if isinstance(name, str) else None
+
+
+def _included(main: FilePath, source: Source, names: list[str]) -> tuple[list[File], list[Fault]]:
+    files: list[File] = []
+    faults: list[Fault] = []
+    seen = {_identity(main)}
+    for index, name in enumerate(names):
+        path = main.parent / name
+        try:
+            members = _members(path, main)
+        except OSError as error:
+            members = []
+            faults.append(source.fault(("include", index), f"{name} can't be read: {error.strerror}", "check the path"))
+        if path.is_dir() and not members:
+            mend = f"put files into it that end in {', '.join(SUFFIXES)}, or remove this entry"
+            faults.append(source.fault(("include", index), f"the folder {name} has no environment files", mend))
+        for member in members:
+            if _identity(member) in seen:
+                faults.append(source.fault(("include", index), f"{member} is included twice", "remove one entry"))
+                continue
+            seen.add(_identity(member))
+            try:
+                _, file, more = _read_file(member, IncludedPart)
+            except InputError as error:
+                faults += (_at_entry(fault, name, source, ("include", index)) for fault in error.faults)
+                files.append(File(source, broken={"transformations": (None,), "targets": (None,)}))
+                continue
+            files.append(file)
+            faults += more
+    return files, faults
+
+
+def _at_entry(fault: Fault, name: str, source: Source, entry: Path) -> Fault:
+    """A fault of a whole included file belongs to the entry that names the file."""
+    return fault if fault.line is not None else source.fault(entry, f"{name}: {fault.message}", fault.mend)
+
+
+def _members(path: FilePath, main: FilePath) -> list[FilePath]:
+    if not path.is_dir():
+        return [path]
+    found = sorted(p for p in path.iterdir() if p.suffix in SUFFIXES and p.is_file())
+    return [p for p in found if _identity(p) != _identity(main)]
+
+
+def _identity(path: FilePath) -> str:
+    return os.path.realpath(path)

@@ -1,0 +1,150 @@
+"""JSON text to plain data: numbers exact, repeated keys refused, positions on demand."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from decimal import Decimal
+from typing import Any
+
+from cfgplan.errors import Fault, InputError
+from cfgplan.formats.places import Path, Source, Spot
+from cfgplan.formats.scalars import resolve
+from cfgplan.formats.yaml_text import DEEPEST_NESTING
+
+_TOKEN = re.compile(r'\s*("(?:[^"\\]|\\.)*"|[^\s"\[\]{},:]+|[\[\]{},:])')
+
+
+def read_json(text: str, file: str) -> Source:
+    """Read one JSON document; raises InputError where reading can't go on."""
+    repeats: list[str] = []
+
+    def mapping(pairs: list[tuple[str, object]]) -> dict[str, object]:
+        values = dict(pairs)
+        if len(values) != len(pairs):
+            repeats.extend(key for key in values if sum(key == other for other, _ in pairs) > 1)
+        return values
+
+    if not text.strip():
+        raise InputError.of("the file is empty", file=file, mend='an environment begins with {"format": "cfgplan/1"')
+    try:
+        data = json.loads(
+            text, object_pairs_hook=mapping, parse_float=Decimal, parse_int=resolve, parse_constant=_not_finite
+        )
+    except json.JSONDecodeError as error:
+        fault = Fault(f"this is not JSON: {error.msg}", file, error.lineno, error.colno, mend="mend the syntax here")
+        raise InputError([fault]) from None
+    except RecursionError:
+        raise _too_deep(file) from None
+    _refuse_odd_values(data, file)
+    locator = _JsonLocator(text)
+    faults = [
+        Fault(f"the key `{key}` stands here twice", file, spot.line, spot.column, mend="remove one of the two")
+        for key, spot in (locator.repeated_keys() if repeats else ())
+    ]
+    return Source(file, data, locator, tuple(faults))
+
+
+def _not_finite(text: str) -> Decimal:
+    return Decimal(text)
+
+
+def _too_deep(file: str) -> InputError:
+    return InputError.of(f"values are nested more than {DEEPEST_NESTING} deep", file=file, mend="flatten the document")
+
+
+def _refuse_odd_values(data: object, file: str) -> None:
+    layer: list[object] = [data]
+    for _ in range(DEEPEST_NESTING + 1):
+        texts = [value for value in layer if isinstance(value, str)]
+        below: list[object] = []
+        for value in layer:
+            if isinstance(value, dict):
+                texts += value
+                below += value.values()
+            elif isinstance(value, list):
+                below += value
+        try:
+            "".join(texts).encode()
+        except UnicodeEncodeError:
+            raise InputError.of("a text has half of a surrogate pair", file=file, mend="mend its \\u escapes") from None
+        if not below:
+            return
+        layer = below
+    raise _too_deep(file)
+
+
+class _Node:
+    """A value's place in the text, and its children with the places of their keys."""
+
+    __slots__ = ("children", "end", "start")
+
+    def __init__(self, start: int, end: int) -> None:
+        self.start = start
+        self.end = end
+        self.children: list[tuple[str | int, _Node, _Node]] = []
+
+
+class _JsonLocator:
+    """Finds spots in a JSON text that is known to be well-formed."""
+
+    def __init__(self, text: str) -> None:
+        self._text = text
+        self._root: _Node | None = None
+
+    def __call__(self, path: Path, at_key: bool) -> Spot:
+        node = self._tree()
+        for number, step in enumerate(path, start=1):
+            found = next((child for child in reversed(node.children) if child[0] == step), None)
+            if found is None:
+                break
+            node = found[1] if at_key and isinstance(step, str) and number == len(path) else found[2]
+        return self._spot(node)
+
+    def repeated_keys(self) -> Iterator[tuple[str, Spot]]:
+        """Every key that stands in its mapping before, with its place."""
+        ahead = [self._tree()]
+        while ahead:
+            node = ahead.pop(0)
+            seen: set[str | int] = set()
+            for step, key, value in node.children:
+                if step in seen:
+                    yield str(step), self._spot(key)
+                seen.add(step)
+                ahead.append(value)
+
+    def _spot(self, node: _Node) -> Spot:
+        line = self._text.count("\n", 0, node.start) + 1
+        column = node.start - self._text.rfind("\n", 0, node.start)
+        written = self._text[node.start : node.end]
+        if written.startswith('"'):
+            value = json.loads(written)
+            return Spot(line, column, value, column + 1 if value == written[1:-1] else None)
+        return Spot(line, column, written, column) if not node.children else Spot(line, column)
+
+    def _tree(self) -> _Node:
+        if self._root is None:
+            tokens = ((m.group(1), m.start(1), m.end(1)) for m in _TOKEN.finditer(self._text))
+            self._root = _value(tokens, next(tokens))
+        return self._root
+
+
+def _value(tokens: Iterator[tuple[str, int, int]], token: tuple[str, int, int]) -> _Node:
+    text, start, end = token
+    node = _Node(start, end)
+    if text not in ("[", "{"):
+        return node
+    token = next(tokens)
+    while token[0] not in ("]", "}"):
+        step: Any = len(node.children)
+        key = _Node(token[1], token[2])
+        if text == "{":
+            step = json.loads(token[0])
+            next(tokens)
+            token = next(tokens)
+        node.children.append((step, key, _value(tokens, token)))
+        token = next(tokens)
+        if token[0] == ",":
+            token = next(tokens)
+    return node

@@ -1,0 +1,74 @@
+"""Where something stands in a file: paths of keys, and the spots that they lead to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple, TypeAlias
+
+from cfgplan.errors import Fault
+
+Path: TypeAlias = tuple[str | int, ...]
+"""Keys and list positions from the document's root, such as `("transformations", 3, "inputs")`."""
+
+
+class Place(NamedTuple):
+    """A file, and a line and a column in it that count from 1."""
+
+    file: str
+    line: int
+    column: int
+
+
+@dataclass(frozen=True, slots=True)
+class Spot:
+    """A key or value in a file's text.
+
+    `text` is a scalar as it was written, without quotes. `text_column` is the column of its first
+    character if the whole scalar stands literally on that line, so that columns inside of it add up.
+    """
+
+    line: int
+    column: int
+    text: str | None = None
+    text_column: int | None = None
+
+
+Locate: TypeAlias = Callable[[Path, bool], Spot]
+"""Finds the value at a path or, if the flag is set, its key; else what is nearest above."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """A file that was read: plain data, the faults of its syntax, and a way back to its text.
+
+    Positions are found only when somebody asks, which is when there is an error.
+    """
+
+    file: str
+    data: object
+    locate: Locate
+    faults: tuple[Fault, ...] = ()
+
+    def fault(
+        self, path: Path, message: str, mend: str | None = None, *, at_key: bool = False, text_column: int | None = None
+    ) -> Fault:
+        """A fault at a path; `text_column` counts from 1 inside the text that stands there."""
+        spot = self.locate(path, at_key)
+        column = spot.column
+        if text_column is not None and spot.text_column is not None:
+            column = spot.text_column + text_column - 1
+        return Fault(message, self.file, spot.line, column, key_text(path) or None, mend)
+
+    def place(self, path: Path) -> Place:
+        """Where the value at a path begins."""
+        spot = self.locate(path, False)
+        return Place(self.file, spot.line, spot.column)
+
+
+def key_text(path: Path) -> str:
+    """A path as people write it: `transformations[3].inputs.image.tag`."""
+    text = ""
+    for step in path:
+        text += f"[{step}]" if isinstance(step, int) else f".{step}" if text else step
+    return text

@@ -1,0 +1,196 @@
+"""The environment file's definition, from which its validation and its JSON Schema are made."""
+
+from __future__ import annotations
+
+from decimal import Decimal, DecimalException
+from functools import lru_cache
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, PlainValidator, Tag, WithJsonSchema
+from pydantic_core import PydanticCustomError
+
+from cfgplan.costs import microseconds
+from cfgplan.errors import InvalidValueError
+
+FORMAT = "cfgplan/1"
+LONGEST_HORIZON_S = 1_000_000_000
+NAME = r"^[^\s\x00-\x1f\x7f]([^\x00-\x1f\x7f]*[^\s\x00-\x1f\x7f])?$"
+PORT = r"^[^\s\x00-\x1f\x7f/]([^\x00-\x1f\x7f/]*[^\s\x00-\x1f\x7f/])?$"
+
+DEFAULT_HORIZON_S = 600
+DEFAULT_LABOR_US = 1_000_000
+DEFAULT_UPKEEP_US = 0
+
+SHORT_FORM = "(short)"
+"""How errors name the form of a port that is only a tag, or of a list that is one text."""
+FULL_FORM = "(full)"
+"""How errors name the form of a port that is a mapping, or of a list that is a list."""
+
+
+@lru_cache(maxsize=65536)
+def _microseconds(value: Decimal | int) -> int:
+    try:
+        return microseconds(value)
+    except InvalidValueError as error:
+        message, _, mend = str(error).partition(": ")
+        raise PydanticCustomError("cost", "{text}", {"text": message, "mend": mend or "write a number"}) from None
+    except DecimalException:
+        raise PydanticCustomError(
+            "cost", "{text}", {"text": "the number is too large", "mend": "write CPU seconds"}
+        ) from None
+
+
+def _cost(value: object) -> int:
+    if type(value) is int or type(value) is Decimal:
+        return _microseconds(value)
+    raise PydanticCustomError("cost_type", "a cost is a number of CPU seconds")
+
+
+def _finite(value: object) -> object:
+    """Parameters as plain values: Decimal becomes float, which every file format can say again."""
+    if type(value) is Decimal:
+        number = float(value)
+        if number - number != 0:
+            raise PydanticCustomError(
+                "params", "{text}", {"text": f"{value} is not a finite number", "mend": "quote it"}
+            )
+        return number
+    if type(value) is dict:
+        return {key: _finite(item) for key, item in value.items()}
+    if type(value) is list:
+        return [_finite(item) for item in value]
+    return value
+
+
+def _params(value: object) -> object:
+    if value is None:
+        return {}
+    if type(value) is not dict:
+        raise PydanticCustomError("dict_type", "params must be a mapping")
+    return _finite(value)
+
+
+def _form(value: object) -> str:
+    """Which of two forms an author chose, so that errors are about that one only."""
+    return FULL_FORM if isinstance(value, dict | list | BaseModel) else SHORT_FORM
+
+
+Name = Annotated[str, Field(pattern=NAME)]
+PortName = Annotated[str, Field(pattern=PORT)]
+TagText = Annotated[str, Field(min_length=1, description="a concept in description logic, or the paper's P(a)")]
+Cost = Annotated[int, PlainValidator(_cost), WithJsonSchema({"type": "number", "minimum": 0})]
+Params = Annotated[dict[str, Any], PlainValidator(_params), WithJsonSchema({"type": ["object", "null"]})]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+class InputPart(_Part):
+    """An input port that needs more than a tag."""
+
+    tag: TagText
+    distinct: Name | None = Field(default=None, description="ports of one group are fed by different transformations")
+    feedback: bool = Field(default=False, description="this input may close a cycle of the wiring")
+
+
+class OutputPart(_Part):
+    """An output port in its long form."""
+
+    tag: TagText
+
+
+Input = Annotated[
+    Annotated[TagText, Tag(SHORT_FORM)] | Annotated[InputPart, Tag(FULL_FORM)],
+    Discriminator(_form),
+]
+Output = Annotated[
+    Annotated[TagText, Tag(SHORT_FORM)] | Annotated[OutputPart, Tag(FULL_FORM)],
+    Discriminator(_form),
+]
+
+
+Names = Annotated[
+    Annotated[Name, Tag(SHORT_FORM)] | Annotated[list[Name], Tag(FULL_FORM)],
+    Discriminator(_form),
+]
+
+
+class TransformationPart(_Part):
+    """A streaming function that can be instantiated; `${Class}` in it stands for each individual of a class."""
+
+    label: Name = Field(description="unique; mentions every template variable of the transformation")
+    source: Name | None = Field(
+        default=None, description="package.module:Class, or units.py:Class relative to this file"
+    )
+    kind: Name | None = Field(default=None, description="free text, the paper's type attribute")
+    host: Name | None = Field(default=None, description="where its units run")
+    params: Params = Field(default={}, description="the configuration its units are started with")
+    labor: Cost | None = Field(default=None, description="CPU seconds of one start")
+    upkeep: Cost | None = Field(default=None, description="CPU seconds that a running unit takes per second")
+    pinned: bool = Field(default=False, description="running units are kept even where no target needs them")
+    required: bool = Field(default=False, description="must be used wherever that is possible at all")
+    inputs: dict[PortName, Input] | None = Field(default=None, description="input ports: name to tag")
+    outputs: dict[PortName, Output] | None = Field(default=None, description="output ports: name to tag")
+
+
+class UnitPart(_Part):
+    """A running computation unit."""
+
+    id: Name
+    transformation: Name = Field(description="the label of its transformation, templates expanded")
+    inputs: dict[PortName, Name | None] | None = Field(
+        default=None, description="input port to stream (unit/port); null: a gap"
+    )
+    topics: dict[PortName, list[Name]] | None = Field(
+        default=None, description="output port to the topics it is published on"
+    )
+
+
+class TargetPart(_Part):
+    """Information that is wanted on a topic."""
+
+    label: Name
+    topic: Name
+    tag: TagText
+    priority: int = Field(default=0, ge=-LONGEST_HORIZON_S, le=LONGEST_HORIZON_S, description="larger matters more")
+
+
+class DefaultsPart(_Part):
+    """Costs of the transformations that do not say their own."""
+
+    labor: Cost | None = Field(default=None, description="CPU seconds of one start; 1 if absent")
+    upkeep: Cost | None = Field(default=None, description="CPU seconds per second; 0 if absent")
+
+
+class IncludedPart(_Part):
+    """A file that an environment includes: transformations and targets only."""
+
+    format: Literal["cfgplan/1"] | None = None
+    transformations: list[TransformationPart] | None = None
+    targets: list[TargetPart] | None = None
+
+
+class EnvironmentPart(_Part):
+    """An environment: the transformations there are, the units that run and the information that is wanted."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, title="cfgplan environment")
+
+    format: Literal["cfgplan/1"]
+    ontology: Names | None = Field(default=None, description="ontology file or files, relative to this file")
+    horizon: int = Field(
+        default=DEFAULT_HORIZON_S, ge=0, le=LONGEST_HORIZON_S, description="how far ahead upkeep counts, in seconds"
+    )
+    max_cost: Cost | None = Field(default=None, description="the most that an update may cost, in CPU seconds")
+    defaults: DefaultsPart | None = None
+    include: list[Name] | None = Field(
+        default=None, description="files and folders with more transformations and targets"
+    )
+    transformations: list[TransformationPart] | None = None
+    units: list[UnitPart] | None = None
+    targets: list[TargetPart] | None = None
+
+
+def environment_schema() -> dict[str, Any]:
+    """The JSON Schema (draft 2020-12) of the environment file, for editors and other tools."""
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **EnvironmentPart.model_json_schema()}

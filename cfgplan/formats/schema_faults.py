@@ -1,0 +1,142 @@
+"""The schema's complaints as faults: a place in the file, plain words, and a mend."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from decimal import Decimal
+from difflib import get_close_matches
+from typing import Any
+
+from pydantic import BaseModel
+
+from cfgplan.errors import Fault
+from cfgplan.formats.places import Path, Source
+from cfgplan.formats.schema import (
+    FORMAT,
+    FULL_FORM,
+    PORT,
+    SHORT_FORM,
+    DefaultsPart,
+    EnvironmentPart,
+    InputPart,
+    OutputPart,
+    TargetPart,
+    TransformationPart,
+    UnitPart,
+)
+
+_PARTS: Mapping[str, type[BaseModel]] = {
+    "transformations": TransformationPart,
+    "units": UnitPart,
+    "targets": TargetPart,
+    "inputs": InputPart,
+    "outputs": OutputPart,
+    "defaults": DefaultsPart,
+}
+_KINDS = {
+    "string_type": "text",
+    "int_type": "a whole number",
+    "bool_type": "true or false",
+    "list_type": "a list",
+    "dict_type": "a mapping of keys to values",
+    "model_type": "a mapping of keys to values",
+    "model_attributes_type": "a mapping of keys to values",
+    "cost_type": "a number of CPU seconds",
+}
+
+
+def schema_faults(source: Source, root: Path, errors: Sequence[Any], part: type[BaseModel]) -> Iterator[Fault]:
+    """The faults of pydantic's errors for the value at `root` of a source."""
+    for error in errors:
+        path = root + tuple(step for step in error["loc"] if step not in (SHORT_FORM, FULL_FORM, "[key]"))
+        at_key = error["loc"][-1:] == ("[key]",)
+        yield _fault(source, path, at_key, error, part)
+
+
+def did_you_mean(name: str, known: Sequence[str], otherwise: str) -> str:
+    """A mend for an unknown name: the known one that is close to it, or else a hint."""
+    close = get_close_matches(name, known, n=1)
+    return f"did you mean `{close[0]}`?" if close else otherwise
+
+
+def _fault(source: Source, path: Path, at_key: bool, error: Any, part: type[BaseModel]) -> Fault:
+    kind, value = error["type"], error["input"]
+    if kind == "extra_forbidden":
+        return _unknown_key(source, path, part)
+    if kind == "missing":
+        mend = f"add `{path[-1]}:` here"
+        if path[-3:-2] in (("inputs",), ("outputs",)):
+            mend += ", or write it in quotes if it is a concept: what begins with { is read as a mapping"
+        return source.fault(path[:-1], f"the key `{path[-1]}` is missing", mend)
+    if kind == "literal_error":
+        return source.fault(path, f"the format is {_shown(value)}", f"this cfgplan reads `format: {FORMAT}`")
+    if kind in _KINDS:
+        return source.fault(path, *_wrong_kind(source, path, _KINDS[kind], value), at_key=at_key)
+    if kind == "string_pattern_mismatch":
+        barred = "slashes, line breaks or control characters" if error["ctx"]["pattern"] == PORT else "line breaks"
+        message = f"{_shown(value)} is no name" if value else "the name is empty"
+        return source.fault(path, message, f"a name has no {barred} and no spaces around it", at_key=at_key)
+    if kind == "string_too_short":
+        return source.fault(path, "the tag is empty", "write a concept, such as `Image`")
+    if kind in ("greater_than_equal", "less_than_equal"):
+        limit = error["ctx"].get("ge", error["ctx"].get("le"))
+        side = "at least" if kind == "greater_than_equal" else "at most"
+        return source.fault(path, f"{_shown(value)} is out of range", f"write a whole number that is {side} {limit}")
+    context = error.get("ctx", {})
+    return source.fault(path, context.get("text", error["msg"]), context.get("mend"), at_key=at_key)
+
+
+def _unknown_key(source: Source, path: Path, part: type[BaseModel]) -> Fault:
+    known = sorted((_part_at(path[:-1]) or part).model_fields)
+    name = str(path[-1])
+    if len(path) == 1 and part is not EnvironmentPart and name in EnvironmentPart.model_fields:
+        mend = "an included file has only transformations and targets: move this key to the main file"
+    else:
+        mend = did_you_mean(name, known, f"the keys here are {', '.join(known)}")
+    return source.fault(path, f"unknown key `{name}`", mend, at_key=True)
+
+
+def _part_at(path: Path) -> type[BaseModel] | None:
+    names = [step for step in path if isinstance(step, str)]
+    if not names:
+        return None
+    is_port = len(path) >= 4 and path[2] in ("inputs", "outputs")
+    return _PARTS.get(str(path[2]) if is_port else names[0])
+
+
+def _wrong_kind(source: Source, path: Path, wanted: str, value: object) -> tuple[str, str]:
+    message = f"this must be {wanted}, but is {_described(value)}"
+    written = source.locate(path, False).text
+    if wanted == "text" and written is not None and not isinstance(value, str):
+        return message, f'write it in quotes: "{written}"' if written else "write a text, or remove the key"
+    if wanted == "text" and isinstance(value, dict):
+        return message, "write it in quotes: a text that begins with { is read as a mapping"
+    if wanted == "text" and isinstance(value, list):
+        return message, "write it in quotes: a text that begins with [ is read as a list"
+    if isinstance(value, str) and wanted.startswith(("a number", "a whole")):
+        return (
+            message,
+            f"write a plain number, such as {'0.3' if wanted.startswith('a number') else '600'}, without quotes",
+        )
+    if isinstance(value, str) and wanted == "true or false":
+        return message, "write true or false without quotes"
+    if wanted == "a list":
+        return message, "begin each entry with `- `"
+    return message, f"write {wanted} here"
+
+
+def _described(value: object) -> str:
+    if value is None:
+        return "empty"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, int | Decimal):
+        return f"the number {value}"
+    if isinstance(value, str):
+        return f"the text {_shown(value)}"
+    return "a mapping" if isinstance(value, dict) else "a list"
+
+
+def _shown(value: object) -> str:
+    text = repr(value) if isinstance(value, str) else _described(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."

@@ -1,0 +1,86 @@
+"""Template variables in transformations: `${NAO}`, `${NAO:x}`, and `$${` for a plain `${`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import product
+
+_MARK = re.compile(r"\$(\$\{)|\$\{([^\s${}:]+)(?::([^\s${}:]+))?\}|(\$\{)")
+MOST_EXPANSIONS = 1_000_000
+
+
+class BadTemplateError(ValueError):
+    """A `${` that begins no variable; `column` counts from 1 inside the text."""
+
+    def __init__(self, column: int) -> None:
+        super().__init__("`${` begins no template variable here")
+        self.column = column
+
+
+Variable = tuple[str, str]
+"""A class and the name that tells variables over one class apart; the name may be empty."""
+
+
+def variables(text: str) -> Iterator[tuple[Variable, int]]:
+    """The variables of a text, each with its column; raises BadTemplateError."""
+    for mark in _MARK.finditer(text):
+        if mark.group(4):
+            raise BadTemplateError(mark.start() + 1)
+        if mark.group(2):
+            yield (mark.group(2), mark.group(3) or ""), mark.start() + 1
+
+
+def shown(variable: Variable) -> str:
+    """A variable as it is written in a text."""
+    name, tail = variable
+    return f"${{{name}:{tail}}}" if tail else f"${{{name}}}"
+
+
+def substitute(text: str, values: Mapping[Variable, str]) -> str:
+    """The text with every variable replaced by its value and `$${` by `${`."""
+    return _MARK.sub(lambda mark: _replacement(mark, values), text) if "$" in text else text
+
+
+def substitute_all(value: object, values: Mapping[Variable, str]) -> object:
+    """Plain data with every text in it, keys too, substituted."""
+    if isinstance(value, str):
+        return substitute(value, values)
+    if isinstance(value, dict):
+        return {substitute(key, values): substitute_all(item, values) for key, item in value.items()}
+    if isinstance(value, list):
+        return [substitute_all(item, values) for item in value]
+    return value
+
+
+def escape(text: str) -> str:
+    """The text that `substitute` turns into this one."""
+    return text.replace("${", "$${")
+
+
+def original_column(text: str, values: Mapping[Variable, str], column: int) -> int:
+    """The column in a template's text that a column of its substitution comes from; both from 1."""
+    added = 0
+    for mark in _MARK.finditer(text):
+        start = mark.start() + added
+        replacement = _replacement(mark, values)
+        if column - 1 < start:
+            break
+        if column - 1 < start + len(replacement):
+            return mark.start() + 1
+        added += len(replacement) - len(mark.group())
+    return column - added
+
+
+def assignments(
+    instances: Mapping[Variable, Iterable[str]],
+) -> Iterator[dict[Variable, str]]:
+    """Every way to give the variables a value: the product over all of them."""
+    for values in product(*instances.values()):
+        yield dict(zip(instances, values, strict=True))
+
+
+def _replacement(mark: re.Match[str], values: Mapping[Variable, str]) -> str:
+    if mark.group(1):
+        return mark.group(1)
+    return values[mark.group(2), mark.group(3) or ""]

@@ -1,0 +1,91 @@
+"""A checked environment, ready to be matched and planned."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path as FilePath
+
+from cfgplan.domain import Environment
+from cfgplan.formats.places import Path, Place, Source
+
+
+@dataclass(frozen=True)
+class World:
+    """An environment with what planning it needs besides, and the way back to its files.
+
+    `origins` maps ("transformation", label), ("unit", id) and ("target", label) to where that is written.
+    """
+
+    path: FilePath
+    environment: Environment
+    horizon_s: int
+    max_cost_us: int | None = None
+    ontology_paths: tuple[FilePath, ...] = ()
+    origins: Mapping[tuple[str, str], tuple[Source, Path]] = field(default_factory=dict, repr=False, compare=False)
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 (hex) of all that a plan depends on, the ontology files too.
+
+        Comments, the order of lists and what only running needs (source, params, kind) don't count.
+        """
+        environment = self.environment
+        content = [
+            self.horizon_s,
+            self.max_cost_us,
+            [
+                [
+                    t.label,
+                    [[p.name, p.tag, p.distinct, p.feedback] for p in t.inputs],
+                    [[p.name, p.tag] for p in t.outputs],
+                    [t.labor_us, t.upkeep_us, t.pinned, t.required, t.host],
+                ]
+                for t in environment.library
+            ],
+            [
+                [
+                    u.id,
+                    u.transformation,
+                    [[s.port, s.stream.unit, s.stream.port] for s in u.subscriptions],
+                    [[p.port, p.topic] for p in u.publications],
+                ]
+                for u in environment.units
+            ],
+            [[t.label, t.tag, t.topic, t.priority] for t in environment.targets],
+        ]
+        hashed = hashlib.sha256(json.dumps(content, separators=(",", ":")).encode())
+        for path in self.ontology_paths:
+            if path.is_file():
+                hashed.update(hashlib.sha256(path.read_bytes()).digest())
+        return hashed.hexdigest()
+
+    def place(
+        self,
+        *,
+        unit: str | None = None,
+        port: str | None = None,
+        target: str | None = None,
+        transformation: str | None = None,
+    ) -> Place | None:
+        """Where a unit, target or transformation, or a port of it, is written; None if no file has it."""
+        for kind, name in (("unit", unit), ("target", target), ("transformation", transformation)):
+            origin = self.origins.get((kind, name)) if name is not None else None
+            if origin is not None:
+                source, path = origin
+                return source.place(path if port is None else _port_path(source, path, port))
+        return None
+
+
+def _port_path(source: Source, path: Path, port: str) -> Path:
+    part = source.data
+    for step in path:
+        part = part[step]  # type: ignore[index]
+    for key in ("inputs", "outputs", "topics"):
+        ports = part.get(key) if isinstance(part, dict) else None
+        if ports and port in ports:
+            return (*path, key, port)
+    return path
