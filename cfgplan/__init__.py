@@ -1,0 +1,73 @@
+"""cfgplan wires stream-processing components by meaning, as cheaply as possible, and proves it.
+
+    import cfgplan
+
+    world = cfgplan.load("models/nao/2-segmenter-lost.yaml")
+    problem = cfgplan.match(world)
+    plan = cfgplan.plan(problem)
+    after = problem.environment.update(plan.change_set)
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from cfgplan.api import UntruthfulPlanError as UntruthfulPlanError
+    from cfgplan.api import World as World
+    from cfgplan.api import load as load
+    from cfgplan.api import match as match
+    from cfgplan.api import match_ports as match_ports
+    from cfgplan.api import plan as plan
+    from cfgplan.api import plan_violations as plan_violations
+    from cfgplan.api import problem as problem
+    from cfgplan.api import violations as violations
+    from cfgplan.api import world as world
+    from cfgplan.domain import ChangeSet as ChangeSet
+    from cfgplan.domain import ComputationUnit as ComputationUnit
+    from cfgplan.domain import Environment as Environment
+    from cfgplan.domain import InputPort as InputPort
+    from cfgplan.domain import OutputPort as OutputPort
+    from cfgplan.domain import Publication as Publication
+    from cfgplan.domain import Similarity as Similarity
+    from cfgplan.domain import Stream as Stream
+    from cfgplan.domain import Subscription as Subscription
+    from cfgplan.domain import Target as Target
+    from cfgplan.domain import Transformation as Transformation
+    from cfgplan.errors import CfgplanError as CfgplanError
+    from cfgplan.errors import Fault as Fault
+    from cfgplan.errors import InputError as InputError
+    from cfgplan.errors import InvalidValueError as InvalidValueError
+    from cfgplan.planning import Plan as Plan
+    from cfgplan.planning import Planner as Planner
+    from cfgplan.planning import Problem as Problem
+    from cfgplan.planning import Progress as Progress
+    from cfgplan.planning import Status as Status
+    from cfgplan.validity import Rule as Rule
+    from cfgplan.validity import Violation as Violation
+
+__version__ = "0.1.0"
+
+_HOMES = {
+    "cfgplan.api": "UntruthfulPlanError World load match match_ports plan plan_violations problem violations world",
+    "cfgplan.domain": "ChangeSet ComputationUnit Environment InputPort OutputPort Publication Similarity Stream "
+    "Subscription Target Transformation",
+    "cfgplan.errors": "CfgplanError Fault InputError InvalidValueError",
+    "cfgplan.planning": "Plan Planner Problem Progress Status",
+    "cfgplan.validity": "Rule Violation",
+}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names.split()}
+
+__all__ = sorted(_HOME_OF)
+
+
+def __getattr__(name: str) -> Any:
+    """Import a name from its room at its first use, so that `import cfgplan` costs next to nothing."""
+    if name not in _HOME_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_HOME_OF[name]), name)
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *__all__]

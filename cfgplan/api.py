@@ -1,0 +1,195 @@
+"""The Python API: load, match, plan and judge; what `import cfgplan` hands out.
+
+The rooms for formats, matching and planners know nothing of each other; here they are joined.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cfgplan import validity
+from cfgplan.domain import Environment, Similarity
+from cfgplan.errors import CfgplanError, InputError
+from cfgplan.matching import REASONERS, Matching, MatchExplanation, Nearest, Ontology, load_ontology
+from cfgplan.planners import PLANNERS
+from cfgplan.planning import Plan, Problem, Progress
+from cfgplan.validity import Violation
+
+if TYPE_CHECKING:
+    from cfgplan import formats
+
+PLANNER_NAMES = tuple(PLANNERS)
+REASONER_NAMES = tuple(REASONERS)
+
+
+class UntruthfulPlanError(CfgplanError):
+    """A planner's answer that the judge does not accept: a bug of the planner, never of the input."""
+
+    def __init__(self, plan: Plan, found: list[Violation]) -> None:
+        self.violations = tuple(found)
+        super().__init__(f"the answer of planner {plan.planner} is wrong: {'; '.join(map(str, found))}")
+
+
+@dataclass(frozen=True)
+class World:
+    """An environment with the ontology that gives its tags their meaning, and what planning needs besides.
+
+    `horizon_s` is in seconds, `max_cost_us` in microseconds of CPU time. `file` is what it was read from.
+    """
+
+    environment: Environment
+    ontology: Ontology
+    horizon_s: int
+    max_cost_us: int | None = None
+    file: formats.World | None = None
+
+
+def load(path: str | os.PathLike[str]) -> World:
+    """Read an environment file (YAML, JSON, or the paper's XML) and the ontologies it names.
+
+    Raises InputError with every fault that was found.
+    """
+    from cfgplan.formats import build, read_document
+
+    document = read_document(path)
+    try:
+        ontology = load_ontology(document.ontology_paths)
+    except InputError as error:
+        raise InputError((*document.faults, *error.faults)) from None
+    file = build(document, _OntologyVocabulary(ontology))
+    return World(file.environment, ontology, file.horizon_s, file.max_cost_us, file)
+
+
+def world(
+    environment: Environment, *, horizon_s: int, max_cost_us: int | None = None, ontology: object = None
+) -> World:
+    """A world built in code; `ontology` is an `owlready2` ontology, a file's path or a list of paths.
+
+    Without an ontology every name in a tag is free. Raises InputError for tags that don't parse.
+    """
+    known = _as_ontology(ontology)
+    return World(environment, known, horizon_s, max_cost_us)
+
+
+def match_ports(
+    world: World, *, reasoner: str = "auto", time_limit_s: float | None = None, use_cache: bool = True
+) -> Matching:
+    """Which output may feed which input and target, with the warnings of the reasoner.
+
+    `reasoner` is one of `REASONER_NAMES`. Pairs that can't be decided in `time_limit_s` are unknown.
+    """
+    from cfgplan.matching import match as match_tags
+
+    library, targets = world.environment.library, world.environment.targets
+    offered = {port.tag for transformation in library for port in transformation.outputs}
+    demanded = {port.tag for transformation in library for port in transformation.inputs}
+    demanded |= {target.tag for target in targets}
+    cache = _cache_folder() if use_cache else None
+    return match_tags(offered, demanded, world.ontology, reasoner=reasoner, time_limit_s=time_limit_s, cache=cache)
+
+
+def explain_match(world: World, offered: str, demanded: str, *, reasoner: str = "auto") -> MatchExplanation:
+    """Why an output tagged `offered` may or may not feed an input or target tagged `demanded`."""
+    from cfgplan.matching import explain_match as explain
+
+    return explain(offered, demanded, world.ontology, reasoner=reasoner)
+
+
+def nearest_offers(world: World, demanded: str, *, reasoner: str = "auto") -> tuple[Nearest, ...]:
+    """The offered tags of the library that come nearest to a demanded tag, and what each lacks."""
+    from cfgplan.matching import nearest_offers as nearest
+
+    offered = {port.tag for transformation in world.environment.library for port in transformation.outputs}
+    return nearest(demanded, offered, world.ontology, reasoner=reasoner)
+
+
+def problem(
+    world: World, similarity: Similarity, *, horizon_s: int | None = None, max_cost_us: int | None = None
+) -> Problem:
+    """The planning problem of a matched world; the horizon and largest cost given here win over the file's."""
+    return Problem(
+        world.environment,
+        similarity,
+        world.horizon_s if horizon_s is None else horizon_s,
+        world.max_cost_us if max_cost_us is None else max_cost_us,
+    )
+
+
+def match(world: World, *, horizon_s: int | None = None, max_cost_us: int | None = None) -> Problem:
+    """Match a world's tags and state its planning problem."""
+    return problem(world, match_ports(world).similarity, horizon_s=horizon_s, max_cost_us=max_cost_us)
+
+
+def plan(
+    problem: Problem,
+    *,
+    planner: str = "cpsat",
+    time_limit_s: float | None = None,
+    report: Callable[[Progress], None] | None = None,
+) -> Plan:
+    """The optimal update, by one of `PLANNER_NAMES`, accepted by the judge.
+
+    Raises UntruthfulPlanError if the judge does not accept it.
+    """
+    answer = PLANNERS[planner](problem, time_limit_s=time_limit_s, report=report)
+    found = plan_violations(problem, answer)
+    if found:
+        raise UntruthfulPlanError(answer, found)
+    return answer
+
+
+def violations(environment: Environment, similarity: Similarity) -> list[Violation]:
+    """Every rule that a running configuration violates (Definition 9); see `cfgplan.validity`."""
+    return validity.violations(environment, similarity)
+
+
+def plan_violations(problem: Problem, plan: Plan) -> list[Violation]:
+    """Every way in which a plan is not what it says; see `cfgplan.validity`."""
+    return validity.plan_violations(problem, plan)
+
+
+class _OntologyVocabulary:
+    """An ontology as the formats ask for it."""
+
+    def __init__(self, ontology: Ontology) -> None:
+        self._ontology = ontology
+
+    def instances(self, class_name: str) -> tuple[str, ...]:
+        from cfgplan.formats import BadClassError
+        from cfgplan.matching import UnknownNameError
+
+        try:
+            return self._ontology.instances(class_name)
+        except UnknownNameError as error:
+            raise BadClassError(error.message, error.mend) from None
+
+    def check_tag(self, text: str) -> None:
+        from cfgplan.formats import BadTagError
+        from cfgplan.matching import TagError, check_tag
+
+        try:
+            check_tag(text, self._ontology)
+        except TagError as error:
+            raise BadTagError(error.message, error.column, error.mend) from None
+
+
+def _as_ontology(ontology: object) -> Ontology:
+    if ontology is None:
+        return load_ontology([])
+    if isinstance(ontology, Ontology):
+        return ontology
+    if isinstance(ontology, (str, os.PathLike)):
+        return load_ontology([Path(ontology)])
+    if isinstance(ontology, (list, tuple)):
+        return load_ontology([Path(path) for path in ontology])
+    return Ontology.from_owlready(ontology)
+
+
+def _cache_folder() -> Path:
+    """Where matches are kept between runs: `$XDG_CACHE_HOME/cfgplan`, or `~/.cache/cfgplan`."""
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "cfgplan"

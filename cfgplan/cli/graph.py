@@ -1,0 +1,63 @@
+"""`cfgplan graph`: the update, or the running configuration, as a picture."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from cfgplan.cli import options as shared
+from cfgplan.cli.exits import OF_STATUS, Exit
+from cfgplan.cli.screen import Screen
+from cfgplan.drawing import FORMATS
+from cfgplan.errors import InputError
+
+_ENDINGS = {".svg": "svg", ".png": "png", ".dot": "dot", ".gv": "dot", ".mmd": "mermaid", ".mermaid": "mermaid"}
+
+
+def add_to(verbs: shared.Subparsers) -> None:
+    parser = shared.add_verb(
+        verbs,
+        "graph",
+        "draw the configuration before and after the optimal update, the changes coloured",
+        "  cfgplan graph models/nao/2-segmenter-lost.yaml --out update.svg\n"
+        "  cfgplan graph models/nao/2-segmenter-lost.yaml --format mermaid",
+    )
+    shared.add_environment(parser)
+    parser.add_argument("--out", metavar="FILE", help="file to write; its ending says the format (stdout)")
+    parser.add_argument("--format", choices=FORMATS, help="format, where no file's ending says it (svg)")
+    parser.add_argument("--running", action="store_true", help="draw only what runs now; do not plan")
+    shared.add_planning(parser)
+    shared.add_matching(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace, screen: Screen) -> Exit:
+    from cfgplan import api, drawing
+
+    kind = options.format or _kind_of(options.out)
+    world = shared.load(options, screen)
+    code, change_set = Exit.OK, None
+    if not options.running:
+        problem = shared.problem(options, screen, world)
+        with screen.phase("plan"):
+            plan = api.plan(problem, planner=options.planner, time_limit_s=options.timeout)
+        code, change_set = OF_STATUS[plan.status], plan.change_set
+        if change_set is None:
+            screen.warn(f"there is no update to draw ({plan.status}): the picture shows what runs now")
+    image = drawing.picture(world.environment, change_set).render(kind)
+    if options.out:
+        api.write_file(Path(options.out), image)
+        screen.note(f"Wrote {options.out}.")
+    else:
+        screen.write_bytes(image)
+    return code
+
+
+def _kind_of(out: str | None) -> str:
+    if out is None:
+        return "svg"
+    ending = Path(out).suffix.lower()
+    if ending not in _ENDINGS:
+        known = ", ".join(_ENDINGS)
+        raise InputError.of(f"no picture format ends in {ending!r}", file=out, mend=f"use one of {known}, or --format")
+    return _ENDINGS[ending]

@@ -1,0 +1,59 @@
+"""The entry point: one parser for all verbs, and every error turned into a message and an exit code."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+
+from cfgplan.cli import check, exporting, graph, importing, match, solve
+from cfgplan.cli.exits import Exit
+from cfgplan.cli.screen import Screen
+from cfgplan.errors import CfgplanError, Fault, InputError
+
+VERBS = (check, match, solve, graph, importing, exporting)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; returns its exit code."""
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    screen = Screen(json=getattr(options, "json", False))
+    try:
+        code = int(options.run(options, screen))
+        sys.stdout.flush()
+        return code
+    except InputError as error:
+        screen.faults(error.faults)
+        return Exit.BAD_INPUT
+    except CfgplanError as error:
+        screen.faults([Fault(str(error), file=getattr(options, "env", None))])
+        return Exit.BAD_INPUT
+    except KeyboardInterrupt:
+        screen.note("interrupted")
+        return Exit.INTERRUPTED
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return Exit.OK
+    except Exception as error:
+        if os.environ.get("CFGPLAN_TRACEBACK"):
+            raise
+        screen.internal_error(error)
+        return Exit.INTERNAL
+
+
+def _parser() -> argparse.ArgumentParser:
+    from cfgplan import __version__
+
+    parser = argparse.ArgumentParser(
+        prog="cfgplan",
+        description="Wire stream-processing components by meaning: find the cheapest update of a running system, proven optimal.",
+        epilog="Exit codes: 0 done, 1 check found a violation, 2 changes (--detailed-exitcode), 10 no plan, 11 too expensive, "
+        "20 stopped with an unproven plan, 21 stopped with none, 30 bad input, 31 internal error.",
+    )
+    parser.add_argument("--version", action="version", version=f"cfgplan {__version__}")
+    verbs = parser.add_subparsers(metavar="VERB", required=True)
+    for verb in VERBS:
+        verb.add_to(verbs)
+    return parser

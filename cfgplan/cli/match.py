@@ -1,0 +1,119 @@
+"""`cfgplan match`: the validity matrix, or why two ports do or do not match."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+from cfgplan.cli import options as shared
+from cfgplan.cli.exits import Exit
+from cfgplan.cli.screen import Screen
+from cfgplan.errors import Fault, InputError
+
+if TYPE_CHECKING:
+    from cfgplan.domain import Environment, Similarity
+
+
+def add_to(verbs: shared.Subparsers) -> None:
+    parser = shared.add_verb(
+        verbs,
+        "match",
+        "print which outputs may feed which inputs and targets, or explain one pair",
+        "  cfgplan match models/nao/1-piff-registered.yaml\n"
+        "  cfgplan match models/nao/1-piff-registered.yaml 'segmenter(piff)/hull' 'ball_detector(piff)/hull'",
+    )
+    shared.add_environment(parser)
+    parser.add_argument("output", nargs="?", help="an output as transformation/port")
+    parser.add_argument("input", nargs="?", help="an input as transformation/port, or a target's label")
+    shared.add_matching(parser)
+    shared.add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace, screen: Screen) -> Exit:
+    world = shared.load(options, screen)
+    if options.output is None:
+        problem = shared.problem(options, screen, world)
+        _show_matrix(problem.environment, problem.similarity, screen)
+        return Exit.OK
+    if options.input is None:
+        raise InputError.of("name an output and an input", mend="write both as transformation/port")
+    offered = _output_tag(world.environment, options.output)
+    demanded = _input_tag(world.environment, options.input)
+    from cfgplan import api
+
+    with screen.phase("explain"):
+        explanation = api.explain_match(world, offered, demanded, reasoner=options.reasoner)
+        nearest = () if explanation.matches else api.nearest_offers(world, demanded, reasoner=options.reasoner)
+    if screen.json:
+        document = {"output": options.output, "input": options.input, **asdict(explanation)}
+        screen.show_json({**document, "nearest": [asdict(offer) for offer in nearest]})
+        return Exit.OK
+    lines = list(explanation.lines())
+    outputs = _outputs(world.environment)
+    for offer in nearest:
+        names = ", ".join(name for name, tag in outputs.items() if tag == offer.offered)
+        lacks = f"lacks {', '.join(offer.missing)}" if offer.missing else "would match"
+        lines.append(f"  nearest: {names} gives {offer.offered}: {lacks}")
+    screen.show("\n".join(lines))
+    return Exit.OK
+
+
+def _show_matrix(environment: Environment, similarity: Similarity, screen: Screen) -> None:
+    rows = _inputs(environment)
+    columns = _outputs(environment)
+    fed_by: dict[str, list[str]] = {}
+    by_tag: dict[str, list[str]] = {}
+    for output, tag in columns.items():
+        by_tag.setdefault(tag, []).append(output)
+    for input_, tag in rows.items():
+        offers = similarity.offers.get(tag, frozenset())
+        fed_by[input_] = sorted(output for offer in offers for output in by_tag.get(offer, ()))
+    if screen.json:
+        matches = {input_: {"tag": rows[input_], "outputs": outputs} for input_, outputs in fed_by.items()}
+        screen.show_json({"inputs": matches, "outputs": columns, "unknown": sorted(map(list, similarity.unknown))})
+        return
+    from rich.table import Table
+
+    count = sum(len(outputs) for outputs in fed_by.values())
+    table = Table(
+        title=f"Validity matrix: {len(rows)} inputs and targets x {len(columns)} outputs, {count} matches",
+        title_justify="left",
+        show_lines=True,
+    )
+    for heading in ("input or target", "tag", "may be fed by"):
+        table.add_column(heading, overflow="fold")
+    for input_, outputs in fed_by.items():
+        table.add_row(input_, rows[input_], "\n".join(outputs) or "nothing")
+    screen.show_table(table)
+
+
+def _inputs(environment: Environment) -> dict[str, str]:
+    """The tag of every input, as `transformation/port`, and of every target, as `target LABEL`."""
+    ports = {f"{t.label}/{port.name}": port.tag for t in environment.library for port in t.inputs}
+    return ports | {f"target {target.label}": target.tag for target in environment.targets}
+
+
+def _outputs(environment: Environment) -> dict[str, str]:
+    return {f"{t.label}/{port.name}": port.tag for t in environment.library for port in t.outputs}
+
+
+def _output_tag(environment: Environment, name: str) -> str:
+    return _named(_outputs(environment), name, "output")
+
+
+def _input_tag(environment: Environment, name: str) -> str:
+    if name in environment.target:
+        return environment.target[name].tag
+    return _named(_inputs(environment), name, "input or target")
+
+
+def _named(tags: dict[str, str], name: str, what: str) -> str:
+    if name in tags:
+        return tags[name]
+    from difflib import get_close_matches
+
+    close = get_close_matches(name, tags, n=1)
+    mend = f"did you mean {close[0]!r}?" if close else "`cfgplan match ENV` lists them all"
+    raise InputError([Fault(f"there is no {what} {name!r}", mend=mend)])

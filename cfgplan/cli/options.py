@@ -1,0 +1,124 @@
+"""Options that several verbs share, and the loading they steer."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable
+from dataclasses import asdict
+from decimal import Decimal, InvalidOperation
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cfgplan.cli.screen import Screen
+from cfgplan.errors import InvalidValueError
+
+if TYPE_CHECKING:
+    from cfgplan import api
+    from cfgplan.planning import Problem, Progress
+
+Subparsers = argparse._SubParsersAction  # type: ignore[type-arg]
+
+
+def add_verb(verbs: Subparsers, name: str, summary: str, example: str) -> argparse.ArgumentParser:
+    """A parser for one verb, whose help ends with an example."""
+    parser: argparse.ArgumentParser = verbs.add_parser(
+        name,
+        help=summary,
+        description=summary[0].upper() + summary[1:] + ".",
+        epilog=f"example:\n{example}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    return parser
+
+
+def add_environment(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("env", metavar="ENV", help="environment file (YAML or JSON), or the paper's XML")
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--json", action="store_true", help="print JSON for machines")
+
+
+def add_matching(parser: argparse.ArgumentParser) -> None:
+    """Options of every verb that matches tags."""
+    from cfgplan.api import REASONER_NAMES
+
+    parser.add_argument("--reasoner", choices=REASONER_NAMES, default="auto", help="who decides what matches (auto)")
+    parser.add_argument("--no-cache", action="store_true", help="neither read nor write the cache of matches")
+
+
+def add_planning(parser: argparse.ArgumentParser) -> None:
+    """Options of every verb that plans."""
+    from cfgplan.api import PLANNER_NAMES
+
+    parser.add_argument("--planner", choices=PLANNER_NAMES, default="cpsat", help="who plans (cpsat)")
+    parser.add_argument("--horizon", type=whole_seconds, metavar="S", help="plan for S seconds instead of the file's horizon")
+    parser.add_argument("--max-cost", type=cost, metavar="S", help="largest cost in CPU seconds, instead of the file's")
+    parser.add_argument("--timeout", type=positive, metavar="S", help="stop planning after S seconds with the best plan so far")
+
+
+def load(options: argparse.Namespace, screen: Screen) -> api.World:
+    """The world that the options name."""
+    from cfgplan import api
+
+    with screen.phase("load"):
+        return api.load(Path(options.env))
+
+
+def problem(options: argparse.Namespace, screen: Screen, world: api.World) -> Problem:
+    """The planning problem of a world, with the horizon and the largest cost of the options."""
+    from cfgplan import api
+
+    with screen.phase("match"):
+        matching = api.match_ports(world, reasoner=options.reasoner, use_cache=not options.no_cache)
+    for warning in matching.warnings:
+        screen.warn(warning)
+    return api.problem(
+        world,
+        matching.similarity,
+        horizon_s=getattr(options, "horizon", None),
+        max_cost_us=getattr(options, "max_cost", None),
+    )
+
+
+def whole_seconds(text: str) -> int:
+    value = _decimal(text)
+    if value != value.to_integral_value() or value < 0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of seconds")
+    return int(value)
+
+
+def positive(text: str) -> float:
+    value = _decimal(text)
+    if value <= 0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number of seconds")
+    return float(value)
+
+
+def cost(text: str) -> int:
+    from cfgplan.costs import microseconds
+
+    try:
+        return microseconds(_decimal(text))
+    except InvalidValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
+def _decimal(text: str) -> Decimal:
+    try:
+        value = Decimal(text)
+    except InvalidOperation:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number") from None
+    if not value.is_finite():
+        raise argparse.ArgumentTypeError(f"{text!r} is not a finite number")
+    return value
+
+
+def progress_report(screen: Screen) -> Callable[[Progress], None]:
+    """A reporter that says each better cost or bound as a JSON line on stderr."""
+
+    def report(progress: Progress) -> None:
+        screen.note(json.dumps(asdict(progress)), style="")
+
+    return report

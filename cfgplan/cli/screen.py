@@ -1,0 +1,106 @@
+"""What the command line shows: results on stdout, everything about the work on stderr."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from functools import cached_property
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+from cfgplan.errors import Fault
+
+if TYPE_CHECKING:
+    from rich.console import Console, RenderableType
+
+FORMAT_VERSION = 1
+
+
+class Screen:
+    """The user's terminal, or the program that reads the JSON. Colour is for terminals only."""
+
+    def __init__(self, *, json: bool) -> None:
+        self.json = json
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def phase(self, name: str) -> Iterator[None]:
+        """Time a part of the work, to be shown by `times`, and say what it is if it lasts."""
+        start = perf_counter()
+        try:
+            with self._err.status(f"{name} ..."):
+                yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + perf_counter() - start
+
+    def show(self, result: RenderableType) -> None:
+        """Print a result for people; long lines are left to the terminal."""
+        self._out.print(result, soft_wrap=True)
+
+    def show_table(self, table: RenderableType) -> None:
+        """Print a table, fitted to the terminal, or uncut where there is none."""
+        self._out.print(table, crop=False)
+
+    def show_json(self, document: dict[str, Any]) -> None:
+        """Print a result for machines."""
+        print(json.dumps({"format_version": FORMAT_VERSION, **document}, indent=2, ensure_ascii=False))
+
+    def write(self, text: str) -> None:
+        """Print text as it is."""
+        sys.stdout.write(text)
+
+    def write_bytes(self, data: bytes) -> None:
+        """Write a file's bytes to stdout as they are."""
+        sys.stdout.buffer.write(data)
+
+    def note(self, text: str, style: str = "dim") -> None:
+        """Say something about the work."""
+        from rich.text import Text
+
+        self._err.print(Text(text, style=style), soft_wrap=True)
+
+    def times(self) -> None:
+        """Say how long each phase took."""
+        parts = [f"{name} {took:.3f} s" for name, took in self.seconds.items()]
+        self.note(f"Time: {', '.join(parts)}.")
+
+    def warn(self, text: str) -> None:
+        self.note(f"warning: {text}", style="yellow")
+
+    def faults(self, faults: Iterable[Fault]) -> None:
+        """Show what is wrong with the input: place, what, mend."""
+        from dataclasses import asdict
+
+        from rich.text import Text
+
+        faults = list(faults)
+        if self.json:
+            self.show_json({"errors": [asdict(fault) for fault in faults]})
+            return
+        for fault in faults:
+            place = ":".join(str(part) for part in (fault.file, fault.line, fault.column) if part is not None)
+            line = Text("error: ", style="bold red")
+            line.append(f"{place}: " if place else "", style="bold")
+            line.append(f"{fault.key}: " if fault.key else "", style="cyan")
+            line.append(fault.message)
+            if fault.mend:
+                line.append(f"\n       {fault.mend}", style="green")
+            self._err.print(line, soft_wrap=True)
+
+    def internal_error(self, error: Exception) -> None:
+        self.note(f"internal error: {type(error).__name__}: {error}", style="bold red")
+        self.note("This is a bug in cfgplan. CFGPLAN_TRACEBACK=1 shows where; please report it.")
+
+    @cached_property
+    def _out(self) -> Console:
+        from rich.console import Console
+
+        return Console(highlight=False, markup=False, emoji=False)
+
+    @cached_property
+    def _err(self) -> Console:
+        from rich.console import Console
+
+        return Console(stderr=True, highlight=False, markup=False, emoji=False)

@@ -1,0 +1,128 @@
+"""An update as text for people: what starts, is rewired, stops and stays, and what it costs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from rich.text import Text
+
+from cfgplan.costs import keep_cost_us, seconds, start_cost_us
+from cfgplan.domain import ComputationUnit, Environment
+from cfgplan.planning import Plan, Problem, Status
+
+_STYLE = {"+": "green", "~": "yellow", "-": "red", "=": "dim"}
+_VERB = {"+": "start", "~": "rewire", "-": "stop", "=": "keep"}
+
+
+def update_text(problem: Problem, plan: Plan) -> Text:
+    """The whole report of `solve`; ends without a newline."""
+    lines = [*_changes(problem, plan), *_summary(problem, plan)]
+    return Text("\n").join(lines)
+
+
+def cpu(cost_us: int) -> str:
+    """A cost for people: `1.25 s`."""
+    return f"{seconds(cost_us):f} s"
+
+
+def _changes(problem: Problem, plan: Plan) -> Iterator[Text]:
+    before = problem.environment
+    if plan.change_set is None:
+        return
+    after = before.update(plan.change_set)
+    started = {unit.id for unit in plan.change_set.started}
+    rewired = {unit.id for unit in plan.change_set.rewired}
+    width = max((len(unit.id) for unit in (*before.units, *after.units)), default=0)
+    for unit in after.units:
+        if unit.id in started:
+            yield _headline("+", unit, width, before)
+            yield from _wiring(unit)
+    for unit in after.units:
+        if unit.id in rewired:
+            yield _headline("~", unit, width, before)
+            yield from _differences(before.unit[unit.id], unit)
+    for unit_id in plan.change_set.stopped:
+        yield _headline("-", before.unit[unit_id], width, before)
+    for unit in after.units:
+        if unit.id not in started | rewired:
+            yield _headline("=", unit, width, before)
+    yield Text()
+
+
+def _headline(sign: str, unit: ComputationUnit, width: int, environment: Environment) -> Text:
+    transformation = environment.transformation.get(unit.transformation)
+    line = Text(f"  {sign} {_VERB[sign]:6}  {unit.id:{width}}", style=_STYLE[sign])
+    if transformation is not None:
+        labor = f"labor {cpu(transformation.labor_us)}, " if sign == "+" else ""
+        line.append(f"   {labor}upkeep {cpu(transformation.upkeep_us)}/s", style="dim")
+    return line
+
+
+def _wiring(unit: ComputationUnit) -> Iterator[Text]:
+    for port, stream in unit.feeds.items():
+        yield Text(f"              {port} <- {stream}", style="green")
+    for publication in unit.publications:
+        yield Text(f"              {publication.port} -> topic {publication.topic}", style="green")
+
+
+def _differences(was: ComputationUnit, now: ComputationUnit) -> Iterator[Text]:
+    for port in sorted(was.feeds.keys() | now.feeds.keys()):
+        old, new = was.feeds.get(port), now.feeds.get(port)
+        if old != new:
+            yield Text(f"              {port} <- {new or 'nothing'}   (was {old or 'a gap'})", style="yellow")
+    for publication in was.publications:
+        if publication not in now.publications:
+            yield Text(f"              {publication.port} no longer on topic {publication.topic}", style="yellow")
+    for publication in now.publications:
+        if publication not in was.publications:
+            yield Text(f"              {publication.port} -> topic {publication.topic}", style="yellow")
+
+
+def _summary(problem: Problem, plan: Plan) -> Iterator[Text]:
+    before, horizon_s = problem.environment, problem.horizon_s
+    if plan.change_set is not None:
+        changes = plan.change_set
+        kept = len(before.units) - len(changes.stopped) - len(changes.rewired)
+        yield Text(
+            f"Update: {len(changes.started)} to start, {len(changes.rewired)} to rewire, "
+            f"{len(changes.stopped)} to stop, {kept} kept as they are.",
+            style="bold",
+        )
+        library = before.transformation
+        labor = sum(library[unit.transformation].labor_us for unit in changes.started)
+        now = sum(keep_cost_us(library[u.transformation], horizon_s) for u in before.units if u.transformation in library)
+        assert plan.cost_us is not None
+        yield Text(
+            f"Cost over the horizon of {horizon_s} s: {cpu(plan.cost_us)} of CPU = labor {cpu(labor)} "
+            f"+ upkeep {cpu(plan.cost_us - labor)}. What runs now costs {cpu(now)} of upkeep."
+        )
+    yield _verdict(problem, plan)
+    for label, reason in plan.reasons.items():
+        yield Text(f"  target {label}: {reason}")
+    for label in plan.unused_required:
+        yield Text(f"Required {label} is not used: no valid configuration can use it with the others.", style="yellow")
+
+
+def _verdict(problem: Problem, plan: Plan) -> Text:
+    gap = f"at most {plan.gap:.1%} above the optimum (bound {cpu(plan.bound_us)})" if plan.gap is not None else ""
+    match plan.status:
+        case Status.OPTIMAL if not plan.change_set:
+            return Text(f"Optimal: nothing to change, proven by {plan.planner}.", style="bold green")
+        case Status.OPTIMAL:
+            return Text(f"Optimal: no update is cheaper, proven by {plan.planner}.", style="bold green")
+        case Status.FEASIBLE:
+            return Text(f"Feasible: {plan.planner} has not proven it optimal; {gap}.", style="bold yellow")
+        case Status.INFEASIBLE:
+            return Text("No plan: these targets can't be met by any configuration.", style="bold red")
+        case Status.TOO_EXPENSIVE:
+            dear = cpu(plan.cost_us) if plan.cost_us is not None else f"at least {cpu(plan.bound_us)}"
+            return Text(
+                f"No plan within the largest cost: the cheapest update costs {dear}, "
+                f"but {cpu(problem.max_cost_us or 0)} is allowed.",
+                style="bold red",
+            )
+        case Status.UNKNOWN:
+            return Text(
+                f"No answer: {plan.planner} stopped without a plan and without a proof that there is none.",
+                style="bold yellow",
+            )

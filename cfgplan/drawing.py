@@ -1,0 +1,205 @@
+"""A configuration as a picture: units as nodes, streams as arrows, the changes of an update coloured.
+
+Layout and rendering are Graphviz's, which the pygraphviz wheel brings along; Mermaid is text only.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Publication, Subscription
+
+FORMATS = ("svg", "png", "dot", "mermaid")
+
+
+class Mark(Enum):
+    """How a unit or an arrow takes part in the update: legend text, line colour, fill colour."""
+
+    KEPT = ("kept", "#57606a", "#f6f8fa")
+    STARTED = ("started", "#1a7f37", "#dafbe1")
+    REWIRED = ("rewired", "#9a6700", "#fff8c5")
+    STOPPED = ("stopped", "#cf222e", "#ffebe9")
+
+    @property
+    def line(self) -> str:
+        return self.value[1]
+
+    @property
+    def fill(self) -> str:
+        return self.value[2]
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """A unit or, where `is_target`, a target."""
+
+    key: str
+    lines: tuple[str, ...]
+    mark: Mark
+    is_target: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Arrow:
+    """A stream from a unit to a unit's input or to a target; a target's arrow has no input."""
+
+    tail: str
+    head: str
+    port: str
+    input: str
+    mark: Mark
+
+
+@dataclass(frozen=True)
+class Picture:
+    """What is drawn, without any layout."""
+
+    nodes: tuple[Node, ...]
+    arrows: tuple[Arrow, ...]
+
+    def dot(self) -> str:
+        """The picture in Graphviz's DOT language."""
+        return str(self._graph().to_string())
+
+    def mermaid(self) -> str:
+        """The picture as a Mermaid flowchart, which code hosts draw inside Markdown."""
+        names = {node.key: f"n{number}" for number, node in enumerate(self.nodes)}
+        lines = ["flowchart LR"]
+        for node in self.nodes:
+            text = "<br/>".join(line.replace('"', "#quot;") for line in node.lines)
+            shape = f'(["{text}"])' if node.is_target else f'["{text}"]'
+            lines.append(f"  {names[node.key]}{shape}:::{node.mark.name.lower()}")
+        for arrow in self.arrows:
+            stroke = "-.->" if arrow.mark is Mark.STOPPED else "-->"
+            lines.append(f'  {names[arrow.tail]} {stroke}|"{_arrow_text(arrow)}"| {names[arrow.head]}')
+        lines += [f"  classDef {mark.name.lower()} stroke:{mark.line},fill:{mark.fill},color:#1f2328" for mark in Mark]
+        return "\n".join(lines) + "\n"
+
+    def render(self, format: str) -> bytes:  # noqa: A002 (the word that users of Graphviz know)
+        """The picture as the bytes of a file in one of `FORMATS`."""
+        if format == "mermaid":
+            return self.mermaid().encode()
+        if format == "dot":
+            return self.dot().encode()
+        graph = self._graph()
+        with _silent_stderr():
+            graph.layout(prog="dot")
+            return bytes(graph.draw(format=format))
+
+    def _graph(self) -> Any:
+        import pygraphviz
+
+        graph = pygraphviz.AGraph(directed=True, strict=False, rankdir="LR", nodesep="0.25", ranksep="0.7")
+        graph.graph_attr.update(fontname="Helvetica,Arial,sans-serif", bgcolor="white")
+        marks = {node.mark for node in self.nodes} | {arrow.mark for arrow in self.arrows}
+        if marks != {Mark.KEPT}:
+            legend = [f'<font color="{mark.line}">&#9632; {mark.value[0]}</font>' for mark in Mark if mark in marks]
+            graph.graph_attr.update(label=f"<{'&#160;&#160;&#160;'.join(legend)}>", fontsize="11")
+        graph.node_attr.update(shape="box", style="rounded,filled", fontname="Helvetica,Arial,sans-serif", fontsize="11")
+        graph.edge_attr.update(fontname="Helvetica,Arial,sans-serif", fontsize="9", arrowsize="0.7")
+        for node in self.nodes:
+            shape = "cds" if node.is_target else "box"
+            width = "1" if node.mark is Mark.KEPT else "1.6"
+            graph.add_node(
+                node.key,
+                label="\n".join(node.lines),
+                shape=shape,
+                margin="0.3,0.1" if node.is_target else "0.11,0.055",
+                style="filled" if node.is_target else _node_style(node.mark),
+                color=node.mark.line,
+                fillcolor=node.mark.fill,
+                penwidth=width,
+            )
+        for number, arrow in enumerate(self.arrows):
+            graph.add_edge(
+                arrow.tail,
+                arrow.head,
+                key=str(number),
+                label=_arrow_text(arrow),
+                color=arrow.mark.line,
+                fontcolor=arrow.mark.line,
+                style="dashed" if arrow.mark is Mark.STOPPED else "solid",
+            )
+        return graph
+
+
+def picture(environment: Environment, change_set: ChangeSet | None = None) -> Picture:
+    """Draw the running configuration or, with a change set, the update: before and after in one."""
+    change_set = change_set or ChangeSet()
+    after = environment.update(change_set)
+    mark = {unit.id: Mark.KEPT for unit in after.units}
+    mark |= {unit.id: Mark.REWIRED for unit in change_set.rewired}
+    mark |= {unit.id: Mark.STARTED for unit in change_set.started}
+    mark |= {unit_id: Mark.STOPPED for unit_id in change_set.stopped}
+    units = {**environment.unit, **after.unit}
+    nodes = [Node(unit.id, (unit.id,), mark[unit.id]) for unit in units.values()]
+    arrows = [
+        *_arrows(environment, before=environment, after=after),
+        *(arrow for arrow in _arrows(after, before=environment, after=after) if arrow.mark is Mark.STARTED),
+    ]
+    served = {arrow.head for arrow in arrows if arrow.mark is not Mark.STOPPED}
+    for target in environment.targets:
+        reached = Mark.KEPT if _target_key(target.topic) in served else Mark.STOPPED
+        lines = (target.label, target.topic) if reached is Mark.KEPT else (target.label, target.topic, "(not met)")
+        nodes.append(Node(_target_key(target.topic), lines, reached, is_target=True))
+    known = {node.key for node in nodes}
+    gone = {arrow.tail for arrow in arrows if arrow.tail not in known}
+    nodes += [Node(key, (key, "(gone)"), Mark.STOPPED) for key in sorted(gone)]
+    drawn = {node.key for node in nodes}
+    return Picture(tuple(nodes), tuple(arrow for arrow in arrows if arrow.head in drawn))
+
+
+def _arrows(drawn: Environment, *, before: Environment, after: Environment) -> Iterator[Arrow]:
+    for unit in drawn.units:
+        for subscription in unit.subscriptions:
+            now = _mark(subscription, _subscriptions(before, unit), _subscriptions(after, unit))
+            yield Arrow(subscription.stream.unit, unit.id, subscription.stream.port, subscription.port, now)
+        for publication in unit.publications:
+            mark = _mark(publication, _publications(before, unit), _publications(after, unit))
+            yield Arrow(unit.id, _target_key(publication.topic), publication.port, "", mark)
+
+
+def _subscriptions(environment: Environment, unit: ComputationUnit) -> tuple[Subscription, ...]:
+    return environment.unit[unit.id].subscriptions if unit.id in environment.unit else ()
+
+
+def _publications(environment: Environment, unit: ComputationUnit) -> tuple[Publication, ...]:
+    return environment.unit[unit.id].publications if unit.id in environment.unit else ()
+
+
+def _mark(item: object, before: tuple[object, ...], after: tuple[object, ...]) -> Mark:
+    if item not in after:
+        return Mark.STOPPED
+    return Mark.KEPT if item in before else Mark.STARTED
+
+
+def _target_key(topic: str) -> str:
+    return f"topic {topic}"
+
+
+def _arrow_text(arrow: Arrow) -> str:
+    return arrow.port if arrow.input in ("", arrow.port) else f"{arrow.port} → {arrow.input}"
+
+
+def _node_style(mark: Mark) -> str:
+    return "rounded,filled,dashed" if mark is Mark.STOPPED else "rounded,filled"
+
+
+@contextmanager
+def _silent_stderr() -> Iterator[None]:
+    """Keep the font library's complaints about the system's font settings off the user's screen."""
+    sys.stderr.flush()
+    saved = os.dup(2)
+    with open(os.devnull, "wb") as nothing:
+        os.dup2(nothing.fileno(), 2)
+    try:
+        yield
+    finally:
+        os.dup2(saved, 2)
+        os.close(saved)

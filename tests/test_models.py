@@ -1,0 +1,58 @@
+"""Every world under `models/` gives the answer that stands beside it."""
+
+from __future__ import annotations
+
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+import cfgplan
+from cfgplan.costs import microseconds
+
+MODELS = Path(__file__).parent.parent / "models"
+CASES = [
+    pytest.param(path, number, id=f"{path.parent.name}/{path.name.removesuffix('.expected.yaml')}[{number}]")
+    for path in sorted(MODELS.rglob("*.expected.yaml"))
+    for number in range(len(yaml.safe_load(path.read_text())))
+]
+
+
+@pytest.mark.parametrize(("expected_file", "number"), CASES)
+def test_the_answer_is_the_one_beside_the_environment(expected_file: Path, number: int) -> None:
+    expected: dict[str, Any] = yaml.load(expected_file.read_text(), yaml.BaseLoader)[number]
+    world = cfgplan.load(expected_file.with_name(expected_file.name.replace(".expected.yaml", ".yaml")))
+    horizon_s = int(expected["horizon"]) if "horizon" in expected else None
+    problem = cfgplan.match(world, horizon_s=horizon_s)
+    plan = cfgplan.plan(problem)
+
+    assert plan.status == expected["status"]
+    assert cfgplan.plan_violations(problem, plan) == []
+    if plan.change_set is None:
+        assert sorted(plan.reasons) == expected["unmet"]
+        return
+    assert plan.cost_us == microseconds(Decimal(expected["cost"]))
+    assert [unit.id for unit in plan.change_set.started] == expected["started"]
+    assert [unit.id for unit in plan.change_set.rewired] == expected["rewired"]
+    assert list(plan.change_set.stopped) == expected["stopped"]
+
+
+def test_each_stage_of_the_case_study_starts_where_the_last_one_ended() -> None:
+    def solved(name: str) -> cfgplan.Environment:
+        problem = cfgplan.match(cfgplan.load(MODELS / "nao" / f"{name}.yaml"))
+        change_set = cfgplan.plan(problem).change_set
+        assert change_set is not None
+        return problem.environment.update(change_set)
+
+    mended = solved("2-segmenter-lost")
+    assert mended.units == solved("1-piff-registered").units
+    assert mended.units == cfgplan.load(MODELS / "nao" / "3-puff-registered.yaml").environment.units
+    assert mended.units == solved("3-puff-registered").units == solved("4-fusion-available").units
+
+
+def test_the_whole_matrix_of_the_case_study_has_nine_rows_and_twenty_columns() -> None:
+    environment = cfgplan.load(MODELS / "nao" / "1-piff-registered.yaml").environment
+    assert sum(len(t.inputs) for t in environment.library) + len(environment.targets) == 9
+    assert sum(len(t.outputs) for t in environment.library) == 20
