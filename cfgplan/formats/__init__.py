@@ -1,0 +1,20 @@
+"""File formats: environment files in YAML, JSON and the paper's XML, plan files, and importers."""
+
+from cfgplan.formats.building import build
+from cfgplan.formats.document import Document, read_document
+from cfgplan.formats.places import Place
+from cfgplan.formats.schema import environment_schema
+from cfgplan.formats.vocabulary import BadClassError, BadTagError, Vocabulary
+from cfgplan.formats.world import World
+
+__all__ = [
+    "BadClassError",
+    "BadTagError",
+    "Document",
+    "Place",
+    "Vocabulary",
+    "World",
+    "build",
+    "environment_schema",
+    "read_document",
+]
