@@ -69,7 +69,9 @@ def problems(draw: st.DrawFn, *, most: int = 6, special: bool = True) -> Problem
 
 
 @st.composite
-def running_units(draw: st.DrawFn, library: list[Transformation], targets: list[Target]) -> list[ComputationUnit]:
+def running_units(
+    draw: st.DrawFn, library: list[Transformation], targets: list[Target], relation: Similarity
+) -> list[ComputationUnit]:
     """Units with gaps, dead feeders, unfit streams, cycles and stale topics; some of a transformation that left."""
     gone = Transformation("gone", (), (OutputPort("x", "A"),))
     count = draw(st.integers(1, 4))

@@ -1,0 +1,79 @@
+"""Every planner against the oracle and the judge, on small environments of every kind.
+
+`CFGPLAN_EXAMPLES=20000 pytest tests/planners` runs the long version.
+"""
+
+from __future__ import annotations
+
+import os
+
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from worlds import problems, reordered
+
+from cfgplan.planners import PLANNERS
+from cfgplan.planning import Plan, Problem, Status
+from cfgplan.validity import plan_violations
+
+EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "400"))
+many = settings(
+    max_examples=EXAMPLES,
+    deadline=None,
+    derandomize="CFGPLAN_EXAMPLES" not in os.environ,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
+)
+fewer = settings(many, max_examples=EXAMPLES // 4)
+
+
+def quality(plan: Plan) -> tuple[object, ...]:
+    """What two optimal plans must have in common."""
+    changes = plan.change_set
+    return (
+        plan.status,
+        sorted(plan.reasons),
+        len(plan.unused_required),
+        plan.cost_us,
+        changes and len(changes.rewired),
+        changes and len(changes.started),
+    )
+
+
+def agree(problem: Problem) -> None:
+    oracle, exact = PLANNERS["exhaustive"](problem), PLANNERS["cpsat"](problem)
+    assert plan_violations(problem, oracle) == []
+    assert plan_violations(problem, exact) == []
+    assert quality(exact) == quality(oracle)
+
+
+@many
+@given(problems(special=False))
+def test_cpsat_equals_the_oracle_on_plain_problems(problem: Problem) -> None:
+    agree(problem)
+
+
+@many
+@given(problems(most=5))
+def test_cpsat_equals_the_oracle_with_pinned_required_distinct_and_feedback(problem: Problem) -> None:
+    agree(problem)
+
+
+@fewer
+@given(problems(most=8), st.data())
+def test_the_answer_does_not_depend_on_the_run_or_the_order_of_lists(problem: Problem, data: st.DataObject) -> None:
+    plan = PLANNERS["cpsat"](problem)
+    assert PLANNERS["cpsat"](problem) == plan
+    again = PLANNERS["cpsat"](reordered(problem, data.draw))
+    assert again == plan
+    assert again.reasons == plan.reasons
+
+
+@many
+@given(problems(most=6))
+def test_branch_and_bound_is_valid_and_never_beats_the_optimum(problem: Problem) -> None:
+    found, exact = PLANNERS["branch-and-bound"](problem, time_limit_s=5), PLANNERS["cpsat"](problem)
+    assert plan_violations(problem, found) == []
+    assert (found.status is Status.INFEASIBLE) == (exact.status is Status.INFEASIBLE)
+    if found.cost_us is not None and exact.cost_us is not None:
+        assert (len(found.unused_required), found.cost_us) >= (len(exact.unused_required), exact.cost_us)
+    if found.status is Status.FEASIBLE:
+        assert exact.status is Status.OPTIMAL or exact.unused_required != found.unused_required

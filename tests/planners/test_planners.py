@@ -1,0 +1,256 @@
+"""Facts about single worlds that every planner, or one of them, must get right."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from cfgplan.domain import (
+    ComputationUnit,
+    Environment,
+    InputPort,
+    OutputPort,
+    Publication,
+    Similarity,
+    Stream,
+    Subscription,
+    Target,
+    Transformation,
+)
+from cfgplan.errors import InputError
+from cfgplan.planners import PLANNERS
+from cfgplan.planning import Planner, Problem, Progress, Status
+from cfgplan.validity import plan_violations
+
+every_planner = pytest.mark.parametrize("planner", PLANNERS.values(), ids=list(PLANNERS))
+every_exact_planner = pytest.mark.parametrize(
+    "planner",
+    [planner for name, planner in PLANNERS.items() if name != "branch-and-bound"],
+    ids=["cpsat", "exhaustive"],
+)
+
+
+def make(label: str, needs: str = "", gives: str = "", labor: int = 1, upkeep: int = 0, **more: bool) -> Transformation:
+    """A transformation with one input for each letter of `needs` and one output for each of `gives`."""
+    inputs = tuple(InputPort(f"in{i}", tag) for i, tag in enumerate(needs))
+    outputs = tuple(OutputPort(f"out{i}", tag) for i, tag in enumerate(gives))
+    return Transformation(label, inputs, outputs, labor_us=labor, upkeep_us=upkeep, **more)
+
+
+def unit(label: str, *feeds: str, topics: dict[str, str] | None = None, number: int = 1) -> ComputationUnit:
+    subscriptions = tuple(Subscription(f"in{i}", Stream.parse(feed)) for i, feed in enumerate(feeds) if feed)
+    publications = tuple(Publication(port, topic) for topic, port in (topics or {}).items())
+    return ComputationUnit(f"{label}.{number}", label, subscriptions, publications)
+
+
+def world(
+    wanted: str, *library: Transformation, units: tuple[ComputationUnit, ...] = (), max_cost: int | None = None
+) -> Problem:
+    """Targets for the letters of `wanted`, published on the topic of the same letter; each tag matches itself."""
+    targets = tuple(Target(tag, tag, f"/{tag}") for tag in wanted)
+    similarity = Similarity({tag: frozenset(tag) for tag in "ABCDEFG"})
+    return Problem(Environment(units, library, targets), similarity, horizon_s=10, max_cost_us=max_cost)
+
+
+@every_planner
+def test_a_reused_unit_costs_no_labor(planner: Planner) -> None:
+    source = make("source", gives="A", labor=7, upkeep=2)
+    plan = planner(world("A", source, units=(unit("source", topics={"/A": "out0"}),)))
+    assert plan.cost_us == 20
+    assert not plan.change_set
+
+
+@every_planner
+def test_a_gap_is_closed_by_rewiring_not_by_a_new_unit(planner: Planner) -> None:
+    problem = world(
+        "B",
+        make("source", gives="A"),
+        make("filter", "A", "B"),
+        units=(unit("filter", "source.1/out0", topics={"/B": "out0"}),),
+    )
+    plan = planner(problem)
+    assert plan.change_set is not None
+    assert [started.id for started in plan.change_set.started] == ["source.2"]
+    assert [rewired.id for rewired in plan.change_set.rewired] == ["filter.1"]
+    assert plan_violations(problem, plan) == []
+
+
+@every_planner
+def test_a_unit_whose_transformation_left_is_stopped(planner: Planner) -> None:
+    old = unit("old", topics={"/A": "out0"})
+    plan = planner(world("A", make("source", gives="A"), units=(old,)))
+    assert plan.change_set is not None
+    assert plan.change_set.stopped == ("old.1",)
+
+
+@every_planner
+def test_units_that_only_feed_each_other_are_no_plan(planner: Planner) -> None:
+    plan = planner(world("A", make("left", "B", "A"), make("right", "A", "B")))
+    assert plan.status is Status.INFEASIBLE
+    assert set(plan.reasons) == {"A"}
+
+
+@every_planner
+def test_only_the_targets_that_cannot_be_met_have_reasons(planner: Planner) -> None:
+    plan = planner(world("AB", make("source", gives="A")))
+    assert plan.status is Status.INFEASIBLE
+    assert set(plan.reasons) == {"B"}
+
+
+@every_planner
+def test_without_targets_everything_is_stopped(planner: Planner) -> None:
+    plan = planner(world("", make("source", gives="A"), units=(unit("source"),)))
+    assert plan.change_set is not None
+    assert plan.change_set.stopped == ("source.1",)
+    assert plan.cost_us == 0
+
+
+@every_planner
+def test_a_pinned_unit_is_kept_with_what_feeds_it(planner: Planner) -> None:
+    problem = world(
+        "B",
+        make("source", gives="A"),
+        make("logger", "A", "G", pinned=True),
+        make("other", gives="B"),
+        units=(unit("logger"),),
+    )
+    plan = planner(problem)
+    assert plan.change_set is not None
+    assert [started.transformation for started in plan.change_set.started] == ["other", "source"]
+    assert plan_violations(problem, plan) == []
+
+
+@every_planner
+def test_a_unit_may_feed_its_own_feedback_input(planner: Planner) -> None:
+    tracker = Transformation(
+        "tracker", (InputPort("old", "B", feedback=True), InputPort("new", "A")), (OutputPort("out", "B"),), labor_us=1
+    )
+    problem = world("B", make("source", gives="A"), tracker)
+    plan = planner(problem)
+    assert plan.cost_us == 2
+    assert plan_violations(problem, plan) == []
+
+
+@every_planner
+def test_one_stream_meets_two_targets_on_both_topics(planner: Planner) -> None:
+    source = make("source", gives="A")
+    targets = (Target("one", "A", "/one"), Target("two", "A", "/two"))
+    plan = planner(Problem(Environment((), (source,), targets), Similarity({"A": frozenset("A")}), 10))
+    assert plan.change_set is not None
+    (started,) = plan.change_set.started
+    assert [publication.topic for publication in started.publications] == ["/one", "/two"]
+
+
+@every_exact_planner
+def test_a_shared_transformation_beats_dedicated_ones_that_are_cheaper_alone(planner: Planner) -> None:
+    problem = world("AB", make("A_only", gives="A", labor=3), make("both", gives="AB", labor=4))
+    assert planner(problem).cost_us == 4
+    assert PLANNERS["branch-and-bound"](problem).cost_us == 7
+
+
+@every_exact_planner
+def test_sharing_below_one_target_counts_too(planner: Planner) -> None:
+    library = (
+        make("join", "AB", "C", labor=1),
+        make("A_only", gives="A", labor=3),
+        make("B_only", gives="B", labor=4),
+        make("both", gives="AB", labor=4),
+    )
+    problem = world("C", *library)
+    assert planner(problem).cost_us == 5
+    assert PLANNERS["branch-and-bound"](problem).cost_us == 8
+
+
+@every_exact_planner
+def test_more_than_the_largest_cost_is_said_to_be_too_expensive_with_the_cost(planner: Planner) -> None:
+    plan = planner(world("A", make("source", gives="A", labor=7), max_cost=6))
+    assert (plan.status, plan.cost_us, plan.change_set) == (Status.TOO_EXPENSIVE, 7, None)
+
+
+@every_exact_planner
+def test_exactly_the_largest_cost_is_allowed(planner: Planner) -> None:
+    assert planner(world("A", make("source", gives="A", labor=7), max_cost=7)).status is Status.OPTIMAL
+
+
+@every_exact_planner
+def test_distinct_inputs_are_fed_by_different_transformations(planner: Planner) -> None:
+    fusion = Transformation(
+        "fusion",
+        (InputPort("left", "A", distinct="sources"), InputPort("right", "A", distinct="sources")),
+        (OutputPort("out", "B"),),
+    )
+    detectors = (make("cheap", gives="A", labor=1), make("dear", gives="A", labor=9))
+    assert planner(world("B", fusion, *detectors)).cost_us == 10
+    assert planner(world("B", fusion, detectors[0])).status is Status.INFEASIBLE
+
+
+@every_exact_planner
+def test_a_required_transformation_is_used_though_it_costs_more(planner: Planner) -> None:
+    library = (make("plain", gives="B"), make("source", gives="A"), make("fusion", "A", "B", labor=9, required=True))
+    problem = world("B", *library)
+    plan = planner(problem)
+    assert plan.cost_us == 10
+    assert plan.unused_required == ()
+    assert plan_violations(problem, plan) == []
+
+
+@every_exact_planner
+def test_a_required_transformation_that_cannot_be_used_is_named(planner: Planner) -> None:
+    plan = planner(world("B", make("plain", gives="B"), make("fusion", "A", "B", required=True)))
+    assert (plan.status, plan.unused_required) == (Status.OPTIMAL, ("fusion",))
+
+
+@every_exact_planner
+def test_among_equal_costs_no_kept_unit_is_rewired(planner: Planner) -> None:
+    sources = (make("a_source", gives="A", labor=0), make("z_source", gives="A", labor=0))
+    kept = (unit("z_source"), unit("filter", "z_source.1/out0", topics={"/B": "out0"}))
+    assert not planner(world("B", *sources, make("filter", "A", "B"), units=kept)).change_set
+
+
+@every_exact_planner
+def test_zero_costs_start_nothing_that_is_not_needed(planner: Planner) -> None:
+    free = [make(f"free{i}", gives="A", labor=0) for i in range(4)]
+    plan = planner(world("A", *free))
+    assert plan.change_set is not None
+    assert len(plan.change_set.started) == 1
+
+
+def test_branch_and_bound_says_unknown_instead_of_giving_out_an_invalid_plan() -> None:
+    fusion = Transformation(
+        "fusion",
+        (InputPort("left", "A", distinct="sources"), InputPort("right", "A", distinct="sources")),
+        (OutputPort("out", "B"),),
+    )
+    plan = PLANNERS["branch-and-bound"](world("B", fusion, make("one", gives="A"), make("two", gives="A")))
+    assert (plan.status, plan.change_set) == (Status.UNKNOWN, None)
+    assert "must differ" in plan.reasons["B"]
+
+
+def test_the_oracle_refuses_what_it_cannot_try() -> None:
+    with pytest.raises(InputError, match="too many"):
+        PLANNERS["exhaustive"](world("A", *(make(f"t{i}", gives="A") for i in range(17))))
+
+
+@every_planner
+def test_no_time_at_all_gives_an_honest_answer(planner: Planner) -> None:
+    problem = world("B", *(make(f"s{i}", gives="A", labor=i) for i in range(4)), make("filter", "A", "B"))
+    plan = planner(problem, time_limit_s=0)
+    assert plan.status in (Status.UNKNOWN, Status.FEASIBLE, Status.OPTIMAL)
+    assert plan_violations(problem, plan) == []
+
+
+@every_exact_planner
+def test_progress_is_reported_with_ever_better_costs(planner: Planner) -> None:
+    seen: list[Progress] = []
+    problem = world("C", *(make(f"s{i}", gives="A", labor=9 - i) for i in range(4)), make("f", "A", "C", labor=2))
+    plan = planner(problem, report=seen.append)
+    costs = [progress.cost_us for progress in seen if progress.cost_us is not None]
+    assert costs == sorted(costs, reverse=True)
+    assert costs[-1] == plan.cost_us == 8
+
+
+def test_the_registry_imports_no_solver() -> None:
+    code = "import cfgplan.planners, sys; sys.exit(any(m in sys.modules for m in ('ortools', 'numpy', 'scipy')))"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
