@@ -1,0 +1,61 @@
+"""Why a target can't be met: the nearest dead end, in words."""
+
+from __future__ import annotations
+
+from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Target, Transformation
+from cfgplan.planning import Problem
+from cfgplan.reasons import Givers, startable, unmet_reasons
+
+
+def make(label: str, needs: str, gives: str, distinct: str | None = None) -> Transformation:
+    inputs = tuple(InputPort(f"in{i}", tag, distinct=distinct) for i, tag in enumerate(needs))
+    return Transformation(label, inputs, tuple(OutputPort(f"out{i}", tag) for i, tag in enumerate(gives)))
+
+
+def reason(wanted: str, *library: Transformation) -> str | None:
+    environment = Environment((), library, (Target("q", wanted, "/q"),))
+    return unmet_reasons(Problem(environment, Similarity({tag: frozenset(tag) for tag in "ABCDE"}), 1)).get("q")
+
+
+def test_a_target_that_can_be_met_has_no_reason() -> None:
+    assert reason("B", make("source", "", "A"), make("filter", "A", "B")) is None
+
+
+def test_a_tag_that_nothing_matches_is_named() -> None:
+    assert reason("B", make("source", "", "A")) == "target q wants B, but no output matches"
+
+
+def test_the_input_without_a_producer_is_named_through_any_number_of_steps() -> None:
+    text = reason("C", make("one", "A", "B"), make("two", "B", "C"), make("other", "B", "C"))
+    assert text == "target q wants C, but input in0 of one needs A, and no output matches"
+
+
+def test_circular_support_is_named() -> None:
+    text = reason("A", make("left", "B", "A"), make("right", "A", "B"))
+    assert text == "target q wants A, but what could give it is fed only by itself: left, right"
+
+
+def test_a_distinct_group_with_too_few_feeders_is_named() -> None:
+    text = reason("B", make("source", "", "A"), make("fusion", "AA", "B", distinct="g"))
+    assert text is not None
+    assert "inputs in0 and in1 of fusion need different transformations, and there are too few" in text
+
+
+def test_a_distinct_group_whose_feeders_can_not_be_fed_is_named() -> None:
+    text = reason("B", make("source", "", "A"), make("relay", "B", "A"), make("fusion", "AA", "B", distinct="g"))
+    assert text is not None
+    assert "inputs in0 and in1 of fusion need different transformations, and too few can be fed" in text
+
+
+def test_a_feedback_input_may_be_fed_by_what_it_feeds_but_must_be_fed() -> None:
+    tracker = Transformation("tracker", (InputPort("old", "B", feedback=True),), (OutputPort("out", "B"),))
+    lonely = Transformation("lonely", (InputPort("old", "C", feedback=True),), (OutputPort("out", "B"),))
+    assert reason("B", tracker) is None
+    assert reason("B", lonely) == "target q wants B, but input old of lonely needs C, and no output matches"
+
+
+def test_what_can_be_started_is_found_in_any_order_of_labels() -> None:
+    chain = [make(label, needs, gives) for label, needs, gives in (("z", "", "A"), ("y", "A", "B"), ("x", "B", "C"))]
+    environment = Environment(library=(*chain, make("w", "CD", "E")))
+    givers = Givers(environment.library, Similarity({tag: frozenset(tag) for tag in "ABCDE"}))
+    assert startable(environment, givers) == {"x", "y", "z"}

@@ -1,0 +1,219 @@
+"""The judge: each rule broken on purpose once, and not otherwise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from cfgplan.domain import (
+    ChangeSet,
+    ComputationUnit,
+    Environment,
+    InputPort,
+    OutputPort,
+    Publication,
+    Similarity,
+    Stream,
+    Subscription,
+    Target,
+    Transformation,
+)
+from cfgplan.planning import Plan, Problem, Status
+from cfgplan.validity import Rule, plan_violations, violations
+
+CAMERA = Transformation("camera", (), (OutputPort("out", "Image"),), labor_us=5, upkeep_us=1)
+DETECTOR = Transformation(
+    "detector",
+    (InputPort("image", "Image"), InputPort("old", "Ball", feedback=True)),
+    (OutputPort("ball", "Ball"),),
+    labor_us=3,
+    upkeep_us=2,
+)
+TARGET = Target("ball", "Ball", "/ball")
+SIMILARITY = Similarity({"Image": frozenset({"Image"}), "Ball": frozenset({"Ball"})})
+
+
+def fed(port: str, stream: str) -> Subscription:
+    return Subscription(port, Stream.parse(stream))
+
+
+camera = ComputationUnit("camera.1", "camera")
+detector = ComputationUnit(
+    "detector.1",
+    "detector",
+    (fed("image", "camera.1/out"), fed("old", "detector.1/ball")),
+    (Publication("ball", "/ball"),),
+)
+VALID = Environment((camera, detector), (CAMERA, DETECTOR), (TARGET,))
+
+
+def rules(environment: Environment) -> set[Rule]:
+    return {violation.rule for violation in violations(environment, SIMILARITY)}
+
+
+def with_detector(**changes: object) -> Environment:
+    return replace(VALID, units=(camera, replace(detector, **changes)))  # type: ignore[arg-type]
+
+
+def test_a_valid_configuration_has_no_violation_even_with_a_unit_on_its_own_feedback_input() -> None:
+    assert violations(VALID, SIMILARITY) == []
+
+
+def test_a_unit_of_a_transformation_that_left_the_library_is_unknown() -> None:
+    assert Rule.KNOWN in rules(replace(VALID, library=(DETECTOR,)))
+
+
+def test_an_input_without_a_subscription_is_a_gap() -> None:
+    assert rules(with_detector(subscriptions=(fed("image", "camera.1/out"),))) == {Rule.FED}
+
+
+def test_a_stream_of_a_dead_unit_feeds_nothing() -> None:
+    feeds = (fed("image", "camera.7/out"), fed("old", "detector.1/ball"))
+    assert Rule.FED in rules(with_detector(subscriptions=feeds))
+
+
+def test_a_subscription_at_no_port_is_refused() -> None:
+    feeds = (*detector.subscriptions, fed("nothing", "camera.1/out"))
+    assert rules(with_detector(subscriptions=feeds)) == {Rule.FED}
+
+
+def test_a_stream_must_match_what_the_input_needs() -> None:
+    feeds = (fed("image", "camera.1/out"), fed("old", "camera.1/out"))
+    assert rules(with_detector(subscriptions=feeds)) == {Rule.MATCHING}
+
+
+def test_a_stream_must_match_what_the_target_wants() -> None:
+    seen = replace(camera, publications=(Publication("out", "/ball"),))
+    assert Rule.MATCHING in rules(replace(VALID, units=(seen, replace(detector, publications=()))))
+
+
+def test_a_target_without_a_stream_is_not_met() -> None:
+    assert Rule.MET in rules(with_detector(publications=()))
+
+
+def test_a_target_with_two_streams_is_not_met_by_exactly_one() -> None:
+    second = replace(detector, id="detector.2")
+    assert rules(replace(VALID, units=(camera, detector, second))) == {Rule.MET}
+
+
+def test_a_ring_of_ordinary_inputs_is_not_grounded() -> None:
+    relay = Transformation("relay", (InputPort("in", "Ball"),), (OutputPort("ball", "Ball"),))
+    ring = (
+        ComputationUnit("relay.1", "relay", (fed("in", "relay.2/ball"),), (Publication("ball", "/ball"),)),
+        ComputationUnit("relay.2", "relay", (fed("in", "relay.1/ball"),)),
+    )
+    assert rules(Environment(ring, (relay,), (TARGET,))) == {Rule.GROUNDED}
+
+
+def test_inputs_of_one_distinct_group_must_not_share_a_transformation() -> None:
+    ports = (InputPort("left", "Image", distinct="eyes"), InputPort("right", "Image", distinct="eyes"))
+    stereo = Transformation("stereo", ports, (OutputPort("ball", "Ball"),))
+    units = (
+        camera,
+        replace(camera, id="camera.2"),
+        ComputationUnit(
+            "stereo.1",
+            "stereo",
+            (fed("left", "camera.1/out"), fed("right", "camera.2/out")),
+            (Publication("ball", "/ball"),),
+        ),
+    )
+    assert rules(Environment(units, (CAMERA, stereo), (TARGET,))) == {Rule.DISTINCT}
+
+
+def test_a_unit_that_no_target_needs_is_too_much() -> None:
+    idle = replace(camera, id="camera.2")
+    assert rules(replace(VALID, units=(*VALID.units, idle))) == {Rule.LEAN}
+
+
+def test_a_pinned_unit_needs_no_target() -> None:
+    pinned = replace(CAMERA, pinned=True)
+    idle = replace(camera, id="camera.2")
+    assert rules(replace(VALID, units=(*VALID.units, idle), library=(pinned, DETECTOR))) == set()
+
+
+def test_a_topic_that_no_target_names_is_not_published() -> None:
+    topics = (Publication("ball", "/ball"), Publication("ball", "/elsewhere"))
+    assert rules(with_detector(publications=topics)) == {Rule.PUBLISHED}
+
+
+def test_an_output_that_does_not_exist_is_not_published() -> None:
+    assert Rule.PUBLISHED in rules(with_detector(publications=(Publication("nothing", "/ball"),)))
+
+
+EMPTY = Problem(replace(VALID, units=()), SIMILARITY, horizon_s=10)
+GOOD = Plan("by hand", Status.OPTIMAL, EMPTY.environment.change_to(VALID.units), cost_us=38, bound_us=38)
+
+
+def plan_rules(plan: Plan, problem: Problem = EMPTY) -> set[Rule]:
+    return {violation.rule for violation in plan_violations(problem, plan)}
+
+
+def test_a_truthful_plan_has_no_violation() -> None:
+    assert plan_violations(EMPTY, GOOD) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "rule"),
+    [
+        ({"cost_us": 37}, Rule.COST),
+        ({"bound_us": 37}, Rule.BOUND),
+        ({"bound_us": 39}, Rule.BOUND),
+        ({"change_set": None}, Rule.CONSISTENT),
+        ({"change_set": ChangeSet(stopped=("nobody.1",))}, Rule.CONSISTENT),
+        ({"status": Status.INFEASIBLE, "change_set": None}, Rule.MET),
+        ({"status": Status.INFEASIBLE, "change_set": None, "reasons": {"ball": "no"}}, Rule.MET),
+        ({"status": Status.TOO_EXPENSIVE, "change_set": None}, Rule.BOUND),
+        ({"unused_required": ("camera",)}, Rule.REQUIRED),
+    ],
+)
+def test_a_plan_that_says_something_untrue_is_found_out(changes: dict[str, object], rule: Rule) -> None:
+    assert rule in plan_rules(replace(GOOD, **changes))  # type: ignore[arg-type]
+
+
+def test_a_feasible_plan_may_have_a_lower_bound() -> None:
+    assert plan_rules(replace(GOOD, status=Status.FEASIBLE, bound_us=0)) == set()
+
+
+def test_a_plan_over_the_largest_cost_is_found_out() -> None:
+    assert plan_rules(GOOD, replace(EMPTY, max_cost_us=37)) == {Rule.COST}
+
+
+def test_a_plan_must_leave_library_and_targets_alone() -> None:
+    assert GOOD.change_set is not None
+    change_set = replace(GOOD.change_set, added_targets=(Target("image", "Image", "/image"),))
+    assert Rule.CONSISTENT in plan_rules(replace(GOOD, change_set=change_set))
+
+
+def test_a_rewired_unit_that_stays_as_it_is_is_found_out() -> None:
+    plan = Plan("by hand", Status.OPTIMAL, ChangeSet(rewired=(camera,)), cost_us=30, bound_us=30)
+    assert plan_rules(plan, replace(EMPTY, environment=VALID)) == {Rule.CONSISTENT}
+
+
+def test_a_new_unit_must_not_take_the_id_of_a_dead_one_that_is_still_subscribed_to() -> None:
+    problem = replace(EMPTY, environment=replace(VALID, units=(detector,)))
+    plan = Plan("by hand", Status.OPTIMAL, problem.environment.change_to(VALID.units), cost_us=35, bound_us=35)
+    assert plan_rules(plan, problem) == {Rule.CONSISTENT}
+
+
+def test_a_pinned_unit_that_can_be_fed_must_not_be_stopped() -> None:
+    logger = Transformation("logger", (InputPort("image", "Image"),), (), pinned=True)
+    running = ComputationUnit("logger.1", "logger", (fed("image", "camera.1/out"),))
+    environment = Environment((*VALID.units, running), (CAMERA, DETECTOR, logger), (TARGET,))
+    plan = Plan("by hand", Status.OPTIMAL, ChangeSet(stopped=("logger.1",)), cost_us=30, bound_us=30)
+    assert plan_rules(plan, replace(EMPTY, environment=environment)) == {Rule.PINNED}
+
+
+def test_a_required_transformation_that_is_not_used_must_be_named() -> None:
+    library = (CAMERA, DETECTOR, Transformation("radar", (), (OutputPort("out", "Image"),), required=True))
+    problem = replace(EMPTY, environment=replace(EMPTY.environment, library=library))
+    assert plan_rules(GOOD, problem) == {Rule.REQUIRED}
+    assert plan_rules(replace(GOOD, unused_required=("radar",)), problem) == set()
+
+
+def test_the_targets_that_can_not_be_met_must_be_named_exactly() -> None:
+    problem = replace(EMPTY, environment=replace(EMPTY.environment, library=(DETECTOR,)))
+    refusal = Plan("by hand", Status.INFEASIBLE, reasons={"ball": "no image"})
+    assert plan_rules(refusal, problem) == set()
+    assert plan_rules(replace(refusal, reasons={}), problem) == {Rule.MET}
