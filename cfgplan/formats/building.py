@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import gc
-
 from cfgplan.domain import Environment, Target, Transformation
 from cfgplan.errors import Fault, InputError
 from cfgplan.formats.document import Document
 from cfgplan.formats.expansion import Expander
+from cfgplan.formats.garbage import no_garbage_collection
 from cfgplan.formats.places import Path, Source
 from cfgplan.formats.references import UnitChecker
 from cfgplan.formats.tags import TagChecker
@@ -19,13 +18,8 @@ Origins = dict[tuple[str, str], tuple[Source, Path]]
 
 def build(document: Document, vocabulary: Vocabulary) -> World:
     """The world that a document describes; raises InputError with every fault of the document and of this stage."""
-    was_enabled = gc.isenabled()
-    gc.disable()
-    try:
+    with no_garbage_collection():
         return _build(document, vocabulary)
-    finally:
-        if was_enabled:
-            gc.enable()
 
 
 def _build(document: Document, vocabulary: Vocabulary) -> World:

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from cfgplan.errors import Fault, InputError
+from cfgplan.formats.garbage import no_garbage_collection
 from cfgplan.formats.json_text import read_json
 from cfgplan.formats.places import Path, Source
 from cfgplan.formats.schema import (
@@ -65,7 +66,11 @@ def read_document(path: str | os.PathLike[str]) -> Document:
     Faults are collected in the document, for `build` to report together with those it finds;
     InputError is raised only where there is nothing to go on with: a file that can't be read or parsed.
     """
-    main = FilePath(path)
+    with no_garbage_collection():
+        return _read_document(FilePath(path))
+
+
+def _read_document(main: FilePath) -> Document:
     header, file, faults = _read_file(main, EnvironmentPart)
     ontology = header.ontology or []
     names = [ontology] if isinstance(ontology, str) else ontology

@@ -6,15 +6,13 @@ keys, several documents and aliases that blow up are faults, not surprises.
 
 from __future__ import annotations
 
-import gc
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import yaml
 from yaml import events
 
 from cfgplan.errors import Fault, InputError
+from cfgplan.formats.garbage import no_garbage_collection
 from cfgplan.formats.places import Path, Source, Spot
 from cfgplan.formats.scalars import FIRST_OF_NON_TEXT, resolve
 
@@ -26,7 +24,7 @@ _NO_KEY = object()
 
 def read_yaml(text: str, file: str) -> Source:
     """Read one YAML document; raises InputError where reading can't go on."""
-    with _without_collections():
+    with no_garbage_collection():
         try:
             data, faults = _Reading(text, file).document()
         except yaml.YAMLError as error:
@@ -176,7 +174,7 @@ class _YamlLocator:
 
     def __call__(self, path: Path, at_key: bool) -> Spot:
         if self._lines is None:
-            with _without_collections():
+            with no_garbage_collection():
                 self._root = yaml.compose(self._text, _LOADER)
             self._lines = self._text.splitlines()
         node = self._root
@@ -231,15 +229,3 @@ def _syntax_fault(error: yaml.YAMLError, text: str, file: str) -> Fault:
 
 def _printable(character: str) -> bool:
     return character in "\t\n\r\x85" or " " <= character <= "~" or character >= "\xa0"
-
-
-@contextmanager
-def _without_collections() -> Iterator[None]:
-    """Suspend the garbage collector: millions of fresh values that all live on only cost it time."""
-    was_enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_enabled:
-            gc.enable()

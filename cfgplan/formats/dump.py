@@ -1,0 +1,50 @@
+"""Environments written as YAML that loads back to the same environment."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from decimal import Decimal
+from typing import Any
+
+import yaml
+
+from cfgplan.domain import Environment
+from cfgplan.formats.plain import plain_environment
+from cfgplan.formats.scalars import resolve
+
+_DUMPER: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+
+
+def dump_environment(
+    environment: Environment, *, horizon_s: int, max_cost_us: int | None = None, ontology: Iterable[str] = ()
+) -> str:
+    """The YAML text of an environment; `ontology` holds the ontology files as the text is to name them."""
+    return dump_yaml(plain_environment(environment, horizon_s=horizon_s, max_cost_us=max_cost_us, ontology=ontology))
+
+
+def dump_yaml(data: object) -> str:
+    """Plain data as YAML text; Decimal is written exactly, and a text never looks like something else."""
+    text: str = yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=2**20)
+    return text
+
+
+class _Dumper(_DUMPER):  # type: ignore[misc]
+    """PyYAML's dumper, with the reader's own idea of which plain scalars are text."""
+
+    def ignore_aliases(self, data: object) -> bool:  # noqa: ARG002
+        return True
+
+
+def _text(dumper: Any, text: str) -> yaml.ScalarNode:
+    is_safe = isinstance(resolve(text), str) and text != "<<"
+    node: yaml.ScalarNode = dumper.represent_scalar("tag:yaml.org,2002:str", text, style=None if is_safe else '"')
+    return node
+
+
+def _number(dumper: Any, number: Decimal) -> yaml.ScalarNode:
+    node: yaml.ScalarNode = dumper.represent_scalar("tag:yaml.org,2002:float", format(number, "f"))
+    return node
+
+
+_Dumper.add_representer(str, _text)
+_Dumper.add_representer(Decimal, _number)

@@ -1,0 +1,138 @@
+"""Templates in transformations: what they stand for and what is wrong with them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hypothesis import given
+from hypothesis import strategies as st
+from loading import faults_of, load_text, only_fault, place_of
+
+from cfgplan.formats.templates import escape, original_column, substitute
+
+HEAD = "format: cfgplan/1\ntransformations:\n"
+
+
+def test_a_variable_stands_for_every_individual_everywhere_in_a_transformation(tmp_path: Path) -> None:
+    text = HEAD + (
+        "  - label: cam(${NAO})\n    source: units.py:Cam\n    host: ${NAO}\n    kind: kind-${NAO}\n"
+        "    params: {name: '${NAO}', list: [{'${NAO}': 'a ${NAO} b'}]}\n"
+        "    inputs: {'in_${NAO}': {tag: 'T ${NAO}', distinct: 'g ${NAO}'}}\n    outputs: {out: 'some {${NAO}}'}\n"
+    )
+    piff, puff = load_text(tmp_path, text).environment.library
+    assert (piff.label, puff.label) == ("cam(piff)", "cam(puff)")
+    assert (piff.host, piff.kind) == ("piff", "kind-piff")
+    assert piff.params == {"name": "piff", "list": [{"piff": "a piff b"}]}
+    (port,) = puff.inputs
+    assert (port.name, port.tag, port.distinct) == ("in_puff", "T puff", "g puff")
+    assert piff.output["out"].tag == "some {piff}"
+
+
+def test_several_variables_give_the_product(tmp_path: Path) -> None:
+    text = HEAD + "  - label: link(${NAO:a}, ${NAO:b}, ${Room})\n    host: ${NAO:b}\n"
+    library = load_text(tmp_path, text).environment.library
+    assert len(library) == 2 * 2 * 3
+    assert {t.host for t in library if t.label.startswith("link(piff, puff")} == {"puff"}
+
+
+def test_one_variable_has_one_value_in_a_transformation(tmp_path: Path) -> None:
+    text = HEAD + "  - {label: '${NAO} and ${NAO}'}\n"
+    assert [t.label for t in load_text(tmp_path, text).environment.library] == ["piff and piff", "puff and puff"]
+
+
+def test_two_dollars_escape_a_template(tmp_path: Path) -> None:
+    text = HEAD + "  - {label: a, params: {path: '$${HOME}/x', price: 5$}}\n"
+    assert load_text(tmp_path, text).environment.library[0].params == {"path": "${HOME}/x", "price": "5$"}
+
+
+def test_a_variable_that_the_label_does_not_mention_is_refused(tmp_path: Path) -> None:
+    fault = only_fault(tmp_path, HEAD + "  - label: cam\n    host: ${NAO}\n")
+    assert (fault.message, place_of(fault)) == ("the label does not mention ${NAO}", (3, 12))
+    assert fault.mend == "add it, such as `label: cam(${NAO})`"
+
+
+def test_expansions_that_meet_another_label_are_refused(tmp_path: Path) -> None:
+    fault = only_fault(tmp_path, HEAD + "  - label: cam(${NAO})\n  - label: cam(puff)\n")
+    assert place_of(fault) == (4, 12)
+    assert "`cam(puff)` is taken" in fault.message
+    assert "line 3" in fault.message
+
+
+def test_expansions_with_one_label_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "env.yaml").write_text(HEAD + "  - label: ${Pair:a}${Pair:b}\n")
+
+    from loading import SmallVocabulary
+
+    from cfgplan.errors import InputError
+    from cfgplan.formats import build, read_document
+
+    class Ambiguous(SmallVocabulary):
+        def instances(self, class_name: str) -> tuple[str, ...]:
+            return ("x", "xx")
+
+    try:
+        build(read_document(tmp_path / "env.yaml"), Ambiguous())
+    except InputError as error:
+        (fault,) = error.faults
+        assert fault.message == "several expansions of this template have the label `xxx`"
+    else:
+        raise AssertionError("x + xx and xx + x are one label")
+
+
+def test_a_template_over_an_empty_class_is_refused(tmp_path: Path) -> None:
+    fault = only_fault(tmp_path, HEAD + "  - label: cam ${Nothing}\n")
+    assert (fault.message, place_of(fault)) == ("the class Nothing has no individuals", (3, 16))
+
+
+def test_a_template_over_an_unknown_class_is_refused(tmp_path: Path) -> None:
+    fault = only_fault(tmp_path, HEAD + "  - label: cam(${NOA})\n    host: ${NOA}\n")
+    assert (fault.message, place_of(fault), fault.mend) == ("no class NOA", (3, 16), "did you mean `NAO`?")
+
+
+def test_what_begins_no_variable_is_refused_at_its_column(tmp_path: Path) -> None:
+    for text in ("a ${NAO", "a ${}", "a ${N O}", "a ${NAO:x:y}", "a ${:x}"):
+        fault = only_fault(tmp_path, HEAD + f"  - label: '{text}'\n")
+        assert place_of(fault) == (3, 15)
+        assert fault.mend == "write ${Class}, ${Class:name}, or $${ for a plain ${"
+
+
+def test_port_names_that_become_one_are_refused(tmp_path: Path) -> None:
+    text = HEAD + "  - label: l(${NAO:a}, ${NAO:b})\n    inputs: {'${NAO:a}': T, '${NAO:b}': T}\n"
+    fault = faults_of(tmp_path, text)[0]
+    assert place_of(fault) == (4, 29)
+    assert "the port name `piff` is taken" in fault.message
+
+
+def test_a_bad_tag_of_an_expansion_is_named_once_at_its_place_in_the_template(tmp_path: Path) -> None:
+    text = HEAD + "  - label: cam(${NAO})\n    outputs: {out: 'some {${NAO}} and Bad'}\n"
+    fault = only_fault(tmp_path, text)
+    assert place_of(fault) == (4, 21 + len("some {${NAO}} and "))
+    assert fault.message == "unknown name Bad, in the expansion 'some {piff} and Bad'"
+
+
+def test_a_template_that_stands_for_too_many_is_refused(tmp_path: Path) -> None:
+    label = "".join(f"${{Room:v{number}}}" for number in range(13))
+    fault = only_fault(tmp_path, HEAD + f"  - label: {label}\n")
+    assert "1,594,323 transformations" in fault.message
+
+
+@given(st.text(alphabet="${}a:"))
+def test_escaping_hides_every_template(text: str) -> None:
+    assert substitute(escape(text), {}) == text
+
+
+@given(
+    st.lists(st.sampled_from(["${A}", "${B:x}", "$${", "x", "yy"])),
+    st.text(alphabet="ab", max_size=3),
+    st.text(alphabet="ab", max_size=3),
+    st.integers(1, 30),
+)
+def test_a_column_of_an_expansion_leads_back_to_the_same_character(
+    pieces: list[str], first: str, second: str, column: int
+) -> None:
+    template = "".join(pieces)
+    values = {("A", ""): first, ("B", "x"): second}
+    expansion = substitute(template, values)
+    if column > len(expansion) or expansion[column - 1] not in "xy":
+        return
+    assert template[original_column(template, values, column) - 1] == expansion[column - 1]
