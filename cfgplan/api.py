@@ -9,7 +9,8 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from tempfile import NamedTemporaryFile
+from typing import TYPE_CHECKING
 
 from cfgplan import validity
 from cfgplan.domain import Environment, Similarity
@@ -193,3 +194,15 @@ def _cache_folder() -> Path:
     """Where matches are kept between runs: `$XDG_CACHE_HOME/cfgplan`, or `~/.cache/cfgplan`."""
     base = os.environ.get("XDG_CACHE_HOME")
     return (Path(base) if base else Path.home() / ".cache") / "cfgplan"
+
+
+def write_file(path: Path, content: bytes) -> None:
+    """Write a whole file, or nothing of it; raises InputError if that can't be done."""
+    try:
+        with NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as temporary:
+            temporary.write(content)
+        Path(temporary.name).chmod(0o644)
+        Path(temporary.name).replace(path)
+    except OSError as error:
+        mend = "check that the folder exists and may be written to"
+        raise InputError.of(f"can't be written: {error.strerror}", file=str(path), mend=mend) from None

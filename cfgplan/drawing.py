@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
+from pathlib import Path
 from typing import Any
 
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Publication, Subscription
@@ -101,7 +102,9 @@ class Picture:
         if marks != {Mark.KEPT}:
             legend = [f'<font color="{mark.line}">&#9632; {mark.value[0]}</font>' for mark in Mark if mark in marks]
             graph.graph_attr.update(label=f"<{'&#160;&#160;&#160;'.join(legend)}>", fontsize="11")
-        graph.node_attr.update(shape="box", style="rounded,filled", fontname="Helvetica,Arial,sans-serif", fontsize="11")
+        graph.node_attr.update(
+            shape="box", style="rounded,filled", fontname="Helvetica,Arial,sans-serif", fontsize="11"
+        )
         graph.edge_attr.update(fontname="Helvetica,Arial,sans-serif", fontsize="9", arrowsize="0.7")
         for node in self.nodes:
             shape = "cds" if node.is_target else "box"
@@ -196,7 +199,7 @@ def _silent_stderr() -> Iterator[None]:
     """Keep the font library's complaints about the system's font settings off the user's screen."""
     sys.stderr.flush()
     saved = os.dup(2)
-    with open(os.devnull, "wb") as nothing:
+    with Path(os.devnull).open("wb") as nothing:
         os.dup2(nothing.fileno(), 2)
     try:
         yield

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import Exit
-from cfgplan.cli.screen import Screen
+from cfgplan.cli.screen import Screen, counted
 
 if TYPE_CHECKING:
     from cfgplan.api import World
@@ -58,9 +58,16 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
             line.append(f"{violation.rule.name.lower()}: ", style="red")
             line.append(violation.text)
             screen.show(line)
-        library, units, targets = (len(part) for part in (world.environment.library, world.environment.units, world.environment.targets))
-        size = f"{library} transformations, {units} running units, {targets} targets"
-        verdict = f"{len(found)} rules are violated" if found else "the running configuration is valid"
+        environment = world.environment
+        size = ", ".join(
+            [
+                counted(len(environment.library), "transformation"),
+                counted(len(environment.units), "running unit"),
+                counted(len(environment.targets), "target"),
+            ]
+        )
+        broken = f"the running configuration violates {counted(len(found), 'rule')}"
+        verdict = broken if found else "the running configuration is valid"
         screen.show(Text(f"{size}: {verdict}.", style="bold red" if found else "bold green"))
     return Exit.INVALID if found else Exit.OK
 

@@ -6,6 +6,7 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
+from typing import NoReturn
 
 from cfgplan.cli import check, exporting, graph, importing, match, solve
 from cfgplan.cli.exits import Exit
@@ -43,14 +44,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return Exit.INTERNAL
 
 
-def _parser() -> argparse.ArgumentParser:
+class Parser(argparse.ArgumentParser):
+    """A parser whose errors are bad input like any other."""
+
+    def error(self, message: str) -> NoReturn:
+        self.print_usage(sys.stderr)
+        self.exit(Exit.BAD_INPUT, f"error: {message}\n")
+
+
+def _parser() -> Parser:
     from cfgplan import __version__
 
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="cfgplan",
-        description="Wire stream-processing components by meaning: find the cheapest update of a running system, proven optimal.",
-        epilog="Exit codes: 0 done, 1 check found a violation, 2 changes (--detailed-exitcode), 10 no plan, 11 too expensive, "
-        "20 stopped with an unproven plan, 21 stopped with none, 30 bad input, 31 internal error.",
+        description="Wire stream-processing components by meaning: the cheapest update of a running system, "
+        "proven optimal.",
+        epilog="Exit codes: 0 done, 1 check found a violation, 2 changes (--detailed-exitcode), 10 no plan, "
+        "11 too expensive, 20 stopped with an unproven plan, 21 stopped with none, 30 bad input, 31 internal error.",
     )
     parser.add_argument("--version", action="version", version=f"cfgplan {__version__}")
     verbs = parser.add_subparsers(metavar="VERB", required=True)

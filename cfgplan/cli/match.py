@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import Exit
-from cfgplan.cli.screen import Screen
+from cfgplan.cli.screen import Screen, counted
 from cfgplan.errors import Fault, InputError
 
 if TYPE_CHECKING:
@@ -74,19 +74,18 @@ def _show_matrix(environment: Environment, similarity: Similarity, screen: Scree
         matches = {input_: {"tag": rows[input_], "outputs": outputs} for input_, outputs in fed_by.items()}
         screen.show_json({"inputs": matches, "outputs": columns, "unknown": sorted(map(list, similarity.unknown))})
         return
-    from rich.table import Table
+    from rich.text import Text
 
     count = sum(len(outputs) for outputs in fed_by.values())
-    table = Table(
-        title=f"Validity matrix: {len(rows)} inputs and targets x {len(columns)} outputs, {count} matches",
-        title_justify="left",
-        show_lines=True,
-    )
-    for heading in ("input or target", "tag", "may be fed by"):
-        table.add_column(heading, overflow="fold")
+    width = max(map(len, rows), default=0)
+    lines = []
     for input_, outputs in fed_by.items():
-        table.add_row(input_, rows[input_], "\n".join(outputs) or "nothing")
-    screen.show_table(table)
+        line = Text(f"{input_:{width}}", style="bold")
+        line.append(f"  {rows[input_]}", style="dim")
+        lines.append(line)
+        lines += [Text(f"  <- {output}", style="green") for output in outputs] or [Text("  nothing", style="red")]
+    size = f"{len(rows)} inputs and targets x {len(columns)} outputs, {counted(count, 'match', 'matches')}"
+    screen.show(Text("\n").join([*lines, Text(f"Validity matrix: {size}.", style="bold")]))
 
 
 def _inputs(environment: Environment) -> dict[str, str]:

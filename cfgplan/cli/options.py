@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import asdict
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from cfgplan.cli.screen import Screen
 from cfgplan.errors import InvalidValueError
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from cfgplan import api
     from cfgplan.planning import Problem, Progress
 
-Subparsers = argparse._SubParsersAction  # type: ignore[type-arg]
+Subparsers: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
 
 def add_verb(verbs: Subparsers, name: str, summary: str, example: str) -> argparse.ArgumentParser:
@@ -53,9 +53,13 @@ def add_planning(parser: argparse.ArgumentParser) -> None:
     from cfgplan.api import PLANNER_NAMES
 
     parser.add_argument("--planner", choices=PLANNER_NAMES, default="cpsat", help="who plans (cpsat)")
-    parser.add_argument("--horizon", type=whole_seconds, metavar="S", help="plan for S seconds instead of the file's horizon")
+    parser.add_argument(
+        "--horizon", type=whole_seconds, metavar="S", help="plan for S seconds instead of the file's horizon"
+    )
     parser.add_argument("--max-cost", type=cost, metavar="S", help="largest cost in CPU seconds, instead of the file's")
-    parser.add_argument("--timeout", type=positive, metavar="S", help="stop planning after S seconds with the best plan so far")
+    parser.add_argument(
+        "--timeout", type=positive, metavar="S", help="stop planning after S seconds with the best plan so far"
+    )
 
 
 def load(options: argparse.Namespace, screen: Screen) -> api.World:
@@ -122,3 +126,18 @@ def progress_report(screen: Screen) -> Callable[[Progress], None]:
         screen.note(json.dumps(asdict(progress)), style="")
 
     return report
+
+
+def add_out(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--out", metavar="FILE", help="file to write (stdout)")
+
+
+def put(text: str, out: str | None, screen: Screen) -> None:
+    """Write text to the file that `--out` names, or to stdout."""
+    from cfgplan import api
+
+    if out is None:
+        screen.write(text)
+    else:
+        api.write_file(Path(out), text.encode())
+        screen.note(f"Wrote {out}.")

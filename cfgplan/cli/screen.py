@@ -18,6 +18,11 @@ if TYPE_CHECKING:
 FORMAT_VERSION = 1
 
 
+def counted(number: int, one: str, many: str | None = None) -> str:
+    """A number with its noun: `1 target`, `2 targets`."""
+    return f"{number} {one if number == 1 else many or one + 's'}"
+
+
 class Screen:
     """The user's terminal, or the program that reads the JSON. Colour is for terminals only."""
 
@@ -38,10 +43,6 @@ class Screen:
     def show(self, result: RenderableType) -> None:
         """Print a result for people; long lines are left to the terminal."""
         self._out.print(result, soft_wrap=True)
-
-    def show_table(self, table: RenderableType) -> None:
-        """Print a table, fitted to the terminal, or uncut where there is none."""
-        self._out.print(table, crop=False)
 
     def show_json(self, document: dict[str, Any]) -> None:
         """Print a result for machines."""

@@ -23,8 +23,12 @@ def add_to(verbs: shared.Subparsers) -> None:
     shared.add_planning(parser)
     shared.add_matching(parser)
     parser.add_argument("--out", metavar="FILE", help="write the plan to FILE (JSON)")
-    parser.add_argument("--progress", action="store_true", help="print each better cost or bound as a JSON line on stderr")
-    parser.add_argument("--detailed-exitcode", action="store_true", help="exit with 2 instead of 0 if the update changes something")
+    parser.add_argument(
+        "--progress", action="store_true", help="print each better cost or bound as a JSON line on stderr"
+    )
+    parser.add_argument(
+        "--detailed-exitcode", action="store_true", help="exit with 2 instead of 0 if the update changes something"
+    )
     parser.add_argument("-v", "--verbose", action="store_true", help="show what each step of the planner did")
     shared.add_json(parser)
     parser.set_defaults(run=run)

@@ -33,20 +33,32 @@ def _changes(problem: Problem, plan: Plan) -> Iterator[Text]:
     started = {unit.id for unit in plan.change_set.started}
     rewired = {unit.id for unit in plan.change_set.rewired}
     width = max((len(unit.id) for unit in (*before.units, *after.units)), default=0)
-    for unit in after.units:
+    units = _with_the_stream(after)
+    for unit in units:
         if unit.id in started:
             yield _headline("+", unit, width, before)
             yield from _wiring(unit)
-    for unit in after.units:
+    for unit in units:
         if unit.id in rewired:
             yield _headline("~", unit, width, before)
             yield from _differences(before.unit[unit.id], unit)
     for unit_id in plan.change_set.stopped:
         yield _headline("-", before.unit[unit_id], width, before)
-    for unit in after.units:
+    for unit in units:
         if unit.id not in started | rewired:
             yield _headline("=", unit, width, before)
     yield Text()
+
+
+def _with_the_stream(environment: Environment) -> list[ComputationUnit]:
+    """The units from sources to targets, each after those that feed it, but for feedback."""
+    done: dict[str, ComputationUnit] = {}
+    waiting = list(environment.units)
+    while waiting:
+        ready = [unit for unit in waiting if all(s.stream.unit in done for s in unit.subscriptions)] or waiting[:1]
+        done |= {unit.id: unit for unit in ready}
+        waiting = [unit for unit in waiting if unit.id not in done]
+    return list(done.values())
 
 
 def _headline(sign: str, unit: ComputationUnit, width: int, environment: Environment) -> Text:
@@ -90,15 +102,17 @@ def _summary(problem: Problem, plan: Plan) -> Iterator[Text]:
         )
         library = before.transformation
         labor = sum(library[unit.transformation].labor_us for unit in changes.started)
-        now = sum(keep_cost_us(library[u.transformation], horizon_s) for u in before.units if u.transformation in library)
+        now = sum(
+            keep_cost_us(library[u.transformation], horizon_s) for u in before.units if u.transformation in library
+        )
         assert plan.cost_us is not None
         yield Text(
             f"Cost over the horizon of {horizon_s} s: {cpu(plan.cost_us)} of CPU = labor {cpu(labor)} "
             f"+ upkeep {cpu(plan.cost_us - labor)}. What runs now costs {cpu(now)} of upkeep."
         )
     yield _verdict(problem, plan)
-    for label, reason in plan.reasons.items():
-        yield Text(f"  target {label}: {reason}")
+    for reason in plan.reasons.values():
+        yield Text(f"  {reason}")
     for label in plan.unused_required:
         yield Text(f"Required {label} is not used: no valid configuration can use it with the others.", style="yellow")
 

@@ -1,0 +1,121 @@
+"""`check`, `match`, `graph` and the help as a user sees them."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from command import MODELS, Run
+
+LOST = MODELS / "nao" / "2-segmenter-lost.yaml"
+PIFF = MODELS / "nao" / "1-piff-registered.yaml"
+
+
+def test_check_names_file_and_line_of_a_violated_rule(run: Run) -> None:
+    result = run("check", LOST)
+    line = 1 + LOST.read_text().splitlines().index("      hull: null   # the gap that the segmenter left")
+    assert result.code == 1
+    assert f"{LOST}:{line}:" in result.out
+    assert "fed: input hull of unit ball_detector(piff).1 has no subscription" in result.out
+
+
+def test_check_finds_nothing_wrong_with_a_valid_configuration(run: Run) -> None:
+    result = run("check", MODELS / "nao" / "3-puff-registered.yaml")
+    assert result.code == 0
+    assert "the running configuration is valid" in result.out
+
+
+def test_check_gives_the_same_as_json(run: Run) -> None:
+    document = run("check", LOST, "--json").document
+    assert document["valid"] is False
+    assert {violation["rule"] for violation in document["violations"]} == {"fed"}
+
+
+def test_match_shows_who_may_feed_whom(run: Run) -> None:
+    result = run("match", PIFF)
+    assert result.code == 0
+    assert "9 inputs and targets x 20 outputs, 9 matches" in result.out
+
+
+def test_match_gives_the_matrix_as_json(run: Run) -> None:
+    document = run("match", PIFF, "--json").document
+    assert document["inputs"]["segmenter(piff)/y"]["outputs"] == ["subsampler(piff)/y80"]
+    assert len(document["outputs"]) == 20
+
+
+def test_match_explains_a_miss_with_what_is_lacking(run: Run) -> None:
+    result = run("match", PIFF, "subsampler(piff)/y40", "segmenter(piff)/y")
+    assert result.code == 0
+    assert "does not feed" in result.out
+    assert "it lacks Y80X60Image" in result.out
+    assert "nearest: subsampler(piff)/y80" in result.out
+
+
+def test_match_explains_a_match(run: Run) -> None:
+    result = run("match", PIFF, "ball_localization(piff)/position", "ball")
+    assert "feeds" in result.out
+    assert "lacks" not in result.out
+
+
+def test_match_suggests_the_port_that_was_meant(run: Run) -> None:
+    result = run("match", PIFF, "subsampler(piff)/y81", "segmenter(piff)/y")
+    assert result.code == 30
+    assert "did you mean 'subsampler(piff)/y80'?" in result.err
+
+
+@pytest.mark.parametrize(
+    ("ending", "begin"), [("svg", b"<?xml"), ("png", b"\x89PNG"), ("dot", b"digraph"), ("mmd", b"flowchart")]
+)
+def test_graph_writes_the_format_that_the_ending_says(run: Run, tmp_path: Path, ending: str, begin: bytes) -> None:
+    out = tmp_path / f"update.{ending}"
+    assert run("graph", LOST, "--out", out).code == 0
+    assert out.read_bytes().startswith(begin)
+
+
+def test_graph_refuses_an_ending_it_does_not_know(run: Run, tmp_path: Path) -> None:
+    result = run("graph", LOST, "--out", tmp_path / "update.bmp")
+    assert result.code == 30
+    assert ".svg" in result.err
+
+
+def test_graph_colours_what_changes(run: Run) -> None:
+    picture = run("graph", LOST, "--format", "mermaid").out
+    assert '["segmenter(piff).1"]:::started' in picture
+    assert '["ball_detector(piff).1"]:::rewired' in picture
+    running = run("graph", LOST, "--format", "mermaid", "--running").out
+    assert ":::started" not in running
+
+
+@pytest.mark.parametrize("verb", ["check", "match", "solve", "graph", "import", "export"])
+def test_each_verb_has_help_with_an_example(run: Run, verb: str) -> None:
+    result = run(verb, "--help")
+    assert result.code == 0
+    assert f"example:\n  cfgplan {verb}" in result.out
+
+
+def test_a_missing_file_is_one_clear_error(run: Run) -> None:
+    result = run("solve", "nowhere.yaml")
+    assert result.code == 30
+    assert result.err.startswith("error: nowhere.yaml: ")
+
+
+def test_errors_come_as_json_to_whom_asked_for_json(run: Run, write: Callable[[str], Path]) -> None:
+    result = run("solve", write("targts: []\n"), "--json")
+    assert result.code == 30
+    assert result.document["errors"][0]["line"] == 3
+
+
+def test_the_heavy_engines_are_imported_only_where_they_are_used() -> None:
+    """What `import cfgplan` and `cfgplan --help` may cost, told by what they load rather than by a clock."""
+    heavy = {"ortools", "owlready2", "pyhornedowl", "pydantic", "pygraphviz", "numpy", "networkx", "rich", "yaml"}
+    code = (
+        "import sys\nimport cfgplan\nfrom cfgplan.cli.main import main\n"
+        "try:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
+        "print(sorted({name.partition('.')[0] for name in sys.modules}), file=sys.stderr)"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not heavy & set(eval(found.stderr))

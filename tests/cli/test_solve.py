@@ -1,0 +1,94 @@
+"""`cfgplan solve` as a user and as a script see it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+from command import MODELS, Run
+
+LOST = MODELS / "nao" / "2-segmenter-lost.yaml"
+TWO_WAYS = """
+transformations:
+  - {label: cheap, labor: 1, upkeep: 0.5, outputs: {o: Wanted}}
+  - {label: dear, labor: 9, upkeep: 0, outputs: {o: Wanted}}
+targets: [{label: t, topic: /t, tag: Wanted}]
+"""
+
+
+def test_it_says_what_starts_is_rewired_and_stays_and_what_it_costs(run: Run) -> None:
+    result = run("solve", LOST)
+    assert result.code == 0
+    assert "+ start   segmenter(piff).1" in result.out
+    assert "y <- subsampler(piff).1/y80" in result.out
+    assert "~ rewire  ball_detector(piff).1" in result.out
+    assert "hull <- segmenter(piff).1/hull   (was a gap)" in result.out
+    assert "= keep    bottom_cam(piff).1" in result.out
+    assert "1 to start, 1 to rewire, 0 to stop, 4 kept" in result.out
+    assert "18.95 s of CPU = labor 0.35 s + upkeep 18.6 s" in result.out
+    assert "Optimal: no update is cheaper, proven by cpsat." in result.out
+
+
+def test_its_text_is_plain_where_there_is_no_terminal(run: Run) -> None:
+    assert "\x1b" not in "".join(run("solve", LOST)[1:])
+
+
+def test_a_longer_horizon_can_turn_the_choice(run: Run, write: Callable[[str], Path]) -> None:
+    env = write(TWO_WAYS)
+    assert "cheap.1" in run("solve", env).out
+    assert "dear.1" in run("solve", env, "--horizon", "100").out
+
+
+def test_a_changing_update_can_be_told_by_the_exit_code(run: Run, write: Callable[[str], Path]) -> None:
+    assert run("solve", write(TWO_WAYS), "--detailed-exitcode").code == 2
+    assert run("solve", MODELS / "nao" / "3-puff-registered.yaml", "--detailed-exitcode").code == 0
+
+
+def test_no_plan_exits_with_10_and_a_reason_for_each_target(run: Run) -> None:
+    result = run("solve", MODELS / "nao" / "0-target-only.yaml")
+    assert result.code == 10
+    assert "target ball:" in result.out
+
+
+def test_a_plan_above_the_largest_cost_exits_with_11_and_says_both_costs(run: Run) -> None:
+    result = run("solve", LOST, "--max-cost", "18.9")
+    assert result.code == 11
+    assert "18.95 s" in result.out
+    assert "18.9 s" in result.out
+    assert run("solve", LOST, "--max-cost", "18.95").code == 0
+
+
+def test_an_unproven_plan_exits_with_20(run: Run) -> None:
+    result = run("solve", LOST, "--planner", "branch-and-bound")
+    assert result.code == 20
+    assert "has not proven it optimal" in result.out
+
+
+def test_json_and_the_plan_file_are_the_same_document(run: Run, tmp_path: Path) -> None:
+    out = tmp_path / "plan.json"
+    result = run("solve", LOST, "--json", "--out", out)
+    document = json.loads(out.read_text())
+    assert result.document == document
+    assert document["format_version"] == 1
+    assert document["status"] == "optimal"
+    assert [unit["id"] for unit in document["change_set"]["started"]] == ["segmenter(piff).1"]
+
+
+def test_a_plan_can_not_be_written_where_there_is_no_folder(run: Run, tmp_path: Path) -> None:
+    result = run("solve", LOST, "--out", tmp_path / "missing" / "plan.json")
+    assert result.code == 30
+    assert "missing" in result.err
+
+
+def test_wrong_numbers_are_refused_with_the_option_named(run: Run) -> None:
+    for option, value in (("--horizon", "1.5"), ("--horizon", "-1"), ("--max-cost", "nan"), ("--timeout", "0")):
+        result = run("solve", LOST, option, value)
+        assert result.code == 30
+        assert f"argument {option}" in result.err
+
+
+def test_progress_is_told_as_json_lines(run: Run) -> None:
+    lines = [json.loads(line) for line in run("solve", LOST, "--progress").err.splitlines() if line.startswith("{")]
+    assert lines
+    assert lines[-1]["cost_us"] == 18_950_000
