@@ -2,6 +2,7 @@
 
 from cfgplan.formats.building import build
 from cfgplan.formats.document import Document, read_document
+from cfgplan.formats.dump import dump_environment
 from cfgplan.formats.places import Place
 from cfgplan.formats.schema import environment_schema
 from cfgplan.formats.vocabulary import BadClassError, BadTagError, Vocabulary
@@ -15,6 +16,7 @@ __all__ = [
     "Vocabulary",
     "World",
     "build",
+    "dump_environment",
     "environment_schema",
     "read_document",
 ]

@@ -77,6 +77,8 @@ def _is_new(name: tuple[str, str], source: Source, path: Path, key: str, origins
 
 
 def _in_file_order(faults: list[Fault], document: Document) -> list[Fault]:
-    order = {file.source.file: number for number, file in enumerate(document.files)}
+    order: dict[str, int] = {}
+    for file in document.files:
+        order.setdefault(file.source.file, len(order))
     last = len(order)
     return sorted(dict.fromkeys(faults), key=lambda f: (order.get(f.file or "", last), f.line or 0, f.column or 0))

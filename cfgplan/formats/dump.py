@@ -42,7 +42,9 @@ def _text(dumper: Any, text: str) -> yaml.ScalarNode:
 
 
 def _number(dumper: Any, number: Decimal) -> yaml.ScalarNode:
-    node: yaml.ScalarNode = dumper.represent_scalar("tag:yaml.org,2002:float", format(number, "f"))
+    text = format(number, "f")
+    written = text if "." in text else f"{text}.0"
+    node: yaml.ScalarNode = dumper.represent_scalar("tag:yaml.org,2002:float", written)
     return node
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from graphlib import CycleError, TopologicalSorter
-from itertools import pairwise
 
 from cfgplan.domain import ComputationUnit, Publication, Stream, Subscription, Target, Transformation
 from cfgplan.errors import Fault, InvalidValueError
@@ -156,9 +155,11 @@ class UnitChecker:
             try:
                 TopologicalSorter(feeders).prepare()
             except CycleError as error:
-                # graphlib's ring runs from a feeder to the unit that it feeds.
-                ring = error.args[1]
-                feeder, fed = min(pairwise(ring), key=lambda pair: (pair[1], pair[0]))
+                # graphlib's ring runs from a feeder to the unit that it feeds, beginning anywhere.
+                ring = error.args[1][1:]
+                start = ring.index(min(ring))
+                ring = [*ring[start:], *ring[: start + 1]]
+                feeder, fed = ring[-2:]
                 self._note_cycle(ring, fed, feeders[fed].pop(feeder))
             else:
                 return

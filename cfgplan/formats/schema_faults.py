@@ -64,7 +64,7 @@ def _fault(source: Source, path: Path, at_key: bool, error: Any, part: type[Base
     if kind == "extra_forbidden":
         return _unknown_key(source, path, part)
     if kind == "missing":
-        mend = f"add `{path[-1]}:` here"
+        mend = f"add `format: {FORMAT}` here" if path == ("format",) else f"add `{path[-1]}:` here"
         if path[-3:-2] in (("inputs",), ("outputs",)):
             mend += ", or write it in quotes if it is a concept: what begins with { is read as a mapping"
         return source.fault(path[:-1], f"the key `{path[-1]}` is missing", mend)

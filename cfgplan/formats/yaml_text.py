@@ -122,7 +122,7 @@ class _Reading:
             written = getattr(event, "value", "")
             self._note(event, f"the key {written} is not text", f'write it in quotes: "{written}"')
             value = written
-        if value == "<<":
+        if value == "<<" and event.implicit[0]:
             self._note(event, "merge keys (`<<`) are not supported", "write the merged keys out")
         elif value in mapping:
             self._note(event, f"the key `{value}` stands here twice", "remove one of the two or rename it")

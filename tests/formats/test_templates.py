@@ -67,7 +67,7 @@ def test_expansions_with_one_label_are_refused(tmp_path: Path) -> None:
     from cfgplan.formats import build, read_document
 
     class Ambiguous(SmallVocabulary):
-        def instances(self, class_name: str) -> tuple[str, ...]:
+        def instances(self, _class_name: str) -> tuple[str, ...]:
             return ("x", "xx")
 
     try:

@@ -1,0 +1,39 @@
+"""Environments written and read again: nothing is lost."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from environments import environments
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from loading import load_text
+
+from cfgplan.domain import Environment, OutputPort, Transformation
+from cfgplan.formats import dump_environment
+
+
+@given(environments(), st.integers(0, 10**9), st.none() | st.integers(0, 2**53 - 1))
+@settings(max_examples=150, deadline=None)
+def test_what_is_written_as_yaml_loads_back(environment: Environment, horizon_s: int, max_cost_us: int | None) -> None:
+    text = dump_environment(environment, horizon_s=horizon_s, max_cost_us=max_cost_us, ontology=["o n.ttl"])
+    with tempfile.TemporaryDirectory() as folder:
+        world = load_text(Path(folder), text)
+        assert world.environment == environment
+        assert (world.horizon_s, world.max_cost_us) == (horizon_s, max_cost_us)
+        assert world.ontology_paths == (Path(folder) / "o n.ttl",)
+
+
+def test_the_yaml_is_what_a_person_would_write() -> None:
+    transformation = Transformation("cam(piff)", outputs=(OutputPort("image", "Image ⊓ ∃hasSource.piff"),), labor_us=1)
+    assert dump_environment(Environment(library=(transformation,)), horizon_s=60) == (
+        "format: cfgplan/1\n"
+        "horizon: 60\n"
+        "transformations:\n"
+        "- label: cam(piff)\n"
+        "  labor: 0.000001\n"
+        "  upkeep: 0\n"
+        "  outputs:\n"
+        "    image: Image ⊓ ∃hasSource.piff\n"
+    )
