@@ -1,1 +1,22 @@
 """Planners side by side on families of instances: generators, runner, result rows, tables and plots."""
+
+from cfgplan.comparing.entrants import REGISTERED, Entrant, entrant
+from cfgplan.comparing.instances import Instance, generated, given
+from cfgplan.comparing.rows import Failure, Row, read_rows
+from cfgplan.comparing.runner import Limits, Standing, run, run_one
+
+__all__ = [
+    "REGISTERED",
+    "Entrant",
+    "Failure",
+    "Instance",
+    "Limits",
+    "Row",
+    "Standing",
+    "entrant",
+    "generated",
+    "given",
+    "read_rows",
+    "run",
+    "run_one",
+]

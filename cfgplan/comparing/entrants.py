@@ -1,0 +1,66 @@
+"""Who takes part in a comparison: registered planners, and any planner that can be imported."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+from types import MappingProxyType
+
+from cfgplan.errors import InputError
+from cfgplan.planners import PLANNERS
+from cfgplan.planning import Planner
+
+
+@dataclass(frozen=True)
+class Entrant:
+    """A planner by name.
+
+    `function` is empty for a registered planner, else `module:function`. The `engines` are modules to import
+    before the clock starts; `distributions` are packages whose versions belong to a result.
+    """
+
+    name: str
+    function: str = ""
+    engines: tuple[str, ...] = ()
+    distributions: tuple[str, ...] = ()
+
+    def planner(self) -> Planner:
+        """The planner itself, its engines imported. Raises ImportError where an engine is not installed."""
+        for engine in self.engines:
+            import_module(engine)
+        if not self.function:
+            return PLANNERS[self.name]
+        module, _, name = self.function.partition(":")
+        planner: Planner = getattr(import_module(module), name)
+        return planner
+
+    def versions(self) -> dict[str, str]:
+        return {name: _version(name) for name in ("cfgplan", *self.distributions)}
+
+
+def _version(distribution: str) -> str:
+    try:
+        return version(distribution)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def _registered(name: str) -> Entrant:
+    module = f"cfgplan.planners.{name.replace('-', '_')}"
+    return Entrant(name, engines=(module,), distributions=("ortools",) if name == "cpsat" else ())
+
+
+REGISTERED: Mapping[str, Entrant] = MappingProxyType({name: _registered(name) for name in PLANNERS})
+"""An entrant for each planner of the registry."""
+
+
+def entrant(name: str) -> Entrant:
+    """The registered planner of that name, or the one at `module:function`. Raises InputError."""
+    if name in REGISTERED:
+        return REGISTERED[name]
+    if ":" in name:
+        return Entrant(name, function=name)
+    known = ", ".join(REGISTERED)
+    raise InputError.of(f"there is no planner {name!r}", mend=f"name one of {known}, or module:function")

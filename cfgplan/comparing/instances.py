@@ -1,0 +1,59 @@
+"""An instance: a named problem with the family, parameters and seed that it comes from."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from cfgplan.comparing.families import FAMILIES
+from cfgplan.comparing.transport import document
+from cfgplan.errors import InputError, InvalidValueError
+from cfgplan.planning import Problem
+
+
+@dataclass(frozen=True)
+class Instance:
+    """A problem to compare planners on; `make` builds it when it is first needed."""
+
+    name: str
+    family: str
+    parameters: Mapping[str, object]
+    seed: int | None
+    make: Callable[[], Problem] = field(compare=False, repr=False)
+
+    @cached_property
+    def problem(self) -> Problem:
+        return self.make()
+
+    @cached_property
+    def text(self) -> str:
+        """The problem as one line of JSON, the same for equal problems."""
+        return json.dumps(document(self.problem), ensure_ascii=False, sort_keys=True, separators=(",", ":"))
+
+    @cached_property
+    def digest(self) -> str:
+        """A short hash of the problem: a result belongs to it, not to the name alone."""
+        return hashlib.sha256(self.text.encode()).hexdigest()[:16]
+
+
+def generated(family: str, *, seed: int = 0, **parameters: object) -> Instance:
+    """An instance of a registered family. Raises InputError for an unknown one or unfit parameters."""
+    if family not in FAMILIES:
+        raise InputError.of(f"there is no family {family!r}", mend=f"there are {', '.join(sorted(FAMILIES))}")
+
+    def make() -> Problem:
+        try:
+            return FAMILIES[family](seed, **parameters)
+        except (TypeError, InvalidValueError) as error:
+            raise InputError.of(f"family {family} can't be made with {parameters}: {error}") from None
+
+    shown = ", ".join(f"{name}={value}" for name, value in parameters.items())
+    return Instance(f"{family}({shown})#{seed}", family, parameters, seed, make)
+
+
+def given(name: str, problem: Problem, *, family: str = "own") -> Instance:
+    """An instance of a problem that is there already, such as a user's own file."""
+    return Instance(name, family, {}, None, lambda: problem)

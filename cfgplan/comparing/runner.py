@@ -1,0 +1,221 @@
+"""The runner: each planner on each instance in a process of its own, every run a row."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import signal
+import subprocess
+import sys
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from cfgplan.comparing.entrants import Entrant
+from cfgplan.comparing.instances import Instance
+from cfgplan.comparing.rows import PROVEN, Failure, Key, Point, Row, append_row, read_rows, thinned
+from cfgplan.errors import InvalidValueError
+from cfgplan.planning import Status
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a run may take.
+
+    The planner is told `time_limit_s`; `grace_s` after that (for the start of the process, the last step
+    and the judge) it is killed. `memory_mb` limits the process's address space.
+    """
+
+    time_limit_s: float = 10.0
+    grace_s: float = 10.0
+    memory_mb: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.time_limit_s <= 0 or self.grace_s < 0 or (self.memory_mb is not None and self.memory_mb <= 0):
+            raise InvalidValueError("the limits of a comparison must be positive")
+
+
+@dataclass(frozen=True)
+class Standing:
+    """How far a comparison is: runs done out of all, those left over from before among them, seconds left (about)."""
+
+    done: int
+    total: int
+    left_s: float | None
+    row: Row | None
+    ahead: str
+
+
+def run(
+    instances: Iterable[Instance],
+    entrants: Sequence[Entrant],
+    limits: Limits,
+    results: Path,
+    *,
+    watch: Callable[[Standing], None] | None = None,
+) -> list[Row]:
+    """Run every entrant on every instance and append a row for each to the file `results`.
+
+    A run whose row is there already is not repeated, unless a package was missing then. Returns the
+    rows of exactly these runs. `watch` is told the standing before the first run and after each.
+    """
+    known = {row.key: row for row in read_rows(results) if row.outcome != Failure.UNAVAILABLE}
+    tasks = [(instance, entrant) for instance in instances for entrant in entrants]
+    left = [(i, e) for i, e in tasks if _key(i, e, limits) not in known]
+    seconds: dict[str, list[float]] = defaultdict(list)
+    if watch is not None:
+        watch(Standing(len(tasks) - len(left), len(tasks), None, None, _names(left)))
+    for number, (instance, entrant) in enumerate(left, 1):
+        began = perf_counter()
+        row = run_one(instance, entrant, limits)
+        append_row(results, row)
+        known[row.key] = row
+        seconds[entrant.name].append(perf_counter() - began)
+        if watch is not None:
+            ahead = left[number:]
+            done = len(tasks) - len(ahead)
+            watch(Standing(done, len(tasks), _seconds_left(ahead, seconds), row, _names(ahead)))
+    return [known[_key(instance, entrant, limits)] for instance, entrant in tasks]
+
+
+def run_one(instance: Instance, entrant: Entrant, limits: Limits) -> Row:
+    """Run one planner on one instance in a new process and make a row of however it ends."""
+    task = {
+        "problem": json.loads(instance.text),
+        "entrant": asdict(entrant),
+        "time_limit_s": limits.time_limit_s,
+        "memory_mb": limits.memory_mb,
+    }
+    out, err, code = _run_process(json.dumps(task), limits.time_limit_s + limits.grace_s)
+    trace, answer = _parsed(out)
+    if answer is None:
+        answer = _failure(code, err)
+        if trace and answer["outcome"] != Failure.CRASHED:
+            answer |= {"cost_us": trace[-1][1], "bound_us": trace[-1][2]}
+    first_s, best_s = _times(trace, answer)
+    proven = answer["outcome"] in PROVEN or (
+        answer["outcome"] == Status.FEASIBLE and answer["bound_us"] == answer["cost_us"]
+    )
+    environment = instance.problem.environment
+    return Row(
+        instance=instance.name,
+        family=instance.family,
+        parameters=dict(instance.parameters),
+        seed=instance.seed,
+        digest=instance.digest,
+        transformations=len(environment.library),
+        planner=entrant.name,
+        time_limit_s=limits.time_limit_s,
+        memory_mb=limits.memory_mb,
+        outcome=answer["outcome"],
+        cost_us=answer.get("cost_us"),
+        bound_us=answer.get("bound_us", 0),
+        unused_required=answer.get("unused_required", 0),
+        first_s=first_s,
+        best_s=best_s,
+        proof_s=answer["total_s"] if proven else None,
+        total_s=answer.get("total_s"),
+        trace=thinned(trace),
+        counts=answer.get("counts", {}),
+        peak_mb=answer.get("peak_mb"),
+        violations=tuple(answer["violations"]) if "violations" in answer else None,
+        message=answer.get("message", ""),
+        versions=entrant.versions() | {"python": platform.python_version()},
+        machine=machine(),
+    )
+
+
+@cache
+def machine() -> dict[str, object]:
+    """What the runs ran on; times compare only within one machine."""
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    return {
+        "system": f"{platform.system()} {platform.machine()}",
+        "cores": os.cpu_count() or 1,
+        "memory_gb": round(memory / 2**30, 1),
+    }
+
+
+def _key(instance: Instance, entrant: Entrant, limits: Limits) -> Key:
+    return (instance.name, instance.digest, entrant.name, limits.time_limit_s, limits.memory_mb)
+
+
+def _names(ahead: Sequence[tuple[Instance, Entrant]]) -> str:
+    return f"{ahead[0][1].name} on {ahead[0][0].name}" if ahead else ""
+
+
+def _seconds_left(ahead: Sequence[tuple[Instance, Entrant]], seconds: dict[str, list[float]]) -> float:
+    """Each run ahead takes as long as the same planner's runs did so far, on average."""
+    all_of_them = [s for values in seconds.values() for s in values]
+    return sum(_mean(seconds[entrant.name] or all_of_them) for _, entrant in ahead)
+
+
+def _mean(values: Sequence[float]) -> float:
+    return sum(values) / len(values)
+
+
+def _run_process(task: str, limit_s: float) -> tuple[str, str, int | None]:
+    """The output, the errors and the exit code of a child; no code if it had to be killed."""
+    path = os.pathsep.join(entry or str(Path.cwd()) for entry in sys.path)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "cfgplan.comparing.child"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        encoding="utf-8",
+        errors="replace",
+        env={**os.environ, "PYTHONPATH": path},
+        start_new_session=True,
+    )
+    try:
+        out, err = process.communicate(task, timeout=limit_s)
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)
+        out, err = process.communicate()
+        return out, err, None
+    except BaseException:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        raise
+    return out, err, process.returncode
+
+
+def _parsed(out: str) -> tuple[list[Point], dict[str, Any] | None]:
+    """The progress and the answer, if one came; a line that was cut short is passed over."""
+    trace: list[Point] = []
+    for line in out.splitlines():
+        try:
+            data = json.loads(line)
+        except ValueError:
+            continue
+        if isinstance(data, dict):
+            return trace, data
+        trace.append((round(data[0], 6), data[1], data[2]))
+    return trace, None
+
+
+def _failure(code: int | None, err: str) -> dict[str, Any]:
+    if code is None:
+        return {"outcome": Failure.KILLED}
+    if "MemoryError" in err or "bad_alloc" in err:
+        return {"outcome": Failure.OUT_OF_MEMORY}
+    ending = err.strip().splitlines()[-1:] or [""]
+    how = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+    return {"outcome": Failure.CRASHED, "message": f"{how}: {ending[0]}"[:300]}
+
+
+def _times(trace: Sequence[Point], answer: dict[str, Any]) -> tuple[float | None, float | None]:
+    """When the first and when the best plan was known; a plan that was never reported came at the end."""
+    costs = [(when, cost) for when, cost, _ in trace if cost is not None]
+    end = answer.get("total_s")
+    if answer["outcome"] not in (Status.OPTIMAL, Status.FEASIBLE):
+        return (costs[0][0], costs[-1][0]) if costs and answer.get("cost_us") is not None else (None, None)
+    first_s = costs[0][0] if costs else end
+    best_s = next((when for when, cost in costs if cost == answer["cost_us"]), end)
+    return first_s, best_s

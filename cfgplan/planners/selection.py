@@ -1,0 +1,221 @@
+"""The units a plan may have, and what follows from choosing some of them: are they grounded, how are they wired.
+
+For planners that search for a set of units and leave the wiring for last; it knows no solver.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+
+from cfgplan.costs import keep_cost_us, start_cost_us
+from cfgplan.domain import ComputationUnit, Environment, InputPort, Publication, Stream, Subscription, Transformation
+from cfgplan.errors import InputError
+from cfgplan.planning import Plan, Problem, Status, fresh_unit_ids
+from cfgplan.reasons import Givers, assign_different, startable
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A running unit, or the new one of its transformation, with its cost over the horizon."""
+
+    id: str
+    transformation: Transformation
+    running: ComputationUnit | None
+    cost_us: int
+
+
+class Selection:
+    """The candidates of a problem by index, in canonical order: those that can be fed and that a target may need.
+
+    A transformation with a running unit has no new one, which could do nothing better. `kept` are the running
+    units of pinned transformations, `wanted` the tags of the targets. Raises InputError if a transformation
+    is required, since a set of units does not tell which of them a target uses.
+    """
+
+    def __init__(self, problem: Problem, who: str) -> None:
+        if any(transformation.required for transformation in problem.environment.library):
+            raise InputError.of(f"{who} does not know required transformations", mend="use the planner cpsat")
+        self.problem = problem
+        self.who = who
+        self._givers = Givers(problem.environment.library, problem.similarity)
+        self.candidates = tuple(_candidates(problem, _relevant(problem.environment, self._givers)))
+        self.kept = frozenset(i for i, c in enumerate(self.candidates) if c.running and c.transformation.pinned)
+        self.wanted = tuple(dict.fromkeys(target.tag for target in problem.environment.targets))
+        self._by_label: dict[str, list[int]] = defaultdict(list)
+        for index, candidate in enumerate(self.candidates):
+            self._by_label[candidate.transformation.label].append(index)
+        self._feeders: dict[str, tuple[int, ...]] = {}
+
+    def feeders(self, tag: str) -> tuple[int, ...]:
+        """The candidates with an output that matches the demanded tag."""
+        if tag not in self._feeders:
+            self._feeders[tag] = tuple(i for label in self._givers.of(tag) for i in self._by_label.get(label, ()))
+        return self._feeders[tag]
+
+    def cost_us(self, chosen: Collection[int]) -> int:
+        return sum(self.candidates[i].cost_us for i in chosen)
+
+    def answer(
+        self, chosen: Collection[int] | None, bound_us: int, *, seconds: Mapping[str, float], counts: Mapping[str, int]
+    ) -> Plan:
+        """The plan that runs the chosen, given that no plan costs less than the bound.
+
+        Its status is feasible even where the cost is proven, since of equal costs any will do here.
+        """
+        largest = self.problem.max_cost_us
+        if largest is not None and bound_us > largest:
+            return Plan(self.who, Status.TOO_EXPENSIVE, bound_us=bound_us, seconds=seconds, counts=counts)
+        units = [] if chosen is None else self.units(chosen)
+        ids = {unit.id for unit in units}
+        cost_us = self.cost_us([i for i, candidate in enumerate(self.candidates) if candidate.id in ids])
+        if chosen is None or (largest is not None and cost_us > largest):
+            return Plan(self.who, Status.UNKNOWN, bound_us=bound_us, seconds=seconds, counts=counts)
+        changes = self.problem.environment.change_to(units)
+        bound_us = min(bound_us, cost_us)
+        return Plan(self.who, Status.FEASIBLE, changes, cost_us, bound_us, seconds=seconds, counts=counts)
+
+    def grounded(self, chosen: Collection[int]) -> list[int]:
+        """Those of the chosen that can be fed from sources by other chosen ones, in an order of feeding."""
+        alive = frozenset(chosen)
+        while True:
+            order = self._fed_in_order(alive, alive)
+            if len(order) == len(alive):
+                return order
+            alive = frozenset(order)
+
+    def ways_in(self, chosen: Collection[int]) -> list[int]:
+        """Those not chosen of which one must be in every valid set with the chosen, if these are not valid yet.
+
+        In the order of feeding of such a set its first unit that is not chosen is fed by chosen ones, or
+        needs no feeding.
+        """
+        anyone = range(len(self.candidates))
+        fed = set(self._fed_in_order(frozenset(chosen), anyone))
+        return [i for i in anyone if i not in chosen and self.can_be_fed(i, fed, anyone)]
+
+    def _fed_in_order(self, chosen: frozenset[int], anywhere: Collection[int]) -> list[int]:
+        order: list[int] = []
+        before: set[int] = set()
+        grew = True
+        while grew:
+            new = [i for i in sorted(chosen - before) if self.can_be_fed(i, before, anywhere)]
+            order += new
+            before.update(new)
+            grew = bool(new)
+        return order
+
+    def can_be_fed(self, index: int, before: Collection[int], anywhere: Collection[int]) -> bool:
+        """Whether a candidate's inputs match those `before` it, its feedback inputs those `anywhere`."""
+        return self._feed(index, before, anywhere) is not None
+
+    def satisfied(self, chosen: Collection[int]) -> bool:
+        """Whether the chosen are all grounded and meet every target."""
+        return len(self.grounded(chosen)) == len(chosen) and all(
+            not set(self.feeders(tag)).isdisjoint(chosen) for tag in self.wanted
+        )
+
+    def units(self, chosen: Collection[int]) -> list[ComputationUnit]:
+        """Those of the grounded chosen that targets and pinned units need, wired; old streams are preferred."""
+        order = self.grounded(chosen)
+        topics: dict[int, list[Publication]] = defaultdict(list)
+        for target in self.problem.environment.targets:
+            publisher, port = self._publisher(target.tag, target.topic, order)
+            topics[publisher].append(Publication(port, target.topic))
+        units: dict[int, ComputationUnit] = {}
+        ahead = sorted(topics.keys() | (self.kept & set(order)))
+        for i in ahead:
+            if i not in units:
+                feeds = self._feed(i, order[: order.index(i)], order)
+                assert feeds is not None
+                subscriptions = tuple(self._subscription(i, port, feeder) for port, feeder in feeds.items())
+                candidate = self.candidates[i]
+                units[i] = ComputationUnit(
+                    candidate.id, candidate.transformation.label, subscriptions, tuple(topics[i])
+                )
+                ahead += feeds.values()
+        return list(units.values())
+
+    def _feed(self, index: int, before: Collection[int], anywhere: Collection[int]) -> dict[InputPort, int] | None:
+        """A feeder for each input, its old one if it may stay; None if there is no way."""
+        feeds: dict[InputPort, int] = {}
+        groups: dict[str, dict[str, dict[str, int]]] = defaultdict(dict)
+        for port in self.candidates[index].transformation.inputs:
+            allowed = anywhere if port.feedback else before
+            fit = [i for i in self.feeders(port.tag) if i in allowed]
+            if not fit:
+                return None
+            old = self._old_feeder(index, port)
+            preferred = [old, *fit] if old is not None and old in fit else fit
+            feeds[port] = preferred[0]
+            if port.distinct is not None:
+                by_label: dict[str, int] = {}
+                for i in preferred:
+                    by_label.setdefault(self.candidates[i].transformation.label, i)
+                groups[port.distinct][port.name] = by_label
+        ports = self.candidates[index].transformation.input
+        for choices in groups.values():
+            assigned = assign_different(choices)
+            if assigned is None:
+                return None
+            feeds.update({ports[name]: choices[name][label] for name, label in assigned.items()})
+        return feeds
+
+    def _old_feeder(self, index: int, port: InputPort) -> int | None:
+        running = self.candidates[index].running
+        stream = running.feeds.get(port.name) if running else None
+        if stream is None:
+            return None
+        return next((i for i in self.feeders(port.tag) if self.candidates[i].id == stream.unit), None)
+
+    def _subscription(self, index: int, port: InputPort, feeder: int) -> Subscription:
+        candidate, giver = self.candidates[index], self.candidates[feeder]
+        old = candidate.running.feeds.get(port.name) if candidate.running else None
+        fit = list(self._ports(feeder, port.tag))
+        keeps = old is not None and old.unit == giver.id and old.port in fit
+        return Subscription(port.name, old if old is not None and keeps else Stream(giver.id, fit[0]))
+
+    def _publisher(self, tag: str, topic: str, order: list[int]) -> tuple[int, str]:
+        """Who publishes a target and on which port: as it is now if that may stay."""
+        fit = [(i, port) for i in order if i in self.feeders(tag) for port in self._ports(i, tag)]
+
+        def is_old(choice: tuple[int, str]) -> bool:
+            running = self.candidates[choice[0]].running
+            return running is not None and Publication(choice[1], topic) in running.publications
+
+        return next(filter(is_old, fit), fit[0])
+
+    def _ports(self, feeder: int, tag: str) -> Iterator[str]:
+        for port in self.candidates[feeder].transformation.outputs:
+            if self.problem.similarity.holds(port.tag, tag):
+                yield port.name
+
+
+def _relevant(environment: Environment, givers: Givers) -> set[str]:
+    """The transformations that can be fed at all and that a target or a pinned unit may need."""
+    possible = startable(environment, givers)
+    pinned = {u.transformation for u in environment.units if u.transformation in possible}
+    found = {label for label in pinned if environment.transformation[label].pinned}
+    tags = {target.tag: None for target in environment.targets}
+    tags.update({port.tag: None for label in sorted(found) for port in environment.transformation[label].inputs})
+    ahead = list(tags)
+    for tag in ahead:
+        for label in givers.of(tag):
+            if label in possible and label not in found:
+                found.add(label)
+                ahead += [p.tag for p in environment.transformation[label].inputs if p.tag not in tags]
+                tags.update({p.tag: None for p in environment.transformation[label].inputs})
+    return found
+
+
+def _candidates(problem: Problem, labels: Collection[str]) -> Iterator[Candidate]:
+    environment, horizon_s = problem.environment, problem.horizon_s
+    running = {unit.transformation for unit in environment.units}
+    for unit in environment.units:
+        if unit.transformation in labels:
+            transformation = environment.transformation[unit.transformation]
+            yield Candidate(unit.id, transformation, unit, keep_cost_us(transformation, horizon_s))
+    for label, unit_id in fresh_unit_ids(environment, sorted(set(labels) - running)).items():
+        transformation = environment.transformation[label]
+        yield Candidate(unit_id, transformation, None, start_cost_us(transformation, horizon_s))
