@@ -1,0 +1,53 @@
+"""Each peer proves the same cost as cpsat, or refuses; one whose package is not installed is skipped."""
+
+from __future__ import annotations
+
+import pytest
+
+from cfgplan.comparing import Failure, Instance, Limits, generated, given, run_one
+from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Target, Transformation
+from cfgplan.planners import PLANNERS
+from cfgplan.planning import Problem, Status
+from experiments.peers import PEERS
+
+LIMITS = Limits(time_limit_s=20)
+every_peer = pytest.mark.parametrize("name", PEERS)
+
+
+def filtered_by_feedback() -> Problem:
+    tracker = Transformation(
+        "tracker", (InputPort("old", "B", feedback=True), InputPort("new", "A")), (OutputPort("out", "B"),), 1_000
+    )
+    source = Transformation("source", (), (OutputPort("out", "A"),), 1_000)
+    relation = Similarity({"A": frozenset("A"), "B": frozenset("B")})
+    return Problem(Environment((), (tracker, source), (Target("q", "B", "/q"),)), relation, 1)
+
+
+INSTANCES = [
+    generated("random_library", seed=3, transformations=40, running=0.3),
+    generated("replanning", seed=4, transformations=40, failures=2),
+    generated("adversarial", kind="ring", size=4),
+    generated("adversarial", kind="fusion", size=3),
+    given("feedback", filtered_by_feedback()),
+]
+REFUSED = {
+    ("highs", "feedback"),
+    ("fast-downward", "feedback"),
+    ("fast-downward", "adversarial(kind=fusion, size=3)#0"),
+}
+
+
+@every_peer
+@pytest.mark.parametrize("instance", INSTANCES, ids=lambda instance: instance.name)
+def test_a_peer_proves_the_optimum_or_refuses(name: str, instance: Instance) -> None:
+    row = run_one(instance, PEERS[name], LIMITS)
+    if row.outcome == Failure.UNAVAILABLE:
+        pytest.skip(row.message)
+    if (name, instance.name) in REFUSED:
+        assert row.outcome == Failure.REFUSED
+        assert "does not know" in row.message
+        return
+    optimum = PLANNERS["cpsat"](instance.problem)
+    assert optimum.status is Status.OPTIMAL
+    assert row.violations == ()
+    assert (row.cost_us, row.bound_us, row.proven) == (optimum.cost_us, optimum.cost_us, True)

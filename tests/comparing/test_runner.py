@@ -1,0 +1,176 @@
+"""Every run becomes a row, however it ends; planners here are functions of this module, run in child processes."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from cfgplan.comparing import Entrant, Failure, Limits, Standing, entrant, generated, given, read_rows, run, run_one
+from cfgplan.comparing.transport import document, restored
+from cfgplan.errors import InputError, InvalidValueError
+from cfgplan.planners import PLANNERS
+from cfgplan.planning import Plan, Problem, Progress, Status
+
+SMALL = generated("adversarial", kind="dedicated", size=3)
+LIMITS = Limits(time_limit_s=20)
+Report = Callable[[Progress], None] | None
+
+
+def hangs(_: Problem, *, report: Report, **__: object) -> Plan:
+    if report is not None:
+        report(Progress(0.0, 9, 4))
+    time.sleep(60)
+    return Plan("hangs", Status.UNKNOWN)
+
+
+def kills_itself(_: Problem, **__: object) -> Plan:
+    os.kill(os.getpid(), signal.SIGSEGV)
+    return Plan("kills itself", Status.UNKNOWN)
+
+
+def raises(_: Problem, **__: object) -> Plan:
+    raise ZeroDivisionError("a bug")
+
+
+def eats_memory(_: Problem, **__: object) -> Plan:
+    return Plan(str(bytearray(2**33)), Status.UNKNOWN)
+
+
+def lies(problem: Problem, **_: object) -> Plan:
+    sys.stdout.write("a planner may write what it likes\n")
+    return replace(PLANNERS["cpsat"](problem), cost_us=1, bound_us=1)
+
+
+def own(name: str) -> Entrant:
+    return entrant(f"{__name__}:{name}")
+
+
+def test_a_row_tells_what_the_planner_answered_and_when() -> None:
+    row = run_one(SMALL, entrant("cpsat"), LIMITS)
+    assert (row.outcome, row.cost_us, row.bound_us, row.proven) == (Status.OPTIMAL, 11_000_000, 11_000_000, True)
+    assert row.violations == ()
+    assert row.first_s is not None
+    assert row.best_s is not None
+    assert row.proof_s is not None
+    assert 0 <= row.first_s <= row.best_s <= row.proof_s
+    assert row.peak_mb is not None
+    assert row.peak_mb > 10
+    assert row.trace[-1][1:] == (11_000_000, 11_000_000)
+    assert {"cfgplan", "ortools", "python"} <= row.versions.keys()
+    assert (row.family, dict(row.parameters), row.seed) == ("adversarial", {"kind": "dedicated", "size": 3}, 0)
+
+
+def test_a_planner_without_a_proof_has_no_time_of_proof() -> None:
+    row = run_one(SMALL, entrant("branch-and-bound"), LIMITS)
+    assert (row.outcome, row.cost_us, row.proven, row.proof_s) == (Status.FEASIBLE, 30_000_000, False, None)
+
+
+def test_a_planner_that_hangs_is_killed_and_what_it_had_found_is_kept() -> None:
+    row = run_one(SMALL, own("hangs"), Limits(time_limit_s=0.5, grace_s=1.5))
+    assert (row.outcome, row.cost_us, row.bound_us) == (Failure.KILLED, 9, 4)
+    assert row.violations is None
+
+
+def test_a_crash_is_a_row() -> None:
+    row = run_one(SMALL, own("kills_itself"), LIMITS)
+    assert row.outcome == Failure.CRASHED
+    assert "SIGSEGV" in row.message
+    row = run_one(SMALL, own("raises"), LIMITS)
+    assert row.outcome == Failure.CRASHED
+    assert "ZeroDivisionError: a bug" in row.message
+
+
+def test_too_much_memory_is_a_row() -> None:
+    row = run_one(SMALL, own("eats_memory"), Limits(time_limit_s=20, memory_mb=2000))
+    assert row.outcome == Failure.OUT_OF_MEMORY
+
+
+def test_a_missing_package_and_a_refusal_are_rows() -> None:
+    row = run_one(SMALL, entrant("no_such_module:plan"), LIMITS)
+    assert (row.outcome, row.message) == (Failure.UNAVAILABLE, "No module named 'no_such_module'")
+    row = run_one(generated("random_library"), entrant("exhaustive"), LIMITS)
+    assert row.outcome == Failure.REFUSED
+    assert "too many" in row.message
+
+
+def test_the_judge_convicts_a_planner_that_lies() -> None:
+    row = run_one(SMALL, own("lies"), LIMITS)
+    assert row.violations is not None
+    assert any("the update costs 11000000 us, but the plan says 1 us" in text for text in row.violations)
+
+
+def test_a_row_that_is_there_is_not_run_again(tmp_path: Path) -> None:
+    results, seen = tmp_path / "new" / "results.jsonl", list[Standing]()
+    planners = [entrant("cpsat"), entrant("branch-and-bound")]
+    first = run([SMALL], planners, LIMITS, results, watch=seen.append)
+    assert [(s.done, s.total) for s in seen] == [(0, 2), (1, 2), (2, 2)]
+    assert seen[0].ahead == f"cpsat on {SMALL.name}"
+    assert seen[1].left_s is not None
+    assert seen[1].left_s > 0
+    seen.clear()
+    assert run([SMALL], planners, LIMITS, results, watch=seen.append) == first == read_rows(results)
+    assert [(s.done, s.total) for s in seen] == [(2, 2)]
+
+
+def test_an_interrupted_file_goes_on_where_it_was(tmp_path: Path) -> None:
+    results = tmp_path / "results.jsonl"
+    planners = [entrant("cpsat"), entrant("branch-and-bound")]
+    whole = run([SMALL], planners, LIMITS, results)
+    text = results.read_text()
+    results.write_text(text[: text.index("\n") + 100])
+    assert read_rows(results) == whole[:1]
+    again = run([SMALL], planners, LIMITS, results)
+    assert [row.key for row in again] == [row.key for row in whole]
+    assert read_rows(results) == again
+
+
+def test_a_changed_problem_is_run_again(tmp_path: Path) -> None:
+    results = tmp_path / "results.jsonl"
+    longer = replace(SMALL.problem, horizon_s=SMALL.problem.horizon_s + 1)
+    for problem in (SMALL.problem, longer):
+        run([given("mine", problem)], [entrant("branch-and-bound")], LIMITS, results)
+    assert len(read_rows(results)) == 2
+
+
+def test_a_run_that_lacked_a_package_is_tried_again(tmp_path: Path) -> None:
+    results = tmp_path / "results.jsonl"
+    for _ in range(2):
+        run([SMALL], [entrant("no_such_module:plan")], LIMITS, results)
+    assert len(results.read_text().splitlines()) == 2
+    assert len(read_rows(results)) == 1
+
+
+def test_a_line_that_is_no_row_is_named(tmp_path: Path) -> None:
+    results = tmp_path / "results.jsonl"
+    for line in ("nonsense", json.dumps({"instance": "x"})):
+        results.write_text(f"\n{line}\n")
+        with pytest.raises(InputError) as caught:
+            read_rows(results)
+        assert caught.value.faults[0].line == 2
+
+
+@pytest.mark.parametrize("family", ["random_library", "replanning"])
+def test_a_problem_survives_the_way_to_another_process(family: str) -> None:
+    problem = generated(family, seed=2).problem
+    back = restored(json.loads(json.dumps(document(problem))))
+    assert (back.environment, back.similarity.offers) == (problem.environment, problem.similarity.offers)
+    assert (back.horizon_s, back.max_cost_us) == (problem.horizon_s, problem.max_cost_us)
+
+
+def test_unknown_names_and_limits_are_refused() -> None:
+    with pytest.raises(InputError, match="no planner"):
+        entrant("astrology")
+    with pytest.raises(InputError, match="no family"):
+        generated("dynasty")
+    with pytest.raises(InputError, match="can't be made"):
+        _ = generated("nao", wheels=4).problem
+    with pytest.raises(InvalidValueError):
+        Limits(time_limit_s=0)
