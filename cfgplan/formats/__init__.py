@@ -4,9 +4,10 @@ from cfgplan.formats.building import build
 from cfgplan.formats.document import Document, read_document
 from cfgplan.formats.dump import dump_environment
 from cfgplan.formats.places import Place
+from cfgplan.formats.plan_file import dump_plan, load_plan, plain_plan, plan_schema
 from cfgplan.formats.schema import environment_schema
 from cfgplan.formats.vocabulary import BadClassError, BadTagError, Vocabulary
-from cfgplan.formats.world import World
+from cfgplan.formats.world import World, environment_digest
 
 __all__ = [
     "BadClassError",
@@ -17,6 +18,11 @@ __all__ = [
     "World",
     "build",
     "dump_environment",
+    "dump_plan",
+    "environment_digest",
     "environment_schema",
+    "load_plan",
+    "plain_plan",
+    "plan_schema",
     "read_document",
 ]

@@ -27,7 +27,7 @@ def plain_environment(
             "horizon": horizon_s,
             "max_cost": None if max_cost_us is None else plain_cost(max_cost_us),
             "transformations": [_transformation(t) for t in environment.library],
-            "units": [_unit(unit) for unit in environment.units],
+            "units": [plain_unit(unit) for unit in environment.units],
             "targets": [_target(target) for target in environment.targets],
         }
     )
@@ -63,7 +63,8 @@ def _input(port: InputPort) -> Any:
     return _without_nothing({"tag": escape(port.tag), "distinct": _escaped(port.distinct), "feedback": port.feedback})
 
 
-def _unit(unit: ComputationUnit) -> dict[str, Any]:
+def plain_unit(unit: ComputationUnit) -> dict[str, Any]:
+    """A unit as an environment file says it."""
     topics: dict[str, list[str]] = {}
     for publication in unit.publications:
         topics.setdefault(publication.port, []).append(publication.topic)

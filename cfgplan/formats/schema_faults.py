@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from decimal import Decimal
 from difflib import get_close_matches
-from typing import Any
+from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel
 
@@ -16,23 +16,10 @@ from cfgplan.formats.schema import (
     FULL_FORM,
     PORT,
     SHORT_FORM,
-    DefaultsPart,
     EnvironmentPart,
-    InputPart,
-    OutputPart,
-    TargetPart,
-    TransformationPart,
-    UnitPart,
+    IncludedPart,
 )
 
-_PARTS: Mapping[str, type[BaseModel]] = {
-    "transformations": TransformationPart,
-    "units": UnitPart,
-    "targets": TargetPart,
-    "inputs": InputPart,
-    "outputs": OutputPart,
-    "defaults": DefaultsPart,
-}
 _KINDS = {
     "string_type": "text",
     "int_type": "a whole number",
@@ -69,7 +56,9 @@ def _fault(source: Source, path: Path, at_key: bool, error: Any, part: type[Base
             mend += ", or write it in quotes if it is a concept: what begins with { is read as a mapping"
         return source.fault(path[:-1], f"the key `{path[-1]}` is missing", mend)
     if kind == "literal_error":
-        return source.fault(path, f"the format is {_shown(value)}", f"this cfgplan reads `format: {FORMAT}`")
+        return source.fault(
+            path, f"the {path[-1]} is {_shown(value)}", f"this cfgplan reads `{path[-1]}: {_bare(error)}`"
+        )
     if kind in _KINDS:
         return source.fault(path, *_wrong_kind(source, path, _KINDS[kind], value), at_key=at_key)
     if kind == "string_pattern_mismatch":
@@ -87,21 +76,37 @@ def _fault(source: Source, path: Path, at_key: bool, error: Any, part: type[Base
 
 
 def _unknown_key(source: Source, path: Path, part: type[BaseModel]) -> Fault:
-    known = sorted((_part_at(path[:-1]) or part).model_fields)
+    known = sorted((_part_at(part, path[:-1]) or part).model_fields)
     name = str(path[-1])
-    if len(path) == 1 and part is not EnvironmentPart and name in EnvironmentPart.model_fields:
+    if part is IncludedPart and len(path) == 1 and name in EnvironmentPart.model_fields:
         mend = "an included file has only transformations and targets: move this key to the main file"
     else:
         mend = did_you_mean(name, known, f"the keys here are {', '.join(known)}")
     return source.fault(path, f"unknown key `{name}`", mend, at_key=True)
 
 
-def _part_at(path: Path) -> type[BaseModel] | None:
-    names = [step for step in path if isinstance(step, str)]
-    if not names:
-        return None
-    is_port = len(path) >= 4 and path[2] in ("inputs", "outputs")
-    return _PARTS.get(str(path[2]) if is_port else names[0])
+def _part_at(part: type[BaseModel], path: Path) -> type[BaseModel] | None:
+    """The definition of the mapping at a path inside of `part`."""
+    steps = iter(path)
+    for step in steps:
+        field = part.model_fields.get(str(step))
+        inner = None if field is None else _part_in(field.annotation)
+        if field is None or inner is None:
+            return None
+        part = inner
+        if _holds_several(field.annotation):
+            next(steps, None)
+    return part
+
+
+def _part_in(annotation: Any) -> type[BaseModel] | None:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return next((part for part in map(_part_in, get_args(annotation)) if part), None)
+
+
+def _holds_several(annotation: Any) -> bool:
+    return get_origin(annotation) in (list, dict) or any(map(_holds_several, get_args(annotation)))
 
 
 def _wrong_kind(source: Source, path: Path, wanted: str, value: object) -> tuple[str, str]:
@@ -135,6 +140,10 @@ def _described(value: object) -> str:
     if isinstance(value, str):
         return f"the text {_shown(value)}"
     return "a mapping" if isinstance(value, dict) else "a list"
+
+
+def _bare(error: Any) -> str:
+    return str(error["ctx"]["expected"]).replace("'", "")
 
 
 def _shown(value: object) -> str:

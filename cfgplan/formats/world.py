@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path as FilePath
@@ -29,39 +29,8 @@ class World:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 (hex) of all that a plan depends on, the ontology files too.
-
-        Comments, the order of lists and what only running needs (source, params, kind) don't count.
-        """
-        environment = self.environment
-        content = [
-            self.horizon_s,
-            self.max_cost_us,
-            [
-                [
-                    t.label,
-                    [[p.name, p.tag, p.distinct, p.feedback] for p in t.inputs],
-                    [[p.name, p.tag] for p in t.outputs],
-                    [t.labor_us, t.upkeep_us, t.pinned, t.required, t.host],
-                ]
-                for t in environment.library
-            ],
-            [
-                [
-                    u.id,
-                    u.transformation,
-                    [[s.port, s.stream.unit, s.stream.port] for s in u.subscriptions],
-                    [[p.port, p.topic] for p in u.publications],
-                ]
-                for u in environment.units
-            ],
-            [[t.label, t.tag, t.topic, t.priority] for t in environment.targets],
-        ]
-        hashed = hashlib.sha256(json.dumps(content, separators=(",", ":")).encode())
-        for path in self.ontology_paths:
-            if path.is_file():
-                hashed.update(hashlib.sha256(path.read_bytes()).digest())
-        return hashed.hexdigest()
+        """What tells this world from others, see `environment_digest`."""
+        return environment_digest(self.environment, self.horizon_s, self.max_cost_us, self.ontology_paths)
 
     def place(
         self,
@@ -89,3 +58,40 @@ def _port_path(source: Source, path: Path, port: str) -> Path:
         if ports and port in ports:
             return (*path, key, port)
     return path
+
+
+def environment_digest(
+    environment: Environment, horizon_s: int, max_cost_us: int | None = None, ontology_paths: Sequence[FilePath] = ()
+) -> str:
+    """SHA-256 (hex) of all that a plan depends on, the ontology files too.
+
+    Comments, the order of lists and what only running needs (source, params, kind) don't count.
+    """
+    content = [
+        horizon_s,
+        max_cost_us,
+        [
+            [
+                t.label,
+                [[p.name, p.tag, p.distinct, p.feedback] for p in t.inputs],
+                [[p.name, p.tag] for p in t.outputs],
+                [t.labor_us, t.upkeep_us, t.pinned, t.required, t.host],
+            ]
+            for t in environment.library
+        ],
+        [
+            [
+                u.id,
+                u.transformation,
+                [[s.port, s.stream.unit, s.stream.port] for s in u.subscriptions],
+                [[p.port, p.topic] for p in u.publications],
+            ]
+            for u in environment.units
+        ],
+        [[t.label, t.tag, t.topic, t.priority] for t in environment.targets],
+    ]
+    hashed = hashlib.sha256(json.dumps(content, separators=(",", ":")).encode())
+    for path in ontology_paths:
+        if path.is_file():
+            hashed.update(hashlib.sha256(path.read_bytes()).digest())
+    return hashed.hexdigest()

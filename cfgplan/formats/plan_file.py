@@ -1,0 +1,182 @@
+"""Plans as JSON: what `solve --out` writes and whatever applies a plan reads.
+
+Costs are integers in microseconds; the keys that end in `_s` say the same in CPU seconds for people, and
+are not read back. `environment` is the digest of the environment that the plan was made for.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path as FilePath
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from cfgplan.costs import seconds
+from cfgplan.domain import ChangeSet, ComputationUnit, Publication, Stream, Subscription
+from cfgplan.errors import InputError, InvalidValueError
+from cfgplan.formats.document import read_text
+from cfgplan.formats.json_text import read_json
+from cfgplan.formats.plain import plain_unit
+from cfgplan.formats.schema_faults import schema_faults
+from cfgplan.planning import Plan, Problem, Status
+
+FORMAT_VERSION = 1
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+class PlannedUnit(_Part):
+    """A unit as it is after the update."""
+
+    id: str
+    transformation: str
+    inputs: dict[str, str] = Field(default={}, description="input port to the stream (unit/port) that feeds it")
+    topics: dict[str, list[str]] = Field(default={}, description="output port to the topics it is published on")
+    labor_us: int = Field(default=0, ge=0, description="CPU time of its start; 0 if it runs already")
+    upkeep_us: int = Field(default=0, ge=0, description="CPU time that it takes each second")
+
+
+class ChangeSetPart(_Part):
+    """Definition 6: what starts, what is wired anew, what stops."""
+
+    started: list[PlannedUnit] = []
+    rewired: list[PlannedUnit] = []
+    stopped: list[str] = []
+
+
+class PlanPart(_Part):
+    """A planner's answer and the environment it holds for."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, title="cfgplan plan")
+
+    format_version: Literal[1]
+    environment: str = Field(description="digest of the environment that the plan was made for")
+    planner: str
+    status: Literal["optimal", "feasible", "infeasible", "too expensive", "unknown"]
+    horizon_s: int = Field(ge=0)
+    max_cost_us: int | None = None
+    cost_us: int | None = None
+    cost_s: Any = Field(default=None, description="cost_us in CPU seconds")
+    bound_us: int = Field(description="no update is cheaper than this")
+    bound_s: Any = Field(default=None, description="bound_us in CPU seconds")
+    gap: Any = Field(default=None, description="how far the cost may be above the optimum, as a share of the cost")
+    change_set: ChangeSetPart | None = Field(default=None, description="there if the status is optimal or feasible")
+    reasons: dict[str, str] = Field(default={}, description="why a target can't be met, by its label")
+    unused_required: list[str] = []
+    seconds: dict[str, Any] = Field(default={}, description="wall time of each phase")
+    counts: dict[str, int] = Field(default={}, description="the planner's own figures")
+
+
+def plan_schema() -> dict[str, Any]:
+    """The JSON Schema (draft 2020-12) of the plan file."""
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **PlanPart.model_json_schema()}
+
+
+def dump_plan(plan: Plan, problem: Problem, digest: str) -> str:
+    """The JSON text of a plan for `problem`, whose environment has the digest `World.digest`.
+
+    Raises InvalidValueError for a change set over transformations or targets: planners change units.
+    """
+    return json.dumps(plain_plan(plan, problem, digest), indent=2, ensure_ascii=False) + "\n"
+
+
+def plain_plan(plan: Plan, problem: Problem, digest: str) -> dict[str, Any]:
+    """A plan as mappings and lists; see `dump_plan`."""
+    return {
+        "format_version": FORMAT_VERSION,
+        "environment": digest,
+        "planner": plan.planner,
+        "status": plan.status.value,
+        "horizon_s": problem.horizon_s,
+        "max_cost_us": problem.max_cost_us,
+        "cost_us": plan.cost_us,
+        "cost_s": None if plan.cost_us is None else float(seconds(plan.cost_us)),
+        "bound_us": plan.bound_us,
+        "bound_s": float(seconds(plan.bound_us)),
+        "gap": plan.gap,
+        "change_set": None if plan.change_set is None else _change_set(plan.change_set, problem),
+        "reasons": dict(plan.reasons),
+        "unused_required": list(plan.unused_required),
+        "seconds": dict(plan.seconds),
+        "counts": dict(plan.counts),
+    }
+
+
+def load_plan(path: str | os.PathLike[str], digest: str | None = None) -> Plan:
+    """The plan in a file; raises InputError, also if it was made for another environment than `digest`."""
+    source = read_json(read_text(FilePath(path)), str(path))
+    if source.faults:
+        raise InputError(source.faults)
+    try:
+        part = PlanPart.model_validate(source.data)
+    except ValidationError as error:
+        raise InputError(schema_faults(source, (), error.errors(include_url=False), PlanPart)) from None
+    if digest is not None and part.environment != digest:
+        message = "the plan is stale: it was made for another environment, or this one has changed since"
+        raise InputError([source.fault(("environment",), message, "solve again to get a plan for this environment")])
+    try:
+        return _plan(part)
+    except InvalidValueError as error:
+        raise InputError(
+            [source.fault(("change_set",), str(error), "write the plan anew with `solve --out`")]
+        ) from None
+
+
+def _change_set(change_set: ChangeSet, problem: Problem) -> dict[str, Any]:
+    units = ChangeSet(change_set.started, change_set.rewired, change_set.stopped)
+    if units != change_set:
+        raise InvalidValueError("a plan file holds changes of units, not of transformations or targets")
+    return {
+        "started": [_unit(unit, problem, starts=True) for unit in change_set.started],
+        "rewired": [_unit(unit, problem, starts=False) for unit in change_set.rewired],
+        "stopped": list(change_set.stopped),
+    }
+
+
+def _unit(unit: ComputationUnit, problem: Problem, *, starts: bool) -> dict[str, Any]:
+    transformation = problem.environment.transformation[unit.transformation]
+    return {
+        **plain_unit(unit),
+        "labor_us": transformation.labor_us if starts else 0,
+        "upkeep_us": transformation.upkeep_us,
+    }
+
+
+def _plan(part: PlanPart) -> Plan:
+    change_set = None
+    if part.change_set is not None:
+        change_set = ChangeSet(
+            _units(part.change_set.started), _units(part.change_set.rewired), tuple(part.change_set.stopped)
+        )
+    return Plan(
+        part.planner,
+        Status(part.status),
+        change_set,
+        part.cost_us,
+        part.bound_us,
+        part.reasons,
+        tuple(part.unused_required),
+        _floats(part.seconds),
+        part.counts,
+    )
+
+
+def _units(parts: Sequence[PlannedUnit]) -> tuple[ComputationUnit, ...]:
+    return tuple(
+        ComputationUnit(
+            part.id,
+            part.transformation,
+            tuple(Subscription(port, Stream.parse(stream)) for port, stream in part.inputs.items()),
+            tuple(Publication(port, topic) for port, topics in part.topics.items() for topic in topics),
+        )
+        for part in parts
+    )
+
+
+def _floats(values: Mapping[str, Any]) -> dict[str, float]:
+    return {name: float(value) for name, value in values.items() if not isinstance(value, str | list | dict | None)}
