@@ -39,7 +39,7 @@ class Instance:
         return hashlib.sha256(self.text.encode()).hexdigest()[:16]
 
 
-def generated(family: str, *, seed: int = 0, **parameters: object) -> Instance:
+def generated(family: str, seed: int = 0, /, **parameters: object) -> Instance:
     """An instance of a registered family. Raises InputError for an unknown one or unfit parameters."""
     if family not in FAMILIES:
         raise InputError.of(f"there is no family {family!r}", mend=f"there are {', '.join(sorted(FAMILIES))}")

@@ -24,8 +24,8 @@ def filtered_by_feedback() -> Problem:
 
 
 INSTANCES = [
-    generated("random_library", seed=3, transformations=40, running=0.3),
-    generated("replanning", seed=4, transformations=40, failures=2),
+    generated("random_library", 3, transformations=40, running=0.3),
+    generated("replanning", 4, transformations=40, failures=2),
     generated("adversarial", kind="ring", size=4),
     generated("adversarial", kind="fusion", size=3),
     given("feedback", filtered_by_feedback()),

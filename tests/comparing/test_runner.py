@@ -159,7 +159,7 @@ def test_a_line_that_is_no_row_is_named(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("family", ["random_library", "replanning"])
 def test_a_problem_survives_the_way_to_another_process(family: str) -> None:
-    problem = generated(family, seed=2).problem
+    problem = generated(family, 2).problem
     back = restored(json.loads(json.dumps(document(problem))))
     assert (back.environment, back.similarity.offers) == (problem.environment, problem.similarity.offers)
     assert (back.horizon_s, back.max_cost_us) == (problem.horizon_s, problem.max_cost_us)

@@ -1,0 +1,147 @@
+"""Tables of results, as plain cells and as Markdown."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from math import exp, log
+from statistics import median
+
+from cfgplan.comparing.invariants import Reference, by_instance, gap, references
+from cfgplan.comparing.rows import PROVEN, Failure, Row
+from cfgplan.planning import Status
+
+LEAST_S = 1e-4
+"""Times below are taken for this when ratios are formed."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A title, the heads of the columns, and a row of texts for each line."""
+
+    title: str
+    heads: tuple[str, ...]
+    lines: tuple[tuple[str, ...], ...]
+
+    def markdown(self) -> str:
+        lines = [self.heads, ("---",) * len(self.heads), *self.lines]
+        body = "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
+        return f"### {self.title}\n\n{body}\n"
+
+
+def overview(rows: Sequence[Row], *, base: str = "cpsat") -> Table:
+    """A line for each planner over all instances: what it proved, found, how dear, how fast against `base`."""
+    reference = references(rows)
+    heads = (
+        "planner",
+        "runs",
+        "proven",
+        "plan, cost not proven",
+        "no answer in time",
+        "refused",
+        "failed",
+        "judged false",
+        "median gap",
+        "worst gap",
+        f"time to proof / {base}'s",
+        "peak MB",
+    )
+    lines = tuple(_line(rows, planner, base, reference) for planner in planners(rows))
+    return Table("All instances", heads, lines)
+
+
+def by_family(rows: Sequence[Row]) -> Table:
+    """For each family and planner how many instances were proven, out of those that it did not refuse."""
+    names = planners(rows)
+    lines = []
+    for kind in dict.fromkeys(_kind(row) for row in rows):
+        group = [row for row in rows if _kind(row) == kind]
+        cells = []
+        for name in names:
+            own = [row for row in group if row.planner == name]
+            tried = [row for row in own if row.outcome not in (Failure.REFUSED, Failure.UNAVAILABLE)]
+            gaps = [g for row in tried if (g := gap(row, references(group))) is not None]
+            worst = f", gap to {max(gaps):.0%}" if gaps and max(gaps) >= 0.005 else ""
+            cells.append(f"{sum(row.proven for row in tried)} of {len(tried)}{worst}" if tried else "-")
+        lines.append((kind, str(len(by_instance(group))), *cells))
+    return Table(
+        "Proven by family, with the worst gap of what was found", ("family", "instances", *names), tuple(lines)
+    )
+
+
+def detail(rows: Sequence[Row]) -> Table:
+    """Every run: its time to proof, or the gap of what it found, or how it failed."""
+    names = planners(rows)
+    reference = references(rows)
+    lines = []
+    for instance, group in by_instance(rows).items():
+        cell = {row.planner: _cell(row, reference) for row in group}
+        best = reference.get(instance)
+        cost = f"{best.cost_us / 1e6:g}{'' if best.proven else ' ?'}" if best else "none"
+        lines.append((instance[0], cost, *(cell.get(name, "") for name in names)))
+    return Table(
+        "Every run: seconds to proof, or the gap of an unproven plan", ("instance", "least cost", *names), tuple(lines)
+    )
+
+
+def planners(rows: Iterable[Row]) -> tuple[str, ...]:
+    """The planners in the order of their first rows."""
+    return tuple(dict.fromkeys(row.planner for row in rows))
+
+
+def ratio_to(rows: Sequence[Row], planner: str, base: str) -> tuple[float | None, int]:
+    """Geometric mean of time to proof against `base`'s, over the instances that both proved, and their number."""
+    proof: dict[str, dict[tuple[str, str], float]] = defaultdict(dict)
+    for row in rows:
+        if row.proof_s is not None:
+            proof[row.planner][row.instance, row.digest] = max(LEAST_S, row.proof_s)
+    both = proof[planner].keys() & proof[base].keys()
+    if not both:
+        return None, 0
+    return exp(sum(log(proof[planner][key] / proof[base][key]) for key in both) / len(both)), len(both)
+
+
+def _line(
+    rows: Sequence[Row], planner: str, base: str, reference: Mapping[tuple[str, str], Reference]
+) -> tuple[str, ...]:
+    own = [row for row in rows if row.planner == planner]
+    count = Counter(_class(row) for row in own)
+    gaps = [g for row in own if (g := gap(row, reference)) is not None]
+    peaks = [row.peak_mb for row in own if row.peak_mb is not None]
+    ratio, number = ratio_to(rows, planner, base)
+    return (
+        planner,
+        str(len(own)),
+        *(str(count[name]) for name in ("proven", "plan", "nothing", "refused", "failed")),
+        str(sum(bool(row.violations) for row in own)),
+        f"{median(gaps):.1%}" if gaps else "-",
+        f"{max(gaps):.0%}" if gaps else "-",
+        f"{ratio:.2g} ({number})" if ratio is not None else "-",
+        f"{max(peaks):.0f}" if peaks else "-",
+    )
+
+
+def _class(row: Row) -> str:
+    if row.proven:
+        return "proven"
+    if row.has_plan:
+        return "plan"
+    if row.outcome in (Failure.REFUSED, Failure.UNAVAILABLE):
+        return "refused"
+    return "nothing" if row.outcome in (Status.UNKNOWN, Failure.KILLED) else "failed"
+
+
+def _cell(row: Row, reference: Mapping[tuple[str, str], Reference]) -> str:
+    if row.proof_s is not None:
+        word = f" ({row.outcome})" if row.outcome in PROVEN and not row.has_plan else ""
+        return f"{row.proof_s:.3g}{word}"
+    found = gap(row, reference)
+    if found is not None:
+        return f"+{found:.1%}"
+    return "no plan" if row.outcome == Status.UNKNOWN else str(row.outcome)
+
+
+def _kind(row: Row) -> str:
+    kind = row.parameters.get("kind") or row.parameters.get("event")
+    return f"{row.family}: {kind}" if kind else row.family
