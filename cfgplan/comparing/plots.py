@@ -1,0 +1,223 @@
+"""Plots of results with matplotlib (extra `plots`): scaling, gaps, performance profiles, anytime curves."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from pathlib import Path
+from statistics import median
+from typing import TYPE_CHECKING
+
+from cfgplan.comparing.invariants import by_instance, gap, references
+from cfgplan.comparing.rows import Failure, Row
+from cfgplan.comparing.tables import LEAST_S, planners
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+COLOURS = ("#0072b2", "#d55e00", "#e69f00", "#999999", "#009e73", "#56b4e9", "#cc79a7", "#000000", "#8c564b", "#bcbd22")
+"""Okabe and Ito's palette first: distinct for colour-blind eyes."""
+MARKERS = "os^vDPX*<>"
+LEAST_GAP = 1e-3
+
+
+def write_plots(rows: Sequence[Row], folder: Path) -> list[Path]:
+    """Write every plot that the rows have something for, as PNG; returns the files. Raises ImportError."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    figures = {
+        "scaling": scaling(rows),
+        "gaps": gap_profile(rows),
+        "performance": performance_profile(rows),
+        "anytime": anytime(rows),
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    for name, figure in figures.items():
+        if figure is not None:
+            path = folder / f"{name}.png"
+            figure.savefig(path, dpi=110, metadata={"Software": None})
+            written.append(path)
+    return written
+
+
+def scaling(rows: Sequence[Row]) -> Figure | None:
+    """Time to proof against every parameter that is varied by itself; what is not proven lies hollow at its end."""
+    panels = _series(rows)
+    if not panels:
+        return None
+    figure, axes = _grid(len(panels), 3)
+    for axis, ((title, name), points) in zip(axes, sorted(panels.items()), strict=False):
+        for planner, style in _styles(rows).items():
+            xs = sorted({x for x, row in points if row.planner == planner and row.total_s is not None})
+            at = {x: [row for value, row in points if (value, row.planner) == (x, planner)] for x in xs}
+            times = {x: median(max(LEAST_S, row.total_s or row.time_limit_s) for row in at[x]) for x in xs}
+            axis.plot(xs, [times[x] for x in xs], color=style["color"], linewidth=1)
+            for proven in (True, False):
+                some = [x for x in xs if all(row.proven for row in at[x]) == proven]
+                face = style["color"] if proven else "white"
+                axis.scatter(
+                    some,
+                    [times[x] for x in some],
+                    s=22,
+                    marker=style["marker"],
+                    color=style["color"],
+                    facecolor=face,
+                    zorder=3,
+                )
+        axis.set_yscale("log")
+        axis.set_title(title, fontsize=9)
+        axis.set_xlabel(name, fontsize=8)
+        positive = [x for x, _ in points if x > 0]
+        if max(positive, default=1) / min(positive, default=1) > 30 and len(positive) == len(points):
+            axis.set_xscale("log")
+    figure.supylabel("seconds to the end; hollow: not proven", fontsize=9)
+    return _with_legend(figure, rows)
+
+
+def gap_profile(rows: Sequence[Row]) -> Figure | None:
+    """The share of instances on which each planner's plan is at most so much dearer than the least known cost."""
+    import matplotlib.pyplot as plt
+
+    reference = references(rows)
+    if not reference:
+        return None
+    figure, axis = plt.subplots(figsize=(7, 4.6), layout="constrained")
+    for planner, style in _styles(rows).items():
+        tried = _tried(rows, planner)
+        gaps = sorted(g for row in tried if (g := gap(row, reference)) is not None)
+        if tried:
+            xs = [LEAST_GAP, *(max(LEAST_GAP, g) for g in gaps), 100]
+            ys = [0, *((i + 1) / len(tried) for i in range(len(gaps))), len(gaps) / len(tried)]
+            axis.step(xs, ys, where="post", color=style["color"], label=f"{planner} ({len(tried)})")
+    axis.set_xscale("log")
+    axis.set_xlim(LEAST_GAP, 100)
+    axis.set_ylim(0, 1.02)
+    axis.set_xticks([0.001, 0.01, 0.1, 1, 10, 100], ["0.1 %\nor none", "1 %", "10 %", "100 %", "1,000 %", "10,000 %"])
+    axis.set_xlabel("gap to the least known cost")
+    axis.set_ylabel("share of instances tried")
+    axis.legend(fontsize=8, loc="lower right")
+    axis.grid(alpha=0.3)
+    return figure
+
+
+def performance_profile(rows: Sequence[Row]) -> Figure | None:
+    """The share of instances that each planner proves within a multiple of the fastest's time (Dolan and More 2002)."""
+    import matplotlib.pyplot as plt
+
+    groups = by_instance(rows).values()
+    fastest = [min((max(LEAST_S, r.proof_s) for r in group if r.proof_s is not None), default=None) for group in groups]
+    counted = sum(best is not None for best in fastest)
+    if not counted:
+        return None
+    figure, axis = plt.subplots(figsize=(7, 4.6), layout="constrained")
+    for planner, style in _styles(rows).items():
+        ratios = sorted(
+            max(LEAST_S, row.proof_s) / best
+            for group, best in zip(groups, fastest, strict=True)
+            for row in group
+            if row.planner == planner and row.proof_s is not None and best is not None
+        )
+        xs, ys = [1.0, *ratios, 1e5], [0, *((i + 1) / counted for i in range(len(ratios))), len(ratios) / counted]
+        if ratios:
+            axis.step(xs, ys, where="post", color=style["color"], label=planner)
+    axis.set_xscale("log")
+    axis.set_xlim(1, 1e5)
+    axis.set_ylim(0, 1.02)
+    axis.set_xlabel("time to proof as a multiple of the fastest planner's")
+    axis.set_ylabel(f"share of {counted} instances that anyone proved")
+    axis.legend(fontsize=8, loc="lower right")
+    axis.grid(alpha=0.3)
+    return figure
+
+
+def anytime(rows: Sequence[Row], most: int = 6) -> Figure | None:
+    """How far each planner's best plan was from the least cost over time, on the instances that were proven last."""
+    reference = references(rows)
+    groups = {key: group for key, group in by_instance(rows).items() if key in reference}
+
+    def hardness(key: tuple[str, str]) -> float:
+        return min((row.proof_s for row in groups[key] if row.proof_s is not None), default=float("inf"))
+
+    hardest = sorted(groups, key=lambda key: (-hardness(key), key))[:most]
+    if not hardest:
+        return None
+    figure, axes = _grid(len(hardest), 3)
+    for axis, key in zip(axes, hardest, strict=False):
+        least_us = max(1, reference[key].cost_us)
+        for row in groups[key]:
+            style = _styles(rows)[row.planner]
+            points = [(max(LEAST_S, when), cost) for when, cost, _ in row.trace if cost is not None]
+            if row.has_plan and row.cost_us is not None:
+                points.append((max(LEAST_S, row.best_s or 0.0), row.cost_us))
+            points.sort()
+            if points:
+                xs = [x for x, _ in points] + [row.time_limit_s]
+                ys = [max(LEAST_GAP, cost / least_us - 1) for _, cost in points]
+                axis.step(xs, [*ys, ys[-1]], where="post", color=style["color"], linewidth=1.4)
+                axis.scatter(xs[0], ys[0], s=18, marker=style["marker"], color=style["color"], zorder=3)
+        axis.set_xscale("log")
+        axis.set_yscale("log")
+        axis.set_ylim(LEAST_GAP * 0.8)
+        axis.set_title(key[0].replace("#", " #"), fontsize=7)
+    figure.supxlabel("seconds", fontsize=9)
+    figure.supylabel("gap to the least known cost (0.001: at most that)", fontsize=9)
+    return _with_legend(figure, rows)
+
+
+def _series(rows: Sequence[Row]) -> dict[tuple[str, str], list[tuple[float, Row]]]:
+    """Rows by (what stays the same, which parameter varies), for each number that takes three values or more."""
+    found: dict[tuple[str, str], list[tuple[float, Row]]] = defaultdict(list)
+    for row in rows:
+        for name, value in row.parameters.items():
+            if isinstance(value, int | float) and row.outcome not in (Failure.REFUSED, Failure.UNAVAILABLE):
+                same = ", ".join(f"{k}={v}" for k, v in row.parameters.items() if k != name)
+                found[f"{row.family}{f' ({same})' if same else ''}", name].append((float(value), row))
+    return {key: points for key, points in found.items() if len({x for x, _ in points}) >= 3}
+
+
+def _tried(rows: Sequence[Row], planner: str) -> list[Row]:
+    refused = (Failure.REFUSED, Failure.UNAVAILABLE)
+    solvable = references(rows)
+    return [
+        row
+        for row in rows
+        if row.planner == planner and row.outcome not in refused and (row.instance, row.digest) in solvable
+    ]
+
+
+def _styles(rows: Sequence[Row]) -> dict[str, dict[str, str]]:
+    return {
+        planner: {"color": COLOURS[i % len(COLOURS)], "marker": MARKERS[i % len(MARKERS)]}
+        for i, planner in enumerate(planners(rows))
+    }
+
+
+def _grid(count: int, width: int) -> tuple[Figure, list[Axes]]:
+    import matplotlib.pyplot as plt
+
+    columns = min(count, width)
+    lines = -(-count // columns)
+    figure, axes = plt.subplots(
+        lines, columns, figsize=(3.8 * columns, 2.7 * lines + 0.7), layout="constrained", squeeze=False
+    )
+    flat = [axis for line in axes for axis in line]
+    for axis in flat[count:]:
+        axis.set_visible(False)
+    for axis in flat:
+        axis.grid(alpha=0.3)
+        axis.tick_params(labelsize=7)
+    return figure, flat
+
+
+def _with_legend(figure: Figure, rows: Sequence[Row]) -> Figure:
+    from matplotlib.lines import Line2D
+
+    handles = [
+        Line2D([], [], color=style["color"], marker=style["marker"], markersize=5, label=planner)
+        for planner, style in _styles(rows).items()
+    ]
+    figure.legend(handles=handles, loc="outside upper center", ncols=5, fontsize=8, frameon=False)
+    return figure

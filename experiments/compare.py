@@ -1,0 +1,62 @@
+"""The planner comparison with the peers: `python -m experiments.compare --short` or `--full`.
+
+Run from the checkout with `pip install -e '.[peers,plots]'`. An interrupted comparison goes on where it was.
+`cfgplan compare` does the same for your own files, without the peers.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from rich.console import Console
+
+from cfgplan.comparing import REGISTERED, Limits, read_rows, run
+from cfgplan.comparing.bar import progress_bar
+from cfgplan.comparing.invariants import breaches
+from cfgplan.comparing.report import write_report
+from cfgplan.comparing.suites import SUITES
+from experiments.peers import PEERS
+
+ENTRANTS = {**REGISTERED, **PEERS}
+FULL_REPORT = Path(__file__).parent / "report"
+SHORT_REPORT = Path("build", "compare")
+SECONDS = {"short": 2.0, "full": 5.0}
+
+
+def main() -> int:
+    options = _options()
+    folder = options.report or (FULL_REPORT if options.suite == "full" else SHORT_REPORT)
+    results = folder / "results.jsonl"
+    console = Console(stderr=True)
+    if options.report_only:
+        rows = read_rows(results)
+    else:
+        instances = list(SUITES[options.suite]())
+        entrants = [ENTRANTS[name] for name in options.planner or ENTRANTS]
+        limits = Limits(time_limit_s=options.timeout or SECONDS[options.suite])
+        with progress_bar(console) as watch:
+            rows = run(instances, entrants, limits, results, watch=watch)
+    for path in write_report(rows, folder):
+        print(path)
+    found = breaches(rows)
+    for text in found:
+        print(f"CONTRADICTION: {text}", file=sys.stderr)
+    return 1 if found else 0
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    which = parser.add_mutually_exclusive_group(required=True)
+    which.add_argument("--short", dest="suite", action="store_const", const="short", help="under five minutes")
+    which.add_argument("--full", dest="suite", action="store_const", const="full", help="the study: half an hour")
+    parser.add_argument("--planner", action="append", choices=ENTRANTS, help="only these (all of them)")
+    parser.add_argument("--timeout", type=float, metavar="S", help="seconds for a run (short: 2, full: 5)")
+    parser.add_argument("--report", type=Path, metavar="DIR", help="where results, tables and plots go")
+    parser.add_argument("--report-only", action="store_true", help="write the report again from the results there")
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
