@@ -1,11 +1,11 @@
 """cfgplan wires stream-processing components by meaning, as cheaply as possible, and proves it.
 
-    import cfgplan
+import cfgplan
 
-    world = cfgplan.load("models/nao/2-segmenter-lost.yaml")
-    problem = cfgplan.match(world)
-    plan = cfgplan.plan(problem)
-    after = problem.environment.update(plan.change_set)
+world = cfgplan.load("models/nao/2-segmenter-lost.yaml")
+problem = cfgplan.match(world)
+plan = cfgplan.plan(problem)
+after = problem.environment.update(plan.change_set)
 """
 
 from __future__ import annotations

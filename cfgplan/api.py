@@ -5,9 +5,11 @@ The rooms for formats, matching and planners know nothing of each other; here th
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from tempfile import NamedTemporaryFile
 from typing import TYPE_CHECKING
@@ -15,7 +17,7 @@ from typing import TYPE_CHECKING
 from cfgplan import validity
 from cfgplan.domain import Environment, Similarity
 from cfgplan.errors import CfgplanError, InputError
-from cfgplan.matching import REASONERS, Matching, MatchExplanation, Nearest, Ontology, load_ontology
+from cfgplan.matching import REASONERS, MatchExplanation, Matching, Nearest, Ontology, load_ontology
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import Plan, Problem, Progress
 from cfgplan.validity import Violation
@@ -47,6 +49,14 @@ class World:
     horizon_s: int
     max_cost_us: int | None = None
     file: formats.World | None = None
+
+    @cached_property
+    def digest(self) -> str:
+        """A hash of all that a plan depends on; a plan file carries it, so that a stale plan is noticed."""
+        from cfgplan import formats
+
+        file = self.file or formats.World(Path(), self.environment, self.horizon_s, self.max_cost_us)
+        return file.digest
 
 
 def load(path: str | os.PathLike[str]) -> World:
@@ -151,6 +161,20 @@ def violations(environment: Environment, similarity: Similarity) -> list[Violati
 def plan_violations(problem: Problem, plan: Plan) -> list[Violation]:
     """Every way in which a plan is not what it says; see `cfgplan.validity`."""
     return validity.plan_violations(problem, plan)
+
+
+def plan_text(world: World, problem: Problem, plan: Plan) -> str:
+    """The plan file (JSON) of a plan: what `solve --out` writes."""
+    from cfgplan.formats import dump_plan
+
+    return dump_plan(plan, problem, world.digest)
+
+
+def schema_text() -> str:
+    """The JSON Schema of the environment file."""
+    from cfgplan.formats import environment_schema
+
+    return json.dumps(environment_schema(), indent=2, ensure_ascii=False) + "\n"
 
 
 class _OntologyVocabulary:

@@ -18,8 +18,7 @@ VERBS = (check, match, solve, graph, importing, exporting)
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns its exit code."""
-    parser = _parser()
-    options = parser.parse_args(arguments)
+    options = _parser().parse_args(arguments)
     screen = Screen(json=getattr(options, "json", False))
     try:
         code = int(options.run(options, screen))

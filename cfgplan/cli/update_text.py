@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from rich.text import Text
 
-from cfgplan.costs import keep_cost_us, seconds, start_cost_us
+from cfgplan.costs import keep_cost_us, seconds
 from cfgplan.domain import ComputationUnit, Environment
 from cfgplan.planning import Plan, Problem, Status
 

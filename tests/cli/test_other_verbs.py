@@ -8,7 +8,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-
 from command import MODELS, Run
 
 LOST = MODELS / "nao" / "2-segmenter-lost.yaml"
