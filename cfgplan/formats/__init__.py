@@ -1,13 +1,16 @@
 """File formats: environment files in YAML, JSON and the paper's XML, plan files, and importers."""
 
 from cfgplan.formats.building import build
+from cfgplan.formats.conversion import as_xml, as_yaml
 from cfgplan.formats.document import Document, read_document
 from cfgplan.formats.dump import dump_environment
 from cfgplan.formats.places import Place
+from cfgplan.formats.plain import plain_environment
 from cfgplan.formats.plan_file import dump_plan, load_plan, plain_plan, plan_schema
 from cfgplan.formats.schema import environment_schema
 from cfgplan.formats.vocabulary import BadClassError, BadTagError, Vocabulary
 from cfgplan.formats.world import World, environment_digest
+from cfgplan.formats.xml_dump import dump_xml
 
 __all__ = [
     "BadClassError",
@@ -16,12 +19,16 @@ __all__ = [
     "Place",
     "Vocabulary",
     "World",
+    "as_xml",
+    "as_yaml",
     "build",
     "dump_environment",
     "dump_plan",
+    "dump_xml",
     "environment_digest",
     "environment_schema",
     "load_plan",
+    "plain_environment",
     "plain_plan",
     "plan_schema",
     "read_document",

@@ -11,10 +11,11 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from cfgplan.errors import Fault, InputError
+from cfgplan.formats.files import is_folder, read_source
 from cfgplan.formats.garbage import no_garbage_collection
-from cfgplan.formats.json_text import read_json
-from cfgplan.formats.places import Path, Source
+from cfgplan.formats.places import Path, Source, Spot
 from cfgplan.formats.schema import (
+    DEFAULT_HORIZON_S,
     DefaultsPart,
     EnvironmentPart,
     IncludedPart,
@@ -23,10 +24,8 @@ from cfgplan.formats.schema import (
     UnitPart,
 )
 from cfgplan.formats.schema_faults import schema_faults
-from cfgplan.formats.yaml_text import read_yaml
 
-LARGEST_FILE_BYTES = 128 * 2**20
-SUFFIXES = (".yaml", ".yml", ".json")
+SUFFIXES = (".yaml", ".yml", ".json", ".xml")
 P = TypeVar("P", bound=BaseModel)
 
 Indexed = tuple[int, P]
@@ -61,7 +60,7 @@ class Document:
 
 
 def read_document(path: str | os.PathLike[str]) -> Document:
-    """Read an environment file (YAML or JSON) and its includes.
+    """Read an environment file (YAML, JSON or XML) and its includes, or a folder of the paper's XML.
 
     Faults are collected in the document, for `build` to report together with those it finds;
     InputError is raised only where there is nothing to go on with: a file that can't be read or parsed.
@@ -71,6 +70,8 @@ def read_document(path: str | os.PathLike[str]) -> Document:
 
 
 def _read_document(main: FilePath) -> Document:
+    if is_folder(main):
+        return _folder_of_xml(main)
     header, file, faults = _read_file(main, EnvironmentPart)
     ontology = header.ontology or []
     names = [ontology] if isinstance(ontology, str) else ontology
@@ -84,42 +85,6 @@ def _read_document(main: FilePath) -> Document:
         (file, *files),
         (*faults, *more),
     )
-
-
-def read_source(path: FilePath) -> Source:
-    """The plain data of a YAML or JSON file; raises InputError."""
-    text = read_text(path)
-    if path.suffix == ".json":
-        return read_json(text, str(path))
-    return read_yaml(text, str(path))
-
-
-def read_text(path: FilePath) -> str:
-    """The text of a UTF-8 file; raises InputError."""
-    name = str(path)
-    try:
-        with path.open("rb") as stream:
-            content = stream.read(LARGEST_FILE_BYTES + 1)
-    except FileNotFoundError:
-        raise InputError.of("there is no such file", file=name, mend="check the path") from None
-    except IsADirectoryError:
-        raise InputError.of("this is a folder, not a file", file=name, mend="name the file in it") from None
-    except PermissionError:
-        raise InputError.of("the file may not be read", file=name, mend="give yourself the right to read it") from None
-    except (OSError, ValueError) as error:
-        raise InputError.of(f"the file can't be read: {error}", file=name, mend="check the path") from None
-    if len(content) > LARGEST_FILE_BYTES:
-        raise InputError.of(
-            f"the file is larger than {LARGEST_FILE_BYTES // 2**20} MiB", file=name, mend="split it by `include:`"
-        )
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = content.count(b"\n", 0, error.start) + 1
-        fault = Fault(
-            f"byte {content[error.start]:#04x} is not UTF-8", name, line, mend="save the file in the encoding UTF-8"
-        )
-        raise InputError([fault]) from None
 
 
 def _read_file(path: FilePath, part: type[P]) -> tuple[P, File, list[Fault]]:
@@ -191,6 +156,16 @@ def _name(item: object, key: str) -> str | None:
     return name if isinstance(name, str) else None
 
 
+def _folder_of_xml(folder: FilePath) -> Document:
+    names = sorted(path.name for path in folder.iterdir() if path.suffix == ".xml" and path.is_file())
+    if not names:
+        mend = "name the file in it; only a folder of XML files loads as a whole"
+        raise InputError.of("this is a folder, not a file", file=str(folder), mend=mend)
+    whole = Source(str(folder), {}, lambda _path, _at_key: Spot(1, 1))
+    files, faults = _included(folder / "whole", whole, names)
+    return Document(folder, DEFAULT_HORIZON_S, None, DefaultsPart(), (), tuple(files), tuple(faults))
+
+
 def _included(main: FilePath, source: Source, names: list[str]) -> tuple[list[File], list[Fault]]:
     files: list[File] = []
     faults: list[Fault] = []
@@ -202,7 +177,7 @@ def _included(main: FilePath, source: Source, names: list[str]) -> tuple[list[Fi
         except OSError as error:
             members = []
             faults.append(source.fault(("include", index), f"{name} can't be read: {error.strerror}", "check the path"))
-        if path.is_dir() and not members:
+        if is_folder(path) and not members:
             mend = f"put files into it that end in {', '.join(SUFFIXES)}, or remove this entry"
             faults.append(source.fault(("include", index), f"the folder {name} has no environment files", mend))
         for member in members:
@@ -227,7 +202,7 @@ def _at_entry(fault: Fault, name: str, source: Source, entry: Path) -> Fault:
 
 
 def _members(path: FilePath, main: FilePath) -> list[FilePath]:
-    if not path.is_dir():
+    if not is_folder(path):
         return [path]
     found = sorted(p for p in path.iterdir() if p.suffix in SUFFIXES and p.is_file())
     return [p for p in found if _identity(p) != _identity(main)]

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from cfgplan.costs import seconds
 from cfgplan.domain import ChangeSet, ComputationUnit, Publication, Stream, Subscription
 from cfgplan.errors import InputError, InvalidValueError
-from cfgplan.formats.document import read_text
+from cfgplan.formats.files import read_text
 from cfgplan.formats.json_text import read_json
 from cfgplan.formats.plain import plain_unit
 from cfgplan.formats.schema_faults import schema_faults

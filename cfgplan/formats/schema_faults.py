@@ -11,6 +11,7 @@ from pydantic import BaseModel
 
 from cfgplan.errors import Fault
 from cfgplan.formats.places import Path, Source
+from cfgplan.formats.scalars import resolve
 from cfgplan.formats.schema import (
     FORMAT,
     FULL_FORM,
@@ -119,15 +120,17 @@ def _wrong_kind(source: Source, path: Path, wanted: str, value: object) -> tuple
     if wanted == "text" and isinstance(value, list):
         return message, "write it in quotes: a text that begins with [ is read as a list"
     if isinstance(value, str) and wanted.startswith(("a number", "a whole")):
-        return (
-            message,
-            f"write a plain number, such as {'0.3' if wanted.startswith('a number') else '600'}, without quotes",
-        )
+        example = "0.3" if wanted.startswith("a number") else "600"
+        return message, f"write a plain number, such as {example}" + _if_quoted(value)
     if isinstance(value, str) and wanted == "true or false":
-        return message, "write true or false without quotes"
+        return message, "write true or false" + _if_quoted(value)
     if wanted == "a list":
         return message, "begin each entry with `- `"
     return message, f"write {wanted} here"
+
+
+def _if_quoted(value: str) -> str:
+    return "" if isinstance(resolve(value), str) else ", without quotes"
 
 
 def _described(value: object) -> str:

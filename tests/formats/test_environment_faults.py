@@ -9,7 +9,7 @@ import pytest
 from loading import faults_of, load, only_fault, place_of
 
 from cfgplan.errors import InputError
-from cfgplan.formats import document, read_document
+from cfgplan.formats import files, read_document
 
 HEAD = "format: cfgplan/1\n"
 A = "transformations:\n  - {label: a, inputs: {i: T}, outputs: {o: T, p: T}}\n"
@@ -206,13 +206,13 @@ def test_a_nest_of_aliases_is_refused_before_it_grows(tmp_path: Path) -> None:
 
 
 def test_a_file_that_is_too_large_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(document, "LARGEST_FILE_BYTES", 2**20)
+    monkeypatch.setattr(files, "LARGEST_FILE_BYTES", 2**20)
     fault = only_fault(tmp_path, HEAD + "#" * 2**20)
     assert fault.message == "the file is larger than 1 MiB"
 
 
 def test_a_file_that_never_ends_is_too_large(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(document, "LARGEST_FILE_BYTES", 2**20)
+    monkeypatch.setattr(files, "LARGEST_FILE_BYTES", 2**20)
     with pytest.raises(InputError, match="larger than 1 MiB"):
         read_document("/dev/zero")
 

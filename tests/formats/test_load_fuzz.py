@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from loading import load, load_text
 
 from cfgplan.errors import InputError
-from cfgplan.formats import dump_environment
+from cfgplan.formats import dump_environment, dump_xml
 from cfgplan.formats.dump import dump_yaml
 from cfgplan.formats.yaml_text import read_yaml
 
@@ -32,9 +32,9 @@ units:
   - {id: v, transformation: a(puff), inputs: {i: u/o}}
 targets: [{label: t, topic: /t, tag: T, priority: 1}]
 """
-PIECES = st.sampled_from(
-    [*"{}[]:,-?#&*!|>'\"%@` \n\t\r$\\\0", "\x85", "é", "${", "<<: ", "&y ", "*y ", "---\n", "1e9", "null"]
-)
+_CHARACTERS = "{}[]:,-?#&*!|>'\"%@` \n\t\r$\\\0\x85é</"
+_WORDS = "${ <<: &y *y --- 1e9 null &amp; ]]> .inf"
+PIECES = st.sampled_from([*_CHARACTERS, *_WORDS.split()])
 
 
 @st.composite
@@ -45,6 +45,13 @@ def mutations(draw: st.DrawFn, text: str) -> str:
         end = draw(st.integers(start, min(len(text), start + 12)))
         text = text[:start] + draw(st.one_of(st.just(""), PIECES, st.text(max_size=4).filter(_is_text))) + text[end:]
     return text
+
+
+def as_xml_text(text: str) -> str:
+    """A YAML environment as XML."""
+    data = read_yaml(text, "env.yaml").data
+    assert isinstance(data, dict)
+    return dump_xml(data)
 
 
 def _is_text(text: str) -> bool:
@@ -75,10 +82,17 @@ def test_a_mutated_json_file_loads_or_has_faults(data: st.DataObject) -> None:
     _loads_or_has_faults(data.draw(mutations(text)).encode(), "env.json")
 
 
+@given(st.data())
+@settings(max_examples=250, deadline=None)
+def test_a_mutated_xml_file_loads_or_has_faults(data: st.DataObject) -> None:
+    text = as_xml_text(VALID)
+    _loads_or_has_faults(data.draw(mutations(text)).encode(), "env.xml")
+
+
 @given(st.binary(max_size=60))
 @settings(max_examples=150, deadline=None)
 def test_any_bytes_load_or_have_faults(content: bytes) -> None:
-    for name in ("env.yaml", "env.json"):
+    for name in ("env.yaml", "env.json", "env.xml"):
         _loads_or_has_faults(content, name)
 
 

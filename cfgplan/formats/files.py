@@ -1,0 +1,63 @@
+"""Files to plain data: whatever keeps a file from being read is one clear fault."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from cfgplan.errors import Fault, InputError
+from cfgplan.formats.json_text import read_json
+from cfgplan.formats.places import Source
+from cfgplan.formats.xml_text import read_xml
+from cfgplan.formats.yaml_text import read_yaml
+
+LARGEST_FILE_BYTES = 128 * 2**20
+
+
+def read_source(path: Path) -> Source:
+    """The plain data of a YAML, JSON or XML file; raises InputError."""
+    if path.suffix == ".xml":
+        return read_xml(read_bytes(path), str(path))
+    text = read_text(path)
+    if path.suffix == ".json":
+        return read_json(text, str(path))
+    return read_yaml(text, str(path))
+
+
+def read_text(path: Path) -> str:
+    """The text of a UTF-8 file; raises InputError."""
+    content = read_bytes(path)
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        message = f"byte {content[error.start]:#04x} is not UTF-8"
+        raise InputError([Fault(message, str(path), line, mend="save the file in the encoding UTF-8")]) from None
+
+
+def read_bytes(path: Path) -> bytes:
+    """The content of a file that is not too large; raises InputError."""
+    name = str(path)
+    try:
+        with path.open("rb") as stream:
+            content = stream.read(LARGEST_FILE_BYTES + 1)
+    except FileNotFoundError:
+        raise InputError.of("there is no such file", file=name, mend="check the path") from None
+    except IsADirectoryError:
+        raise InputError.of("this is a folder, not a file", file=name, mend="name the file in it") from None
+    except PermissionError:
+        raise InputError.of("the file may not be read", file=name, mend="give yourself the right to read it") from None
+    except (OSError, ValueError) as error:
+        raise InputError.of(f"the file can't be read: {error}", file=name, mend="check the path") from None
+    if len(content) > LARGEST_FILE_BYTES:
+        raise InputError.of(
+            f"the file is larger than {LARGEST_FILE_BYTES // 2**20} MiB", file=name, mend="split it by `include:`"
+        )
+    return content
+
+
+def is_folder(path: Path) -> bool:
+    """Whether a path names a folder; a path that can't exist names none."""
+    try:
+        return path.is_dir()
+    except OSError:
+        return False

@@ -1,0 +1,113 @@
+"""XML as a tree of elements that know their places.
+
+Document types are refused outright, and with them every entity that could expand or reach outside; what
+is left of XML can't blow up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+from xml.parsers import expat
+
+from cfgplan.errors import Fault, InputError
+from cfgplan.formats.places import Spot
+
+DEEPEST_NESTING = 64
+_BLANK = " \t\r\n"
+_MENDS = {
+    expat.errors.XML_ERROR_JUNK_AFTER_DOC_ELEMENT: "wrap several elements into one, such as <environment>",
+    expat.errors.XML_ERROR_TAG_MISMATCH: "close the elements in the order in which they were opened",
+    expat.errors.XML_ERROR_UNDEFINED_ENTITY: "write &amp; for &, and &lt; for <",
+    expat.errors.XML_ERROR_UNKNOWN_ENCODING: "save the file in the encoding UTF-8",
+    expat.errors.XML_ERROR_NO_ELEMENTS: "write a <transformation> or a <target>",
+}
+
+
+@dataclass
+class Element:
+    """One element; `text` is without the blanks around it unless it has `xml:space="preserve"`."""
+
+    name: str
+    attributes: dict[str, str]
+    line: int
+    column: int
+    children: list[Element] = field(default_factory=list)
+    pieces: list[tuple[str, int, int]] = field(default_factory=list)
+
+    @property
+    def text(self) -> str:
+        whole = "".join(piece for piece, _, _ in self.pieces)
+        return whole if self.attributes.get("xml:space") == "preserve" else whole.strip(_BLANK)
+
+    @property
+    def spot(self) -> Spot:
+        """Where the element begins."""
+        return Spot(self.line, self.column)
+
+    @property
+    def text_spot(self) -> Spot:
+        """Where the text begins, or the element if it has none."""
+        written = [(p.lstrip(_BLANK), line, column + len(p) - len(p.lstrip(_BLANK))) for p, line, column in self.pieces]
+        written = [piece for piece in written if piece[0]]
+        if not written:
+            return Spot(self.line, self.column, "")
+        first, line, column = written[0]
+        return Spot(line, column, self.text, column if first.rstrip(_BLANK) == self.text else None)
+
+
+def parse_xml(content: bytes, file: str) -> Element:
+    """The root element of an XML text; raises InputError."""
+    return _Parsing(file).root(content)
+
+
+class _Parsing:
+    def __init__(self, file: str) -> None:
+        self._file = file
+        self._open: list[Element] = []
+        self._root: Element | None = None
+        self._parser = expat.ParserCreate()
+        self._parser.StartDoctypeDeclHandler = self._refuse_doctype
+        self._parser.StartElementHandler = self._start
+        self._parser.EndElementHandler = self._end
+        self._parser.CharacterDataHandler = self._text
+
+    def root(self, content: bytes) -> Element:
+        if not content.strip():
+            raise InputError.of("the file is empty", file=self._file, mend="write a <transformation> or a <target>")
+        try:
+            self._parser.Parse(content, True)
+        except expat.ExpatError as error:
+            message = expat.ErrorString(error.code)
+            mend = _MENDS.get(message, "mend the markup here")
+            fault = Fault(f"this is not XML: {message}", self._file, error.lineno, error.offset + 1, mend=mend)
+            raise InputError([fault]) from None
+        except (LookupError, ValueError) as error:
+            # An encoding that Python does not know, or one with several bytes a character.
+            raise InputError.of(f"this is not XML: {error}", file=self._file, mend="save it as UTF-8") from None
+        assert self._root is not None
+        return self._root
+
+    def _refuse_doctype(self, *_: Any) -> None:
+        self._stop("a document type is declared", "remove the line <!DOCTYPE ...>: entities are not supported")
+
+    def _start(self, name: str, attributes: dict[str, str]) -> None:
+        if len(self._open) >= DEEPEST_NESTING:
+            self._stop(f"elements are nested more than {DEEPEST_NESTING} deep", "flatten the document")
+        element = Element(name, attributes, self._parser.CurrentLineNumber, self._parser.CurrentColumnNumber + 1)
+        if self._open:
+            self._open[-1].children.append(element)
+        else:
+            self._root = element
+        self._open.append(element)
+
+    def _end(self, _: str) -> None:
+        self._open.pop()
+
+    def _text(self, text: str) -> None:
+        place = (self._parser.CurrentLineNumber, self._parser.CurrentColumnNumber + 1)
+        self._open[-1].pieces.append((text, *place))
+
+    def _stop(self, message: str, mend: str) -> None:
+        line, column = self._parser.CurrentLineNumber, self._parser.CurrentColumnNumber + 1
+        raise InputError([Fault(message, self._file, line, column, mend=mend)])

@@ -1,0 +1,247 @@
+"""The paper's XML specifications (Listings 1 and 2) as plain data in the environment file's form.
+
+What the paper's XML lacks is added as attributes (labor, upkeep, host, pinned, required, distinct, feedback,
+priority) and elements (unit, ontology, include, and the root environment with horizon and max_cost).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from decimal import Decimal
+from typing import Any
+
+from cfgplan.errors import Fault, InputError
+from cfgplan.formats.json_text import read_json
+from cfgplan.formats.places import Path, Source, Spot
+from cfgplan.formats.scalars import resolve
+from cfgplan.formats.schema import FORMAT
+from cfgplan.formats.schema_faults import did_you_mean
+from cfgplan.formats.xml_elements import Element, parse_xml
+
+_ATTRIBUTES = {
+    "transformation": ("type", "labor", "upkeep", "host", "pinned", "required"),
+    "target": ("priority",),
+    "unit": ("id", "transformation"),
+    "defaults": ("labor", "upkeep"),
+    "param": ("name", "type"),
+    "port": ("type", "distinct", "feedback"),
+    "tag": ("port",),
+    "input": ("port", "stream"),
+    "topic": ("port",),
+}
+_CHILDREN = {
+    "transformation": ("label", "source", "params", "ports", "tags"),
+    "target": ("label", "topic", "tag"),
+    "unit": ("input", "topic"),
+    "params": ("param",),
+    "ports": ("port",),
+    "tags": ("tag",),
+}
+_PARAM_TYPES = {"int": (int,), "double": (int, Decimal), "bool": (bool,), "null": (type(None),)}
+_SEVERAL = ("param", "port", "tag", "input", "topic")
+_ROOT_ATTRIBUTES = ("format", "horizon", "max_cost")
+_ROOT_CHILDREN = ("ontology", "include", "defaults", "transformation", "unit", "target")
+
+
+def read_xml(content: bytes, file: str) -> Source:
+    """Read a transformation, a target, or a root element with any number of them; raises InputError."""
+    reading = _Reading(file)
+    data = reading.environment(parse_xml(content, file))
+    return Source(file, data, reading.locate, tuple(reading.faults))
+
+
+class _Reading:
+    """One walk over the elements of a file."""
+
+    def __init__(self, file: str) -> None:
+        self.file = file
+        self.faults: list[Fault] = []
+        self._spots: dict[Path, Spot] = {}
+
+    def locate(self, path: Path, _at_key: bool) -> Spot:
+        """The spot of a path or of the nearest one above it."""
+        while path and path not in self._spots:
+            path = path[:-1]
+        return self._spots.get(path, Spot(1, 1))
+
+    def environment(self, root: Element) -> dict[str, Any]:
+        data: dict[str, Any] = {"format": FORMAT}
+        self._spots[()] = root.spot
+        if root.name in ("transformation", "target", "unit"):
+            root = Element("environment", {}, root.line, root.column, [root])
+        self._check(root, _ROOT_ATTRIBUTES, _ROOT_CHILDREN, several=_ROOT_CHILDREN)
+        if not root.children and not root.attributes:
+            self._note(root, f"<{root.name}> has no specification in it", "write a <transformation> or a <target>")
+        data |= self._attributes(root, (), {"format": str, "horizon": resolve, "max_cost": resolve})
+        for child in root.children:
+            if child.name in ("ontology", "include"):
+                entries = data.setdefault(child.name, [])
+                entries.append(self._text(child, (child.name, len(entries))))
+            elif child.name == "defaults":
+                self._check(child, _ATTRIBUTES["defaults"], ())
+                data["defaults"] = self._attributes(child, ("defaults",), {"labor": resolve, "upkeep": resolve})
+            elif child.name in ("transformation", "unit", "target"):
+                parts = data.setdefault(f"{child.name}s", [])
+                path = (f"{child.name}s", len(parts))
+                self._spots[path] = child.spot
+                self._check(child, _ATTRIBUTES[child.name], _CHILDREN[child.name])
+                parts.append(getattr(self, f"_{child.name}")(child, path))
+        return data
+
+    def _transformation(self, element: Element, path: Path) -> dict[str, Any]:
+        numbers = {"labor": resolve, "upkeep": resolve, "pinned": resolve, "required": resolve}
+        part = self._texts(element, path, ("label", "source"))
+        part |= self._attributes(element, path, {"host": str, **numbers})
+        if "type" in element.attributes:
+            part["kind"] = element.attributes["type"]
+        params = {}
+        for param in self._inside(element, "params", "param"):
+            name = self._required(param, "name")
+            if name is not None:
+                if name in params:
+                    self._note(param, f"the param `{name}` is there twice", "remove one of the two")
+                params[name] = self._param(param)
+                self._spots[*path, "params", name] = param.text_spot
+        if params:
+            part["params"] = params
+        return part | self._ports(element, path)
+
+    def _ports(self, element: Element, path: Path) -> dict[str, Any]:
+        tags: dict[str | None, Element] = {}
+        for tag in self._inside(element, "tags", "tag"):
+            tagged = self._required(tag, "port")
+            if tagged in tags:
+                self._note(tag, f"the port `{tagged}` has two tags", "remove one, or join them by `and`")
+            tags[tagged] = tag
+        ports: dict[str, dict[str, Any]] = {"inputs": {}, "outputs": {}}
+        for port in self._inside(element, "ports", "port"):
+            direction = port.attributes.get("type")
+            if direction not in ("in", "out"):
+                self._note(port, f"the port `{port.text}` has no direction", 'write type="in" or type="out"')
+                continue
+            key = f"{direction}puts"
+            name = port.text
+            if name in ports[key]:
+                self._note(port, f"the port `{name}` is there twice", "remove one of the two or rename it")
+            written = self._port(port, (*path, key, name), tags.pop(name, None))
+            if written is not None:
+                ports[key][name] = written
+        known = [port.text for port in self._inside(element, "ports", "port")]
+        for tagged, tag in tags.items():
+            if tagged is not None:
+                mend = did_you_mean(tagged, known, "add it to <ports>")
+                self._note(tag, f"a tag is for the port `{tagged}`, which is not there", mend)
+        return {key: value for key, value in ports.items() if value}
+
+    def _port(self, port: Element, path: Path, tag: Element | None) -> object:
+        self._spots[path] = port.spot
+        kinds: dict[str, Callable[[str], object]] = {"distinct": str, "feedback": resolve}
+        if port.attributes["type"] == "out":
+            for name in set(kinds) & set(port.attributes):
+                self._note(port, f"an output can't be {name}", f"remove the attribute {name}")
+            kinds = {}
+        more = self._attributes(port, path, kinds)
+        if tag is None:
+            self._note(port, f"the port `{port.text}` has no tag", f'add <tag port="{port.text}"> to <tags>')
+            return None
+        if more:
+            return {"tag": self._text(tag, (*path, "tag")), **more}
+        return self._text(tag, path)
+
+    def _param(self, param: Element) -> object:
+        kind = param.attributes.get("type", "string")
+        text = param.text
+        if kind == "string":
+            return text
+        if kind == "json":
+            try:
+                return read_json(text, self.file).data
+            except InputError as error:
+                self._note(param, error.faults[0].message, 'write JSON, or type="string"')
+                return None
+        value = resolve(text)
+        if kind not in _PARAM_TYPES:
+            known = [*_PARAM_TYPES, "string", "json"]
+            mend = did_you_mean(kind, known, f"the types are {', '.join(known)}")
+            self._note(param, f"unknown param type `{kind}`", mend)
+        elif type(value) not in _PARAM_TYPES[kind]:
+            self._note(param, f"{text!r} is no {kind}", 'mend the value, or write type="string"')
+        return Decimal(value) if kind == "double" and type(value) is int else value
+
+    def _unit(self, element: Element, path: Path) -> dict[str, Any]:
+        part: dict[str, Any] = self._attributes(element, path, {"id": str, "transformation": str})
+        for child in element.children:
+            port = self._required(child, "port")
+            if port is None or child.name not in ("input", "topic"):
+                continue
+            if child.name == "input":
+                inputs = part.setdefault("inputs", {})
+                if port in inputs:
+                    self._note(child, f"the input `{port}` is there twice", "remove one of the two")
+                inputs[port] = child.attributes.get("stream")
+                self._spots[*path, "inputs", port] = child.spot
+            else:
+                topics = part.setdefault("topics", {}).setdefault(port, [])
+                self._spots.setdefault((*path, "topics", port), child.spot)
+                topics.append(self._text(child, (*path, "topics", port, len(topics))))
+        return part
+
+    def _target(self, element: Element, path: Path) -> dict[str, Any]:
+        part = self._texts(element, path, ("label", "topic", "tag"))
+        return part | self._attributes(element, path, {"priority": resolve})
+
+    # --- what all elements have in common ---
+
+    def _check(
+        self,
+        element: Element,
+        attributes: tuple[str, ...],
+        children: tuple[str, ...],
+        several: tuple[str, ...] = _SEVERAL,
+    ) -> None:
+        for name in element.attributes:
+            if name not in attributes and name != "xml:space":
+                hint = f"its attributes are {', '.join(attributes)}" if attributes else "remove it"
+                mend = did_you_mean(name, attributes, hint)
+                self._note(element, f"<{element.name}> has the unknown attribute `{name}`", mend)
+        seen = set()
+        for child in element.children:
+            if child.name not in children:
+                hint = f"in it may be {', '.join(f'<{name}>' for name in children)}" if children else "remove it"
+                mend = did_you_mean(child.name, children, hint)
+                self._note(child, f"unknown element <{child.name}> in <{element.name}>", mend)
+            elif child.name in seen and child.name not in several:
+                self._note(child, f"<{child.name}> is there twice", "remove one of the two")
+            elif child.name in several and element.name in _CHILDREN:
+                self._check(child, _ATTRIBUTES[child.name], ())
+            seen.add(child.name)
+        if element.children and element.text:
+            self._note(element, f"there is stray text in <{element.name}>: {element.text[:40]!r}", "remove it")
+
+    def _inside(self, element: Element, holder: str, name: str) -> Iterator[Element]:
+        for child in element.children:
+            if child.name == holder:
+                self._check(child, (), (name,))
+                yield from (entry for entry in child.children if entry.name == name)
+
+    def _attributes(self, element: Element, path: Path, kinds: Mapping[str, Callable[[str], object]]) -> dict[str, Any]:
+        found = {name: read(element.attributes[name]) for name, read in kinds.items() if name in element.attributes}
+        for name in found:
+            self._spots[*path, name] = element.spot
+        return found
+
+    def _texts(self, element: Element, path: Path, names: tuple[str, ...]) -> dict[str, Any]:
+        return {child.name: self._text(child, (*path, child.name)) for child in element.children if child.name in names}
+
+    def _text(self, element: Element, path: Path) -> str:
+        self._check(element, ("port",) if element.name in ("tag", "topic") else (), ())
+        self._spots[path] = element.text_spot
+        return element.text
+
+    def _required(self, element: Element, name: str) -> str | None:
+        if name not in element.attributes:
+            self._note(element, f"<{element.name}> has no attribute `{name}`", f'add {name}="..."')
+        return element.attributes.get(name)
+
+    def _note(self, element: Element, message: str, mend: str) -> None:
+        self.faults.append(Fault(message, self.file, element.line, element.column, mend=mend))
