@@ -12,10 +12,14 @@ from cfgplan.planning import Status
 
 @dataclass(frozen=True)
 class Reference:
-    """The least cost known for an instance, and whether someone proved that there is none less."""
+    """The least cost known for an instance, and whether someone proved that there is none less.
+
+    It is that of plans which leave `unused_required` required transformations unused, the fewest that any does.
+    """
 
     cost_us: int
     proven: bool
+    unused_required: int
 
 
 def by_instance(rows: Iterable[Row]) -> dict[tuple[str, str], list[Row]]:
@@ -33,15 +37,19 @@ def references(rows: Iterable[Row]) -> Mapping[tuple[str, str], Reference]:
         plans = _best_used(group)
         if plans:
             cost_us = min(map(_cost_us, plans))
-            found[instance] = Reference(cost_us, any(r.proven and r.cost_us == cost_us for r in plans))
+            proven = any(row.proven and row.cost_us == cost_us for row in plans)
+            found[instance] = Reference(cost_us, proven, plans[0].unused_required)
     return found
 
 
 def gap(row: Row, reference: Mapping[tuple[str, str], Reference]) -> float | None:
-    """By what share of the least known cost a row's plan is dearer; None without a plan."""
-    if not row.has_plan or row.cost_us is None:
+    """By what share of the least known cost a row's plan is dearer; None without a plan that compares with it."""
+    least = reference.get((row.instance, row.digest))
+    if least is None or row.cost_us is None or not row.has_plan or row.violations != ():
         return None
-    least_us = reference[row.instance, row.digest].cost_us
+    if row.unused_required > least.unused_required:
+        return None
+    least_us = least.cost_us
     return (row.cost_us - least_us) / least_us if least_us else float(row.cost_us > 0)
 
 

@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from cfgplan.comparing.invariants import by_instance, gap, references
 from cfgplan.comparing.rows import Failure, Row
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 COLOURS = ("#0072b2", "#d55e00", "#e69f00", "#999999", "#009e73", "#56b4e9", "#cc79a7", "#000000", "#8c564b", "#bcbd22")
 """Okabe and Ito's palette first: distinct for colour-blind eyes."""
 MARKERS = "os^vDPX*<>"
+LINES = ((), (1, 1), (), (5, 2), (), (5, 2), (6, 2, 1, 2), (2, 2))
+"""Dashes, so that curves that coincide can be told apart."""
 LEAST_GAP = 1e-3
 
 
@@ -45,6 +47,8 @@ def write_plots(rows: Sequence[Row], folder: Path) -> list[Path]:
 
 def scaling(rows: Sequence[Row]) -> Figure | None:
     """Time to proof against every parameter that is varied by itself; what is not proven lies hollow at its end."""
+    from matplotlib.ticker import MaxNLocator
+
     panels = _series(rows)
     if not panels:
         return None
@@ -54,16 +58,16 @@ def scaling(rows: Sequence[Row]) -> Figure | None:
             xs = sorted({x for x, row in points if row.planner == planner and row.total_s is not None})
             at = {x: [row for value, row in points if (value, row.planner) == (x, planner)] for x in xs}
             times = {x: median(max(LEAST_S, row.total_s or row.time_limit_s) for row in at[x]) for x in xs}
-            axis.plot(xs, [times[x] for x in xs], color=style["color"], linewidth=1)
+            axis.plot(xs, [times[x] for x in xs], color=style.color, linestyle=style.line, linewidth=1)
             for proven in (True, False):
                 some = [x for x in xs if all(row.proven for row in at[x]) == proven]
-                face = style["color"] if proven else "white"
+                face = style.color if proven else "white"
                 axis.scatter(
                     some,
                     [times[x] for x in some],
                     s=22,
-                    marker=style["marker"],
-                    color=style["color"],
+                    marker=style.marker,
+                    color=style.color,
                     facecolor=face,
                     zorder=3,
                 )
@@ -73,6 +77,8 @@ def scaling(rows: Sequence[Row]) -> Figure | None:
         positive = [x for x, _ in points if x > 0]
         if max(positive, default=1) / min(positive, default=1) > 30 and len(positive) == len(points):
             axis.set_xscale("log")
+        elif all(x == int(x) for x, _ in points):
+            axis.xaxis.set_major_locator(MaxNLocator(integer=True))
     figure.supylabel("seconds to the end; hollow: not proven", fontsize=9)
     return _with_legend(figure, rows)
 
@@ -84,23 +90,22 @@ def gap_profile(rows: Sequence[Row]) -> Figure | None:
     reference = references(rows)
     if not reference:
         return None
-    figure, axis = plt.subplots(figsize=(7, 4.6), layout="constrained")
+    figure, axis = plt.subplots(figsize=(7.5, 4.8), layout="constrained")
     for planner, style in _styles(rows).items():
         tried = _tried(rows, planner)
         gaps = sorted(g for row in tried if (g := gap(row, reference)) is not None)
         if tried:
             xs = [LEAST_GAP, *(max(LEAST_GAP, g) for g in gaps), 100]
             ys = [0, *((i + 1) / len(tried) for i in range(len(gaps))), len(gaps) / len(tried)]
-            axis.step(xs, ys, where="post", color=style["color"], label=f"{planner} ({len(tried)})")
+            axis.step(xs, ys, where="post", color=style.color, linestyle=style.line)
     axis.set_xscale("log")
     axis.set_xlim(LEAST_GAP, 100)
     axis.set_ylim(0, 1.02)
     axis.set_xticks([0.001, 0.01, 0.1, 1, 10, 100], ["0.1 %\nor none", "1 %", "10 %", "100 %", "1,000 %", "10,000 %"])
     axis.set_xlabel("gap to the least known cost")
-    axis.set_ylabel("share of instances tried")
-    axis.legend(fontsize=8, loc="lower right")
+    axis.set_ylabel("share of the instances that it did not refuse")
     axis.grid(alpha=0.3)
-    return figure
+    return _with_legend(figure, rows)
 
 
 def performance_profile(rows: Sequence[Row]) -> Figure | None:
@@ -112,7 +117,7 @@ def performance_profile(rows: Sequence[Row]) -> Figure | None:
     counted = sum(best is not None for best in fastest)
     if not counted:
         return None
-    figure, axis = plt.subplots(figsize=(7, 4.6), layout="constrained")
+    figure, axis = plt.subplots(figsize=(7.5, 4.8), layout="constrained")
     for planner, style in _styles(rows).items():
         ratios = sorted(
             max(LEAST_S, row.proof_s) / best
@@ -122,15 +127,14 @@ def performance_profile(rows: Sequence[Row]) -> Figure | None:
         )
         xs, ys = [1.0, *ratios, 1e5], [0, *((i + 1) / counted for i in range(len(ratios))), len(ratios) / counted]
         if ratios:
-            axis.step(xs, ys, where="post", color=style["color"], label=planner)
+            axis.step(xs, ys, where="post", color=style.color, linestyle=style.line)
     axis.set_xscale("log")
     axis.set_xlim(1, 1e5)
     axis.set_ylim(0, 1.02)
     axis.set_xlabel("time to proof as a multiple of the fastest planner's")
     axis.set_ylabel(f"share of {counted} instances that anyone proved")
-    axis.legend(fontsize=8, loc="lower right")
     axis.grid(alpha=0.3)
-    return figure
+    return _with_legend(figure, rows)
 
 
 def anytime(rows: Sequence[Row], most: int = 6) -> Figure | None:
@@ -154,10 +158,10 @@ def anytime(rows: Sequence[Row], most: int = 6) -> Figure | None:
                 points.append((max(LEAST_S, row.best_s or 0.0), row.cost_us))
             points.sort()
             if points:
-                xs = [x for x, _ in points] + [row.time_limit_s]
+                xs = [x for x, _ in points] + [max(row.time_limit_s, points[-1][0])]
                 ys = [max(LEAST_GAP, cost / least_us - 1) for _, cost in points]
-                axis.step(xs, [*ys, ys[-1]], where="post", color=style["color"], linewidth=1.4)
-                axis.scatter(xs[0], ys[0], s=18, marker=style["marker"], color=style["color"], zorder=3)
+                axis.step(xs, [*ys, ys[-1]], where="post", color=style.color, linestyle=style.line)
+                axis.scatter(xs[0], ys[0], s=18, marker=style.marker, color=style.color, zorder=3)
         axis.set_xscale("log")
         axis.set_yscale("log")
         axis.set_ylim(LEAST_GAP * 0.8)
@@ -188,9 +192,15 @@ def _tried(rows: Sequence[Row], planner: str) -> list[Row]:
     ]
 
 
-def _styles(rows: Sequence[Row]) -> dict[str, dict[str, str]]:
+class Style(NamedTuple):
+    color: str
+    marker: str
+    line: tuple[float, Sequence[float]]
+
+
+def _styles(rows: Sequence[Row]) -> dict[str, Style]:
     return {
-        planner: {"color": COLOURS[i % len(COLOURS)], "marker": MARKERS[i % len(MARKERS)]}
+        planner: Style(COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)], (0, LINES[i % len(LINES)]))
         for i, planner in enumerate(planners(rows))
     }
 
@@ -216,7 +226,7 @@ def _with_legend(figure: Figure, rows: Sequence[Row]) -> Figure:
     from matplotlib.lines import Line2D
 
     handles = [
-        Line2D([], [], color=style["color"], marker=style["marker"], markersize=5, label=planner)
+        Line2D([], [], color=style.color, marker=style.marker, linestyle=style.line, markersize=5, label=planner)
         for planner, style in _styles(rows).items()
     ]
     figure.legend(handles=handles, loc="outside upper center", ncols=5, fontsize=8, frameon=False)

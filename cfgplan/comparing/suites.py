@@ -10,7 +10,7 @@ from cfgplan.comparing.instances import Instance, generated
 
 def tiny() -> Iterator[Instance]:
     """One of each family: for tests."""
-    yield generated("nao", robots=2, event="lost")
+    yield generated("nao", robots=1, event="lost")
     yield generated("random_library", 1, transformations=14, depth=3, targets=2)
     yield generated("replanning", 3, transformations=12, depth=3, targets=2)
     yield generated("adversarial", kind="dedicated", size=4)
@@ -51,15 +51,15 @@ def full() -> Iterator[Instance]:
         for transformations in (25, 50, 100, 200, 500, 1000, 2000):
             yield generated("random_library", seed, transformations=transformations)
     varied: Mapping[str, tuple[float, ...]] = {
-        "depth": (2, 3, 8, 12),
-        "branching": (1, 2, 8, 16),
-        "arity": (1, 3),
-        "outputs": (2, 4),
-        "back": (0.0, 0.3, 0.5),
-        "sharing": (0.5, 0.9),
-        "targets": (1, 10),
-        "running": (0.3, 0.6, 0.9),
-        "horizon_s": (0, 600, 3600),
+        "depth": (2, 3, 5, 8, 12),
+        "branching": (1, 2, 4, 8, 16),
+        "arity": (1, 2, 3),
+        "outputs": (1, 2, 4),
+        "back": (0.0, 0.1, 0.3, 0.5),
+        "sharing": (0.0, 0.5, 0.9),
+        "targets": (1, 3, 10),
+        "running": (0.0, 0.3, 0.6, 0.9),
+        "horizon_s": (0, 60, 600, 3600),
     }
     for name, values in varied.items():
         for value in values:

@@ -31,10 +31,10 @@ class Table:
 
 
 def overview(rows: Sequence[Row], *, base: str = "cpsat") -> Table:
-    """A line for each planner over all instances: what it proved, found, how dear, how fast against `base`."""
+    """A column for each planner over all instances: what it proved, found, how dear, how fast against `base`."""
     reference = references(rows)
-    heads = (
-        "planner",
+    names = planners(rows)
+    measures = (
         "runs",
         "proven",
         "plan, cost not proven",
@@ -44,11 +44,11 @@ def overview(rows: Sequence[Row], *, base: str = "cpsat") -> Table:
         "judged false",
         "median gap",
         "worst gap",
-        f"time to proof / {base}'s",
+        f"time to proof / {base}'s (instances)",
         "peak MB",
     )
-    lines = tuple(_line(rows, planner, base, reference) for planner in planners(rows))
-    return Table("All instances", heads, lines)
+    columns = [_column(rows, planner, base, reference) for planner in names]
+    return Table("All instances", ("", *names), tuple(zip(measures, *columns, strict=True)))
 
 
 def by_family(rows: Sequence[Row]) -> Table:
@@ -102,7 +102,7 @@ def ratio_to(rows: Sequence[Row], planner: str, base: str) -> tuple[float | None
     return exp(sum(log(proof[planner][key] / proof[base][key]) for key in both) / len(both)), len(both)
 
 
-def _line(
+def _column(
     rows: Sequence[Row], planner: str, base: str, reference: Mapping[tuple[str, str], Reference]
 ) -> tuple[str, ...]:
     own = [row for row in rows if row.planner == planner]
@@ -111,7 +111,6 @@ def _line(
     peaks = [row.peak_mb for row in own if row.peak_mb is not None]
     ratio, number = ratio_to(rows, planner, base)
     return (
-        planner,
         str(len(own)),
         *(str(count[name]) for name in ("proven", "plan", "nothing", "refused", "failed")),
         str(sum(bool(row.violations) for row in own)),
@@ -133,12 +132,16 @@ def _class(row: Row) -> str:
 
 
 def _cell(row: Row, reference: Mapping[tuple[str, str], Reference]) -> str:
+    if row.violations:
+        return "judged false"
     if row.proof_s is not None:
         word = f" ({row.outcome})" if row.outcome in PROVEN and not row.has_plan else ""
         return f"{row.proof_s:.3g}{word}"
     found = gap(row, reference)
     if found is not None:
         return f"+{found:.1%}"
+    if row.has_plan:
+        return "leaves a required one unused"
     return "no plan" if row.outcome == Status.UNKNOWN else str(row.outcome)
 
 

@@ -1,0 +1,124 @@
+"""`cfgplan compare`: planners side by side on the user's own files or on a suite of generated instances."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+from cfgplan.cli import options as shared
+from cfgplan.cli.exits import Exit
+from cfgplan.cli.screen import Screen
+from cfgplan.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from cfgplan.comparing import Instance, Row
+    from cfgplan.comparing.tables import Table
+
+
+def add_to(verbs: shared.Subparsers) -> None:
+    from cfgplan.comparing.suites import SUITES
+
+    parser = shared.add_verb(
+        verbs,
+        "compare",
+        "run planners side by side, each run in a process of its own, and check them against each other",
+        "  cfgplan compare models/nao/2-segmenter-lost.yaml models/building/office.yaml\n"
+        "  cfgplan compare --suite short --planner cpsat --planner branch-and-bound --timeout 2 --report build/compare",
+    )
+    parser.add_argument("envs", metavar="ENV", nargs="*", help="environment files to plan for")
+    parser.add_argument("--suite", choices=SUITES, help="generated instances to plan for")
+    parser.add_argument(
+        "--planner", action="append", metavar="NAME", help="only this planner (repeat); yours: module:function"
+    )
+    parser.add_argument("--timeout", type=shared.positive, default=10.0, metavar="S", help="seconds for each run (10)")
+    parser.add_argument("--memory", type=shared.whole_seconds, metavar="MB", help="largest address space of a run")
+    parser.add_argument("--results", metavar="FILE", help="keep every run as a JSON line; runs already there stay")
+    parser.add_argument("--report", metavar="DIR", help="write tables and plots to DIR (needs matplotlib)")
+    shared.add_matching(parser)
+    shared.add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace, screen: Screen) -> Exit:
+    from rich.console import Console
+
+    from cfgplan import comparing
+    from cfgplan.comparing.bar import progress_bar
+    from cfgplan.comparing.invariants import breaches
+
+    entrants = [comparing.entrant(name) for name in options.planner or comparing.REGISTERED]
+    instances = _instances(options, screen)
+    limits = comparing.Limits(time_limit_s=options.timeout, memory_mb=options.memory)
+    with TemporaryDirectory() as folder, progress_bar(Console(stderr=True)) as watch:
+        results = Path(options.results or Path(folder, "results.jsonl"))
+        rows = comparing.run(instances, entrants, limits, results, watch=watch)
+    found = breaches(rows)
+    if screen.json:
+        screen.show_json({"runs": [asdict(row) for row in rows], "contradictions": found})
+    else:
+        _show(rows, found, screen)
+    if options.report:
+        _write_report(rows, Path(options.report), screen)
+    return Exit.INVALID if found else Exit.OK
+
+
+def _instances(options: argparse.Namespace, screen: Screen) -> list[Instance]:
+    from cfgplan import api, comparing
+    from cfgplan.comparing.suites import SUITES
+
+    instances = []
+    for env in options.envs:
+        with screen.phase("load"):
+            world = api.load(env)
+        instances.append(comparing.given(env, shared.problem(options, screen, world)))
+    if options.suite:
+        instances += SUITES[options.suite]()
+    if not instances:
+        raise InputError.of("there is nothing to compare planners on", mend="name environment files, or a --suite")
+    return instances
+
+
+def _show(rows: list[Row], found: list[str], screen: Screen) -> None:
+    from rich.text import Text
+
+    from cfgplan.comparing.tables import detail, overview
+
+    for table in (detail(rows), overview(rows)):
+        if sys.stdout.isatty():
+            screen.show(_drawn(table))
+        else:
+            screen.write(table.markdown() + "\n")
+    for text in found:
+        screen.show(Text(f"contradiction: {text}", style="bold red"))
+    if not found:
+        screen.show(Text("All proofs agree, and every plan passes the judge.", style="bold green"))
+
+
+def _drawn(table: Table) -> RenderableType:
+    from rich import box
+    from rich.table import Table as Drawn
+
+    drawn = Drawn(title=table.title, title_justify="left", box=box.SIMPLE)
+    for head in table.heads:
+        drawn.add_column(head, overflow="fold")
+    for line in table.lines:
+        drawn.add_row(*line)
+    return drawn
+
+
+def _write_report(rows: list[Row], folder: Path, screen: Screen) -> None:
+    from cfgplan.comparing.report import write_report
+
+    try:
+        files = write_report(rows, folder)
+    except ImportError as error:
+        raise InputError.of(f"the report can't be drawn: {error}", mend="pip install 'cfgplan[plots]'") from None
+    except OSError as error:
+        raise InputError.of(f"can't write the report: {error.strerror}", file=str(folder)) from None
+    screen.note(f"Wrote {', '.join(map(str, files))}.")

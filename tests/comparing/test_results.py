@@ -1,0 +1,136 @@
+"""What tables, plots and invariants say about rows; and a tiny comparison of every registered planner."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from cfgplan.comparing import REGISTERED, Failure, Limits, Row, run
+from cfgplan.comparing.bar import duration
+from cfgplan.comparing.invariants import breaches, gap, references
+from cfgplan.comparing.rows import thinned
+from cfgplan.comparing.suites import SUITES
+from cfgplan.comparing.tables import by_family, detail, overview, ratio_to
+from cfgplan.planning import Status
+
+
+def row(planner: str, cost_us: int | None, proof_s: float | None = None, **more: object) -> Row:
+    """A run on one instance; proven with the cost as bound if there is a time of proof."""
+    values: dict[str, object] = {
+        "instance": "it",
+        "family": "own",
+        "parameters": {"size": 3},
+        "seed": 0,
+        "digest": "d",
+        "transformations": 1,
+        "planner": planner,
+        "time_limit_s": 5.0,
+        "memory_mb": None,
+        "outcome": Status.UNKNOWN if cost_us is None else Status.FEASIBLE if proof_s is None else Status.OPTIMAL,
+        "cost_us": cost_us,
+        "bound_us": 0 if proof_s is None else cost_us,
+        "unused_required": 0,
+        "first_s": None,
+        "best_s": None,
+        "proof_s": proof_s,
+        "total_s": 5.0 if proof_s is None else proof_s,
+        "trace": (),
+        "counts": {},
+        "peak_mb": 10.0,
+        "violations": (),
+        "message": "",
+        "versions": {},
+        "machine": {},
+    }
+    return Row(**{**values, **more})  # type: ignore[arg-type]
+
+
+def test_planners_that_agree_breach_nothing() -> None:
+    assert breaches([row("exact", 10, 1.0), row("other", 10, 2.0), row("greedy", 12), row("slow", None)]) == []
+
+
+@pytest.mark.parametrize(
+    ("rows", "says"),
+    [
+        ([row("exact", 10, 1.0), row("magic", 9)], "says that 10 us is the least, but magic has a plan of 9 us"),
+        ([row("exact", 10, 1.0), row("other", 11, 1.0)], "says that 11 us is the least"),
+        ([row("exact", 10, 1.0), row("bold", None, bound_us=11)], "says that none costs less than 11 us"),
+        ([row("exact", 10, 1.0), row("sad", None, 1.0, outcome=Status.INFEASIBLE, bound_us=0)], "says infeasible"),
+        ([row("liar", 10, violations=("it is not valid",))], "it is not valid"),
+        ([row("unjudged", 10, violations=None)], "was not judged"),
+    ],
+)
+def test_each_contradiction_is_found(rows: list[Row], says: str) -> None:
+    assert any(says in text for text in breaches(rows))
+
+
+def test_a_plan_that_the_judge_refuses_is_no_reference() -> None:
+    rows = [row("liar", 1, violations=("false",)), row("honest", 10), row("dear", 15)]
+    assert references(rows)["it", "d"].cost_us == 10
+    assert [gap(r, references(rows)) for r in rows] == [None, 0.0, 0.5]
+
+
+def test_costs_compare_only_between_plans_that_use_as_many_required_transformations() -> None:
+    rows = [row("exact", 20, 1.0), row("cheap", 5, unused_required=1)]
+    assert breaches(rows) == []
+    assert gap(rows[1], references(rows)) is None
+    assert "leaves a required one unused" in detail(rows).lines[0]
+
+
+def test_the_ratio_is_over_what_both_proved() -> None:
+    rows = [row("cpsat", 1, 2.0), row("other", 1, 8.0)]
+    rows += [row("cpsat", 1, 1.0, instance="two"), row("other", 1, instance="two")]
+    assert ratio_to(rows, "other", "cpsat") == (pytest.approx(4.0), 1)
+    assert ratio_to(rows, "nobody", "cpsat") == (None, 0)
+
+
+def test_time_outs_and_failures_are_counted_not_dropped() -> None:
+    outcomes = [Status.UNKNOWN, Failure.KILLED, Failure.CRASHED, Failure.OUT_OF_MEMORY, Failure.REFUSED]
+    rows = [row("p", None, instance=str(i), outcome=outcome, violations=None) for i, outcome in enumerate(outcomes)]
+    column = {line[0]: line[1] for line in overview(rows).lines}
+    counts = {"runs": "5", "proven": "0", "no answer in time": "2", "failed": "2", "refused": "1"}
+    assert counts.items() <= column.items()
+    shown = [line[-1] for line in detail(rows).lines]
+    assert shown == ["no plan", "killed at the time limit", "crashed", "out of memory", "refused"]
+    assert by_family(rows).lines[0][-1] == "0 of 4"
+
+
+def test_a_table_is_markdown() -> None:
+    text = detail([row("exact", 2_000_000, 0.5, instance="a|b")]).markdown()
+    assert "| a\\|b | 2 | 0.5 |" in text
+
+
+def test_a_thinned_trace_keeps_its_ends() -> None:
+    trace = [(float(i), i, 0) for i in range(1000)]
+    thin = thinned(trace)
+    assert len(thin) == 40
+    assert (thin[0], thin[-1]) == (trace[0], trace[-1])
+    assert thinned(trace[:5]) == tuple(trace[:5])
+
+
+def test_durations_are_read_at_a_glance() -> None:
+    assert [duration(s) for s in (0.4, 59.4, 61, 3700)] == ["0 s", "59 s", "1:01 min", "1:01 h"]
+
+
+def test_every_registered_planner_keeps_the_invariants_on_the_tiny_suite(tmp_path: Path) -> None:
+    results = tmp_path / "results.jsonl"
+    rows = run(list(SUITES["tiny"]()), list(REGISTERED.values()), Limits(time_limit_s=20), results)
+    assert breaches(rows) == []
+    exact = [r for r in rows if r.planner in ("cpsat", "exhaustive", "branch-and-bound-shared")]
+    assert [r.instance for r in exact if not r.proven] == []
+    assert all(r.has_plan and r.violations == () for r in rows)
+    assert max(gap(r, references(rows)) or 0.0 for r in rows if r.planner == "branch-and-bound") > 2
+
+    pytest.importorskip("matplotlib", reason="the plots need the extra `plots`")
+    from cfgplan.comparing.report import write_report
+
+    files = write_report(rows, tmp_path / "report")
+    assert {file.name for file in files} >= {"tables.md", "gaps.png", "performance.png", "anytime.png"}
+    assert all(file.stat().st_size > 1000 for file in files)
+
+
+@pytest.mark.parametrize("suite", SUITES)
+def test_the_instances_of_a_suite_have_names_of_their_own(suite: str) -> None:
+    names = [instance.name for instance in SUITES[suite]()]
+    assert len(set(names)) == len(names)
