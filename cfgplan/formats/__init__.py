@@ -10,6 +10,7 @@ from cfgplan.formats.plan_file import dump_plan, load_plan, plain_plan, plan_sch
 from cfgplan.formats.schema import environment_schema
 from cfgplan.formats.vocabulary import BadClassError, BadTagError, Vocabulary
 from cfgplan.formats.world import World, environment_digest
+from cfgplan.formats.wsc import read_wsc, wsc_texts
 from cfgplan.formats.xml_dump import dump_xml
 
 __all__ = [
@@ -32,4 +33,6 @@ __all__ = [
     "plain_plan",
     "plan_schema",
     "read_document",
+    "read_wsc",
+    "wsc_texts",
 ]

@@ -6,8 +6,9 @@ is left of XML can't blow up.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import NoReturn
 from xml.parsers import expat
 
 from cfgplan.errors import Fault, InputError
@@ -58,23 +59,54 @@ class Element:
 
 def parse_xml(content: bytes, file: str) -> Element:
     """The root element of an XML text; raises InputError."""
-    return _Parsing(file).root(content)
+    opened: list[Element] = []
+    roots: list[Element] = []
+
+    def start(name: str, attributes: dict[str, str]) -> None:
+        if len(opened) >= DEEPEST_NESTING:
+            parser.stop(f"elements are nested more than {DEEPEST_NESTING} deep", "flatten the document")
+        element = Element(name, attributes, *parser.place)
+        (opened[-1].children if opened else roots).append(element)
+        opened.append(element)
+
+    def end(_: str) -> None:
+        opened.pop()
+
+    def text(piece: str) -> None:
+        opened[-1].pieces.append((piece, *parser.place))
+
+    parser = SafeParser(file, start, end, text)
+    parser.parse(content)
+    return roots[0]
 
 
-class _Parsing:
-    def __init__(self, file: str) -> None:
+class SafeParser:
+    """A parser that calls back for each element and text; what it can't read raises InputError."""
+
+    def __init__(
+        self,
+        file: str,
+        start: Callable[[str, dict[str, str]], None],
+        end: Callable[[str], None],
+        text: Callable[[str], None] | None = None,
+    ) -> None:
         self._file = file
-        self._open: list[Element] = []
-        self._root: Element | None = None
         self._parser = expat.ParserCreate()
         self._parser.StartDoctypeDeclHandler = self._refuse_doctype
-        self._parser.StartElementHandler = self._start
-        self._parser.EndElementHandler = self._end
-        self._parser.CharacterDataHandler = self._text
+        self._parser.StartElementHandler = start
+        self._parser.EndElementHandler = end
+        if text is not None:
+            self._parser.CharacterDataHandler = text
 
-    def root(self, content: bytes) -> Element:
+    @property
+    def place(self) -> tuple[int, int]:
+        """The line and column of what is being called back for; both count from 1."""
+        return self._parser.CurrentLineNumber, self._parser.CurrentColumnNumber + 1
+
+    def parse(self, content: bytes) -> None:
+        """Go through a whole text."""
         if not content.strip():
-            raise InputError.of("the file is empty", file=self._file, mend="write a <transformation> or a <target>")
+            raise InputError.of("the file is empty", file=self._file, mend="write the XML it should hold")
         try:
             self._parser.Parse(content, True)
         except expat.ExpatError as error:
@@ -85,29 +117,11 @@ class _Parsing:
         except (LookupError, ValueError) as error:
             # An encoding that Python does not know, or one with several bytes a character.
             raise InputError.of(f"this is not XML: {error}", file=self._file, mend="save it as UTF-8") from None
-        assert self._root is not None
-        return self._root
 
-    def _refuse_doctype(self, *_: Any) -> None:
-        self._stop("a document type is declared", "remove the line <!DOCTYPE ...>: entities are not supported")
-
-    def _start(self, name: str, attributes: dict[str, str]) -> None:
-        if len(self._open) >= DEEPEST_NESTING:
-            self._stop(f"elements are nested more than {DEEPEST_NESTING} deep", "flatten the document")
-        element = Element(name, attributes, self._parser.CurrentLineNumber, self._parser.CurrentColumnNumber + 1)
-        if self._open:
-            self._open[-1].children.append(element)
-        else:
-            self._root = element
-        self._open.append(element)
-
-    def _end(self, _: str) -> None:
-        self._open.pop()
-
-    def _text(self, text: str) -> None:
-        place = (self._parser.CurrentLineNumber, self._parser.CurrentColumnNumber + 1)
-        self._open[-1].pieces.append((text, *place))
-
-    def _stop(self, message: str, mend: str) -> None:
-        line, column = self._parser.CurrentLineNumber, self._parser.CurrentColumnNumber + 1
+    def stop(self, message: str, mend: str) -> NoReturn:
+        """Raise a fault at the place that is being called back for."""
+        line, column = self.place
         raise InputError([Fault(message, self._file, line, column, mend=mend)])
+
+    def _refuse_doctype(self, *_: object) -> None:
+        self.stop("a document type is declared", "remove the line <!DOCTYPE ...>: entities are not supported")
