@@ -26,7 +26,7 @@ def test_the_answer_is_the_one_beside_the_environment(expected_file: Path, numbe
     world = cfgplan.load(expected_file.with_name(expected_file.name.replace(".expected.yaml", ".yaml")))
     horizon_s = int(expected["horizon"]) if "horizon" in expected else None
     problem = cfgplan.match(world, horizon_s=horizon_s)
-    plan = cfgplan.plan(problem)
+    plan = cfgplan.plan(problem, planner=expected.get("planner", "cpsat"))
 
     assert plan.status == expected["status"]
     assert cfgplan.plan_violations(problem, plan) == []
