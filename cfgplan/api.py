@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from tempfile import NamedTemporaryFile
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from cfgplan import validity
 from cfgplan.domain import Environment, Similarity
@@ -177,6 +177,26 @@ def schema_text() -> str:
     return json.dumps(environment_schema(), indent=2, ensure_ascii=False) + "\n"
 
 
+def converted(path: str | os.PathLike[str], to: Literal["yaml", "xml"]) -> str:
+    """An environment file (YAML, JSON, the paper's XML or a folder of it) in another format, templates and all.
+
+    What it includes is written into it. Raises InputError.
+    """
+    from cfgplan.formats import as_xml, as_yaml, read_document
+
+    document = read_document(path)
+    return as_xml(document) if to == "xml" else as_yaml(document)
+
+
+def converted_test_set(
+    folder: str | os.PathLike[str], objective: Literal["services", "length"], ontology: str
+) -> tuple[str, str]:
+    """A web service composition test set as an environment file, and the ontology file that it names `ontology`."""
+    from cfgplan.formats import wsc_texts
+
+    return wsc_texts(folder, objective, ontology=ontology)
+
+
 class _OntologyVocabulary:
     """An ontology as the formats ask for it."""
 
@@ -185,11 +205,11 @@ class _OntologyVocabulary:
 
     def instances(self, class_name: str) -> tuple[str, ...]:
         from cfgplan.formats import BadClassError
-        from cfgplan.matching import UnknownNameError
+        from cfgplan.matching import TagError, UnknownNameError
 
         try:
             return self._ontology.instances(class_name)
-        except UnknownNameError as error:
+        except (TagError, UnknownNameError) as error:
             raise BadClassError(error.message, error.mend) from None
 
     def check_tag(self, text: str) -> None:

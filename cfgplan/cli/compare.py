@@ -33,6 +33,7 @@ def add_to(verbs: shared.Subparsers) -> None:
     )
     parser.add_argument("envs", metavar="ENV", nargs="*", help="environment files to plan for")
     parser.add_argument("--suite", choices=SUITES, help="generated instances to plan for")
+    parser.add_argument("--wsc", metavar="DIR", help="folder with sets of the Web Service Challenge 2008 to plan for")
     parser.add_argument(
         "--planner", action="append", metavar="NAME", help="only this planner (repeat); yours: module:function"
     )
@@ -71,6 +72,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 def _instances(options: argparse.Namespace, screen: Screen) -> list[Instance]:
     from cfgplan import api, comparing
     from cfgplan.comparing.suites import SUITES
+    from cfgplan.comparing.wsc import wsc_sets
 
     instances = []
     for env in options.envs:
@@ -79,8 +81,12 @@ def _instances(options: argparse.Namespace, screen: Screen) -> list[Instance]:
         instances.append(comparing.given(env, shared.problem(options, screen, world)))
     if options.suite:
         instances += SUITES[options.suite]()
+    if options.wsc:
+        instances += wsc_sets(Path(options.wsc))
     if not instances:
-        raise InputError.of("there is nothing to compare planners on", mend="name environment files, or a --suite")
+        raise InputError.of(
+            "there is nothing to compare planners on", mend="name environment files, a --suite or --wsc"
+        )
     return instances
 
 

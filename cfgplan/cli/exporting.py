@@ -33,6 +33,6 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     else:
         if options.env is None:
             raise InputError.of(f"name the environment file to export as {options.what}")
-        text = api.exported_text(api.load(Path(options.env)), options.what)
+        text = api.converted(Path(options.env), options.what)
     shared.put(text, options.out, screen)
     return Exit.OK

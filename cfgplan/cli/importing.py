@@ -8,6 +8,7 @@ from pathlib import Path
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.screen import Screen
+from cfgplan.errors import InputError
 
 
 def add_to(verbs: shared.Subparsers) -> None:
@@ -19,6 +20,12 @@ def add_to(verbs: shared.Subparsers) -> None:
     )
     parser.add_argument("what", choices=("xml", "wsc"), help="what to read")
     parser.add_argument("path", metavar="PATH", help="XML file or folder of them; folder of a test set")
+    parser.add_argument(
+        "--objective",
+        choices=("services", "length"),
+        default="services",
+        help="wsc: fewest services, or fewest among the compositions of the shortest length (services)",
+    )
     shared.add_out(parser)
     parser.set_defaults(run=run)
 
@@ -26,7 +33,14 @@ def add_to(verbs: shared.Subparsers) -> None:
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan import api
 
-    with screen.phase("import"):
-        text = api.imported_text(Path(options.path), options.what)
-    shared.put(text, options.out, screen)
+    if options.what == "xml":
+        shared.put(api.converted(Path(options.path), "yaml"), options.out, screen)
+        return Exit.OK
+    if options.out is None:
+        message = "a test set becomes two files, the environment and its ontology"
+        raise InputError.of(message, mend="name the environment file with --out; the ontology is written beside it")
+    ontology = Path(options.out).with_suffix(".ofn")
+    environment_text, ontology_text = api.converted_test_set(Path(options.path), options.objective, ontology.name)
+    shared.put(ontology_text, str(ontology), screen)
+    shared.put(environment_text, options.out, screen)
     return Exit.OK
