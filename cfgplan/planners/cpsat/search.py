@@ -2,72 +2,36 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from math import ceil
+from threading import Thread
 
-from ortools.sat.python import cp_model
-from ortools.sat.python.cp_model import LinearExprT
+from ortools.sat.python.cp_model import (
+    FEASIBLE,
+    INFEASIBLE,
+    OPTIMAL,
+    UNKNOWN,
+    CpModel,
+    CpSolver,
+    CpSolverSolutionCallback,
+    CpSolverStatus,
+    LinearExprT,
+)
 
 from cfgplan.costs import keep_cost_us, start_cost_us
 from cfgplan.domain import ComputationUnit
+from cfgplan.planners.cpsat.clock import Clock
 from cfgplan.planners.cpsat.decode import decode
 from cfgplan.planners.cpsat.model import Model
-from cfgplan.planners.cpsat.site import Site, relevant
+from cfgplan.planners.cpsat.prepared import Prepared
+from cfgplan.planners.cpsat.site import Site
+from cfgplan.planners.cpsat.wiring import forced_changes, wire
 from cfgplan.planning import Plan, Problem, Progress, Status
-from cfgplan.reasons import Givers, startable, unmet_reasons
 
 Key = tuple[int, int, int, int]
 """Unused required transformations, cost in microseconds, rewired and started units: the order of optimality."""
-
-
-def plan(
-    problem: Problem,
-    *,
-    time_limit_s: float | None = None,
-    report: Callable[[Progress], None] | None = None,
-) -> Plan:
-    """The optimal update; see `planning.Planner`. Without a time limit it ends with a proof."""
-    clock = Clock(time_limit_s)
-    givers = Givers(problem.environment.library, problem.similarity)
-    possible = startable(problem.environment, givers)
-    if any(possible.isdisjoint(givers.of(target.tag)) for target in problem.environment.targets):
-        return Plan("cpsat", Status.INFEASIBLE, reasons=unmet_reasons(problem), seconds=clock.phases("check"))
-    site = Site(problem, givers, relevant(problem.environment, givers, possible))
-    clock.phase("preprocess")
-    model = Model(site)
-    clock.phase("build")
-    search = Search(model, clock, report)
-    search.run()
-    clock.phase("solve")
-    return search.plan()
-
-
-class Clock:
-    """The time that is left, and what each phase took."""
-
-    def __init__(self, time_limit_s: float | None) -> None:
-        self._began = self._phase_began = time.monotonic()
-        self._limit_s = time_limit_s
-        self.seconds: dict[str, float] = {}
-
-    def elapsed_s(self) -> float:
-        return time.monotonic() - self._began
-
-    def left_s(self) -> float | None:
-        return None if self._limit_s is None else max(0.0, self._limit_s - self.elapsed_s())
-
-    def phase(self, name: str) -> None:
-        """Note that the phase `name` ends now."""
-        now = time.monotonic()
-        self.seconds[name] = self.seconds.get(name, 0.0) + now - self._phase_began
-        self._phase_began = now
-
-    def phases(self, name: str) -> dict[str, float]:
-        self.phase(name)
-        return self.seconds
 
 
 class Stage(Enum):
@@ -88,20 +52,48 @@ class Incumbent:
 
 
 class Search:
-    """A model on its way to the optimum: the stage, the incumbent and the proven bound on the cost."""
+    """A site on its way to the optimum: the stage, the incumbent and the proven bound on the cost."""
 
-    def __init__(self, model: Model, clock: Clock, report: Callable[[Progress], None] | None) -> None:
-        self.model = model
+    def __init__(self, site: Site, prepared: Prepared, clock: Clock, report: Callable[[Progress], None] | None) -> None:
+        self.site = site
+        self.prepared = prepared
         self.clock = clock
         self.report = report
         self.stage = Stage.REQUIRED
         self.best: Incumbent | None = None
         self.bound_us = 0
-        self.counts = {"booleans": len(model.literals), "rounds": 0, "cuts": 0, "conflicts": 0}
+        self.counts = {**prepared.counts}
+        self.raise_bound(prepared.bound_us)
 
     def run(self) -> None:
+        """Begin with the first plan; where that is not proven optimal, go on with the model."""
+        if self.prepared.plan is not None:
+            chosen = self.site.first_of_each(self.prepared.plan)
+            units = wire(self.site, chosen)
+            if units is not None:
+                self.offer(units)
+            if self.is_proven(chosen):
+                self.stage = Stage.DONE
+                return
+        if not self.clock.is_over():
+            self.run_model(Model(self.site))
+
+    def is_proven(self, chosen: set[int]) -> bool:
+        """Whether the incumbent is the only choice of units at its cost, with no more rewired than must be."""
+        return (
+            self.best is not None
+            and self.best.key[:2] == (0, self.bound_us)
+            and len(chosen) == len(self.site.candidates) == len(self.best.units)
+            and self.best.key[2] == forced_changes(self.site, chosen)
+        )
+
+    def run_model(self, model: Model) -> None:
         """Go through the stages until the clock stops one."""
-        model = self.model
+        self.model = model
+        self.counts |= {"booleans": len(model.literals), "rounds": 0, "cuts": 0, "conflicts": 0}
+        model.some_member_of_each_runs(self.prepared.landmarks)
+        if self.prepared.cost_us is not None:
+            model.cp.add(model.cost() <= self.prepared.cost_us)
         required = len(model.uses_required)
         used = sum(model.uses_required.values())
         if required and not self.minimise(required - used):
@@ -109,9 +101,11 @@ class Search:
         if required and self.best is not None:
             model.cp.add(used >= required - self.best.key[0] + self.hopeless_required())
         self.stage = Stage.COST
-        if not self.minimise(model.cost()) or self.best is None:
-            return
-        self.raise_bound(self.best.key[1])
+        if self.best is None or self.best.key[1] > self.bound_us or required:
+            if not self.minimise(model.cost()):
+                return
+            assert self.best is not None
+            self.raise_bound(self.best.key[1])
         model.cp.add(model.cost() <= self.best.key[1])
         self.stage = Stage.CHANGES
         if self.minimise(model.changes()):
@@ -119,30 +113,31 @@ class Search:
 
     def hopeless_required(self) -> int:
         """How many required transformations can never be used, whatever is planned."""
-        return sum(t.required for t in self.model.site.environment.library) - len(self.model.uses_required)
+        return sum(t.required for t in self.site.environment.library) - len(self.model.uses_required)
 
     def minimise(self, objective: LinearExprT) -> bool:
         """Rounds of solving and cutting; True with a proof that the incumbent is best in this stage."""
         self.model.cp.minimize(objective)
-        while True:
+        while not self.clock.is_over():
             solver = self.solver()
             self.hint()
             self.counts["rounds"] += 1
-            status = solver.solve(self.model.cp, OnSolution(self))
+            status = solve(solver, self.model.cp, OnSolution(self), self.clock)
             self.counts["conflicts"] += solver.num_conflicts
-            if self.stage is Stage.COST and status in (cp_model.OPTIMAL, cp_model.FEASIBLE, cp_model.UNKNOWN):
+            if self.stage is Stage.COST and status in (OPTIMAL, FEASIBLE, UNKNOWN):
                 self.raise_bound(ceil(solver.best_objective_bound - 0.5))
-            if status == cp_model.INFEASIBLE:
+            if status == INFEASIBLE:
                 raise AssertionError("a problem whose targets can all be met has a plan")
-            if status not in (cp_model.OPTIMAL, cp_model.FEASIBLE):
+            if status not in (OPTIMAL, FEASIBLE):
                 return False
             true = {x.index for x in self.model.literals if solver.boolean_value(x)}
             level = self.level_of(self.consider(true))
-            if status != cp_model.OPTIMAL:
+            if status != OPTIMAL:
                 return False
             if level is not None and level <= round(solver.objective_value):
                 return True
             self.cut(true)
+        return False
 
     def level_of(self, key: Key | None) -> int | None:
         """The present stage's objective for a plan with this key."""
@@ -152,16 +147,18 @@ class Search:
             return key[0] - self.hopeless_required()
         if self.stage is Stage.COST:
             return key[1]
-        started = sum(candidate.running is None for candidate in self.model.site.candidates)
+        started = sum(candidate.running is None for candidate in self.site.candidates)
         return (started + 1) * key[2] + key[3]
 
     def consider(self, true: set[int]) -> Key | None:
         """The key of a solution, which becomes the incumbent if it is better; None if it is not grounded."""
         rank = self.model.support.grounded(true)
         units = decode(self.model, true, rank)
-        if units is None:
-            return None
-        key = key_of(self.model.site.problem, units)
+        return None if units is None else self.offer(units)
+
+    def offer(self, units: list[ComputationUnit]) -> Key:
+        """Take a plan as the incumbent if it is the best so far; returns its key."""
+        key = key_of(self.site.problem, units)
         if self.best is None or key < self.best.key:
             self.best = Incumbent(key, units)
             self.tell()
@@ -187,10 +184,11 @@ class Search:
             cost_us = self.best.key[1] if self.best else None
             self.report(Progress(self.clock.elapsed_s(), cost_us, self.bound_us))
 
-    def solver(self) -> cp_model.CpSolver:
+    def solver(self) -> CpSolver:
         """One worker is repeatable; a full linearisation is what proves these models."""
-        solver = cp_model.CpSolver()
+        solver = CpSolver()
         solver.parameters.num_workers = 1
+        solver.parameters.catch_sigint_signal = False
         solver.parameters.linearization_level = 2
         solver.parameters.cut_level = 0
         left_s = self.clock.left_s()
@@ -203,12 +201,12 @@ class Search:
         self.model.cp.clear_hints()  # type: ignore[no-untyped-call]
         if self.best is not None:
             running = {unit.id for unit in self.best.units}
-            for runs, candidate in zip(self.model.runs, self.model.site.candidates, strict=True):
+            for runs, candidate in zip(self.model.runs, self.site.candidates, strict=True):
                 self.model.cp.add_hint(runs, candidate.id in running)
 
     def plan(self) -> Plan:
         """The answer at the present stage."""
-        problem, max_cost_us = self.model.site.problem, self.model.site.problem.max_cost_us
+        problem, max_cost_us = self.site.problem, self.site.problem.max_cost_us
         counts, seconds = self.counts, self.clock.seconds
         proven = self.stage in (Stage.CHANGES, Stage.DONE)
         if max_cost_us is not None and self.bound_us > max_cost_us:
@@ -228,7 +226,22 @@ class Search:
         )
 
 
-class OnSolution(cp_model.CpSolverSolutionCallback):
+def solve(solver: CpSolver, model: CpModel, callback: CpSolverSolutionCallback, clock: Clock) -> CpSolverStatus:
+    """Solve in a thread, so that `stop` and Ctrl-C end it with the best solution so far."""
+    status: list[CpSolverStatus] = []
+    worker = Thread(target=lambda: status.append(solver.solve(model, callback)), daemon=True)
+    worker.start()
+    while worker.is_alive():
+        try:
+            worker.join(0.05)
+            if clock.stop.is_set():
+                solver.stop_search()
+        except KeyboardInterrupt:
+            clock.stop.set()
+    return status[0]
+
+
+class OnSolution(CpSolverSolutionCallback):
     """Looks at every solution on the way: one that is grounded is a plan."""
 
     def __init__(self, search: Search) -> None:

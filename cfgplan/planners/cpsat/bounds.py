@@ -1,0 +1,110 @@
+"""Lower bounds from landmarks: sets of transformations of which every plan has one.
+
+For any set of facts (a *zone*) with something that the goal needs, every plan has a transformation
+that offers a fact of the zone and needs none of it: the first to enter. Charging each landmark part of
+the costs of its members, never more than a member costs in total, adds up to a lower bound (LM-cut:
+Helmert and Domshlak 2009). A zone stays good whatever costs become, so a session keeps them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cfgplan.planners.cpsat.network import NEVER, Core, Flags, Ints
+
+
+def cheapest_way(core: Core, cost: Ints, above: Ints | None = None) -> tuple[Ints, Ints]:
+    """h_max of each fact and of each label: the dearest chain that can't be avoided before it.
+
+    `above` are values known to be at least as high, as those for greater costs are.
+    """
+    facts = np.full(len(core.givers), NEVER) if above is None else above
+    while True:
+        labels = core.most_of_needs(facts)
+        better = np.minimum(facts, core.least_of_givers(labels[:-1] + cost))
+        if np.array_equal(better, facts):
+            return facts, labels
+        facts = better
+
+
+@dataclass(frozen=True)
+class Landmark:
+    """A zone of facts and the labels that may enter it first."""
+
+    zone: Ints
+    members: Ints
+
+
+def landmark_of(core: Core, zone: Ints) -> Landmark:
+    """The landmark of a zone of the core's facts."""
+    needs_it = np.zeros(core.goal + 1, np.bool_)
+    needs_it[np.concatenate([core.needed_by[fact] for fact in zone.tolist()])] = True
+    givers = np.concatenate([core.givers[fact] for fact in zone.tolist()])
+    return Landmark(zone, np.unique(givers[~needs_it[givers]]))
+
+
+@dataclass
+class Bound:
+    """A lower bound on cost: landmarks of a core, and what is left of each label's cost after charging them."""
+
+    core: Core
+    residual: Ints
+    value: int = 0
+    _zones: list[Ints] = field(default_factory=list)
+
+    def charge(self, landmark: Landmark) -> bool:
+        """Charge a landmark as much as its members have left; False if that is nothing."""
+        weight = int(self.residual[landmark.members].min(initial=NEVER))
+        if not 0 < weight < NEVER:
+            return False
+        self.residual[landmark.members] -= weight
+        self.value += weight
+        return True
+
+    def improve(self, enough: int, most: int, is_over: Callable[[], bool]) -> None:
+        """Charge up to `most` new landmarks, until the value is `enough` or the goal is free at residual costs."""
+        facts, _ = cheapest_way(self.core, self.residual)
+        wanted = self.core.needs[self.core.goal]
+        for _ in range(most):
+            if self.value >= enough or not len(wanted) or is_over():
+                return
+            goal = int(wanted[np.argmax(facts[wanted])])
+            landmark = self._first_ways_into(goal, facts)
+            if facts[goal] == 0 or not self.charge(landmark):
+                return
+            self._zones.append(landmark.zone)
+            facts, _ = cheapest_way(self.core, self.residual, facts)
+
+    def take_zones(self) -> list[Ints]:
+        """The zones of the landmarks found since the last call, by the numbers of this core's facts."""
+        zones, self._zones = self._zones, []
+        return zones
+
+    def _first_ways_into(self, goal: int, facts: Ints) -> Landmark:
+        """The landmark of the zone from which `goal` comes free by the dearest needs."""
+        core = self.core
+        zone = [goal]
+        seen = {goal}
+        for fact in zone:
+            givers = core.givers[fact]
+            for label in givers[self.residual[givers] == 0].tolist():
+                needs = core.needs[label]
+                if not len(needs):
+                    continue
+                need = int(needs[np.argmax(facts[needs])])
+                if need not in seen:
+                    seen.add(need)
+                    zone.append(need)
+        return landmark_of(core, np.array(zone))
+
+    def may_be_used(self, limit: int) -> Flags:
+        """Which labels may be in a plan that costs at most `limit` (reduced-cost fixing)."""
+        _, before = cheapest_way(self.core, self.residual)
+        return np.asarray(self.value + before[:-1] + self.residual <= limit)
+
+    def restricted(self, keep: Flags) -> Bound:
+        """The same bound for plans with no labels but those flagged."""
+        return Bound(self.core.restricted(keep), self.residual[keep], self.value)
