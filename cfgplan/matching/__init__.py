@@ -12,15 +12,17 @@ from cfgplan.matching.faults import (
     UnknownNameError,
 )
 from cfgplan.matching.loading import load_ontology
-from cfgplan.matching.matrix import Matching, match
+from cfgplan.matching.matrix import match
 from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.reasoners import REASONERS
+from cfgplan.matching.session import Matcher, Matching
 from cfgplan.matching.syntax import check_tag
 
 __all__ = [
     "REASONERS",
     "InconsistentOntologyError",
     "MatchExplanation",
+    "Matcher",
     "Matching",
     "MatchingError",
     "Nearest",
