@@ -180,10 +180,9 @@ def _needless_units(environment: Environment) -> Iterator[Violation]:
 
 def _bad_refusal(problem: Problem, plan: Plan) -> Iterator[Violation]:
     possible = _startable(problem.environment, problem.similarity)
+    givers = _givers(problem.environment, problem.similarity)
     impossible = {
-        target.label
-        for target in problem.environment.targets
-        if not _providers(problem.environment, problem.similarity, target.tag, possible)
+        target.label for target in problem.environment.targets if possible.isdisjoint(givers.get(target.tag, set()))
     }
     if plan.status is Status.INFEASIBLE and set(plan.reasons) != impossible:
         text = f"the targets that can't be met are {sorted(impossible)}, but the plan names {sorted(plan.reasons)}"
@@ -287,6 +286,7 @@ def _startable(environment: Environment, similarity: Similarity) -> set[str]:
     More providers never hurt, so it is enough to look at all of them running at once: the largest
     set whose ordinary inputs are fed by members that come before and feedback inputs by any member.
     """
+    givers = _givers(environment, similarity)
     candidates = set(environment.transformation)
     while True:
         grounded: set[str] = set()
@@ -294,7 +294,7 @@ def _startable(environment: Environment, similarity: Similarity) -> set[str]:
             more = {
                 label
                 for label in candidates - grounded
-                if _can_be_fed(environment, similarity, environment.transformation[label], grounded, candidates)
+                if _can_be_fed(givers, environment.transformation[label], grounded, candidates)
             }
             if not more:
                 break
@@ -305,25 +305,25 @@ def _startable(environment: Environment, similarity: Similarity) -> set[str]:
 
 
 def _can_be_fed(
-    environment: Environment,
-    similarity: Similarity,
-    transformation: Transformation,
-    before: Collection[str],
-    anywhere: Collection[str],
+    givers: Mapping[str, set[str]], transformation: Transformation, before: set[str], anywhere: set[str]
 ) -> bool:
     choices: dict[str, dict[str, set[str]]] = defaultdict(dict)
     for port in transformation.inputs:
         group = port.distinct if port.distinct is not None else f"\0{port.name}"
         allowed = anywhere if port.feedback else before
-        choices[group][port.name] = _providers(environment, similarity, port.tag, allowed)
+        choices[group][port.name] = givers.get(port.tag, set()) & allowed
     return all(_different_choices_exist(group) for group in choices.values())
 
 
-def _providers(environment: Environment, similarity: Similarity, tag: str, labels: Collection[str]) -> set[str]:
+def _givers(environment: Environment, similarity: Similarity) -> dict[str, set[str]]:
+    """For each demanded tag the transformations with an output that matches it."""
+    offering: dict[str, set[str]] = defaultdict(set)
+    for transformation in environment.library:
+        for port in transformation.outputs:
+            offering[port.tag].add(transformation.label)
     return {
-        label
-        for label in labels
-        if any(similarity.holds(port.tag, tag) for port in environment.transformation[label].outputs)
+        demanded: {label for tag in offered for label in offering.get(tag, ())}
+        for demanded, offered in similarity.offers.items()
     }
 
 
