@@ -17,6 +17,7 @@ from cfgplan.comparing.bar import progress_bar
 from cfgplan.comparing.invariants import breaches
 from cfgplan.comparing.report import write_report
 from cfgplan.comparing.suites import SUITES
+from cfgplan.comparing.wsc import wsc_sets
 from experiments.peers import PEERS
 
 ENTRANTS = {**REGISTERED, **PEERS}
@@ -34,6 +35,10 @@ def main() -> int:
         rows = read_rows(results)
     else:
         instances = list(SUITES[options.suite]())
+        if options.wsc:
+            instances += wsc_sets(options.wsc)
+        else:
+            console.print("The sets of the Web Service Challenge are left out: no --wsc DIR.")
         entrants = [ENTRANTS[name] for name in options.planner or ENTRANTS]
         limits = Limits(time_limit_s=options.timeout or SECONDS[options.suite])
         with progress_bar(console) as watch:
@@ -52,6 +57,7 @@ def _options() -> argparse.Namespace:
     which.add_argument("--short", dest="suite", action="store_const", const="short", help="under five minutes")
     which.add_argument("--full", dest="suite", action="store_const", const="full", help="the study: half an hour")
     parser.add_argument("--planner", action="append", choices=ENTRANTS, help="only these (all of them)")
+    parser.add_argument("--wsc", type=Path, metavar="DIR", help="a folder with sets of the Web Service Challenge 2008")
     parser.add_argument("--timeout", type=float, metavar="S", help="seconds for a run (short: 2, full: 5)")
     parser.add_argument("--report", type=Path, metavar="DIR", help="where results, tables and plots go")
     parser.add_argument("--report-only", action="store_true", help="write the report again from the results there")
