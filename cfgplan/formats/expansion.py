@@ -8,6 +8,7 @@ from typing import cast
 
 from cfgplan.domain import InputPort, OutputPort, Transformation
 from cfgplan.errors import Fault
+from cfgplan.formats.left_out import LeftOut
 from cfgplan.formats.places import Path, Source
 from cfgplan.formats.schema import (
     DEFAULT_LABOR_US,
@@ -34,11 +35,14 @@ from cfgplan.formats.vocabulary import BadClassError, Vocabulary
 class Expander:
     """Makes transformations from their written form; what is wrong goes into `faults`."""
 
-    def __init__(self, defaults: DefaultsPart, vocabulary: Vocabulary, tags: TagChecker, faults: list[Fault]) -> None:
+    def __init__(
+        self, defaults: DefaultsPart, vocabulary: Vocabulary, tags: TagChecker, left_out: LeftOut, faults: list[Fault]
+    ) -> None:
         self._labor_us = DEFAULT_LABOR_US if defaults.labor is None else defaults.labor
         self._upkeep_us = DEFAULT_UPKEEP_US if defaults.upkeep is None else defaults.upkeep
         self._vocabulary = vocabulary
         self._tags = tags
+        self._left_out = left_out
         self._faults = faults
         self._instances: dict[str, tuple[str, ...] | BadClassError] = {}
 
@@ -48,9 +52,20 @@ class Expander:
         if not any("$" in text for _, text in texts):
             yield from self._filled(source, path, part, {})
             return
+        instances = self._variable_instances(source, path, part, texts)
+        if instances is None:
+            self._left_out.add("transformations", part.label)
+            return
+        for values in assignments(instances):
+            yield from self._filled(source, path, part, values)
+
+    def _variable_instances(
+        self, source: Source, path: Path, part: TransformationPart, texts: list[tuple[Path, str]]
+    ) -> dict[Variable, tuple[str, ...]] | None:
+        """What each variable of a template ranges over, or None if the template has faults."""
         found = self._variables(source, texts)
         if found is None:
-            return
+            return None
         in_label = {variable for variable, _ in variables(part.label)}
         missing = [variable for variable in found if variable not in in_label]
         if missing:
@@ -59,14 +74,13 @@ class Expander:
             self._faults.append(source.fault((*path, "label"), f"the label does not mention {names}", mend))
         instances = self._instances_of(source, found)
         if missing or instances is None:
-            return
+            return None
         count = prod(len(names) for names in instances.values())
         if count > MOST_EXPANSIONS:
             message = f"this template stands for {count:,} transformations, more than {MOST_EXPANSIONS:,}"
             self._faults.append(source.fault((*path, "label"), message, "use fewer variables or smaller classes"))
-            return
-        for values in assignments(instances):
-            yield from self._filled(source, path, part, values)
+            return None
+        return instances
 
     def _variables(self, source: Source, texts: list[tuple[Path, str]]) -> dict[Variable, tuple[Path, int]] | None:
         """Each variable with the place of its first mention, or None if a `${` is wrong."""
@@ -119,6 +133,7 @@ class Expander:
         names = [*(port.name for port in inputs), *(port.name for port in outputs)]
         if len(set(names)) != len(names):
             self._note_repeated_port(source, path, part, names, values)
+            self._left_out.add("transformations", label)
             return
         yield Transformation(
             label,

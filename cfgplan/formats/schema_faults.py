@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from decimal import Decimal
-from difflib import get_close_matches
 from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel
@@ -20,6 +19,7 @@ from cfgplan.formats.schema import (
     EnvironmentPart,
     IncludedPart,
 )
+from cfgplan.formats.suggestions import did_you_mean
 
 _KINDS = {
     "string_type": "text",
@@ -39,12 +39,6 @@ def schema_faults(source: Source, root: Path, errors: Sequence[Any], part: type[
         path = root + tuple(step for step in error["loc"] if step not in (SHORT_FORM, FULL_FORM, "[key]"))
         at_key = error["loc"][-1:] == ("[key]",)
         yield _fault(source, path, at_key, error, part)
-
-
-def did_you_mean(name: str, known: Sequence[str], otherwise: str) -> str:
-    """A mend for an unknown name: the known one that is close to it, or else a hint."""
-    close = get_close_matches(name, known, n=1)
-    return f"did you mean `{close[0]}`?" if close else otherwise
 
 
 def _fault(source: Source, path: Path, at_key: bool, error: Any, part: type[BaseModel]) -> Fault:
