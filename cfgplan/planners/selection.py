@@ -112,9 +112,14 @@ class Selection:
 
     def satisfied(self, chosen: Collection[int]) -> bool:
         """Whether the chosen are all grounded and meet every target."""
-        return len(self.grounded(chosen)) == len(chosen) and all(
-            not set(self.feeders(tag)).isdisjoint(chosen) for tag in self.wanted
-        )
+        return not self.open_demands(frozenset(chosen)) and len(self.grounded(chosen)) == len(chosen)
+
+    def open_demands(self, chosen: frozenset[int]) -> dict[str, tuple[int, ...]]:
+        """The demands of the targets and of the chosen that no chosen one feeds, with who could."""
+        tags = dict.fromkeys(self.wanted)
+        for i in sorted(chosen):
+            tags.update(dict.fromkeys(port.tag for port in self.candidates[i].transformation.inputs))
+        return {tag: self.feeders(tag) for tag in tags if chosen.isdisjoint(self.feeders(tag))}
 
     def units(self, chosen: Collection[int]) -> list[ComputationUnit]:
         """Those of the grounded chosen that targets and pinned units need, wired; old streams are preferred."""
