@@ -49,7 +49,9 @@ def _version(distribution: str) -> str:
 
 def _registered(name: str) -> Entrant:
     module = f"cfgplan.planners.{name.replace('-', '_')}"
-    return Entrant(name, engines=(module,), distributions=("ortools",) if name == "cpsat" else ())
+    if name == "cpsat":
+        return Entrant(name, engines=("ortools.sat.python.cp_model", module), distributions=("ortools",))
+    return Entrant(name, engines=(module,))
 
 
 REGISTERED: Mapping[str, Entrant] = MappingProxyType({name: _registered(name) for name in PLANNERS})
