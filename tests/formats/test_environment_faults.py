@@ -260,8 +260,9 @@ def test_a_byte_order_mark_does_no_harm(tmp_path: Path) -> None:
 
 
 def test_a_port_with_an_unquoted_nominal_is_told_to_quote_it(tmp_path: Path) -> None:
-    faults = faults_of(tmp_path, HEAD + "transformations: [{label: a, outputs: {o: {cam1}}}]\n")
-    assert "write it in quotes if it is a concept" in str(faults[0])
+    fault = only_fault(tmp_path, HEAD + "transformations: [{label: a, outputs: {o: {cam1}}}]\n")
+    assert place_of(fault) == (2, 43)
+    assert fault.mend == "write it in quotes: a text that begins with { is read as a mapping"
 
 
 def test_every_cycle_of_units_is_named(tmp_path: Path) -> None:
