@@ -18,6 +18,7 @@ from cfgplan.comparing.invariants import breaches
 from cfgplan.comparing.report import write_report
 from cfgplan.comparing.suites import SUITES
 from cfgplan.comparing.wsc import wsc_sets
+from cfgplan.errors import CfgplanError
 from experiments.peers import PEERS
 
 ENTRANTS = {**REGISTERED, **PEERS}
@@ -65,4 +66,9 @@ def _options() -> argparse.Namespace:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    try:
+        sys.exit(main())
+    except KeyboardInterrupt:
+        sys.exit("interrupted; the same command goes on from here")
+    except CfgplanError as error:
+        sys.exit(f"error: {error}")
