@@ -55,6 +55,7 @@ class Expander:
         instances = self._variable_instances(source, path, part, texts)
         if instances is None:
             self._left_out.add("transformations", part.label)
+            self._check_plain_tags(source, path, part)
             return
         for values in assignments(instances):
             yield from self._filled(source, path, part, values)
@@ -115,7 +116,9 @@ class Expander:
             except BadClassError as error:
                 self._instances[class_name] = error
             else:
-                empty = BadClassError(f"the class {class_name} has no individuals", "assert one in the ontology")
+                empty = BadClassError(
+                    f"the class {class_name} has no individuals", "assert one in an ontology that `ontology:` names"
+                )
                 self._instances[class_name] = names or empty
         return self._instances[class_name]
 
@@ -153,11 +156,18 @@ class Expander:
         self, source: Source, path: Path, key: str, part: TransformationPart, values: Mapping[Variable, str]
     ) -> Iterator[tuple[str, str, str | InputPart | OutputPart]]:
         for name, written in (getattr(part, key) or {}).items():
-            tag_path = (*path, key, name) if isinstance(written, str) else (*path, key, name, "tag")
-            template = written if isinstance(written, str) else written.tag
+            tag_path, template = _tag_of(written, (*path, key, name))
             tag = substitute(template, values)
             self._tags.check(tag, source, tag_path, template, values)
             yield substitute(name, values), tag, written
+
+    def _check_plain_tags(self, source: Source, path: Path, part: TransformationPart) -> None:
+        """Check what can be checked of a template that has no expansion, so that all its faults are told at once."""
+        for key in ("inputs", "outputs"):
+            for name, written in (getattr(part, key) or {}).items():
+                place, tag = _tag_of(written, (*path, key, name))
+                if "$" not in tag:
+                    self._tags.check(tag, source, place)
 
     def _note_repeated_port(
         self, source: Source, path: Path, part: TransformationPart, names: list[str], values: Mapping[Variable, str]
@@ -175,6 +185,11 @@ def _optional(text: str | None, values: Mapping[Variable, str]) -> str | None:
     return None if text is None else substitute(text, values)
 
 
+def _tag_of(written: str | InputPart | OutputPart, path: Path) -> tuple[Path, str]:
+    """The tag of a port as written, and its place."""
+    return (path, written) if isinstance(written, str) else ((*path, "tag"), written.tag)
+
+
 def _texts(part: TransformationPart, path: Path) -> Iterator[tuple[Path, str]]:
     """Every text of a written transformation in which a variable may stand, with its place."""
     yield (*path, "label"), part.label
@@ -185,10 +200,7 @@ def _texts(part: TransformationPart, path: Path) -> Iterator[tuple[Path, str]]:
     for key in ("inputs", "outputs"):
         for name, written in (getattr(part, key) or {}).items():
             yield (*path, key, name), name
-            if isinstance(written, str):
-                yield (*path, key, name), written
-                continue
-            yield (*path, key, name, "tag"), written.tag
+            yield _tag_of(written, (*path, key, name))
             if isinstance(written, InputPart) and written.distinct is not None:
                 yield (*path, key, name, "distinct"), written.distinct
     if part.params:
