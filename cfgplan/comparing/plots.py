@@ -34,6 +34,7 @@ def write_plots(rows: Sequence[Row], folder: Path) -> list[Path]:
         "gaps": gap_profile(rows),
         "performance": performance_profile(rows),
         "anytime": anytime(rows),
+        "bounds": bounds(rows),
     }
     folder.mkdir(parents=True, exist_ok=True)
     written = []
@@ -137,8 +138,49 @@ def performance_profile(rows: Sequence[Row]) -> Figure | None:
     return _with_legend(figure, rows)
 
 
-def anytime(rows: Sequence[Row], most: int = 6) -> Figure | None:
+def anytime(rows: Sequence[Row]) -> Figure | None:
     """How far each planner's best plan was from the least cost over time, on the instances that were proven last."""
+    hardest = _hardest(rows)
+    if not hardest:
+        return None
+    figure, axes = _grid(len(hardest), 3)
+    for axis, (title, least_us, group) in zip(axes, hardest, strict=False):
+        for row in group:
+            points = [(max(LEAST_S, when), cost) for when, cost, _ in row.trace if cost is not None]
+            if row.has_plan and row.cost_us is not None:
+                points.append((max(LEAST_S, row.best_s or 0.0), row.cost_us))
+            _steps(axis, row, [(when, max(LEAST_GAP, cost / least_us - 1)) for when, cost in points], rows)
+        axis.set_xscale("log")
+        axis.set_yscale("log")
+        axis.set_ylim(LEAST_GAP * 0.8)
+        axis.set_title(title, fontsize=7)
+    figure.supxlabel("seconds", fontsize=9)
+    figure.supylabel("gap to the least known cost (0.001: at most that)", fontsize=9)
+    return _with_legend(figure, rows)
+
+
+def bounds(rows: Sequence[Row]) -> Figure | None:
+    """The proven bound of each planner over time, as a share of the least cost, on the same instances."""
+    hardest = _hardest(rows)
+    if not hardest:
+        return None
+    figure, axes = _grid(len(hardest), 3)
+    for axis, (title, least_us, group) in zip(axes, hardest, strict=False):
+        for row in group:
+            points = [(max(LEAST_S, when), bound / least_us) for when, _, bound in row.trace if bound > 0]
+            if row.total_s is not None and row.bound_us > 0:
+                points.append((max(LEAST_S, row.proof_s or row.total_s), row.bound_us / least_us))
+            _steps(axis, row, points, rows)
+        axis.set_xscale("log")
+        axis.set_ylim(0, 1.05)
+        axis.set_title(title, fontsize=7)
+    figure.supxlabel("seconds", fontsize=9)
+    figure.supylabel("proven bound / least known cost", fontsize=9)
+    return _with_legend(figure, rows)
+
+
+def _hardest(rows: Sequence[Row], most: int = 6) -> list[tuple[str, int, list[Row]]]:
+    """Name, least cost and rows of the instances that took the fastest prover longest."""
     reference = references(rows)
     groups = {key: group for key, group in by_instance(rows).items() if key in reference}
 
@@ -146,29 +188,18 @@ def anytime(rows: Sequence[Row], most: int = 6) -> Figure | None:
         return min((row.proof_s for row in groups[key] if row.proof_s is not None), default=float("inf"))
 
     hardest = sorted(groups, key=lambda key: (-hardness(key), key))[:most]
-    if not hardest:
-        return None
-    figure, axes = _grid(len(hardest), 3)
-    for axis, key in zip(axes, hardest, strict=False):
-        least_us = max(1, reference[key].cost_us)
-        for row in groups[key]:
-            style = _styles(rows)[row.planner]
-            points = [(max(LEAST_S, when), cost) for when, cost, _ in row.trace if cost is not None]
-            if row.has_plan and row.cost_us is not None:
-                points.append((max(LEAST_S, row.best_s or 0.0), row.cost_us))
-            points.sort()
-            if points:
-                xs = [x for x, _ in points] + [max(row.time_limit_s, points[-1][0])]
-                ys = [max(LEAST_GAP, cost / least_us - 1) for _, cost in points]
-                axis.step(xs, [*ys, ys[-1]], where="post", color=style.color, linestyle=style.line)
-                axis.scatter(xs[0], ys[0], s=18, marker=style.marker, color=style.color, zorder=3)
-        axis.set_xscale("log")
-        axis.set_yscale("log")
-        axis.set_ylim(LEAST_GAP * 0.8)
-        axis.set_title(key[0].replace("#", " #"), fontsize=7)
-    figure.supxlabel("seconds", fontsize=9)
-    figure.supylabel("gap to the least known cost (0.001: at most that)", fontsize=9)
-    return _with_legend(figure, rows)
+    return [(key[0].replace("#", " #"), max(1, reference[key].cost_us), groups[key]) for key in hardest]
+
+
+def _steps(axis: Axes, row: Row, points: list[tuple[float, float]], rows: Sequence[Row]) -> None:
+    """A row's curve, carried on to the time limit."""
+    if points:
+        style = _styles(rows)[row.planner]
+        points = sorted(points)
+        xs = [*(x for x, _ in points), max(row.time_limit_s, points[-1][0])]
+        ys = [*(y for _, y in points), points[-1][1]]
+        axis.step(xs, ys, where="post", color=style.color, linestyle=style.line)
+        axis.scatter(xs[0], ys[0], s=18, marker=style.marker, color=style.color, zorder=3)
 
 
 def _series(rows: Sequence[Row]) -> dict[tuple[str, str], list[tuple[float, Row]]]:

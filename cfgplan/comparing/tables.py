@@ -44,6 +44,9 @@ def overview(rows: Sequence[Row], *, base: str = "cpsat") -> Table:
         "judged false",
         "median gap",
         "worst gap",
+        "median s to first plan",
+        "median s to best plan",
+        "median s to proof",
         f"time to proof / {base}'s (instances)",
         "peak MB",
     )
@@ -85,6 +88,21 @@ def detail(rows: Sequence[Row]) -> Table:
     )
 
 
+EFFORT = ("nodes", "conflicts", "expanded", "wirings")
+
+
+def effort(rows: Sequence[Row]) -> Table:
+    """Every run: how many nodes, conflicts, expanded states or tried wirings it took, whatever the planner counts."""
+    names = planners(rows)
+    lines = []
+    for instance, group in by_instance(rows).items():
+        counted = {row.planner: next((row.counts[key] for key in EFFORT if key in row.counts), None) for row in group}
+        cells = ("" if counted.get(name) is None else f"{counted[name]:,}" for name in names)
+        lines.append((instance[0], *cells))
+    title = "Every run: nodes (branch-and-bound, HiGHS), conflicts (cpsat, clingo), expanded states, or wirings tried"
+    return Table(title, ("instance", *names), tuple(lines))
+
+
 def planners(rows: Iterable[Row]) -> tuple[str, ...]:
     """The planners in the order of their first rows."""
     return tuple(dict.fromkeys(row.planner for row in rows))
@@ -116,9 +134,15 @@ def _column(
         str(sum(bool(row.violations) for row in own)),
         f"{median(gaps):.1%}" if gaps else "-",
         f"{max(gaps):.0%}" if gaps else "-",
+        *(_median_s(own, name) for name in ("first_s", "best_s", "proof_s")),
         f"{ratio:.2g} ({number})" if ratio is not None else "-",
         f"{max(peaks):.0f}" if peaks else "-",
     )
+
+
+def _median_s(rows: Sequence[Row], name: str) -> str:
+    times = [getattr(row, name) for row in rows if getattr(row, name) is not None]
+    return f"{median(times):.2g}" if times else "-"
 
 
 def _class(row: Row) -> str:

@@ -11,7 +11,7 @@ from cfgplan.comparing.bar import duration
 from cfgplan.comparing.invariants import breaches, gap, references
 from cfgplan.comparing.rows import thinned
 from cfgplan.comparing.suites import SUITES
-from cfgplan.comparing.tables import by_family, detail, overview, ratio_to
+from cfgplan.comparing.tables import by_family, detail, effort, overview, ratio_to
 from cfgplan.planning import Status
 
 
@@ -96,6 +96,11 @@ def test_time_outs_and_failures_are_counted_not_dropped() -> None:
     assert by_family(rows).lines[0][-1] == "0 of 4"
 
 
+def test_each_planner_counts_its_own_effort() -> None:
+    rows = [row("search", 1, counts={"nodes": 12345}), row("solver", 1, counts={"rounds": 2, "conflicts": 7})]
+    assert effort(rows).lines == (("it", "12,345", "7"),)
+
+
 def test_a_table_is_markdown() -> None:
     text = detail([row("exact", 2_000_000, 0.5, instance="a|b")]).markdown()
     assert "| a\\|b | 2 | 0.5 |" in text
@@ -135,7 +140,7 @@ def test_a_report_has_tables_and_plots(tiny_rows: list[Row], tmp_path: Path) -> 
     from cfgplan.comparing.report import write_report
 
     files = write_report(tiny_rows, tmp_path / "report")
-    assert {file.name for file in files} == {"tables.md", "gaps.png", "performance.png", "anytime.png"}
+    assert {file.name for file in files} == {"tables.md", "gaps.png", "performance.png", "anytime.png", "bounds.png"}
     assert all(file.stat().st_size > 1000 for file in files)
     assert "None: all proofs agree" in files[0].read_text()
 
