@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 from cfgplan.matching.concepts import And, AtLeast, AtMost, Concept, Not, Only, Or, Some
 from cfgplan.matching.descriptions import Description, Descriptions, disjuncts
-from cfgplan.matching.faults import InconsistentOntologyError
 from cfgplan.matching.functional import Tree
 from cfgplan.matching.queries import Demand, Demands
 from cfgplan.matching.rules import BOTTOM_ATOM, Rules
@@ -47,12 +46,6 @@ class Engine:
     def is_inconsistent(self) -> bool:
         """Whether the ontology is found to contradict itself."""
         return self.saturation.is_inconsistent
-
-    def clash(self) -> InconsistentOntologyError:
-        """The error for an ontology that contradicts itself."""
-        return InconsistentOntologyError(
-            "the ontology contradicts itself, so that everything would match", "remove one of the axioms that clash"
-        )
 
     def offer(self, concept: Concept) -> Offer:
         """What follows for an offered tag."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from pathlib import Path
 
+from cfgplan.matching.cache import key_of, load, store
 from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.session import Matcher, Matching
 
@@ -25,5 +26,13 @@ def match(
     can't be read and for an ontology that can't be reasoned with.
     """
     matcher = Matcher(ontology, reasoner=reasoner)
-    matcher.add(offered=offered, demanded=demanded)
-    return matcher.matching(time_limit_s=time_limit_s)
+    if cache is not None:
+        key = key_of(ontology, reasoner, offered, demanded)
+        known = load(cache, key, offered, demanded)
+        if known is not None:
+            return known
+    matcher.add(offered=dict.fromkeys(offered), demanded=dict.fromkeys(demanded))
+    matching = matcher.matching(time_limit_s=time_limit_s)
+    if cache is not None:
+        store(cache, key, offered, demanded, matching)
+    return matching

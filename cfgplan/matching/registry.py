@@ -53,9 +53,7 @@ class TagRegistry:
             try:
                 read.append((text, self._concepts.get(text) or parse_tag(text, ontology)))
             except TagError as error:
-                faults.append(
-                    Fault(f"tag {text!r}, column {error.column}: {error.message}", mend=error.mend, column=error.column)
-                )
+                faults.append(Fault(f"tag {text!r}, column {error.column}: {error.message}", mend=error.mend))
         if faults:
             raise InputError(faults)
         return read

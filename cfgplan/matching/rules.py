@@ -153,11 +153,17 @@ class Rules:
         for role in range(len(self.role_names)):
             reached, waiting = {role}, [role]
             while waiting:
-                news = self._direct_supers[waiting.pop()] - reached
+                below = waiting.pop()
+                news = self._direct_supers[below] - reached
                 reached |= news
                 waiting += news
+                for upper in news:
+                    self.origin.setdefault(("role", role, upper), self.origin["role", below, upper])
             self.supers[role] = frozenset(reached)
-            self.ranges[role] = frozenset(atom for sup in reached for atom in self._direct_ranges[sup])
+            self.ranges[role] = frozenset(atom for upper in reached for atom in self._direct_ranges[upper])
+            for upper in reached:
+                for atom in self._direct_ranges[upper]:
+                    self.origin.setdefault(("range", role, atom), self.origin["range", upper, atom])
 
     def _chain_that_breaks_a_range(self) -> str | None:
         """The axiom of a chain whose range its last role doesn't have (the restriction of OWL EL), if any."""

@@ -9,10 +9,15 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable
+from typing import TypeAlias
 
 from cfgplan.matching.rules import BOTTOM_ATOM, TOP_ATOM, Rules
 
-Edge = tuple[int, "Context"]
+Edge: TypeAlias = "tuple[int, Context]"
+Fact: TypeAlias = "tuple[Context, int] | tuple[Context, int, Context]"
+"""That a context has an atom, or a link by a role to another context."""
+Reason: TypeAlias = "tuple[tuple[object, ...], tuple[Fact, ...]]"
+"""The rule (a key of `Rules.origin`, if it comes from an axiom) and the facts from which a fact follows."""
 
 
 class Context:
@@ -43,8 +48,10 @@ class Context:
 class Saturation:
     """The contexts of an ontology, made and saturated on demand; those of individuals at once."""
 
-    def __init__(self, rules: Rules) -> None:
+    def __init__(self, rules: Rules, *, reasons: dict[Fact, Reason] | None = None) -> None:
+        """Saturate what must exist. `reasons`, if given, gets the first reason found for each fact."""
         self.rules = rules
+        self._reasons = reasons
         self._contexts: dict[frozenset[int], Context] = {}
         self._fresh: list[Context] = []
         self._atoms: list[tuple[Context, int]] = []
@@ -81,9 +88,9 @@ class Saturation:
             individual = any(atom in self.rules.individuals for atom in key)
             known = self._contexts[key] = Context(key, individual)
             self._fresh.append(known)
-            self._add(known, TOP_ATOM)
+            self._add(known, TOP_ATOM, ())
             for atom in key:
-                self._add(known, atom)
+                self._add(known, atom, ())
         return known
 
     def _let_exist(self, context: Context) -> None:
@@ -96,24 +103,29 @@ class Saturation:
             for role, targets in existing.links.items():
                 for target in targets:
                     waiting.append(target)
-                    self._add_ranges(role, target)
+                    self._add_ranges(existing, role, target)
 
-    def _add_ranges(self, role: int, target: Context) -> None:
+    def _add_ranges(self, source: Context, role: int, target: Context) -> None:
         if target.individual:
             for atom in self.rules.ranges[role]:
-                self._add(target, atom)
+                self._add(target, atom, ("range", role, atom), (source, role, target))
 
-    def _add(self, context: Context, atom: int) -> None:
+    def _add(self, context: Context, atom: int, rule: tuple[object, ...], *premises: Fact) -> None:
         if atom not in context.atoms:
             context.atoms.add(atom)
             self._atoms.append((context, atom))
+            if self._reasons is not None:
+                self._reasons.setdefault((context, atom), (rule, premises))
 
-    def _link(self, source: Context, role: int, target: Context) -> None:
+    def _link(self, source: Context, role: int, target: Context, rule: tuple[object, ...], *premises: Fact) -> None:
         for upper in self.rules.supers[role]:
             if target not in source.links[upper]:
                 source.links[upper].add(target)
                 target.preds[upper].add(source)
                 self._links.append((source, upper, target))
+                if self._reasons is not None:
+                    own = (rule, premises) if upper == role else (("role", role, upper), ((source, role, target),))
+                    self._reasons.setdefault((source, upper, target), own)
 
     def _run(self) -> None:
         while self._atoms or self._links:
@@ -126,19 +138,20 @@ class Saturation:
     def _follow_atom(self, context: Context, atom: int) -> None:
         rules = self.rules
         for implied in rules.sub.get(atom, ()):
-            self._add(context, implied)
+            self._add(context, implied, ("sub", atom, implied), (context, atom))
         partners = rules.joint.get(atom)
         if partners:
             for partner in partners.keys() & context.atoms:
                 for joined in partners[partner]:
-                    self._add(context, joined)
+                    self._add(context, joined, (), (context, atom), (context, partner))
         for role, fillers in rules.right.get(atom, ()):
-            self._link(context, role, self._filler(role, fillers))
+            rule = ("right", atom, role, fillers)
+            self._link(context, role, self._filler(role, fillers), rule, (context, atom))
         for role, sources in list(context.preds.items()):
             heads: Iterable[int] = rules.left[role].get(atom, ()) if role in rules.left else ()
             for head in (BOTTOM_ATOM,) if atom == BOTTOM_ATOM else heads:
                 for source in list(sources):
-                    self._add(source, head)
+                    self._add(source, head, (), (source, role, context), (context, atom))
 
     def _filler(self, role: int, fillers: frozenset[int]) -> Context:
         if any(atom in self.rules.individuals for atom in fillers):
@@ -148,20 +161,22 @@ class Saturation:
     def _follow_link(self, source: Context, role: int, target: Context) -> None:
         rules = self.rules
         if BOTTOM_ATOM in target.atoms:
-            self._add(source, BOTTOM_ATOM)
+            self._add(source, BOTTOM_ATOM, (), (source, role, target), (target, BOTTOM_ATOM))
         heads = rules.left.get(role)
         if heads:
             for atom in heads.keys() & target.atoms:
                 for head in heads[atom]:
-                    self._add(source, head)
+                    self._add(source, head, (), (source, role, target), (target, atom))
         for second, composed in rules.chains.get(role, ()):
             for end in list(target.links.get(second, ())):
-                self._link(source, composed, end)
+                rule = ("chain", role, second, composed)
+                self._link(source, composed, end, rule, (source, role, target), (target, second, end))
         for first, composed in rules.chained.get(role, ()):
             for start in list(source.preds.get(first, ())):
-                self._link(start, composed, target)
+                rule = ("chain", first, role, composed)
+                self._link(start, composed, target, rule, (start, first, source), (source, role, target))
         if source.exists:
-            self._add_ranges(role, target)
+            self._add_ranges(source, role, target)
             self._let_exist(target)
 
     def _finish(self) -> None:

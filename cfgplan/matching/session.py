@@ -11,11 +11,12 @@ from cfgplan.domain import Similarity
 from cfgplan.errors import Fault, InputError
 from cfgplan.matching.concepts import Concept
 from cfgplan.matching.engine import Engine, roles_in
-from cfgplan.matching.faults import MatchingError, ReasonerTimeoutError
+from cfgplan.matching.faults import InconsistentOntologyError, MatchingError, ReasonerTimeoutError
 from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.reasoners import reference_named
 from cfgplan.matching.registry import TagRegistry
 from cfgplan.matching.rows import Rows
+from cfgplan.matching.tracing import contradiction
 from cfgplan.matching.verdicts import Question, Verdicts
 
 MOST_UNKNOWN_PAIRS: Final = 100_000
@@ -114,7 +115,7 @@ class Matcher:
             concepts = [*self._offered.names.values(), *self._demanded.names.values()]
             self._engine = Engine(self._ontology.trees, set().union(*map(roles_in, concepts)))
             if self._engine.is_inconsistent:
-                raise self._input_error(self._engine.clash())
+                raise self._input_error(self._contradiction())
         return self._engine
 
     def _current_rows(self) -> Rows | None:
@@ -191,6 +192,13 @@ class Matcher:
                 why = f"; the ontology is outside the fast engine's fragment: {axiom} ({reason})"
             warnings.append(f"{count} of tags could not be decided and do not match{why}")
         return unknown
+
+    def _contradiction(self) -> InconsistentOntologyError:
+        steps = "; ".join(contradiction(self._ontology))
+        return InconsistentOntologyError(
+            f"the ontology contradicts itself, so that everything would match: {steps}",
+            "remove one of the axioms that clash",
+        )
 
     def _input_error(self, error: MatchingError) -> InputError:
         file = str(self._ontology.files[0]) if self._ontology.files else None

@@ -19,7 +19,6 @@ from worlds import World, small_world
 from cfgplan.errors import InputError
 from cfgplan.matching import match
 
-
 PATIENCE_S = 10.0
 """How long HermiT may take over one world."""
 
