@@ -48,14 +48,14 @@ class World:
     ontology: Ontology
     horizon_s: int
     max_cost_us: int | None = None
-    file: formats.World | None = None
+    file: formats.EnvironmentFile | None = None
 
     @cached_property
     def digest(self) -> str:
         """A hash of all that a plan depends on; a plan file carries it, so that a stale plan is noticed."""
         from cfgplan import formats
 
-        file = self.file or formats.World(Path(), self.environment, self.horizon_s, self.max_cost_us)
+        file = self.file or formats.EnvironmentFile(Path(), self.environment, self.horizon_s, self.max_cost_us)
         return file.digest
 
 

@@ -1,4 +1,4 @@
-"""From a document to a world: templates expanded, every tag and every reference checked."""
+"""From a document to an environment: templates expanded, every tag and every reference checked."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from cfgplan.domain import Environment, Target, Transformation
 from cfgplan.errors import Fault, InputError
 from cfgplan.formats.document import Document, File
+from cfgplan.formats.environment_file import EnvironmentFile
 from cfgplan.formats.expansion import Expander
 from cfgplan.formats.garbage import no_garbage_collection
 from cfgplan.formats.left_out import LeftOut
@@ -14,18 +15,17 @@ from cfgplan.formats.places import Path, Source
 from cfgplan.formats.references import UnitChecker
 from cfgplan.formats.tags import TagChecker
 from cfgplan.formats.vocabulary import Vocabulary
-from cfgplan.formats.world import World
 
 Origins = dict[tuple[str, str], tuple[Source, Path]]
 
 
-def build(document: Document, vocabulary: Vocabulary) -> World:
-    """The world that a document describes; raises InputError with every fault of the document and of this stage."""
+def build(document: Document, vocabulary: Vocabulary) -> EnvironmentFile:
+    """The environment that a document describes; raises InputError with every fault of the document and of this stage."""
     with no_garbage_collection():
         return _build(document, vocabulary)
 
 
-def _build(document: Document, vocabulary: Vocabulary) -> World:
+def _build(document: Document, vocabulary: Vocabulary) -> EnvironmentFile:
     faults = list(document.faults)
     origins: Origins = {}
     left_out = LeftOut(document)
@@ -39,7 +39,9 @@ def _build(document: Document, vocabulary: Vocabulary) -> World:
     if faults:
         raise InputError(_in_file_order(faults, document))
     environment = Environment(tuple(units), tuple(library.values()), tuple(targets.values()))
-    return World(document.path, environment, document.horizon_s, document.max_cost_us, document.ontology_paths, origins)
+    return EnvironmentFile(
+        document.path, environment, document.horizon_s, document.max_cost_us, document.ontology_paths, origins
+    )
 
 
 def _library(

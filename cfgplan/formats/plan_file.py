@@ -79,7 +79,7 @@ def plan_schema() -> dict[str, Any]:
 
 
 def dump_plan(plan: Plan, problem: Problem, digest: str) -> str:
-    """The JSON text of a plan for `problem`, whose environment has the digest `World.digest`.
+    """The JSON text of a plan for `problem`, whose environment has the digest `EnvironmentFile.digest`.
 
     Raises InvalidValueError for a change set over transformations or targets: planners change units.
     """
