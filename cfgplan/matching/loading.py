@@ -158,7 +158,8 @@ def _parse(text: str, syntax: str, shown: str) -> _Document:
     for found in _PREFIX.finditer(text):
         prefix, namespace = (found[1], found[2]) if found[2] is not None else (found[3], found[4])
         prefixes.setdefault(prefix, namespace)
-    return _Document(parsed.get_iri(), tuple(sorted(imports)), tuple(axioms), prefixes)
+    iri = parsed.get_iri()
+    return _Document(None if iri is None else str(iri), tuple(sorted(imports)), tuple(axioms), prefixes)
 
 
 def _fault_of(error: str, text: str, syntax: str, shown: str) -> Fault:

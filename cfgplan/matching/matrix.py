@@ -25,12 +25,12 @@ def match(
     nothing can have would match everything: it is reported and matches nothing. Raises InputError for tags that
     can't be read and for an ontology that can't be reasoned with.
     """
-    matcher = Matcher(ontology, reasoner=reasoner)
     if cache is not None:
         key = key_of(ontology, reasoner, offered, demanded)
         known = load(cache, key, offered, demanded)
         if known is not None:
             return known
+    matcher = Matcher(ontology, reasoner=reasoner)
     matcher.add(offered=dict.fromkeys(offered), demanded=dict.fromkeys(demanded))
     matching = matcher.matching(time_limit_s=time_limit_s)
     if cache is not None:

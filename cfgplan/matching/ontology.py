@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Collection, Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
+from typing import Final
 
 from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI, Concept, in_description_logic
 from cfgplan.matching.faults import UnknownNameError
 from cfgplan.matching.functional import Signature, Tree, parse
 from cfgplan.matching.names import Vocabulary, expanded, short_name, suggestion
+
+_BRACKETED: Final = re.compile(r"<([^<>\s]+)>")
 
 
 class Ontology:
@@ -131,6 +135,10 @@ class Ontology:
             if iri in vocabulary:
                 return vocabulary.written(iri)
         return {THING_IRI: "⊤", NOTHING_IRI: "⊥"}.get(iri) or short_name(iri)
+
+    def shortened(self, text: str) -> str:
+        """A text, such as an axiom, with short names for the IRIs in brackets."""
+        return _BRACKETED.sub(lambda found: self.written(found[1]), text)
 
     def render(self, concept: Concept) -> str:
         """A concept in DL syntax with short names."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping
 
-from cfgplan.errors import Fault, InputError
+from cfgplan.errors import Fault
 from cfgplan.matching.concepts import Concept
 from cfgplan.matching.faults import TagError
 from cfgplan.matching.ontology import Ontology
@@ -45,17 +45,14 @@ class TagRegistry:
             return names
         return names.union(*(self._texts[name] for name in written_twice))
 
-    def read(self, texts: Iterable[str], ontology: Ontology) -> list[tuple[str, Concept]]:
-        """Texts with their meaning. Raises InputError with every tag that can't be read."""
+    def read(self, texts: Iterable[str], ontology: Ontology, faults: list[Fault]) -> list[tuple[str, Concept]]:
+        """Texts with their meaning; `faults` gets those that can't be read."""
         read: list[tuple[str, Concept]] = []
-        faults: list[Fault] = []
         for text in texts:
             try:
                 read.append((text, self._concepts.get(text) or parse_tag(text, ontology)))
             except TagError as error:
                 faults.append(Fault(f"tag {text!r}, column {error.column}: {error.message}", mend=error.mend))
-        if faults:
-            raise InputError(faults)
         return read
 
     def add(self, read: Iterable[tuple[str, Concept]]) -> dict[str, Concept]:

@@ -60,8 +60,11 @@ class Matcher:
 
     def add(self, *, offered: Iterable[str] = (), demanded: Iterable[str] = ()) -> None:
         """Register tags. Raises InputError with every tag that can't be read; nothing is registered then."""
-        offers = self._offered.read(offered, self._ontology)
-        demands = self._demanded.read(demanded, self._ontology)
+        faults: list[Fault] = []
+        offers = self._offered.read(offered, self._ontology, faults)
+        demands = self._demanded.read(demanded, self._ontology, faults)
+        if faults:
+            raise InputError(faults)
         new_offers = self._offered.add(offers)
         new_demands = self._demanded.add(demands)
         if self._rows is not None:
@@ -92,8 +95,8 @@ class Matcher:
             questions = self._verdicts.open_questions(wanted)
             if questions and self._classifier is not None:
                 self._verdicts.ask(questions, time_limit_s)
-        except ReasonerTimeoutError as error:
-            warnings.append(str(error))
+        except ReasonerTimeoutError:
+            warnings.append(f"{self._reference} did not answer everything in {time_limit_s:g} s: give it more time")
         except MatchingError as error:
             raise self._input_error(error) from error
         open_questions = self._verdicts.open_questions(wanted)
@@ -189,7 +192,8 @@ class Matcher:
             why = ""
             if self._uses_engine and self._classifier is None and self.outside():
                 axiom, reason = next(iter(self.outside().items()))
-                why = f"; the ontology is outside the fast engine's fragment: {axiom} ({reason})"
+                told = self._ontology.shortened(axiom)
+                why = f"; the ontology is outside the fast engine's fragment: {told} ({reason})"
             warnings.append(f"{count} of tags could not be decided and do not match{why}")
         return unknown
 
@@ -202,4 +206,4 @@ class Matcher:
 
     def _input_error(self, error: MatchingError) -> InputError:
         file = str(self._ontology.files[0]) if self._ontology.files else None
-        return InputError([Fault(error.message, file=file, mend=error.mend)])
+        return InputError([Fault(self._ontology.shortened(error.message), file=file, mend=error.mend)])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator
 from typing import Final
 
@@ -16,7 +15,6 @@ from cfgplan.matching.translation import Inclusion, is_left_hand, translate
 _OFFERED: Final = Named("tag:offered")
 _DEMANDED: Final = Named("tag:demanded")
 _OFFER: Final = "the offer"
-_IRI: Final = re.compile(r"<([^<>]*)>")
 
 
 def derivation(offered: Concept, demanded: Concept, ontology: Ontology) -> tuple[str, ...] | None:
@@ -76,7 +74,7 @@ class _Trace:
             axiom = self._rules.origin.get(rule)
             told = self._said(fact)
             if axiom:
-                steps[f"{told}, by {self._short(axiom)}"] = None
+                steps[f"{told}, by {self._ontology.shortened(axiom)}"] = None
             elif any(len(premise) == 3 for premise in premises):
                 because = [self._said(premise) for premise in premises if premise[1:] != (TOP_ATOM,)]
                 if told not in because:
@@ -108,9 +106,6 @@ class _Trace:
     def _name(self, atoms: Iterable[int]) -> str:
         concepts = (self._rules.concepts[atom] for atom in atoms)
         return " ⊓ ".join(sorted(_OFFER if c == _OFFERED else self._ontology.render(c) for c in concepts))
-
-    def _short(self, axiom: str) -> str:
-        return _IRI.sub(lambda found: self._ontology.written(found[1]), axiom)
 
 
 def _bracketed(text: str) -> str:

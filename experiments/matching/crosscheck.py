@@ -14,7 +14,7 @@ import time
 from collections import Counter
 from pathlib import Path
 
-from worlds import World, small_world
+from small_worlds import World, small_world
 
 from cfgplan.errors import InputError
 from cfgplan.matching import match

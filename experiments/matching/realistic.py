@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 
-from worlds import World, iri
+from small_worlds import World, iri
 
 from cfgplan.matching import Ontology
 

@@ -1,0 +1,158 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from cfgplan.errors import InputError
+from cfgplan.matching import MatchingError, Ontology, load_ontology, match
+
+TURTLE = """@prefix : <http://w.example/#> .
+@prefix owl: <http://www.w3.org/2002/07/owl#> .
+@prefix rdfs: <http://www.w3.org/2000/01/rdf-schema#> .
+<http://w.example/> a owl:Ontology .
+:Camera a owl:Class ; rdfs:subClassOf :Device .
+:hasSource a owl:ObjectProperty .
+:cam1 a :Camera .
+"""
+RDF_TYPE = "<http://www.w3.org/1999/02/22-rdf-syntax-ns#type>"
+N_TRIPLES = f"""<http://w.example/#Camera> <http://www.w3.org/2000/01/rdf-schema#subClassOf> <http://w.example/#Device> .
+<http://w.example/#cam1> {RDF_TYPE} <http://w.example/#Camera> .
+<http://w.example/#hasSource> {RDF_TYPE} <http://www.w3.org/2002/07/owl#ObjectProperty> .
+"""
+RDF_XML = """<?xml version="1.0"?>
+<rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#" xmlns:owl="http://www.w3.org/2002/07/owl#"
+  xmlns:rdfs="http://www.w3.org/2000/01/rdf-schema#" xmlns:w="http://w.example/#">
+  <owl:Ontology rdf:about=""/>
+  <owl:Class rdf:about="#Camera"><rdfs:subClassOf rdf:resource="#Device"/></owl:Class>
+  <owl:ObjectProperty rdf:about="#hasSource"/>
+  <owl:NamedIndividual rdf:about="#cam1"><rdf:type rdf:resource="#Camera"/></owl:NamedIndividual>
+</rdf:RDF>
+"""
+OWL_XML = """<?xml version="1.0"?>
+<Ontology xmlns="http://www.w3.org/2002/07/owl#" xml:base="http://w.example/" ontologyIRI="http://w.example/">
+  <Prefix name="" IRI="http://w.example/#"/>
+  <Declaration><ObjectProperty abbreviatedIRI=":hasSource"/></Declaration>
+  <SubClassOf><Class abbreviatedIRI=":Camera"/><Class abbreviatedIRI=":Device"/></SubClassOf>
+  <ClassAssertion><Class abbreviatedIRI=":Camera"/><NamedIndividual abbreviatedIRI=":cam1"/></ClassAssertion>
+</Ontology>
+"""
+FUNCTIONAL = """# comment
+Prefix(:=<http://w.example/#>)
+Ontology(<http://w.example/>
+  Declaration(ObjectProperty(:hasSource))
+  SubClassOf(:Camera :Device)
+  ClassAssertion(:Camera :cam1)
+)
+"""
+MANCHESTER = """Prefix: : <http://w.example/#>
+Ontology: <http://w.example/>
+ObjectProperty: :hasSource
+Class: :Device
+Class: :Camera
+  SubClassOf: :Device
+Individual: :cam1
+  Types: :Camera
+"""
+
+
+@pytest.mark.parametrize("suffix", [".ttl", ".owl", ".rdf", ""])
+@pytest.mark.parametrize("text", [TURTLE, N_TRIPLES, RDF_XML, OWL_XML, FUNCTIONAL, MANCHESTER])
+def test_every_syntax_is_told_by_its_content(text: str, suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"world{suffix}"
+    path.write_text(text)
+    ontology = load_ontology([path])
+    assert set(ontology.classes) == {"Camera", "Device"}
+    assert ontology.instances("Device") == ("cam1",)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "line", "told"),
+    [
+        ("a.ttl", b"", None, "is empty"),
+        ("a.ttl", b"@prefix : <http://x#> .\n\n:a :b c .", 3, "Turtle"),
+        ("a.ttl", b"@prefix : <http://x#> . nonsense", 1, "Turtle"),
+        ("a.ofn", FUNCTIONAL.replace("SubClassOf", "SubClassUp").encode(), 5, "functional"),
+        ("a.omn", MANCHESTER.replace("SubClassOf: ", "SubClassOf: and ").encode(), 6, "Manchester"),
+        ("a.owl", RDF_XML.replace("</owl:Class>", "</owl:Klass>").encode(), 5, "RDF/XML"),
+        ("a.owx", OWL_XML.replace("<SubClassOf>", "<SubKlass>").encode(), 5, "OWL/XML"),
+        ("a.png", b"\x89PNG\r\n\xff\xfe\x00", None, "not text"),
+        ("a.ttl", b"<http://x/a> <http://www.w3.org/2000/01/rdf-schema#seeAlso> 5 .", None, "no axiom"),
+        ("missing.ttl", None, None, "does not exist"),
+    ],
+)
+def test_a_file_that_is_no_ontology_is_one_clear_fault(
+    name: str, content: bytes | None, line: int | None, told: str, tmp_path: Path
+) -> None:
+    path = tmp_path / name
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(InputError) as caught:
+        load_ontology([path])
+    (fault,) = caught.value.faults
+    assert (fault.file, fault.line) == (str(path), line)
+    assert told in fault.message
+
+
+def importing(iri: str) -> str:
+    return TURTLE.replace("a owl:Ontology", f"a owl:Ontology ; owl:imports <{iri}>")
+
+
+@pytest.mark.parametrize("iri", ["sub/base.ttl", "http://base.example/base", "http://other.example/by-its-own-iri"])
+def test_an_import_is_found_by_path_by_name_and_by_what_a_file_calls_itself(iri: str, tmp_path: Path) -> None:
+    base = TURTLE.replace("http://w.example/>", "http://other.example/by-its-own-iri>").replace("Camera", "Lidar")
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub/base.ttl").write_text(base)
+    (tmp_path / "base.ttl").write_text(base.replace("<http://other.example", "<http://base.example", 1))
+    (tmp_path / "own.ttl").write_text(base)
+    (tmp_path / "main.ttl").write_text(importing(iri))
+    ontology = load_ontology([tmp_path / "main.ttl"])
+    assert {"Camera", "Lidar"} <= set(ontology.classes)
+
+
+def test_a_missing_import_is_a_fault_with_its_line_and_rings_of_imports_end(tmp_path: Path) -> None:
+    (tmp_path / "one.ttl").write_text(importing("two.ttl"))
+    (tmp_path / "two.ttl").write_text(importing("one.ttl"))
+    assert len(load_ontology([tmp_path / "one.ttl"]).files) == 2
+    (tmp_path / "two.ttl").write_text(importing("http://nowhere.example/three"))
+    with pytest.raises(InputError) as caught:
+        load_ontology([tmp_path / "one.ttl"])
+    (fault,) = caught.value.faults
+    assert (fault.file, fault.line) == (str(tmp_path / "two.ttl"), 4)
+    assert "<http://nowhere.example/three>" in fault.message
+
+
+def test_the_digest_depends_on_the_axioms_alone(tmp_path: Path) -> None:
+    digests = set()
+    for number, text in enumerate((TURTLE, TURTLE.replace("\n:", "\n# comment\n\n:"))):
+        path = tmp_path / f"{number}.ttl"
+        path.write_text(text)
+        digests.add(load_ontology([path]).digest)
+    assert len(digests) == 1
+    assert Ontology(["SubClassOf(<a> <b>)"]).digest != Ontology(["SubClassOf(<b> <a>)"]).digest
+
+
+def test_instances_are_inferred_and_the_class_must_be_one(streams: Ontology) -> None:
+    assert streams.instances("Device") == ("cam1", "laser1")
+    assert streams.instances("Device ⊓ ¬Camera") == ()
+    assert streams.instances("Image") == ()
+    for name in ("cam1", "hasSource", "Devise"):
+        with pytest.raises(MatchingError):
+            streams.instances(name)
+    assert load_ontology([]).instances("Robot") == ()
+
+
+def test_an_owlready2_ontology_is_taken_over() -> None:
+    owlready2 = pytest.importorskip("owlready2")
+    onto = owlready2.World().get_ontology("http://w.example/")
+    with onto:
+        device = type("Device", (owlready2.Thing,), {})
+        camera = type("Camera", (device,), {})
+        has_source = type("hasSource", (owlready2.ObjectProperty,), {})
+        type("CameraImage", (owlready2.Thing,), {"equivalent_to": [has_source.some(camera)]})
+        camera("cam1")
+    ontology = Ontology.from_owlready(onto)
+    assert ontology.instances("Device") == ("cam1",)
+    assert match(["hasSource value cam1"], ["CameraImage"], ontology).similarity.holds(
+        "hasSource value cam1", "CameraImage"
+    )
