@@ -41,8 +41,8 @@ class Landmark:
 def landmark_of(core: Core, zone: Ints) -> Landmark:
     """The landmark of a zone of the core's facts."""
     needs_it = np.zeros(core.goal + 1, np.bool_)
-    needs_it[np.concatenate([core.needed_by[fact] for fact in zone.tolist()])] = True
-    givers = np.concatenate([core.givers[fact] for fact in zone.tolist()])
+    needs_it[core.needed_by.gathered(zone)] = True
+    givers = core.givers.gathered(zone)
     return Landmark(zone, np.unique(givers[~needs_it[givers]]))
 
 

@@ -13,27 +13,31 @@ from cfgplan.planners.cpsat.network import Floats, Ints, Network
 from cfgplan.reasons import assign_different, distinct_groups
 
 
-def first_plan(network: Network, cost: Ints, improvements: int) -> set[int] | None:
-    """A plan, after up to `improvements` attempts to do without one of its members; None if none was found."""
-    found = _supported(network, cost, set())
-    if found is None:
-        return None
-    return improved(network, cost, found, improvements)
-
-
-def improved(network: Network, cost: Ints, found: set[int], attempts: int) -> set[int]:
-    """Replan around each member in turn, the dearest first, with the others for nothing."""
-    best, best_cost = found, _cost(cost, found)
+def first_plan(network: Network, cost: Ints, attempts: int) -> set[int] | None:
+    """A plan, after up to `attempts` attempts to do without one of its members; None if none was found."""
+    best = _supported(network, cost, set())
     tried: set[int] = set()
-    while len(tried) < attempts:
-        ahead = sorted(best - tried, key=lambda label: (-cost[label], label))
-        if not ahead or not cost[ahead[0]]:
+    while best is not None and len(tried) < attempts:
+        ahead = sorted((label for label in best - tried if cost[label]), key=lambda label: (-cost[label], label))
+        if not ahead:
             break
         tried.add(ahead[0])
-        other = _supported(network, cost, best - {ahead[0]}, avoid=ahead[0])
-        if other is not None and _cost(cost, other) < best_cost:
-            best, best_cost = other, _cost(cost, other)
+        best = _without(network, cost, best, ahead[0])
     return best
+
+
+def improved(network: Network, cost: Ints, plan: set[int], doubtful: set[int]) -> set[int]:
+    """The plan, or a cheaper one without some of its doubtful members."""
+    for label in sorted(doubtful):
+        if label in plan:
+            plan = _without(network, cost, plan, label)
+    return plan
+
+
+def _without(network: Network, cost: Ints, plan: set[int], label: int) -> set[int]:
+    """The plan, or a cheaper one around a member, with the other members for nothing."""
+    other = _supported(network, cost, plan - {label}, avoid=label)
+    return other if other is not None and _cost(cost, other) < _cost(cost, plan) else plan
 
 
 def _cost(cost: Ints, labels: Iterable[int]) -> int:

@@ -47,6 +47,14 @@ class Rows:
     def __getitem__(self, row: int) -> Ints:
         return self.items[self.starts[row] : self.starts[row + 1]]
 
+    def gathered(self, rows: Ints) -> Ints:
+        """The items of some rows, one row after the other."""
+        first = self.starts[rows]
+        counts = self.starts[rows + 1] - first
+        ends = np.cumsum(counts)
+        items: Ints = self.items[np.repeat(first - ends + counts, counts) + np.arange(ends[-1] if len(ends) else 0)]
+        return items
+
     @cached_property
     def row_of_item(self) -> Ints:
         return np.repeat(np.arange(len(self)), np.diff(self.starts))

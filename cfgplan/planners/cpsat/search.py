@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from math import ceil
-from threading import Thread
+from threading import Event, Thread
 
 from ortools.sat.python.cp_model import (
     FEASIBLE,
@@ -17,21 +17,26 @@ from ortools.sat.python.cp_model import (
     CpSolver,
     CpSolverSolutionCallback,
     CpSolverStatus,
+    LinearExpr,
     LinearExprT,
 )
 
-from cfgplan.costs import keep_cost_us, start_cost_us
 from cfgplan.domain import ComputationUnit
 from cfgplan.planners.cpsat.clock import Clock
 from cfgplan.planners.cpsat.decode import decode
 from cfgplan.planners.cpsat.model import Model
 from cfgplan.planners.cpsat.prepared import Prepared
+from cfgplan.planners.cpsat.quality import Key, key_of, unused_required
 from cfgplan.planners.cpsat.site import Site
 from cfgplan.planners.cpsat.wiring import forced_changes, wire
-from cfgplan.planning import Plan, Problem, Progress, Status
+from cfgplan.planning import Plan, Progress, Status
 
-Key = tuple[int, int, int, int]
-"""Unused required transformations, cost in microseconds, rewired and started units: the order of optimality."""
+MOST_FOR_ONE_STAGE = 250
+"""With more candidates than this the solver proves cost first and breaks ties afterwards."""
+SMALL = 1000
+"""With fewer booleans than this, probing and looking for symmetries take longer than they save."""
+EXACT = 2**50
+"""Up to here the solver's bound, a double, is exact."""
 
 
 class Stage(Enum):
@@ -40,6 +45,7 @@ class Stage(Enum):
     REQUIRED = "unused required transformations"
     COST = "cost"
     CHANGES = "rewired and started units"
+    COST_AND_CHANGES = "cost, then rewired and started units, in one sum"
     DONE = "nothing: all is proven"
 
 
@@ -94,6 +100,13 @@ class Search:
         model.some_member_of_each_runs(self.prepared.landmarks)
         if self.prepared.cost_us is not None:
             model.cp.add(model.cost() <= self.prepared.cost_us)
+        scale = self.changes_scale()
+        if scale is not None:
+            self.stage = Stage.COST_AND_CHANGES
+            if self.minimise(LinearExpr.weighted_sum([model.cost(), model.changes()], [scale, 1])):
+                self.stage = Stage.DONE
+                self.raise_bound(self.best.key[1] if self.best else 0)
+            return
         required = len(model.uses_required)
         used = sum(model.uses_required.values())
         if required and not self.minimise(required - used):
@@ -111,6 +124,14 @@ class Search:
         if self.minimise(model.changes()):
             self.stage = Stage.DONE
 
+    def changes_scale(self) -> int | None:
+        """What a microsecond must weigh against changes to add both up; None if that is not wise."""
+        started = sum(candidate.running is None for candidate in self.site.candidates)
+        rewired = len(self.site.candidates) - started
+        scale = (started + 1) * (rewired + 1)
+        fits = self.best is not None and self.best.key[1] * scale < EXACT and not self.model.uses_required
+        return scale if fits and len(self.site.candidates) <= MOST_FOR_ONE_STAGE else None
+
     def hopeless_required(self) -> int:
         """How many required transformations can never be used, whatever is planned."""
         return sum(t.required for t in self.site.environment.library) - len(self.model.uses_required)
@@ -124,8 +145,8 @@ class Search:
             self.counts["rounds"] += 1
             status = solve(solver, self.model.cp, OnSolution(self), self.clock)
             self.counts["conflicts"] += solver.num_conflicts
-            if self.stage is Stage.COST and status in (OPTIMAL, FEASIBLE, UNKNOWN):
-                self.raise_bound(ceil(solver.best_objective_bound - 0.5))
+            if status in (OPTIMAL, FEASIBLE, UNKNOWN):
+                self.learn_bound(ceil(solver.best_objective_bound - 0.5))
             if status == INFEASIBLE:
                 raise AssertionError("a problem whose targets can all be met has a plan")
             if status not in (OPTIMAL, FEASIBLE):
@@ -148,7 +169,9 @@ class Search:
         if self.stage is Stage.COST:
             return key[1]
         started = sum(candidate.running is None for candidate in self.site.candidates)
-        return (started + 1) * key[2] + key[3]
+        changes = (started + 1) * key[2] + key[3]
+        scale = self.changes_scale() if self.stage is Stage.COST_AND_CHANGES else 0
+        return (scale or 0) * key[1] + changes
 
     def consider(self, true: set[int]) -> Key | None:
         """The key of a solution, which becomes the incumbent if it is better; None if it is not grounded."""
@@ -174,6 +197,13 @@ class Search:
             self.model.needs_any(literals[proposition], [literals[way] for way in ways_in])
         self.counts["cuts"] += len(unfounded)
 
+    def learn_bound(self, objective: int) -> None:
+        """What a bound on the present stage's objective says about the cost."""
+        if self.stage is Stage.COST:
+            self.raise_bound(objective)
+        elif self.stage is Stage.COST_AND_CHANGES:
+            self.raise_bound(objective // (self.changes_scale() or 1))
+
     def raise_bound(self, bound_us: int) -> None:
         if bound_us > self.bound_us:
             self.bound_us = bound_us
@@ -191,6 +221,10 @@ class Search:
         solver.parameters.catch_sigint_signal = False
         solver.parameters.linearization_level = 2
         solver.parameters.cut_level = 0
+        if len(self.model.literals) < SMALL:
+            solver.parameters.cp_model_probing_level = 0
+            solver.parameters.symmetry_level = 0
+        solver.best_bound_callback = lambda bound: self.learn_bound(ceil(bound - 0.5))
         left_s = self.clock.left_s()
         if left_s is not None:
             solver.parameters.max_time_in_seconds = left_s
@@ -229,11 +263,18 @@ class Search:
 def solve(solver: CpSolver, model: CpModel, callback: CpSolverSolutionCallback, clock: Clock) -> CpSolverStatus:
     """Solve in a thread, so that `stop` and Ctrl-C end it with the best solution so far."""
     status: list[CpSolverStatus] = []
-    worker = Thread(target=lambda: status.append(solver.solve(model, callback)), daemon=True)
-    worker.start()
-    while worker.is_alive():
+    done = Event()
+
+    def work() -> None:
         try:
-            worker.join(0.05)
+            status.append(solver.solve(model, callback))
+        finally:
+            done.set()
+
+    Thread(target=work, daemon=True).start()
+    while not done.is_set():
+        try:
+            done.wait(0.05)
             if clock.stop.is_set():
                 solver.stop_search()
         except KeyboardInterrupt:
@@ -250,29 +291,3 @@ class OnSolution(CpSolverSolutionCallback):
 
     def on_solution_callback(self) -> None:
         self._search.consider({x.index for x in self._search.model.literals if self.boolean_value(x)})
-
-
-def key_of(problem: Problem, units: list[ComputationUnit]) -> Key:
-    """How good a wiring is, in the order of optimality."""
-    changes = problem.environment.change_to(units)
-    library = problem.environment.transformation
-    cost_us = sum(
-        (keep_cost_us if unit.id in problem.environment.unit else start_cost_us)(
-            library[unit.transformation], problem.horizon_s
-        )
-        for unit in units
-    )
-    return len(unused_required(problem, units)), cost_us, len(changes.rewired), len(changes.started)
-
-
-def unused_required(problem: Problem, units: list[ComputationUnit]) -> tuple[str, ...]:
-    """The labels of the required transformations without a unit that serves a target."""
-    by_id = {unit.id: unit for unit in units}
-    ahead = [unit.id for unit in units if unit.publications]
-    serving = set(ahead)
-    for unit_id in ahead:
-        new = {s.stream.unit for s in by_id[unit_id].subscriptions} - serving
-        serving |= new
-        ahead += sorted(new)
-    used = {by_id[unit_id].transformation for unit_id in serving}
-    return tuple(t.label for t in problem.environment.library if t.required and t.label not in used)

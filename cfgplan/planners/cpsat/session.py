@@ -147,13 +147,15 @@ class PlannerSession:
             return Prepared(network.labels, counts=counts)
         fixed_us, cost = _costs(problem, network)
         known = {network.number[label] for label in self._last if label in network.number} | set(network.pinned)
-        plan = known if is_plan(network, known) else first_plan(network, cost, ATTEMPTS)
+        plan: set[int] | None
+        if is_plan(network, known):
+            running = {unit.transformation for unit in problem.environment.units}
+            plan = improved(network, cost, known, {i for i in known if network.labels[i] not in running})
+        else:
+            plan = first_plan(network, cost, ATTEMPTS)
         bound = Bound(network.core, cost.copy())
         structure.landmarks = [landmark for landmark in structure.landmarks if bound.charge(landmark)]
         limit = None if plan is None else int(cost[list(plan)].sum())
-        if plan is known and limit is not None and bound.value < limit:
-            plan = improved(network, cost, plan, ATTEMPTS // 3)
-            limit = int(cost[list(plan)].sum())
         bound = _tightened(structure, bound, limit, clock)
         keep = bound.may_be_used(limit) if limit is not None else np.ones(bound.core.goal, np.bool_)
         left = bound.core.labels[keep]
