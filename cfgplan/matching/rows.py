@@ -31,21 +31,22 @@ class Rows:
         self._demands: dict[Concept, tuple[Demand, ...] | None] = {}
         self._asking: defaultdict[Demand, dict[Concept, None]] = defaultdict(dict)
         self._rows: dict[Concept, frozenset[str]] = {}
-
-    @property
-    def offers(self) -> Mapping[str, Offer]:
-        """What follows for each offer, by name."""
-        return self._offers
-
-    def is_in_words(self, demand: Concept) -> bool:
-        """Whether the engine has words for a demanded concept."""
-        return self._demands[demand] is not None
+        self.uncertified: set[str] = set()
+        """The names of offers for which something may be missing."""
+        self.impossible: set[str] = set()
+        """The names of offers that nothing can have."""
+        self.beyond_words: set[Concept] = set()
+        """The demands that the engine has no words for."""
 
     def add_offers(self, concepts: Mapping[str, Concept]) -> None:
         """Take in offers under names that are not yet taken."""
         for name, concept in concepts.items():
             offer = self._offers[name] = self._engine.offer(concept)
-            if len(offer.disjuncts) > 1:
+            if not offer.certified:
+                self.uncertified.add(name)
+            if not offer.disjuncts:
+                self.impossible.add(name)
+            elif len(offer.disjuncts) > 1:
                 self._several.add(name)
             for member, description in _members(name, offer):
                 self._fillers.add(description.edges)
@@ -65,12 +66,15 @@ class Rows:
                 self._rows[demand] = row - {name}
         for member, _ in _members(name, offer):
             self._family.remove(member)
-        self._several.discard(name)
+        for names in (self._several, self.uncertified, self.impossible):
+            names.discard(name)
         self._engine.forget(concept)
 
     def add_demand(self, concept: Concept) -> None:
         """Take in a demand."""
         demands = self._demands[concept] = self._engine.demands(concept)
+        if demands is None:
+            self.beyond_words.add(concept)
         for demand in demands or ():
             if not self._asking[demand]:
                 self._index.add(demand, self._family)
@@ -79,6 +83,7 @@ class Rows:
     def remove_demand(self, concept: Concept) -> None:
         """Forget a demand."""
         self._rows.pop(concept, None)
+        self.beyond_words.discard(concept)
         for demand in self._demands.pop(concept) or ():
             self._asking[demand].pop(concept, None)
             if not self._asking[demand]:

@@ -132,22 +132,23 @@ class Matcher:
 
     def _for_the_reference(self, rows: Rows | None) -> dict[Concept, frozenset[Concept]]:
         """The demands that only the reference can decide, for each offer that has such."""
-        demands = frozenset(self._demanded.names.values())
+        offers = self._offered.names
         if rows is None:
-            return dict.fromkeys(self._offered.names.values(), demands) if demands else {}
-        beyond_words = frozenset(demand for demand in demands if not rows.is_in_words(demand))
+            demands = frozenset(self._demanded.names.values())
+            return dict.fromkeys(offers.values(), demands) if demands else {}
         wanted: dict[Concept, frozenset[Concept]] = {}
-        for name, concept in self._offered.names.items():
-            offer = rows.offers[name]
-            needed = beyond_words if offer.certified else demands
-            if needed and (offer.disjuncts or not offer.certified):
-                wanted[concept] = needed
+        if rows.beyond_words:
+            possible = (concept for name, concept in offers.items() if name not in rows.impossible)
+            wanted.update(dict.fromkeys(possible, frozenset(rows.beyond_words)))
+        if rows.uncertified and self._demanded.names:
+            demands = frozenset(self._demanded.names.values())
+            wanted.update(dict.fromkeys((offers[name] for name in rows.uncertified), demands))
         return wanted
 
     def _similarity(self, rows: Rows | None, open_questions: list[Question], warnings: list[str]) -> Similarity:
-        never = {name for name, concept in self._offered.names.items() if concept in self._verdicts.unsatisfiable}
+        never = set(map(self._offered.name_of, self._verdicts.unsatisfiable))
         if rows is not None:
-            never.update(name for name, offer in rows.offers.items() if not offer.disjuncts)
+            never |= rows.impossible
         warnings.extend(
             f"nothing can have the offered tag {text!r}: it contradicts the ontology and never matches"
             for text in sorted(self._offered.spelled(frozenset(never)))

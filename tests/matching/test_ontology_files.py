@@ -16,7 +16,8 @@ TURTLE = """@prefix : <http://w.example/#> .
 :cam1 a :Camera .
 """
 RDF_TYPE = "<http://www.w3.org/1999/02/22-rdf-syntax-ns#type>"
-N_TRIPLES = f"""<http://w.example/#Camera> <http://www.w3.org/2000/01/rdf-schema#subClassOf> <http://w.example/#Device> .
+SUBCLASS = "<http://www.w3.org/2000/01/rdf-schema#subClassOf>"
+N_TRIPLES = f"""<http://w.example/#Camera> {SUBCLASS} <http://w.example/#Device> .
 <http://w.example/#cam1> {RDF_TYPE} <http://w.example/#Camera> .
 <http://w.example/#hasSource> {RDF_TYPE} <http://www.w3.org/2002/07/owl#ObjectProperty> .
 """
