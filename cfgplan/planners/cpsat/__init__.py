@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from threading import Event
 
+from cfgplan.planners.cpsat.search import Grounding
 from cfgplan.planners.cpsat.session import PlannerSession
 from cfgplan.planning import Plan, Problem, Progress
 
-__all__ = ["PlannerSession", "plan"]
+__all__ = ["Grounding", "PlannerSession", "plan"]
 
 
 def plan(

@@ -24,6 +24,7 @@ from ortools.sat.python.cp_model import (
 from cfgplan.domain import ComputationUnit
 from cfgplan.planners.cpsat.clock import Clock
 from cfgplan.planners.cpsat.decode import decode
+from cfgplan.planners.cpsat.levels import everything_rests_on_something_lower
 from cfgplan.planners.cpsat.model import Model
 from cfgplan.planners.cpsat.prepared import Prepared
 from cfgplan.planners.cpsat.quality import Key, key_of, unused_required
@@ -49,6 +50,13 @@ class Stage(Enum):
     DONE = "nothing: all is proven"
 
 
+class Grounding(Enum):
+    """How the model makes sure that every unit's data comes from sources."""
+
+    CUTS = "lazy cuts"
+    LEVELS = "level variables"
+
+
 @dataclass
 class Incumbent:
     """The best plan so far."""
@@ -60,8 +68,16 @@ class Incumbent:
 class Search:
     """A site on its way to the optimum: the stage, the incumbent and the proven bound on the cost."""
 
-    def __init__(self, site: Site, prepared: Prepared, clock: Clock, report: Callable[[Progress], None] | None) -> None:
+    def __init__(
+        self,
+        site: Site,
+        prepared: Prepared,
+        clock: Clock,
+        report: Callable[[Progress], None] | None,
+        grounding: Grounding = Grounding.CUTS,
+    ) -> None:
         self.site = site
+        self.grounding = grounding
         self.prepared = prepared
         self.clock = clock
         self.report = report
@@ -98,6 +114,8 @@ class Search:
         self.model = model
         self.counts |= {"booleans": len(model.literals), "rounds": 0, "cuts": 0, "conflicts": 0}
         model.some_member_of_each_runs(self.prepared.landmarks)
+        if self.grounding is Grounding.LEVELS:
+            everything_rests_on_something_lower(model)
         if self.prepared.cost_us is not None:
             model.cp.add(model.cost() <= self.prepared.cost_us)
         scale = self.changes_scale()

@@ -20,7 +20,7 @@ from cfgplan.planners.cpsat.clock import Clock
 from cfgplan.planners.cpsat.greedy import first_plan, improved, is_plan
 from cfgplan.planners.cpsat.network import Ints, Network
 from cfgplan.planners.cpsat.prepared import Prepared
-from cfgplan.planners.cpsat.search import Search
+from cfgplan.planners.cpsat.search import Grounding, Search
 from cfgplan.planners.cpsat.site import Site, relevant
 from cfgplan.planning import Plan, Problem, Progress, Status
 from cfgplan.reasons import Givers, startable, unmet_reasons
@@ -98,7 +98,8 @@ def _ports(transformation: Transformation) -> tuple[object, ...]:
 class PlannerSession:
     """A planner that remembers; `plan` is a `planning.Planner` with a way to stop it."""
 
-    def __init__(self) -> None:
+    def __init__(self, grounding: Grounding = Grounding.CUTS) -> None:
+        self._grounding = grounding
         self._structure: Structure | None = None
         self._last: frozenset[str] = frozenset()
 
@@ -122,7 +123,7 @@ class PlannerSession:
         try:
             prepared = self._prepare(problem, structure, clock)
             clock.end("bounds")
-            search = Search(Site(problem, structure.givers, prepared.labels), prepared, clock, report)
+            search = Search(Site(problem, structure.givers, prepared.labels), prepared, clock, report, self._grounding)
             search.run()
         except KeyboardInterrupt:
             clock.stop.set()
