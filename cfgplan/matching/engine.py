@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
-from cfgplan.matching.concepts import And, AtLeast, AtMost, Concept, Not, Only, Or, Some
+from cfgplan.matching.concepts import And, AtLeast, AtMost, Concept, Nominal, Not, Only, Or, Some
 from cfgplan.matching.descriptions import Description, Descriptions, disjuncts
 from cfgplan.matching.functional import Tree
 from cfgplan.matching.queries import Demand, Demands
@@ -47,6 +47,25 @@ class Engine:
         """Whether the ontology is found to contradict itself."""
         return self.saturation.is_inconsistent
 
+    def take_in(self, added: Mapping[str, Tree], removed: Mapping[str, Tree], left: Collection[str]) -> bool:
+        """Whether the engine holds for the ontology with these axioms more and fewer, and all its answers stay right.
+
+        `left` are the individuals of the ontology then. The engine holds where whole individuals come and go that
+        say nothing new of others. If not, it must not be used any more.
+        """
+        gone, come = _subjects(removed), _subjects(added)
+        if gone is None or come is None or self._replaced_roles or not gone.isdisjoint(left):
+            return False
+        known = self.rules.atoms
+        if any(Nominal(name) in known for name in come) or not all(Nominal(name) in known for name in gone):
+            return False
+        translation = translate(added)
+        if translation.outside or not self.saturation.let_individuals_go(known[Nominal(name)] for name in gone):
+            return False
+        self.rules.say(translation.inclusions)
+        newcomers = [self.rules.atom(Nominal(name)) for name in sorted(come)]
+        return self.saturation.let_individuals_come(newcomers) and not self.is_inconsistent
+
     def offer(self, concept: Concept) -> Offer:
         """What follows for an offered tag."""
         parts, exact = disjuncts(concept)
@@ -74,6 +93,17 @@ class Engine:
 
     def _is_about_replaced_role(self, concept: Concept) -> bool:
         return bool(self._replaced_roles) and not self._replaced_roles.isdisjoint(roles_in(concept))
+
+
+def _subjects(axioms: Mapping[str, Tree]) -> set[str] | None:
+    """The individuals that simple assertions are about; None if some axiom is no simple assertion."""
+    subjects: set[str] = set()
+    for tree in axioms.values():
+        if tree[0] in ("ClassAssertion", "ObjectPropertyAssertion") and isinstance(tree[1], str):
+            subjects.add(str(tree[2]))
+        elif tree[0] != "Declaration" or tree[1][0] != "NamedIndividual":
+            return None
+    return subjects
 
 
 def roles_in(concept: Concept) -> set[str]:

@@ -52,8 +52,19 @@ class TagRegistry:
             try:
                 read.append((text, self._concepts.get(text) or parse_tag(text, ontology)))
             except TagError as error:
-                faults.append(Fault(f"tag {text!r}, column {error.column}: {error.message}", mend=error.mend))
+                faults.append(_fault(text, error))
         return read
+
+    def reread(self, ontology: Ontology, faults: list[Fault]) -> TagRegistry:
+        """The same tags as they read in another ontology; `faults` gets those that can't be read in it."""
+        again = TagRegistry()
+        again._counts = Counter(self._counts)
+        for text in self._counts:
+            try:
+                again._enter(text, parse_tag(text, ontology))
+            except TagError as error:
+                faults.append(_fault(text, error))
+        return again
 
     def add(self, read: Iterable[tuple[str, Concept]]) -> dict[str, Concept]:
         """Register texts; the meanings that are new, by name."""
@@ -62,14 +73,20 @@ class TagRegistry:
             self._counts[text] += 1
             if text in self._concepts:
                 continue
-            self._concepts[text] = concept
-            name = self._name_of.get(concept)
-            if name is None:
-                self._name_of[concept] = text
-                fresh[text] = self._names[text] = concept
-            else:
-                self._texts.setdefault(name, [name]).append(text)
+            if self._enter(text, concept):
+                fresh[text] = concept
         return fresh
+
+    def _enter(self, text: str, concept: Concept) -> bool:
+        """Note what a text means; whether nothing meant that before."""
+        self._concepts[text] = concept
+        name = self._name_of.get(concept)
+        if name is not None:
+            self._texts.setdefault(name, [name]).append(text)
+            return False
+        self._name_of[concept] = text
+        self._names[text] = concept
+        return True
 
     def remove(self, texts: Iterable[str]) -> tuple[dict[str, Concept], dict[str, Concept]]:
         """Take texts back; the names that are gone, and the names that stand in for some of them.
@@ -105,3 +122,7 @@ class TagRegistry:
             self._texts[others[0]] = others
             if len(others) == 1:
                 del self._texts[others[0]]
+
+
+def _fault(text: str, error: TagError) -> Fault:
+    return Fault(f"tag {text!r}, column {error.column}: {error.message}", mend=error.mend)

@@ -7,10 +7,11 @@ Reference: F. Baader, S. Brandt, C. Lutz, "Pushing the EL Envelope", IJCAI 2005,
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterable
 from typing import Final
 
 from cfgplan.matching.concepts import BOTTOM, TOP, And, Concept, Nominal, Or, Some
-from cfgplan.matching.translation import Translation
+from cfgplan.matching.translation import Inclusion, Translation
 
 TOP_ATOM: Final = 0
 BOTTOM_ATOM: Final = 1
@@ -43,8 +44,7 @@ class Rules:
         self._implied: set[Concept] = set()
         self._direct_supers: defaultdict[int, set[int]] = defaultdict(set)
         self._direct_ranges: defaultdict[int, set[int]] = defaultdict(set)
-        for statement in translation.inclusions:
-            self._imply(self._recognise(statement.sub), statement.sup, statement.axiom)
+        self.say(translation.inclusions)
         for inclusion in translation.role_inclusions:
             self._add_role_inclusion([self.role(role) for role in inclusion.chain], inclusion.role, inclusion.axiom)
         for declared in translation.ranges:
@@ -54,6 +54,11 @@ class Rules:
             self.origin[("range", role, atom)] = declared.axiom
         self._close_roles()
         self.outside_chain = self._chain_that_breaks_a_range()
+
+    def say(self, inclusions: Iterable[Inclusion]) -> None:
+        """Add what is said of individuals that are new."""
+        for inclusion in inclusions:
+            self._imply(self._recognise(inclusion.sub), inclusion.sup, inclusion.axiom)
 
     def atom(self, concept: Concept) -> int:
         """The number of a concept, a new one if it has none."""

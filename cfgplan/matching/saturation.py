@@ -27,7 +27,7 @@ class Context:
     it doesn't have otherwise, so that the context may miss something; what it has is right all the same.
     """
 
-    __slots__ = ("atoms", "conditional", "edges", "exists", "individual", "links", "preds", "seeds")
+    __slots__ = ("atoms", "conditional", "edges", "exists", "finished", "individual", "links", "preds", "seeds")
 
     def __init__(self, seeds: frozenset[int], individual: bool = False) -> None:
         self.seeds = seeds
@@ -37,6 +37,7 @@ class Context:
         self.preds: defaultdict[int, set[Context]] = defaultdict(set)
         self.edges: frozenset[Edge] = frozenset()
         self.exists = False
+        self.finished = False
         self.conditional = False
 
     @property
@@ -54,6 +55,7 @@ class Saturation:
         self._reasons = reasons
         self._contexts: dict[frozenset[int], Context] = {}
         self._fresh: list[Context] = []
+        self._disturbed = False
         self._atoms: list[tuple[Context, int]] = []
         self._links: list[tuple[Context, int, Context]] = []
         self.top = self._context(frozenset((TOP_ATOM,)))
@@ -77,6 +79,30 @@ class Saturation:
                 self._let_exist(known)
             self._run()
         return known
+
+    def let_individuals_come(self, atoms: Iterable[int]) -> bool:
+        """Make contexts of individuals that are new; False if that changes a context that was there before."""
+        self._disturbed = False
+        for atom in atoms:
+            self._let_exist(self._context(frozenset((atom,))))
+        self._run()
+        return not self._disturbed
+
+    def let_individuals_go(self, atoms: Iterable[int]) -> bool:
+        """Whether nothing else rests on the existence of these individuals; they stay known, but out of reach."""
+        seen: set[Context] = set()
+        waiting = [self._contexts[frozenset((atom,))] for atom in atoms]
+        while waiting:
+            context = waiting.pop()
+            if context in seen:
+                continue
+            seen.add(context)
+            for role, target in context.edges:
+                if target.individual and self.rules.ranges[role]:
+                    return False
+                if not target.individual:
+                    waiting.append(target)
+        return True
 
     def is_conditional_link(self, role: int, target: Context) -> bool:
         """Whether a link that need not exist tells something new about an individual, or leads to what does."""
@@ -113,6 +139,7 @@ class Saturation:
     def _add(self, context: Context, atom: int, rule: tuple[object, ...], *premises: Fact) -> None:
         if atom not in context.atoms:
             context.atoms.add(atom)
+            self._disturbed = self._disturbed or context.finished
             self._atoms.append((context, atom))
             if self._reasons is not None:
                 self._reasons.setdefault((context, atom), (rule, premises))
@@ -120,6 +147,7 @@ class Saturation:
     def _link(self, source: Context, role: int, target: Context, rule: tuple[object, ...], *premises: Fact) -> None:
         for upper in self.rules.supers[role]:
             if target not in source.links[upper]:
+                self._disturbed = self._disturbed or source.finished
                 source.links[upper].add(target)
                 target.preds[upper].add(source)
                 self._links.append((source, upper, target))
@@ -184,6 +212,7 @@ class Saturation:
         fresh, self._fresh = self._fresh, []
         for context in fresh:
             context.edges = frozenset((role, target) for role, targets in context.links.items() for target in targets)
+            context.finished = True
         waiting = [
             context
             for context in fresh

@@ -12,6 +12,7 @@ from cfgplan.errors import Fault, InputError
 from cfgplan.matching.concepts import Concept
 from cfgplan.matching.engine import Engine, roles_in
 from cfgplan.matching.faults import InconsistentOntologyError, MatchingError, ReasonerTimeoutError
+from cfgplan.matching.functional import parse
 from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.reasoners import reference_named
 from cfgplan.matching.registry import TagRegistry
@@ -85,6 +86,27 @@ class Matcher:
         for concept in self._demanded.remove(demanded)[0].values():
             if self._rows is not None and concept not in self._demanded:
                 self._rows.remove_demand(concept)
+
+    def change_ontology(self, ontology: Ontology) -> None:
+        """Match by another ontology from now on.
+
+        Where whole individuals come and go that say nothing new of others, such as robots that register, what the
+        fast engine knows stays; else it starts over, and so does the reference in any case. Raises InputError with
+        every tag that can't be read in the new ontology; nothing is changed then.
+        """
+        faults: list[Fault] = []
+        offered, demanded = self._offered.reread(ontology, faults), self._demanded.reread(ontology, faults)
+        if faults:
+            raise InputError(faults)
+        before, after = self._ontology.axioms, ontology.axioms
+        added, removed = ({axiom: parse(axiom) for axiom in sorted(some)} for some in (after - before, before - after))
+        stays = offered.names == self._offered.names and demanded.names == self._demanded.names
+        engine, rows = self._engine, self._rows
+        self._start(ontology)
+        self._offered, self._demanded = offered, demanded
+        left = frozenset(ontology.individuals.values())
+        if stays and engine is not None and engine.take_in(added, removed, left):
+            self._engine, self._rows = engine, rows
 
     def matching(self, *, time_limit_s: float | None = None) -> Matching:
         """The similarity of the tags registered now. Raises InputError for an ontology that can't be reasoned with."""

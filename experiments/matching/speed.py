@@ -90,8 +90,7 @@ def main() -> None:
         found = pool.map(measure, options.tags, chunksize=1)
     names = dict.fromkeys(name for column in found for name in column)
     lines = ["| | " + " | ".join(f"{tags:,} tags" for tags in options.tags) + " |", "|---|" + "---:|" * len(found)]
-    for name in names:
-        lines.append(f"| {name} | " + " | ".join(_shown(column.get(name)) for column in found) + " |")
+    lines += [f"| {name} | " + " | ".join(_shown(column.get(name)) for column in found) + " |" for name in names]
     text = "\n".join(lines) + "\n"
     sys.stdout.write(text)
     if options.out is not None:

@@ -5,10 +5,10 @@ import random
 import pytest
 from crosscheck import compare
 from realistic import realistic_world
-from small_worlds import small_world
+from small_worlds import NAMESPACE, small_world
 
 from cfgplan.errors import InputError
-from cfgplan.matching import Matcher, Ontology, match
+from cfgplan.matching import Matcher, Ontology, match, session
 
 DECLARED = ["Declaration(NamedIndividual(<w#a>))", "Declaration(NamedIndividual(<w#b>))"]
 
@@ -140,6 +140,67 @@ def test_texts_that_mean_the_same_and_unions_come_and_go_alike(seed: int, stream
         fresh = match(offered, demanded, streams)
         assert matcher.matching().similarity == fresh.similarity
         assert matcher.matching().warnings == fresh.warnings
+
+
+ROBOT = [
+    "Declaration(NamedIndividual(<{ns}new>))",
+    "ClassAssertion(<{ns}{kind}> <{ns}new>)",
+    "ObjectPropertyAssertion(<{ns}{role}> <{ns}new> <{ns}{other}>)",
+]
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_individuals_that_come_and_go_leave_the_matcher_as_a_fresh_one(seed: int) -> None:
+    rng = random.Random(seed)
+    world = small_world(seed, 30)
+    names = {"ns": NAMESPACE, "kind": rng.choice(sorted(world.ontology.classes))}
+    names |= {"role": rng.choice(sorted(world.ontology.properties)), "other": rng.choice(["new", "a0", "other"])}
+    robot = [axiom.format(**names) for axiom in ROBOT]
+    with_robot = Ontology([*world.ontology.axioms, *robot[: rng.randint(2, 3)]])
+    matcher = Matcher(world.ontology, reasoner="el")
+    matcher.add(offered=world.offered, demanded=world.demanded)
+    for ontology in (world.ontology, with_robot, world.ontology, with_robot):
+        matcher.change_ontology(ontology)
+        try:
+            fresh = match(world.offered, world.demanded, ontology, reasoner="el").similarity
+        except InputError:
+            with pytest.raises(InputError):
+                matcher.matching()
+            continue
+        assert matcher.matching().similarity == fresh
+
+
+def test_a_robot_that_registers_and_leaves_costs_no_new_start(
+    streams: Ontology, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    matcher = Matcher(streams)
+    matcher.add(offered=["Undistorted", "∃hasSource.{cam1}"], demanded=["∃hasSource.Camera", "Image"])
+    before = matcher.matching().similarity
+    camera = ["ClassAssertion(<w#Camera> <w#cam2>)", "ObjectPropertyAssertion(<w#hasSource> <w#cam2> <w#cam1>)"]
+    monkeypatch.setattr(session, "Engine", None)
+    matcher.change_ontology(Ontology([*streams.axioms, *camera], streams.prefixes))
+    matcher.add(offered=["∃hasSource.{cam2}"])
+    assert matcher.matching().similarity.offers["∃hasSource.Camera"] == {"∃hasSource.{cam1}", "∃hasSource.{cam2}"}
+    matcher.remove(offered=["∃hasSource.{cam2}"])
+    matcher.change_ontology(streams)
+    assert matcher.matching().similarity == before
+
+
+def test_an_ontology_in_which_a_tag_can_not_be_read_changes_nothing(streams: Ontology) -> None:
+    matcher = Matcher(streams)
+    matcher.add(offered=["Undistorted"], demanded=["Image"])
+    with pytest.raises(InputError, match="Undistorted"):
+        matcher.change_ontology(Ontology(["Declaration(Class(<w#Image>))"]))
+    assert matcher.ontology is streams
+    assert matcher.matching().similarity.holds("Undistorted", "Image")
+
+
+def test_an_axiom_about_classes_changes_the_rows(streams: Ontology) -> None:
+    matcher = Matcher(streams)
+    matcher.add(offered=["RawRGB"], demanded=["Undistorted"])
+    assert not matcher.matching().similarity.holds("RawRGB", "Undistorted")
+    matcher.change_ontology(Ontology([*streams.axioms, "SubClassOf(<w#RawRGB> <w#Undistorted>)"], streams.prefixes))
+    assert matcher.matching().similarity.holds("RawRGB", "Undistorted")
 
 
 def test_a_tag_that_is_not_registered_can_not_be_removed(streams: Ontology) -> None:
