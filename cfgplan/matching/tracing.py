@@ -7,10 +7,12 @@ from typing import Final
 
 from cfgplan.matching.concepts import Concept, Named, Nominal
 from cfgplan.matching.descriptions import disjuncts
+from cfgplan.matching.expressions import is_left_hand
 from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.rules import BOTTOM_ATOM, TOP_ATOM, Rules
 from cfgplan.matching.saturation import Fact, Reason, Saturation
-from cfgplan.matching.translation import Inclusion, is_left_hand, translate
+from cfgplan.matching.statements import Inclusion
+from cfgplan.matching.translation import translate
 
 _OFFERED: Final = Named("tag:offered")
 _DEMANDED: Final = Named("tag:demanded")

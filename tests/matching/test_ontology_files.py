@@ -95,6 +95,50 @@ def test_a_file_that_is_no_ontology_is_one_clear_fault(
     assert told in fault.message
 
 
+@pytest.mark.parametrize(
+    ("turtle", "offered", "demanded"),
+    [
+        ("[] a owl:AllDisjointClasses ; owl:members ( :A :B :C ) .", "A", "¬C"),
+        ("[] a owl:AllDisjointClasses ; owl:members ( [ owl:unionOf ( :A :B ) ] :C ) .", "A", "¬C"),
+        ("[] a owl:AllDisjointProperties ; owl:members ( :r :s ) .", "∃r.{p} ⊓ ∃s.{q}", "∃r.{p} ⊓ ¬{q} ⊔ ∃r.⊤"),
+        (":p :r [ a :A ] .", "{p}", "∃r.A"),
+        (":p :r _:x . _:x a :A ; :s :q .", "{p}", "∃r.(A ⊓ ∃s.{q})"),
+        (":A rdfs:subClassOf [ owl:onProperty :r ; owl:someValuesFrom :B ] .", "A", "∃r.B"),
+        (":A owl:intersectionOf ( :B :C ) .", "B ⊓ C", "A"),
+        (":A rdfs:subClassOf [ owl:unionOf ( :B :C ) ] . :B rdfs:subClassOf :C .", "A", "C"),
+        ("[] a owl:AllDifferent ; owl:distinctMembers ( :p :q ) .", "{p}", "¬{q}"),
+        (':p rdfs:comment "a \\"quoted\\" text; _:x <y>" ; :r :q .', "{p}", "∃r.{q}"),
+    ],
+)
+def test_nothing_that_rdf_says_is_lost(turtle: str, offered: str, demanded: str, tmp_path: Path) -> None:
+    names = "".join(f":{name} a owl:Class . " for name in "ABC")
+    names += "".join(f":{name} a owl:ObjectProperty . " for name in "rs")
+    names += "".join(f":{name} a owl:NamedIndividual . " for name in "pq")
+    path = tmp_path / "said.ttl"
+    path.write_text(TURTLE + names + turtle)
+    ontology = load_ontology([path])
+    assert match([offered], [demanded], ontology).similarity.holds(offered, demanded)
+    assert set(ontology.individuals) == {"cam1", "p", "q"}
+
+
+def test_disjoint_properties_contradict_a_shared_value(tmp_path: Path) -> None:
+    path = tmp_path / "said.ttl"
+    both = "[] a owl:AllDisjointProperties ; owl:members ( :r :hasSource ) . :r a owl:ObjectProperty ."
+    path.write_text(f"{TURTLE}{both} :cam1 :r :cam1 ; :hasSource :cam1 .")
+    with pytest.raises(InputError, match="contradicts"):
+        match(["Camera"], ["Device"], load_ontology([path]))
+
+
+def test_anonymous_individuals_of_two_files_are_two(tmp_path: Path) -> None:
+    for name, kind in (("one", "Camera"), ("two", "Device")):
+        (tmp_path / f"{name}.ttl").write_text(
+            f"{TURTLE}:{name} a owl:NamedIndividual ; :hasSource _:x . _:x a :{kind} ."
+        )
+    ontology = load_ontology([tmp_path / "one.ttl", tmp_path / "two.ttl"])
+    assert ontology.instances("hasSource some Camera") == ("one",)
+    assert ontology.instances("hasSource some Device") == ("one", "two")
+
+
 def importing(iri: str) -> str:
     return TURTLE.replace("a owl:Ontology", f"a owl:Ontology ; owl:imports <{iri}>")
 
