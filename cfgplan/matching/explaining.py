@@ -6,8 +6,10 @@ from collections.abc import Collection
 from dataclasses import dataclass
 
 from cfgplan.matching.concepts import And, Concept
+from cfgplan.matching.justifying import justification
 from cfgplan.matching.matrix import match
 from cfgplan.matching.ontology import Ontology
+from cfgplan.matching.reasoners import reference_named
 from cfgplan.matching.syntax import parse_tag
 from cfgplan.matching.tracing import derivation
 
@@ -64,7 +66,7 @@ def explain_match(
     if holds(offered_tag, demanded_tag):
         steps = derivation(offered, demanded, ontology)
         if steps is None:
-            steps = (f"{' and '.join(found.answered_by)} found it; no derivation in the fast fragment shows it",)
+            steps = _steps_of_the_reference(offered, demanded, ontology, reasoner)
         return MatchExplanation(offered_tag, demanded_tag, True, steps, warnings=found.warnings)
     undecided = tuple(part for part in parts if (offered_tag, part) in found.similarity.unknown)
     missing = tuple(part for part in parts if not holds(offered_tag, part) and part not in undecided)
@@ -90,6 +92,14 @@ def nearest_offers(
         for tag in set(offered_tags)
     ]
     return tuple(sorted(lacking, key=lambda near: (len(near.missing), near.offered))[:k])
+
+
+def _steps_of_the_reference(offered: Concept, demanded: Concept, ontology: Ontology, reasoner: str) -> tuple[str, ...]:
+    name, classifier = reference_named(reasoner)
+    axioms = () if classifier is None else justification(offered, demanded, ontology, classifier)
+    if not axioms:
+        return (f"it follows from the tags alone, as {name} finds",)
+    return (f"it follows from what is listed next, as {name} finds", *map(ontology.shortened, axioms))
 
 
 def conjuncts(concept: Concept, ontology: Ontology) -> list[str]:

@@ -41,10 +41,16 @@ def test_a_miss_names_the_conjuncts_that_are_missing(streams: Ontology) -> None:
     )
 
 
-def test_a_match_that_only_the_reference_finds_says_so(streams: Ontology) -> None:
-    told = explain_match("Image", "¬Device", streams)
+def test_a_match_that_only_the_reference_finds_names_the_axioms_it_needs(streams: Ontology) -> None:
+    told = explain_match("RawRGB", "¬Device", streams)
     assert told.matches
-    assert "hermit" in told.steps[0]
+    assert told.steps == (
+        "it follows from what is listed next, as hermit finds",
+        "DisjointClasses(Image Device)",
+        "SubClassOf(RawRGB Image)",
+    )
+    told = explain_match("∀hasSource.Camera", "∀hasSource.(Camera ⊔ Image)", streams)
+    assert told.steps == ("it follows from the tags alone, as hermit finds",)
 
 
 def test_what_could_not_be_decided_is_told_apart(streams: Ontology) -> None:
