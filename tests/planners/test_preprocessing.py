@@ -10,7 +10,7 @@ from worlds import problems
 from cfgplan.costs import keep_cost_us, start_cost_us
 from cfgplan.planners import PLANNERS
 from cfgplan.planners.cpsat import PlannerSession
-from cfgplan.planners.cpsat.bounds import Bound, cheapest_way, landmark_of
+from cfgplan.planners.cpsat.bounds import Bound, cheapest_way
 from cfgplan.planners.cpsat.greedy import first_plan, is_plan
 from cfgplan.planners.cpsat.network import Network
 from cfgplan.planners.cpsat.site import Site, relevant
@@ -76,7 +76,7 @@ def test_bounds_do_not_exceed_the_optimum_and_fixing_keeps_optimal_plans(problem
     stage = Stage(problem)
     assert stage.plan.cost_us is not None
     used = sorted(stage.numbers(stage.used))
-    bound = Bound(stage.network.core, stage.cost.copy())
+    bound = Bound(stage.network.core, stage.cost)
     whole = bound.may_be_used(stage.plan.cost_us)
     assert whole[used].all()
     part = bound.restricted(whole)
@@ -91,13 +91,18 @@ def test_bounds_do_not_exceed_the_optimum_and_fixing_keeps_optimal_plans(problem
 def test_every_plan_has_a_member_of_each_landmark_also_after_costs_moved(problem: Problem) -> None:
     stage = Stage(problem)
     core = stage.network.core
-    bound = Bound(core, stage.cost.copy())
+    bound = Bound(core, stage.cost)
     bound.improve(2**50, 100, lambda: False)
-    landmarks = [landmark_of(core, zone) for zone in bound.take_zones()]
+    landmarks = bound.landmarks
     used = stage.numbers(stage.used)
     assert all(used & set(landmark.members.tolist()) for landmark in landmarks)
-    recharged = Bound(core, np.zeros_like(stage.cost))
-    assert not any(recharged.charge(landmark) for landmark in landmarks)
+    value = bound.value
+    bound.recharge(best=True)
+    assert value <= bound.value <= (stage.plan.cost_us or 0)
+    assert (bound.residual >= 0).all()
+    free = Bound(core, np.zeros_like(stage.cost), landmarks)
+    free.recharge(best=True)
+    assert free.value == 0
 
 
 @fewer

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from cfgplan.planners.cpsat.charging import best_weights
 from cfgplan.planners.cpsat.network import NEVER, Core, Flags, Ints
 
 
@@ -51,18 +52,30 @@ class Bound:
     """A lower bound on cost: landmarks of a core, and what is left of each label's cost after charging them."""
 
     core: Core
-    residual: Ints
+    cost: Ints
+    landmarks: list[Landmark] = field(default_factory=list)
     value: int = 0
-    _zones: list[Ints] = field(default_factory=list)
 
-    def charge(self, landmark: Landmark) -> bool:
-        """Charge a landmark as much as its members have left; False if that is nothing."""
-        weight = int(self.residual[landmark.members].min(initial=NEVER))
-        if not 0 < weight < NEVER:
-            return False
+    def __post_init__(self) -> None:
+        self.residual = self.cost.copy()
+
+    def charge(self, landmark: Landmark, at_most: int = int(NEVER)) -> int:
+        """Charge a landmark what its members have left, or less; returns how much."""
+        if not len(landmark.members):
+            return 0
+        weight = min(int(self.residual[landmark.members].min()), at_most)
         self.residual[landmark.members] -= weight
         self.value += weight
-        return True
+        return weight
+
+    def recharge(self, best: bool) -> None:
+        """Charge all landmarks anew: in the best way first, then each what is left."""
+        weights = best_weights([landmark.members for landmark in self.landmarks], self.cost) if best else []
+        self.residual, self.value = self.cost.copy(), 0
+        for landmark, weight in zip(self.landmarks, weights, strict=False):
+            self.charge(landmark, weight)
+        for landmark in self.landmarks:
+            self.charge(landmark)
 
     def improve(self, enough: int, most: int, is_over: Callable[[], bool]) -> None:
         """Charge up to `most` new landmarks, until the value is `enough` or the goal is free at residual costs."""
@@ -75,13 +88,8 @@ class Bound:
             landmark = self._first_ways_into(goal, facts)
             if facts[goal] == 0 or not self.charge(landmark):
                 return
-            self._zones.append(landmark.zone)
+            self.landmarks.append(landmark)
             facts, _ = cheapest_way(self.core, self.residual, facts)
-
-    def take_zones(self) -> list[Ints]:
-        """The zones of the landmarks found since the last call, by the numbers of this core's facts."""
-        zones, self._zones = self._zones, []
-        return zones
 
     def _first_ways_into(self, goal: int, facts: Ints) -> Landmark:
         """The landmark of the zone from which `goal` comes free by the dearest needs."""
@@ -106,5 +114,11 @@ class Bound:
         return np.asarray(self.value + before[:-1] + self.residual <= limit)
 
     def restricted(self, keep: Flags) -> Bound:
-        """The same bound for plans with no labels but those flagged."""
-        return Bound(self.core.restricted(keep), self.residual[keep], self.value)
+        """The bound for plans with no labels but those flagged, its landmarks charged anew as far as they go."""
+        core = self.core.restricted(keep)
+        number = np.full(len(self.core.givers), -1)
+        number[np.searchsorted(self.core.facts, core.facts)] = np.arange(len(core.facts))
+        zones = [number[landmark.zone] for landmark in self.landmarks]
+        part = Bound(core, self.cost[keep], [landmark_of(core, zone[zone >= 0]) for zone in zones])
+        part.recharge(best=False)
+        return part

@@ -29,6 +29,8 @@ ATTEMPTS = 30
 """How many members of the first plan are tried to be done without."""
 CHUNK = 50
 """After so many landmarks the network is restricted to what may still be used."""
+MOST_LANDMARKS = 1000
+"""The oldest landmarks are forgotten beyond this."""
 LEAST_GAIN = 0.02
 """Landmarks are looked for as long as a chunk closes this share of the gap."""
 
@@ -61,6 +63,15 @@ class Structure:
             givers,
         )
         return cls(environment, problem.similarity, _pinned(environment), givers, possible, network)
+
+    def remember(self, bound: Bound) -> None:
+        """Keep the bound's landmarks for the next time, as landmarks of the whole network."""
+        known = {landmark.zone.tobytes() for landmark in self.landmarks}
+        for landmark in bound.landmarks:
+            zone = bound.core.facts[landmark.zone]
+            if zone.tobytes() not in known:
+                self.landmarks.append(landmark_of(self.network.core, zone))
+        self.landmarks = self.landmarks[-MOST_LANDMARKS:]
 
     def serves(self, problem: Problem) -> bool:
         """Whether the problem differs in nothing but running units and costs."""
@@ -154,13 +165,14 @@ class PlannerSession:
             plan = improved(network, cost, known, {i for i in known if network.labels[i] not in running})
         else:
             plan = first_plan(network, cost, ATTEMPTS)
-        bound = Bound(network.core, cost.copy())
-        structure.landmarks = [landmark for landmark in structure.landmarks if bound.charge(landmark)]
+        bound = Bound(network.core, cost, list(structure.landmarks))
+        bound.recharge(best=True)
         limit = None if plan is None else int(cost[list(plan)].sum())
-        bound = _tightened(structure, bound, limit, clock)
+        bound = _tightened(bound, limit, clock)
+        structure.remember(bound)
         keep = bound.may_be_used(limit) if limit is not None else np.ones(bound.core.goal, np.bool_)
         left = bound.core.labels[keep]
-        counts |= {"landmarks": len(structure.landmarks), "left by bounds": len(left)}
+        counts |= {"landmarks": len(bound.landmarks), "left by bounds": len(left)}
         is_left = np.zeros(len(network.labels), np.bool_)
         is_left[left] = True
         return Prepared(
@@ -169,8 +181,8 @@ class PlannerSession:
             None if limit is None else limit + fixed_us,
             bound.value + fixed_us,
             [
-                [network.labels[i] for i in landmark.members[is_left[landmark.members]].tolist()]
-                for landmark in structure.landmarks
+                [network.labels[i] for i in members[is_left[members]].tolist()]
+                for members in (bound.core.labels[landmark.members] for landmark in bound.landmarks)
             ],
             counts,
         )
@@ -195,17 +207,18 @@ def _costs(problem: Problem, network: Network) -> tuple[int, Ints]:
     return fixed_us, cost
 
 
-def _tightened(structure: Structure, bound: Bound, limit: int | None, clock: Clock) -> Bound:
+def _tightened(bound: Bound, limit: int | None, clock: Clock) -> Bound:
     """Find landmarks, and restrict the network to what may still be used, as long as that pays."""
-    core = structure.network.core
-    enough = int(bound.residual.sum()) + bound.value if limit is None else limit
+    enough = int(bound.cost.sum()) if limit is None else limit
     while bound.value < enough and not clock.is_over():
         before = bound.value
         keep = bound.may_be_used(enough)
         if keep.sum() < 0.8 * len(keep):
             bound = bound.restricted(keep)
         bound.improve(enough, CHUNK, clock.is_over)
-        structure.landmarks += [landmark_of(core, bound.core.facts[zone]) for zone in bound.take_zones()]
         if bound.value - before < LEAST_GAIN * (enough - before):
-            break
+            bound.recharge(best=True)
+            bound.improve(enough, CHUNK, clock.is_over)
+            if bound.value - before < LEAST_GAIN * (enough - before):
+                break
     return bound
