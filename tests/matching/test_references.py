@@ -47,6 +47,15 @@ def test_a_counted_transitive_property_is_an_error_that_names_the_axiom(streams:
         match(["Image"], ["Camera"], counted)
 
 
+def test_property_chains_in_a_ring_are_an_error_of_their_own(streams: Ontology) -> None:
+    chains = [
+        "SubObjectPropertyOf(ObjectPropertyChain(<w#hasSource> <w#r>) <w#s>)",
+        "SubObjectPropertyOf(ObjectPropertyChain(<w#hasSource> <w#s>) <w#r>)",
+    ]
+    with pytest.raises(InputError, match="in a ring"):
+        match(["Image"], ["Camera"], Ontology([*streams.axioms, *chains]), reasoner="hermit")
+
+
 def test_what_is_not_answered_in_time_is_unknown_and_does_not_match(streams: Ontology) -> None:
     matching = match(["Image ⊓ ¬Undistorted"], ["Image", "¬Undistorted"], streams, time_limit_s=0.001)
     assert matching.similarity.offers == {"Image": {"Image ⊓ ¬Undistorted"}, "¬Undistorted": frozenset()}
