@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from cfgplan.matching import hermit, konclude
-from cfgplan.matching.faults import UnknownNameError
-from cfgplan.matching.names import suggestion
-from cfgplan.matching.reference import Classifier
+if TYPE_CHECKING:
+    from cfgplan.matching.reference import Classifier
 
 REASONERS: Final[Mapping[str, str]] = MappingProxyType(
     {
@@ -27,6 +25,10 @@ def reference_named(reasoner: str) -> tuple[str, Classifier | None]:
 
     Raises UnknownNameError.
     """
+    from cfgplan.matching import hermit, konclude
+    from cfgplan.matching.faults import UnknownNameError
+    from cfgplan.matching.names import suggestion
+
     if reasoner not in REASONERS:
         known = ", ".join(REASONERS)
         raise UnknownNameError(

@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -106,3 +109,12 @@ CONCEPTS = st.recursive(
 def test_a_concept_reads_back_as_it_is_rendered(text: str) -> None:
     concept = parse_tag(text, OPEN)
     assert parse_tag(OPEN.render(concept), OPEN) == concept
+
+
+def test_the_package_gives_each_of_its_names_and_imports_no_reasoner_for_it() -> None:
+    code = (
+        "import sys, cfgplan.matching as m; m.REASONERS; "
+        "heavy = {'cfgplan.matching.session', 'pyhornedowl', 'owlready2', 'pyoxigraph'} & sys.modules.keys(); "
+        "assert not heavy, heavy; [getattr(m, name) for name in m.__all__]"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
