@@ -33,7 +33,7 @@ def main() -> int:
     results = folder / "results.jsonl"
     console = Console(stderr=True)
     if options.report_only:
-        rows = read_rows(results)
+        rows = sorted(read_rows(results), key=lambda row: list(ENTRANTS).index(row.planner))
     else:
         instances = list(SUITES[options.suite]())
         if options.wsc:

@@ -29,8 +29,9 @@ def write_plots(rows: Sequence[Row], folder: Path) -> list[Path]:
     import matplotlib
 
     matplotlib.use("Agg")
+    families = dict.fromkeys(row.family for row in rows)
     figures = {
-        "scaling": scaling(rows),
+        **{f"scaling-{name}": scaling([row for row in rows if row.family == name], rows) for name in families},
         "gaps": gap_profile(rows),
         "performance": performance_profile(rows),
         "anytime": anytime(rows),
@@ -46,8 +47,11 @@ def write_plots(rows: Sequence[Row], folder: Path) -> list[Path]:
     return written
 
 
-def scaling(rows: Sequence[Row]) -> Figure | None:
-    """Time to proof against every parameter that is varied by itself; what is not proven lies hollow at its end."""
+def scaling(rows: Sequence[Row], everyone: Sequence[Row]) -> Figure | None:
+    """Time to proof against every parameter that is varied by itself; what is not proven lies hollow at its end.
+
+    The styles of the planners are those in the rows of `everyone`.
+    """
     from matplotlib.ticker import MaxNLocator
 
     panels = _series(rows)
@@ -55,10 +59,12 @@ def scaling(rows: Sequence[Row]) -> Figure | None:
         return None
     figure, axes = _grid(len(panels), 3)
     for axis, ((title, name), points) in zip(axes, sorted(panels.items()), strict=False):
-        for planner, style in _styles(rows).items():
+        for planner, style in _styles(everyone).items():
             xs = sorted({x for x, row in points if row.planner == planner and row.total_s is not None})
             at = {x: [row for value, row in points if (value, row.planner) == (x, planner)] for x in xs}
-            times = {x: median(max(LEAST_S, row.total_s or row.time_limit_s) for row in at[x]) for x in xs}
+            times = {
+                x: median(max(LEAST_S, row.proof_s or row.total_s or row.time_limit_s) for row in at[x]) for x in xs
+            }
             axis.plot(xs, [times[x] for x in xs], color=style.color, linestyle=style.line, linewidth=1)
             for proven in (True, False):
                 some = [x for x in xs if all(row.proven for row in at[x]) == proven]
@@ -76,12 +82,12 @@ def scaling(rows: Sequence[Row]) -> Figure | None:
         axis.set_title(title, fontsize=9)
         axis.set_xlabel(name, fontsize=8)
         positive = [x for x, _ in points if x > 0]
-        if max(positive, default=1) / min(positive, default=1) > 30 and len(positive) == len(points):
-            axis.set_xscale("log")
+        if max(positive, default=1) / min(positive, default=1) > 30:
+            axis.set_xscale("log" if len(positive) == len(points) else "symlog")
         elif all(x == int(x) for x, _ in points):
             axis.xaxis.set_major_locator(MaxNLocator(integer=True))
     figure.supylabel("seconds to the end; hollow: not proven", fontsize=9)
-    return _with_legend(figure, rows)
+    return _with_legend(figure, everyone)
 
 
 def gap_profile(rows: Sequence[Row]) -> Figure | None:
@@ -250,6 +256,7 @@ def _grid(count: int, width: int) -> tuple[Figure, list[Axes]]:
     for axis in flat:
         axis.grid(alpha=0.3)
         axis.tick_params(labelsize=7)
+        axis.tick_params(which="minor", labelbottom=False)
     return figure, flat
 
 

@@ -43,6 +43,7 @@ def plan(
 
     def offer(chosen: Set | None) -> None:
         nonlocal best, best_us
+        chosen = None if chosen is None else selection.needed(chosen)
         if chosen is not None and selection.cost_us(chosen) < best_us:
             best, best_us = chosen, selection.cost_us(chosen)
             if report is not None:

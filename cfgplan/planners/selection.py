@@ -67,12 +67,11 @@ class Selection:
         largest = self.problem.max_cost_us
         if largest is not None and bound_us > largest:
             return Plan(self.who, Status.TOO_EXPENSIVE, bound_us=bound_us, seconds=seconds, counts=counts)
-        units = [] if chosen is None else self.units(chosen)
-        ids = {unit.id for unit in units}
-        cost_us = self.cost_us([i for i, candidate in enumerate(self.candidates) if candidate.id in ids])
+        wired = {} if chosen is None else self._wired(chosen)
+        cost_us = self.cost_us(wired)
         if chosen is None or (largest is not None and cost_us > largest):
             return Plan(self.who, Status.UNKNOWN, bound_us=bound_us, seconds=seconds, counts=counts)
-        changes = self.problem.environment.change_to(units)
+        changes = self.problem.environment.change_to(wired.values())
         bound_us = min(bound_us, cost_us)
         return Plan(self.who, Status.FEASIBLE, changes, cost_us, bound_us, seconds=seconds, counts=counts)
 
@@ -121,8 +120,12 @@ class Selection:
             tags.update(dict.fromkeys(port.tag for port in self.candidates[i].transformation.inputs))
         return {tag: self.feeders(tag) for tag in tags if chosen.isdisjoint(self.feeders(tag))}
 
-    def units(self, chosen: Collection[int]) -> list[ComputationUnit]:
-        """Those of the grounded chosen that targets and pinned units need, wired; old streams are preferred."""
+    def needed(self, chosen: Collection[int]) -> frozenset[int]:
+        """Those of the satisfied chosen that targets and pinned units need in the wiring of `answer`."""
+        return frozenset(self._wired(chosen))
+
+    def _wired(self, chosen: Collection[int]) -> dict[int, ComputationUnit]:
+        """The units of the needed ones; old streams are preferred."""
         order = self.grounded(chosen)
         topics: dict[int, list[Publication]] = defaultdict(list)
         for target in self.problem.environment.targets:
@@ -140,7 +143,7 @@ class Selection:
                     candidate.id, candidate.transformation.label, subscriptions, tuple(topics[i])
                 )
                 ahead += feeds.values()
-        return list(units.values())
+        return units
 
     def _feed(self, index: int, before: Collection[int], anywhere: Collection[int]) -> dict[InputPort, int] | None:
         """A feeder for each input, its old one if it may stay; None if there is no way."""
