@@ -60,7 +60,7 @@ def scaling(rows: Sequence[Row], everyone: Sequence[Row]) -> Figure | None:
     figure, axes = _grid(len(panels), 3)
     for axis, ((title, name), points) in zip(axes, sorted(panels.items()), strict=False):
         for planner, style in _styles(everyone).items():
-            xs = sorted({x for x, row in points if row.planner == planner and row.total_s is not None})
+            xs = sorted({x for x, row in points if row.planner == planner})
             at = {x: [row for value, row in points if (value, row.planner) == (x, planner)] for x in xs}
             times = {
                 x: median(max(LEAST_S, row.proof_s or row.total_s or row.time_limit_s) for row in at[x]) for x in xs
@@ -86,7 +86,7 @@ def scaling(rows: Sequence[Row], everyone: Sequence[Row]) -> Figure | None:
             axis.set_xscale("log" if len(positive) == len(points) else "symlog")
         elif all(x == int(x) for x, _ in points):
             axis.xaxis.set_major_locator(MaxNLocator(integer=True))
-    figure.supylabel("seconds to the end; hollow: not proven", fontsize=9)
+    figure.supylabel("seconds to proof, or (hollow) to an end without one", fontsize=9)
     return _with_legend(figure, everyone)
 
 
