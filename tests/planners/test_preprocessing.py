@@ -97,11 +97,11 @@ def test_every_plan_has_a_member_of_each_landmark_also_after_costs_moved(problem
     used = stage.numbers(stage.used)
     assert all(used & set(landmark.members.tolist()) for landmark in landmarks)
     value = bound.value
-    bound.recharge(best=True)
+    bound.recharge_best()
     assert value <= bound.value <= (stage.plan.cost_us or 0)
     assert (bound.residual >= 0).all()
     free = Bound(core, np.zeros_like(stage.cost), landmarks)
-    free.recharge(best=True)
+    free.recharge_best()
     assert free.value == 0
 
 

@@ -8,7 +8,7 @@ Helmert and Domshlak 2009). A zone stays good whatever costs become, so a sessio
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -54,6 +54,7 @@ class Bound:
     core: Core
     cost: Ints
     landmarks: list[Landmark] = field(default_factory=list)
+    weights: list[int] = field(default_factory=list)
     value: int = 0
 
     def __post_init__(self) -> None:
@@ -68,14 +69,16 @@ class Bound:
         self.value += weight
         return weight
 
-    def recharge(self, best: bool) -> None:
-        """Charge all landmarks anew: in the best way first, then each what is left."""
-        weights = best_weights([landmark.members for landmark in self.landmarks], self.cost) if best else []
+    def recharge(self, weights: Sequence[int]) -> None:
+        """Charge all landmarks anew: each its weight as far as that goes, then each what is left."""
         self.residual, self.value = self.cost.copy(), 0
-        for landmark, weight in zip(self.landmarks, weights, strict=False):
-            self.charge(landmark, weight)
-        for landmark in self.landmarks:
-            self.charge(landmark)
+        charged = [self.charge(one, weight) for one, weight in zip(self.landmarks, weights, strict=False)]
+        charged += [0] * (len(self.landmarks) - len(charged))
+        self.weights = [already + self.charge(one) for one, already in zip(self.landmarks, charged, strict=True)]
+
+    def recharge_best(self) -> None:
+        """Charge all landmarks anew in the best way."""
+        self.recharge(best_weights([landmark.members for landmark in self.landmarks], self.cost))
 
     def improve(self, enough: int, most: int, is_over: Callable[[], bool]) -> None:
         """Charge up to `most` new landmarks, until the value is `enough` or the goal is free at residual costs."""
@@ -86,9 +89,11 @@ class Bound:
                 return
             goal = int(wanted[np.argmax(facts[wanted])])
             landmark = self._first_ways_into(goal, facts)
-            if facts[goal] == 0 or not self.charge(landmark):
+            weight = self.charge(landmark) if facts[goal] else 0
+            if not weight:
                 return
             self.landmarks.append(landmark)
+            self.weights.append(weight)
             facts, _ = cheapest_way(self.core, self.residual, facts)
 
     def _first_ways_into(self, goal: int, facts: Ints) -> Landmark:
@@ -114,11 +119,23 @@ class Bound:
         return np.asarray(self.value + before[:-1] + self.residual <= limit)
 
     def restricted(self, keep: Flags) -> Bound:
-        """The bound for plans with no labels but those flagged, its landmarks charged anew as far as they go."""
+        """The bound for plans with no labels but those flagged, by the landmarks that count."""
         core = self.core.restricted(keep)
-        number = np.full(len(self.core.givers), -1)
-        number[np.searchsorted(self.core.facts, core.facts)] = np.arange(len(core.facts))
-        zones = [number[landmark.zone] for landmark in self.landmarks]
-        part = Bound(core, self.cost[keep], [landmark_of(core, zone[zone >= 0]) for zone in zones])
-        part.recharge(best=False)
+        fact = np.full(len(self.core.givers), -1)
+        fact[np.searchsorted(self.core.facts, core.facts)] = np.arange(len(core.facts))
+        label = np.where(keep, np.cumsum(keep) - 1, -1)
+        weights = [weight for weight in self.weights if weight]
+        landmarks = [
+            Landmark(_kept(fact, landmark.zone), _kept(label, landmark.members))
+            for landmark, weight in zip(self.landmarks, self.weights, strict=True)
+            if weight
+        ]
+        part = Bound(core, self.cost[keep], landmarks)
+        part.recharge(weights)
         return part
+
+
+def _kept(number: Ints, items: Ints) -> Ints:
+    """The new numbers of the items that have one."""
+    new: Ints = number[items]
+    return new[new >= 0]

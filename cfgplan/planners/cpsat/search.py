@@ -138,6 +138,8 @@ class Search:
             assert self.best is not None
             self.raise_bound(self.best.key[1])
         model.cp.add(model.cost() <= self.best.key[1])
+        if self.prepared.usable_within is not None:
+            model.nothing_else_runs(self.prepared.usable_within(self.best.key[1]))
         self.stage = Stage.CHANGES
         if self.minimise(model.changes()):
             self.stage = Stage.DONE

@@ -27,11 +27,9 @@ from cfgplan.reasons import Givers, startable, unmet_reasons
 
 ATTEMPTS = 30
 """How many members of the first plan are tried to be done without."""
-CHUNK = 50
+CHUNK = 20
 """After so many landmarks the network is restricted to what may still be used."""
-MOST_LANDMARKS = 1000
-"""The oldest landmarks are forgotten beyond this."""
-LEAST_GAIN = 0.02
+LEAST_GAIN = 0.05
 """Landmarks are looked for as long as a chunk closes this share of the gap."""
 
 
@@ -46,6 +44,7 @@ class Structure:
     possible: frozenset[str]
     network: Network
     landmarks: list[Landmark] = field(default_factory=list)
+    weights: list[int] = field(default_factory=list)
 
     @classmethod
     def of(cls, problem: Problem, old: Structure | None) -> Structure:
@@ -65,13 +64,14 @@ class Structure:
         return cls(environment, problem.similarity, _pinned(environment), givers, possible, network)
 
     def remember(self, bound: Bound) -> None:
-        """Keep the bound's landmarks for the next time, as landmarks of the whole network."""
-        known = {landmark.zone.tobytes() for landmark in self.landmarks}
-        for landmark in bound.landmarks:
-            zone = bound.core.facts[landmark.zone]
-            if zone.tobytes() not in known:
-                self.landmarks.append(landmark_of(self.network.core, zone))
-        self.landmarks = self.landmarks[-MOST_LANDMARKS:]
+        """Keep the landmarks that counted for the next time, as landmarks of the whole network."""
+        known = {landmark.zone.tobytes(): landmark for landmark in self.landmarks}
+        counted = [
+            (landmark.zone, weight) for landmark, weight in zip(bound.landmarks, bound.weights, strict=True) if weight
+        ]
+        zones = [bound.core.facts[zone] for zone, _ in counted]
+        self.landmarks = [known.get(zone.tobytes()) or landmark_of(self.network.core, zone) for zone in zones]
+        self.weights = [weight for _, weight in counted]
 
     def serves(self, problem: Problem) -> bool:
         """Whether the problem differs in nothing but running units and costs."""
@@ -166,7 +166,7 @@ class PlannerSession:
         else:
             plan = first_plan(network, cost, ATTEMPTS)
         bound = Bound(network.core, cost, list(structure.landmarks))
-        bound.recharge(best=True)
+        bound.recharge(structure.weights)
         limit = None if plan is None else int(cost[list(plan)].sum())
         bound = _tightened(bound, limit, clock)
         structure.remember(bound)
@@ -185,6 +185,9 @@ class PlannerSession:
                 for members in (bound.core.labels[landmark.members] for landmark in bound.landmarks)
             ],
             counts,
+            lambda most_us: {
+                network.labels[i] for i in bound.core.labels[bound.may_be_used(most_us - fixed_us)].tolist()
+            },
         )
 
 
@@ -217,7 +220,7 @@ def _tightened(bound: Bound, limit: int | None, clock: Clock) -> Bound:
             bound = bound.restricted(keep)
         bound.improve(enough, CHUNK, clock.is_over)
         if bound.value - before < LEAST_GAIN * (enough - before):
-            bound.recharge(best=True)
+            bound.recharge_best()
             bound.improve(enough, CHUNK, clock.is_over)
             if bound.value - before < LEAST_GAIN * (enough - before):
                 break
