@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Literal
 from cfgplan import validity
 from cfgplan.domain import Environment, Similarity
 from cfgplan.errors import CfgplanError, InputError
-from cfgplan.matching import REASONERS, MatchExplanation, Matching, Nearest, Ontology, load_ontology
+from cfgplan.matching import REASONERS, MatchExplanation, Matching, Nearest, Ontology, load_ontology, read_owlready
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import Plan, Problem, Progress
 from cfgplan.validity import Violation
@@ -205,10 +205,10 @@ class _OntologyVocabulary:
 
     def instances(self, class_name: str) -> tuple[str, ...]:
         from cfgplan.formats import BadClassError
-        from cfgplan.matching import TagError, UnknownNameError
+        from cfgplan.matching import TagError, UnknownNameError, instances
 
         try:
-            return self._ontology.instances(class_name)
+            return instances(self._ontology, class_name)
         except (TagError, UnknownNameError) as error:
             raise BadClassError(error.message, error.mend) from None
 
@@ -231,7 +231,7 @@ def _as_ontology(ontology: object) -> Ontology:
         return load_ontology([Path(ontology)])
     if isinstance(ontology, (list, tuple)):
         return load_ontology([Path(path) for path in ontology])
-    return Ontology.from_owlready(ontology)
+    return read_owlready(ontology)
 
 
 def _cache_folder() -> Path:

@@ -17,8 +17,9 @@ if TYPE_CHECKING:
         TagError,
         UnknownNameError,
     )
-    from cfgplan.matching.loading import load_ontology
+    from cfgplan.matching.loading import load_ontology, read_owlready
     from cfgplan.matching.matrix import match
+    from cfgplan.matching.membership import instances
     from cfgplan.matching.ontology import Ontology
     from cfgplan.matching.reasoners import REASONERS
     from cfgplan.matching.session import Matcher, Matching
@@ -39,9 +40,11 @@ __all__ = [
     "UnknownNameError",
     "check_tag",
     "explain_match",
+    "instances",
     "load_ontology",
     "match",
     "nearest_offers",
+    "read_owlready",
 ]
 
 _MODULES = {
@@ -50,8 +53,9 @@ _MODULES = {
         *("InconsistentOntologyError", "MatchingError", "ReasonerError", "ReasonerTimeoutError"),
         *("TagError", "UnknownNameError"),
     ),
-    "loading": ("load_ontology",),
+    "loading": ("load_ontology", "read_owlready"),
     "matrix": ("match",),
+    "membership": ("instances",),
     "ontology": ("Ontology",),
     "reasoners": ("REASONERS",),
     "session": ("Matcher", "Matching"),

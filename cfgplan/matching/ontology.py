@@ -38,13 +38,6 @@ class Ontology:
         self.is_open = is_open
         self.files = tuple(files)
 
-    @classmethod
-    def from_owlready(cls, onto: object) -> Ontology:
-        """The axioms of an `owlready2` ontology object and of the ontologies that it imports. Raises InputError."""
-        from cfgplan.matching.loading import read_owlready
-
-        return read_owlready(onto)
-
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Ontology):
             return NotImplemented
@@ -100,18 +93,6 @@ class Ontology:
     def properties(self) -> Mapping[str, str]:
         """IRIs of the object properties by short name (`prefix:name` where the short name is ambiguous)."""
         return self.property_names.by_short_name
-
-    def instances(
-        self, class_or_tag: str, *, reasoner: str = "auto", time_limit_s: float | None = None
-    ) -> tuple[str, ...]:
-        """The names of the individuals that belong to a class or tag, asserted or inferred, sorted.
-
-        Raises UnknownNameError for a name that is no class, TagError for a tag that can't be read, InputError for
-        an ontology that can't be reasoned with.
-        """
-        from cfgplan.matching.membership import instances
-
-        return instances(self, class_or_tag, reasoner=reasoner, time_limit_s=time_limit_s)
 
     def find(self, name: str, vocabularies: Collection[Vocabulary]) -> tuple[Vocabulary, str] | None:
         """The vocabulary and IRI of a name; None in an open ontology. Raises UnknownNameError."""
