@@ -84,9 +84,10 @@ def scaling(rows: Sequence[Row], everyone: Sequence[Row]) -> Figure | None:
         positive = [x for x, _ in points if x > 0]
         if max(positive, default=1) / min(positive, default=1) > 30:
             axis.set_xscale("log" if len(positive) == len(points) else "symlog")
+            axis.set_xlim(left=min(x for x, _ in points))
         elif all(x == int(x) for x, _ in points):
             axis.xaxis.set_major_locator(MaxNLocator(integer=True))
-    figure.supylabel("seconds to proof, or (hollow) to an end without one", fontsize=9)
+    figure.supylabel("seconds to proof; hollow: to the end, none", fontsize=9)
     return _with_legend(figure, everyone)
 
 
