@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 
 from rich.console import Console
 
-from cfgplan.comparing import REGISTERED, Limits, read_rows, run
+from cfgplan.comparing import REGISTERED, Limits, Row, read_rows, run
 from cfgplan.comparing.bar import progress_bar
 from cfgplan.comparing.invariants import breaches
 from cfgplan.comparing.report import write_report
@@ -33,7 +34,7 @@ def main() -> int:
     results = folder / "results.jsonl"
     console = Console(stderr=True)
     if options.report_only:
-        rows = sorted(read_rows(results), key=lambda row: list(ENTRANTS).index(row.planner))
+        rows = in_order(read_rows(results))
     else:
         instances = list(SUITES[options.suite]())
         if options.wsc:
@@ -43,13 +44,18 @@ def main() -> int:
         entrants = [ENTRANTS[name] for name in options.planner or ENTRANTS]
         limits = Limits(time_limit_s=options.timeout or SECONDS[options.suite])
         with progress_bar(console) as watch:
-            rows = run(instances, entrants, limits, results, watch=watch)
+            rows = in_order(run(instances, entrants, limits, results, watch=watch))
     for path in write_report(rows, folder):
         print(path)
     found = breaches(rows)
     for text in found:
         print(f"CONTRADICTION: {text}", file=sys.stderr)
     return 1 if found else 0
+
+
+def in_order(rows: Iterable[Row]) -> list[Row]:
+    """The rows by planner, in the order of the registries; repeated runs stand last in the file."""
+    return sorted(rows, key=lambda row: list(ENTRANTS).index(row.planner))
 
 
 def _options() -> argparse.Namespace:
