@@ -9,7 +9,7 @@ only where the feeder's identity matters.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 
 from ortools.sat.python.cp_model import CpModel, IntVar, LinearExprT
 
@@ -82,12 +82,6 @@ class Model:
         units = self.site.units_of
         for landmark in landmarks:
             self.cp.add_bool_or([self.runs[i] for label in landmark for i in units[label]])
-
-    def nothing_else_runs(self, labels: Collection[str]) -> None:
-        """Only units of these labels run."""
-        for runs, candidate in zip(self.runs, self.site.candidates, strict=True):
-            if candidate.transformation.label not in labels:
-                self.cp.add(runs == 0)
 
     def cost(self) -> LinearExprT:
         return sum(c.cost_us * x for c, x in zip(self.site.candidates, self.runs, strict=True))

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """What preprocessing leaves: labels that may be used, a first plan, its cost, a bound, landmarks.
-
-    `usable_within` says which labels may be in a plan of at most some cost.
-    """
+    """What preprocessing leaves: labels that may be used, a first plan, its cost, a bound, landmarks."""
 
     labels: list[str]
     plan: list[str] | None = None
@@ -19,4 +15,3 @@ class Prepared:
     bound_us: int = 0
     landmarks: list[list[str]] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=dict)
-    usable_within: Callable[[int], Collection[str]] | None = None

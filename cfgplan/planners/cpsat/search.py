@@ -32,12 +32,12 @@ from cfgplan.planners.cpsat.site import Site
 from cfgplan.planners.cpsat.wiring import forced_changes, wire
 from cfgplan.planning import Plan, Progress, Status
 
-MOST_FOR_ONE_STAGE = 250
-"""With more candidates than this the solver proves cost first and breaks ties afterwards."""
 SMALL = 1000
 """With fewer booleans than this, probing and looking for symmetries take longer than they save."""
 EXACT = 2**50
 """Up to here the solver's bound, a double, is exact."""
+LARGEST = 2**62
+"""No sum of the solver's integers may exceed this."""
 
 
 class Stage(Enum):
@@ -138,19 +138,19 @@ class Search:
             assert self.best is not None
             self.raise_bound(self.best.key[1])
         model.cp.add(model.cost() <= self.best.key[1])
-        if self.prepared.usable_within is not None:
-            model.nothing_else_runs(self.prepared.usable_within(self.best.key[1]))
         self.stage = Stage.CHANGES
         if self.minimise(model.changes()):
             self.stage = Stage.DONE
 
     def changes_scale(self) -> int | None:
-        """What a microsecond must weigh against changes to add both up; None if that is not wise."""
+        """What a microsecond must weigh against changes to add both up; None if the sum would not be exact."""
         started = sum(candidate.running is None for candidate in self.site.candidates)
         rewired = len(self.site.candidates) - started
         scale = (started + 1) * (rewired + 1)
-        fits = self.best is not None and self.best.key[1] * scale < EXACT and not self.model.uses_required
-        return scale if fits and len(self.site.candidates) <= MOST_FOR_ONE_STAGE else None
+        most = scale * (1 + sum(candidate.cost_us for candidate in self.site.candidates))
+        if self.best is None or self.best.key[1] * scale >= EXACT or most >= LARGEST or self.model.uses_required:
+            return None
+        return scale
 
     def hopeless_required(self) -> int:
         """How many required transformations can never be used, whatever is planned."""

@@ -185,9 +185,6 @@ class PlannerSession:
                 for members in (bound.core.labels[landmark.members] for landmark in bound.landmarks)
             ],
             counts,
-            lambda most_us: {
-                network.labels[i] for i in bound.core.labels[bound.may_be_used(most_us - fixed_us)].tolist()
-            },
         )
 
 
