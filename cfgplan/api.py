@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 PLANNER_NAMES = tuple(PLANNERS)
 REASONER_NAMES = tuple(REASONERS)
+MEMBERSHIP_LIMIT_S = 60.0
+"""How long a reasoner may take to find the individuals of a template's class."""
 
 
 class UntruthfulPlanError(CfgplanError):
@@ -208,7 +210,7 @@ class _OntologyVocabulary:
         from cfgplan.matching import TagError, UnknownNameError, instances
 
         try:
-            return instances(self._ontology, class_name)
+            return instances(self._ontology, class_name, time_limit_s=MEMBERSHIP_LIMIT_S)
         except (TagError, UnknownNameError) as error:
             raise BadClassError(error.message, error.mend) from None
 

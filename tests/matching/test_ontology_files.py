@@ -5,7 +5,15 @@ from pathlib import Path
 import pytest
 
 from cfgplan.errors import InputError
-from cfgplan.matching import MatchingError, Ontology, instances, load_ontology, match, read_owlready
+from cfgplan.matching import (
+    MatchingError,
+    Ontology,
+    ReasonerTimeoutError,
+    instances,
+    load_ontology,
+    match,
+    read_owlready,
+)
 
 TURTLE = """@prefix : <http://w.example/#> .
 @prefix owl: <http://www.w3.org/2002/07/owl#> .
@@ -201,3 +209,17 @@ def test_an_owlready2_ontology_is_taken_over() -> None:
     assert match(["hasSource value cam1"], ["CameraImage"], ontology).similarity.holds(
         "hasSource value cam1", "CameraImage"
     )
+
+
+def test_members_that_can_not_be_found_in_time_are_an_error_and_not_left_out() -> None:
+    outside = Ontology(
+        [
+            "SubClassOf(<urn:x#A> ObjectUnionOf(<urn:x#B> <urn:x#C>))",
+            "ClassAssertion(<urn:x#A> <urn:x#one>)",
+            "Declaration(Class(<urn:x#B>))",
+            "Declaration(Class(<urn:x#C>))",
+        ]
+    )
+    assert instances(outside, "A") == ("one",)
+    with pytest.raises(ReasonerTimeoutError, match="could not be decided"):
+        instances(outside, "B ⊔ C", time_limit_s=1e-3)
