@@ -6,17 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from math import ceil
-from threading import Event, Thread
 
 from ortools.sat.python.cp_model import (
     FEASIBLE,
     INFEASIBLE,
     OPTIMAL,
     UNKNOWN,
-    CpModel,
     CpSolver,
-    CpSolverSolutionCallback,
-    CpSolverStatus,
+    IntVar,
     LinearExpr,
     LinearExprT,
 )
@@ -24,6 +21,7 @@ from ortools.sat.python.cp_model import (
 from cfgplan.domain import ComputationUnit
 from cfgplan.planners.cpsat.clock import Clock
 from cfgplan.planners.cpsat.decode import decode
+from cfgplan.planners.cpsat.engine import OnSolution, repeatable_solver, solve
 from cfgplan.planners.cpsat.levels import everything_rests_on_something_lower
 from cfgplan.planners.cpsat.model import Model
 from cfgplan.planners.cpsat.prepared import Prepared
@@ -163,7 +161,8 @@ class Search:
             solver = self.solver()
             self.hint()
             self.counts["rounds"] += 1
-            status = solve(solver, self.model.cp, OnSolution(self), self.clock)
+            solver.best_bound_callback = lambda bound: self.learn_bound(ceil(bound - 0.5))
+            status = solve(solver, self.model.cp, OnSolution(self.look_at), self.clock)
             self.counts["conflicts"] += solver.num_conflicts
             if status in (OPTIMAL, FEASIBLE, UNKNOWN):
                 self.learn_bound(ceil(solver.best_objective_bound - 0.5))
@@ -198,6 +197,10 @@ class Search:
         rank = self.model.support.grounded(true)
         units = decode(self.model, true, rank)
         return None if units is None else self.offer(units)
+
+    def look_at(self, holds: Callable[[IntVar], bool]) -> None:
+        """Look at a solution on the way: one that is grounded is a plan."""
+        self.consider({literal.index for literal in self.model.literals if holds(literal)})
 
     def offer(self, units: list[ComputationUnit]) -> Key:
         """Take a plan as the incumbent if it is the best so far; returns its key."""
@@ -235,20 +238,8 @@ class Search:
             self.report(Progress(self.clock.elapsed_s(), cost_us, self.bound_us))
 
     def solver(self) -> CpSolver:
-        """One worker is repeatable; a full linearisation is what proves these models."""
-        solver = CpSolver()
-        solver.parameters.num_workers = 1
-        solver.parameters.catch_sigint_signal = False
-        solver.parameters.linearization_level = 2
-        solver.parameters.cut_level = 0
-        if len(self.model.literals) < SMALL:
-            solver.parameters.cp_model_probing_level = 0
-            solver.parameters.symmetry_level = 0
-        solver.best_bound_callback = lambda bound: self.learn_bound(ceil(bound - 0.5))
-        left_s = self.clock.left_s()
-        if left_s is not None:
-            solver.parameters.max_time_in_seconds = left_s
-        return solver
+        """An engine for one round, with the time that is left."""
+        return repeatable_solver(small=len(self.model.literals) < SMALL, time_limit_s=self.clock.left_s())
 
     def hint(self) -> None:
         """Start from the incumbent's units."""
@@ -278,36 +269,3 @@ class Search:
             seconds=seconds,
             counts=counts,
         )
-
-
-def solve(solver: CpSolver, model: CpModel, callback: CpSolverSolutionCallback, clock: Clock) -> CpSolverStatus:
-    """Solve in a thread, so that `stop` and Ctrl-C end it with the best solution so far."""
-    status: list[CpSolverStatus] = []
-    done = Event()
-
-    def work() -> None:
-        try:
-            status.append(solver.solve(model, callback))
-        finally:
-            done.set()
-
-    Thread(target=work, daemon=True).start()
-    while not done.is_set():
-        try:
-            done.wait(0.05)
-            if clock.stop.is_set():
-                solver.stop_search()
-        except KeyboardInterrupt:
-            clock.stop.set()
-    return status[0]
-
-
-class OnSolution(CpSolverSolutionCallback):
-    """Looks at every solution on the way: one that is grounded is a plan."""
-
-    def __init__(self, search: Search) -> None:
-        super().__init__()
-        self._search = search
-
-    def on_solution_callback(self) -> None:
-        self._search.consider({x.index for x in self._search.model.literals if self.boolean_value(x)})
