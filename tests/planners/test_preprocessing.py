@@ -62,7 +62,7 @@ def test_an_optimal_plan_is_one_of_the_network_and_demands_are_merged(problem: P
 @given(problems(special=False))
 def test_the_first_plan_is_a_plan_and_not_cheaper_than_the_optimum(problem: Problem) -> None:
     stage = Stage(problem)
-    plan = first_plan(stage.network, stage.cost, 5)
+    plan = first_plan(stage.network, stage.cost, 5, lambda: False)
     assert plan is not None
     assert is_plan(stage.network, plan)
     assert int(stage.cost[sorted(plan)].sum()) >= (stage.plan.cost_us or 0)
@@ -97,11 +97,11 @@ def test_every_plan_has_a_member_of_each_landmark_also_after_costs_moved(problem
     used = stage.numbers(stage.used)
     assert all(used & set(landmark.members.tolist()) for landmark in landmarks)
     value = bound.value
-    bound.recharge_best()
+    bound.recharge_best(None)
     assert value <= bound.value <= (stage.plan.cost_us or 0)
     assert (bound.residual >= 0).all()
     free = Bound(core, np.zeros_like(stage.cost), landmarks)
-    free.recharge_best()
+    free.recharge_best(None)
     assert free.value == 0
 
 

@@ -76,9 +76,10 @@ class Bound:
         charged += [0] * (len(self.landmarks) - len(charged))
         self.weights = [already + self.charge(one) for one, already in zip(self.landmarks, charged, strict=True)]
 
-    def recharge_best(self) -> None:
-        """Charge all landmarks anew in the best way."""
-        self.recharge(best_weights([landmark.members for landmark in self.landmarks], self.cost))
+    def recharge_best(self, time_limit_s: float | None) -> None:
+        """Charge all landmarks anew in the best way that is found in time."""
+        weights = best_weights([landmark.members for landmark in self.landmarks], self.cost, time_limit_s)
+        self.recharge(weights or self.weights)
 
     def improve(self, enough: int, most: int, is_over: Callable[[], bool]) -> None:
         """Charge up to `most` new landmarks, until the value is `enough` or the goal is free at residual costs."""

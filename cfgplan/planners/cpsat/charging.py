@@ -9,15 +9,17 @@ from ortools.linear_solver import pywraplp  # type: ignore[import-untyped]
 from cfgplan.planners.cpsat.network import Ints
 
 
-def best_weights(members: list[Ints], cost: Ints) -> list[int]:
+def best_weights(members: list[Ints], cost: Ints, time_limit_s: float | None) -> list[int]:
     """How much to charge each landmark so that no label is charged more than it costs and the sum is greatest.
 
-    Rounded down, so that it is exact whatever the engine's tolerance; empty if the engine fails.
+    Rounded down, so that it is exact whatever the engine's tolerance; empty if the engine fails or the time is over.
     """
     if not members:
         return []
     solver = pywraplp.Solver.CreateSolver("GLOP")
     solver.SuppressOutput()
+    if time_limit_s is not None:
+        solver.SetTimeLimit(1 + int(1000 * time_limit_s))
     unit = float(max(1, cost.max()))
     weights = [solver.NumVar(0.0, float(cost[labels].min()) / unit, "") for labels in members]
     rows: dict[int, pywraplp.Constraint] = {}

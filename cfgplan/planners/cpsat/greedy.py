@@ -5,7 +5,7 @@ A plan here is a set of labels with a grounded wiring that meets the goal.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
@@ -13,11 +13,11 @@ from cfgplan.planners.cpsat.network import Floats, Ints, Network
 from cfgplan.reasons import assign_different, distinct_groups
 
 
-def first_plan(network: Network, cost: Ints, attempts: int) -> set[int] | None:
+def first_plan(network: Network, cost: Ints, attempts: int, is_over: Callable[[], bool]) -> set[int] | None:
     """A plan, after up to `attempts` attempts to do without one of its members; None if none was found."""
     best = _supported(network, cost, set())
     tried: set[int] = set()
-    while best is not None and len(tried) < attempts:
+    while best is not None and len(tried) < attempts and not is_over():
         ahead = sorted((label for label in best - tried if cost[label]), key=lambda label: (-cost[label], label))
         if not ahead:
             break

@@ -164,7 +164,7 @@ class PlannerSession:
             running = {unit.transformation for unit in problem.environment.units}
             plan = improved(network, cost, known, {i for i in known if network.labels[i] not in running})
         else:
-            plan = first_plan(network, cost, ATTEMPTS)
+            plan = first_plan(network, cost, ATTEMPTS, clock.is_over)
         bound = Bound(network.core, cost, list(structure.landmarks))
         bound.recharge(structure.weights)
         limit = None if plan is None else int(cost[list(plan)].sum())
@@ -172,6 +172,8 @@ class PlannerSession:
         structure.remember(bound)
         keep = bound.may_be_used(limit) if limit is not None else np.ones(bound.core.goal, np.bool_)
         left = bound.core.labels[keep]
+        if plan is not None and limit is not None and bound.value < limit and clock.is_over():
+            left = np.array(sorted(plan), np.int64)
         counts |= {"landmarks": len(bound.landmarks), "left by bounds": len(left)}
         is_left = np.zeros(len(network.labels), np.bool_)
         is_left[left] = True
@@ -217,7 +219,7 @@ def _tightened(bound: Bound, limit: int | None, clock: Clock) -> Bound:
             bound = bound.restricted(keep)
         bound.improve(enough, CHUNK, clock.is_over)
         if bound.value - before < LEAST_GAIN * (enough - before):
-            bound.recharge_best()
+            bound.recharge_best(clock.left_s())
             bound.improve(enough, CHUNK, clock.is_over)
             if bound.value - before < LEAST_GAIN * (enough - before):
                 break
