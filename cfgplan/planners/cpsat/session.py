@@ -29,6 +29,8 @@ ATTEMPTS = 30
 """How many members of the first plan are tried to be done without."""
 CHUNK = 20
 """After so many landmarks the network is restricted to what may still be used."""
+MANY = 500
+"""With more labels than this, less gain is enough: the solver would take longer."""
 LEAST_GAIN = 0.05
 """Landmarks are looked for as long as a chunk closes this share of the gap."""
 
@@ -218,9 +220,9 @@ def _tightened(bound: Bound, limit: int | None, clock: Clock) -> Bound:
         if keep.sum() < 0.8 * len(keep):
             bound = bound.restricted(keep)
         bound.improve(enough, CHUNK, clock.is_over)
-        if bound.value - before < LEAST_GAIN * (enough - before):
+        if bound.value - before < LEAST_GAIN * (enough - before) * min(1.0, MANY / len(keep)):
             bound.recharge_best(clock.left_s())
             bound.improve(enough, CHUNK, clock.is_over)
-            if bound.value - before < LEAST_GAIN * (enough - before):
+            if bound.value - before < LEAST_GAIN * (enough - before) * min(1.0, MANY / len(keep)):
                 break
     return bound
