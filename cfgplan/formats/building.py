@@ -20,7 +20,7 @@ Origins = dict[tuple[str, str], tuple[Source, Path]]
 
 
 def build(document: Document, vocabulary: Vocabulary) -> EnvironmentFile:
-    """The environment that a document describes; raises InputError with every fault of the document and of this stage."""
+    """The environment that a document describes; raises InputError with every fault of both stages."""
     with no_garbage_collection():
         return _build(document, vocabulary)
 

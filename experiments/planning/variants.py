@@ -7,10 +7,12 @@ from collections.abc import Callable
 from ortools.sat.python.cp_model import CpSolver
 
 from cfgplan.planners.cpsat.clock import Clock
+from cfgplan.planners.cpsat.grounding import Grounding
 from cfgplan.planners.cpsat.prepared import Prepared
-from cfgplan.planners.cpsat.search import Grounding, Search
+from cfgplan.planners.cpsat.search import Search
 from cfgplan.planners.cpsat.session import PlannerSession
 from cfgplan.planners.cpsat.site import Site, relevant
+from cfgplan.planners.cpsat.standing import Standing
 from cfgplan.planning import Plan, Problem, Progress
 from cfgplan.reasons import Givers, startable
 
@@ -21,7 +23,7 @@ class Defaults(Search):
     def solver(self) -> CpSolver:
         solver = CpSolver()
         solver.parameters.num_workers = 1
-        left_s = self.clock.left_s()
+        left_s = self.standing.clock.left_s()
         if left_s is not None:
             solver.parameters.max_time_in_seconds = left_s
         return solver
@@ -33,10 +35,11 @@ def _unprepared(
     clock = Clock(limit_s)
     givers = Givers(problem.environment.library, problem.similarity)
     labels = relevant(problem.environment, givers, startable(problem.environment, givers))
-    running = search(Site(problem, givers, labels), Prepared(sorted(labels)), clock, report, grounding)
-    running.run()
+    prepared = Prepared(sorted(labels))
+    standing = Standing(Site(problem, givers, labels), prepared, clock, report)
+    search(standing, prepared, grounding).run()
     clock.end("search")
-    return running.plan()
+    return standing.plan()
 
 
 Report = Callable[[Progress], None] | None

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -92,3 +94,12 @@ def test_progress_is_told_as_json_lines(run: Run) -> None:
     lines = [json.loads(line) for line in run("solve", LOST, "--progress").err.splitlines() if line.startswith("{")]
     assert lines
     assert lines[-1]["cost_us"] == 18_950_000
+
+
+def test_the_solver_is_not_even_imported_where_the_bounds_meet() -> None:
+    code = (
+        "import sys\nfrom cfgplan.cli import main\n"
+        f"assert main(['solve', {str(LOST)!r}, '--no-cache']) == 0\n"
+        "assert 'ortools' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from threading import Event
 
-from cfgplan.planners.cpsat.search import Grounding
+from cfgplan.planners.cpsat.grounding import Grounding
 from cfgplan.planners.cpsat.session import PlannerSession
 from cfgplan.planning import Plan, Problem, Progress
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from math import floor
 
-from ortools.linear_solver import pywraplp  # type: ignore[import-untyped]
-
 from cfgplan.planners.cpsat.network import Ints
 
 
@@ -16,6 +14,8 @@ def best_weights(members: list[Ints], cost: Ints, time_limit_s: float | None) ->
     """
     if not members:
         return []
+    from ortools.linear_solver import pywraplp  # type: ignore[import-untyped]
+
     solver = pywraplp.Solver.CreateSolver("GLOP")
     solver.SuppressOutput()
     if time_limit_s is not None:

@@ -18,10 +18,11 @@ from cfgplan.domain import Environment, Similarity, Transformation
 from cfgplan.planners.cpsat.bounds import Bound, Landmark, landmark_of
 from cfgplan.planners.cpsat.clock import Clock
 from cfgplan.planners.cpsat.greedy import first_plan, improved, is_plan
+from cfgplan.planners.cpsat.grounding import Grounding
 from cfgplan.planners.cpsat.network import Ints, Network
 from cfgplan.planners.cpsat.prepared import Prepared
-from cfgplan.planners.cpsat.search import Grounding, Search
 from cfgplan.planners.cpsat.site import Site, relevant
+from cfgplan.planners.cpsat.standing import Stage, Standing
 from cfgplan.planning import Plan, Problem, Progress, Status
 from cfgplan.reasons import Givers, startable, unmet_reasons
 
@@ -132,20 +133,23 @@ class PlannerSession:
         if any(structure.possible.isdisjoint(structure.givers.of(target.tag)) for target in environment.targets):
             return Plan("cpsat", Status.INFEASIBLE, reasons=unmet_reasons(problem), seconds=clock.end("closure"))
         clock.end("closure")
-        search: Search | None = None
+        standing: Standing | None = None
         try:
             prepared = self._prepare(problem, structure, clock)
             clock.end("bounds")
-            search = Search(Site(problem, structure.givers, prepared.labels), prepared, clock, report, self._grounding)
-            search.run()
+            standing = Standing(Site(problem, structure.givers, prepared.labels), prepared, clock, report)
+            if standing.stage is not Stage.DONE and not clock.is_over():
+                from cfgplan.planners.cpsat.search import Search  # the solver takes long to import
+
+                Search(standing, prepared, self._grounding).run()
         except KeyboardInterrupt:
             clock.stop.set()
         clock.end("search")
-        if search is None:
+        if standing is None:
             return Plan("cpsat", Status.UNKNOWN, seconds=clock.seconds)
-        if search.best is not None:
-            self._last = frozenset(unit.transformation for unit in search.best.units)
-        return search.plan()
+        if standing.best is not None:
+            self._last = frozenset(unit.transformation for unit in standing.best.units)
+        return standing.plan()
 
     def _prepare(self, problem: Problem, structure: Structure, clock: Clock) -> Prepared:
         """Bounds on the cost from both sides, and what may still be used between them."""

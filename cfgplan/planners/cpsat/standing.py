@@ -1,0 +1,109 @@
+"""How far the planner has come: the incumbent, the proven bound, what is being minimised.
+
+Nothing here needs the constraint solver: where the first plan meets the bound it is never imported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+from cfgplan.domain import ComputationUnit
+from cfgplan.planners.cpsat.clock import Clock
+from cfgplan.planners.cpsat.prepared import Prepared
+from cfgplan.planners.cpsat.quality import Key, key_of, unused_required
+from cfgplan.planners.cpsat.site import Site
+from cfgplan.planners.cpsat.wiring import forced_changes, wire
+from cfgplan.planning import Plan, Progress, Status
+
+
+class Stage(Enum):
+    """What is being minimised."""
+
+    REQUIRED = "unused required transformations"
+    COST = "cost"
+    CHANGES = "rewired and started units"
+    COST_AND_CHANGES = "cost, then rewired and started units, in one sum"
+    DONE = "nothing: all is proven"
+
+
+@dataclass
+class Incumbent:
+    """The best plan so far."""
+
+    key: Key
+    units: list[ComputationUnit]
+
+
+class Standing:
+    """A site on its way to the optimum: the stage, the incumbent and the proven bound on the cost."""
+
+    def __init__(self, site: Site, prepared: Prepared, clock: Clock, report: Callable[[Progress], None] | None) -> None:
+        self.site = site
+        self.clock = clock
+        self.report = report
+        self.stage = Stage.REQUIRED
+        self.best: Incumbent | None = None
+        self.bound_us = 0
+        self.counts = {**prepared.counts}
+        self.raise_bound(prepared.bound_us)
+        if prepared.plan is not None:
+            self.begin_with(prepared.plan)
+
+    def begin_with(self, labels: list[str]) -> None:
+        """Take the first plan as the incumbent; where it meets the bound, all is done."""
+        chosen = self.site.first_of_each(labels)
+        units = wire(self.site, chosen)
+        if units is not None:
+            self.offer(units)
+        if self.is_proven(chosen):
+            self.stage = Stage.DONE
+
+    def is_proven(self, chosen: set[int]) -> bool:
+        """Whether the incumbent is the only choice of units at its cost, with no more rewired than must be."""
+        return (
+            self.best is not None
+            and self.best.key[:2] == (0, self.bound_us)
+            and len(chosen) == len(self.site.candidates) == len(self.best.units)
+            and self.best.key[2] == forced_changes(self.site, chosen)
+        )
+
+    def offer(self, units: list[ComputationUnit]) -> Key:
+        """Take a plan as the incumbent if it is the best so far; returns its key."""
+        key = key_of(self.site.problem, units)
+        if self.best is None or key < self.best.key:
+            self.best = Incumbent(key, units)
+            self.tell()
+        return key
+
+    def raise_bound(self, bound_us: int) -> None:
+        if bound_us > self.bound_us:
+            self.bound_us = bound_us
+            self.tell()
+
+    def tell(self) -> None:
+        if self.report is not None:
+            cost_us = self.best.key[1] if self.best else None
+            self.report(Progress(self.clock.elapsed_s(), cost_us, self.bound_us))
+
+    def plan(self) -> Plan:
+        """The answer at the present stage."""
+        problem, max_cost_us = self.site.problem, self.site.problem.max_cost_us
+        counts, seconds = self.counts, self.clock.seconds
+        proven = self.stage in (Stage.CHANGES, Stage.DONE)
+        if max_cost_us is not None and self.bound_us > max_cost_us:
+            cost_us = self.best.key[1] if self.best is not None and proven else None
+            return Plan("cpsat", Status.TOO_EXPENSIVE, None, cost_us, self.bound_us, seconds=seconds, counts=counts)
+        if self.best is None or (max_cost_us is not None and self.best.key[1] > max_cost_us):
+            return Plan("cpsat", Status.UNKNOWN, bound_us=self.bound_us, seconds=seconds, counts=counts)
+        return Plan(
+            "cpsat",
+            Status.OPTIMAL if self.stage is Stage.DONE else Status.FEASIBLE,
+            problem.environment.change_to(self.best.units),
+            self.best.key[1],
+            self.bound_us,
+            unused_required=unused_required(problem, self.best.units),
+            seconds=seconds,
+            counts=counts,
+        )
