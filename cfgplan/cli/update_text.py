@@ -118,14 +118,17 @@ def _summary(problem: Problem, plan: Plan) -> Iterator[Text]:
 
 
 def _verdict(problem: Problem, plan: Plan) -> Text:
-    gap = f"at most {plan.gap:.1%} above the optimum (bound {cpu(plan.bound_us)})" if plan.gap is not None else ""
     match plan.status:
         case Status.OPTIMAL if not plan.change_set:
             return Text(f"Optimal: nothing to change, proven by {plan.planner}.", style="bold green")
         case Status.OPTIMAL:
             return Text(f"Optimal: no update is cheaper, proven by {plan.planner}.", style="bold green")
         case Status.FEASIBLE:
-            return Text(f"Feasible: {plan.planner} has not proven it optimal; {gap}.", style="bold yellow")
+            bound = f"no update costs less than {cpu(plan.bound_us)}, a gap of {plan.gap:.1%}"
+            proven = bound if plan.bound_us else "it has no bound on the optimum"
+            if plan.bound_us == plan.cost_us:
+                proven = "no update is cheaper, but another of this cost may rewire or start fewer units"
+            return Text(f"Feasible: {plan.planner} has not proven it optimal; {proven}.", style="bold yellow")
         case Status.INFEASIBLE:
             return Text("No plan: these targets can't be met by any configuration.", style="bold red")
         case Status.TOO_EXPENSIVE:
