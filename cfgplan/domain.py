@@ -60,14 +60,18 @@ class OutputPort:
     tag: str
 
 
+START_MODES = ("all", "any", "aligned")
+
+
 @dataclass(frozen=True, slots=True)
 class RunOptions:
     """How the units of a transformation run; planning never looks at it.
 
     `start` says what starts a step: `all` inputs fresh, `any` input, inputs `aligned` in time within
     `tolerance_us`, or a port's name. `rate_hz` is a source's. `queue` elements wait at each input; when full,
-    the oldest is dropped, or the producer waits if it `blocks`. A unit that is silent for `hang_s` seconds
-    (0: may be silent) or has more than `memory_bytes` is killed. With `state`, a new unit goes on with the state of the last.
+    the oldest is dropped, or the producer waits if it `blocks`. A unit that is silent for `hang_us` (0: it
+    may be silent) or takes more than `memory_mb` megabytes is killed. With `state`, a new unit goes on with the
+    state of the last.
     """
 
     start: str = "all"
@@ -75,8 +79,8 @@ class RunOptions:
     rate_hz: float | None = None
     queue: int = 256
     blocks: bool = False
-    hang_s: float | None = None
-    memory_bytes: int | None = None
+    hang_us: int | None = None
+    memory_mb: int | None = None
     state: bool = False
 
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 from cfgplan.domain import ChangeSet, Environment
 from cfgplan.errors import InvalidValueError
-
 from cfgplan_runtime.errors import ApplyError, StaleChangeSetError
 from cfgplan_runtime.events import Applied
 from cfgplan_runtime.wiring import Wire, wanted_feeds, wanted_topics, without_feed, without_unit
@@ -87,7 +86,7 @@ class Applying:
             ]
         for inlet, stream in wanted_feeds(after).items():
             unit_of_stream = after.unit.get(stream.unit)
-            producer = unit_of_stream and after.transformation.get(unit_of_stream.transformation)
+            producer = after.transformation.get(unit_of_stream.transformation) if unit_of_stream else None
             if producer is None or stream.port not in producer.output:
                 faults.append(f"{inlet} needs the stream {stream}, which nothing gives afterwards")
         return faults

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from cfgplan.domain import Stream, Transformation
-
 from cfgplan_runtime.events import Event
 
 

@@ -25,7 +25,7 @@ class ControlConnection(Generic[Incoming]):
         end.setblocking(False)
         self.socket = end
         self.has_ended = False
-        self._decoder: msgspec.msgpack.Decoder[Incoming] = msgspec.msgpack.Decoder(incoming)  # type: ignore[call-overload]
+        self._decoder: msgspec.msgpack.Decoder[Incoming] = msgspec.msgpack.Decoder(incoming)
         self._received = bytearray()
         self._descriptors: deque[int] = deque()
         self._waiting: deque[tuple[bytes, list[socket.socket]]] = deque()

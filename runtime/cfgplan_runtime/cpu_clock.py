@@ -30,7 +30,7 @@ def cpu_us_by_psutil(pid: int) -> int | None:
         times = psutil.Process(pid).cpu_times()
     except psutil.Error:
         return None
-    return round((times.user + times.system) * _US_PER_S)
+    return round(float(times.user + times.system) * _US_PER_S)
 
 
 def memory_bytes(pid: int) -> int | None:

@@ -13,7 +13,6 @@ from contextlib import suppress
 from pathlib import Path
 
 from cfgplan.domain import Stream, Transformation
-
 from cfgplan_runtime.backend import Inlet, Usage
 from cfgplan_runtime.channel import socket_pair
 from cfgplan_runtime.child_process import ChildProcess, cause_of_end
@@ -121,7 +120,7 @@ class ProcessBackend:
             blocks=run.blocks,
             keeps_state=run.state,
             state=state,
-            memory_bytes=run.memory_bytes,
+            memory_bytes=None if run.memory_mb is None else run.memory_mb << 20,
             clock_offset_ns=self._clock_offset_ns,
         )
         self._fork(unit, order)

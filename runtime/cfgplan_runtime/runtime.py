@@ -12,7 +12,6 @@ from types import TracebackType
 from typing import TypeVar
 
 from cfgplan.domain import ChangeSet, Environment, Target, Transformation
-
 from cfgplan_runtime.applying import Patience
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.events import Applied, Event

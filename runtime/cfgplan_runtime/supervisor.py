@@ -9,7 +9,6 @@ import uuid
 from collections.abc import Callable
 
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Transformation
-
 from cfgplan_runtime.applying import Applying, Patience
 from cfgplan_runtime.backend import Backend
 from cfgplan_runtime.errors import ApplyError, StaleChangeSetError
@@ -35,6 +34,7 @@ HANG_S = 10.0
 """How long a unit may be silent if its transformation does not say; a source without a rate may be so for ever."""
 
 WATCH_PERIOD_S = 0.25
+MEGABYTE = 1 << 20
 _TIME_TO_DUMP_S = 0.2
 
 
@@ -181,9 +181,9 @@ class Supervisor:
                 record.killed_s = now
                 self._report(UnitHung(unit, now - record.sign_s))
                 self.backend.kill(unit, dump=True)
-            elif run.memory_bytes is not None:
+            elif run.memory_mb is not None:
                 usage = self.backend.usage(unit)
-                if usage is not None and usage.memory_bytes > run.memory_bytes:
+                if usage is not None and usage.memory_bytes > run.memory_mb * MEGABYTE:
                     record.killed_s = now
                     self._report(UnitTooLarge(unit, usage.memory_bytes))
                     self.backend.kill(unit)
@@ -191,7 +191,7 @@ class Supervisor:
 
 def _patience_s(transformation: Transformation) -> float | None:
     run = transformation.run
-    if run.hang_s is not None:
-        return run.hang_s or None
+    if run.hang_us is not None:
+        return run.hang_us / 1e6 or None
     is_free_source = not transformation.inputs and run.rate_hz is None
     return None if is_free_source else HANG_S

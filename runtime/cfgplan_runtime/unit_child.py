@@ -24,6 +24,7 @@ _LONGEST_WORK_NS = 1_000_000
 """How long steps follow each other before sockets are looked at again."""
 _MOST_REPORTS = 5
 """Failures that are reported one by one between two signs of life."""
+_KINDS = ((WrongPortsError, "wrong ports"), (EncodingError, "can't be sent"))
 _LATEST_TICK_NS = 100_000_000
 """A source that is later than this skips ticks instead of catching up."""
 
@@ -170,8 +171,8 @@ class UnitChild:
         self._reported += 1
         if self._reported > _MOST_REPORTS:
             return
-        kind = {WrongPortsError: "wrong ports", EncodingError: "can't be sent"}.get(type(error), "raised")
-        text = str(error) if kind != "raised" else "".join(traceback.format_exception(error))
+        kind = next((kind for known, kind in _KINDS if isinstance(error, known)), "raised")
+        text = "".join(traceback.format_exception(error)) if kind == "raised" else str(error)
         self._ports.say(Trouble(kind, self.step, text))
 
     def _say_status(self) -> None:

@@ -51,7 +51,7 @@ class UnitCode:
     ) -> None:
         self._outputs = tuple(outputs)
         found = find_source(source, Path(folder))
-        made = found(**params) if inspect.isclass(found) else partial(found, **params)
+        made: Any = found(**params) if inspect.isclass(found) else partial(found, **params)
         self._object = made
         self._produce: Iterator[Any] | None = None
         if is_source:

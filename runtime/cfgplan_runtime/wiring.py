@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from cfgplan.domain import ComputationUnit, Environment, Stream, Subscription
-
 from cfgplan_runtime.backend import Backend, Inlet
 
 
@@ -63,7 +62,7 @@ class Wiring:
         return None
 
     def note_switch(self, wire_id: int, environment: Environment) -> None:
-        """An inlet has gone over to a wire. If that was being taken back just then, its old source is connected anew."""
+        """An inlet has gone over to a wire. If that was being taken back, its old source is connected anew."""
         wire = self._wires.get(wire_id)
         if wire is not None:
             wire.has_switched = True
