@@ -120,11 +120,15 @@ class Exhausted(msgspec.Struct, tag=True):
 
 
 class PortCounts(msgspec.Struct, frozen=True):
-    """What went through one port since the start. `stale` counts what a new source repeated of an old one."""
+    """What went through one port since the start, and what waits there now.
+
+    `dropped` had no room, `stale` is what a new source repeated of an old one, `skipped` found no partner of its time.
+    """
 
     elements: int = 0
     dropped: int = 0
     stale: int = 0
+    skipped: int = 0
     waiting: int = 0
 
 

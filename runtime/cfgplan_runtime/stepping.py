@@ -32,13 +32,14 @@ class StepQueue:
         self._start = start
         self._tolerance_ns = tolerance_ns
         self._limit = limit
-        self.dropped = 0
-        self.skipped = 0
+        self.dropped = dict.fromkeys(ports, 0)
+        """By port: what had no room."""
+        self.skipped = dict.fromkeys(ports, 0)
+        """By port: what found no partner of its time."""
 
-    @property
-    def depth(self) -> int:
-        """How many elements wait at the fullest port."""
-        return max(map(len, self._waiting.values()), default=0)
+    def waiting(self, port: str) -> int:
+        """How many elements of a port wait."""
+        return len(self._waiting[port])
 
     def is_full(self, port: str) -> bool:
         return len(self._waiting[port]) >= self._limit
@@ -51,7 +52,7 @@ class StepQueue:
             self._latest[port] = waiting.pop()
         elif may_drop and len(waiting) > self._limit:
             waiting.popleft()
-            self.dropped += 1
+            self.dropped[port] += 1
 
     def next(self) -> Step | None:
         """The next step, if one can start."""
@@ -71,12 +72,12 @@ class StepQueue:
     def _aligned(self) -> Step | None:
         while all(self._waiting.values()):
             newest = max(waiting[0].time_ns for waiting in self._waiting.values())
-            late = [w for w in self._waiting.values() if w[0].time_ns < newest - self._tolerance_ns]
+            late = [port for port, w in self._waiting.items() if w[0].time_ns < newest - self._tolerance_ns]
             if not late:
                 return self._one_of_each()
-            for waiting in late:
-                waiting.popleft()
-                self.skipped += 1
+            for port in late:
+                self._waiting[port].popleft()
+                self.skipped[port] += 1
         return None
 
     def _with_latest(self, port: str) -> Step | None:

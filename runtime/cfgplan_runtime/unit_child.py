@@ -13,7 +13,7 @@ from cfgplan_runtime.control import ControlConnection
 from cfgplan_runtime.element import Element, Moment, Outgoing
 from cfgplan_runtime.errors import EncodingError, WrongPortsError
 from cfgplan_runtime.inlet import Inlet
-from cfgplan_runtime.messages import Exhausted, Finish, Ready, Status, ToChild, Trouble, UnitOrder
+from cfgplan_runtime.messages import Exhausted, Finish, PortCounts, Ready, Status, ToChild, Trouble, UnitOrder
 from cfgplan_runtime.payload import PayloadEncoder, decode
 from cfgplan_runtime.ports import InputPort, OutputPort, Ports
 from cfgplan_runtime.stepping import Step, StepQueue
@@ -181,8 +181,21 @@ class UnitChild:
             self._ports.say(Trouble("raised", self.step, "", self._reported - _MOST_REPORTS))
         self._reported = 0
         self._ports.say(
-            Status(self.step, self._errors, self._ports.input_counts(), self._ports.output_counts(), self._state())
+            Status(self.step, self._errors, self._input_counts(), self._ports.output_counts(), self._state())
         )
+
+    def _input_counts(self) -> dict[str, PortCounts]:
+        steps = self._steps
+        return {
+            port: PortCounts(
+                counts.elements,
+                counts.dropped + steps.dropped[port],
+                counts.stale,
+                steps.skipped[port],
+                steps.waiting(port),
+            )
+            for port, counts in self._ports.input_counts().items()
+        }
 
     def _state(self) -> bytes | None:
         if not (self._order.keeps_state and self._code.has_state):
