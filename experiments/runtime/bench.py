@@ -189,7 +189,7 @@ def _print_row(row: Row) -> None:
 
 
 def updates(times: int) -> list[Row]:
-    """Load, switch and unload of one unit in a running chain; and from kill -9 to the first new result, with planning."""
+    """Load, switch and unload of one unit in a running chain; from kill -9 to the first new result, with planning."""
     library = (
         Transformation(
             "count", (), (OutputPort("n", "N"),), source="measured_units.py:count", run=RunOptions(rate_hz=1000)

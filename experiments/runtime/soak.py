@@ -45,8 +45,11 @@ LIBRARY = (
     ),
     Transformation("bad", (InputPort("x", "N"),), (OutputPort("y", "N"),), source="measured_units.py:FailsToStart"),
 )
-SLACK_NS = 300_000_000
-"""How long before and after a kill a gap may be seen: the consumer, too, waits for its turn."""
+SLACK_NS = 50_000_000
+"""How far an element that a kill has cost may be from that in time: it was on its way, or waited for its turn."""
+
+REST_S = 0.15
+"""How long nothing is done after a kill, so that it excuses nothing that follows."""
 
 
 @dataclass
@@ -86,7 +89,10 @@ class Soak:
             [40, 20, 10, 20, 6, 3, 1],
         )[0]
         self.done[deed.__name__] += 1
+        kills = len(self.kills_ns)
         deed()
+        if len(self.kills_ns) > kills:
+            time.sleep(REST_S)
         time.sleep(self.rng.uniform(0.0, 0.05))
 
     def swap(self) -> None:

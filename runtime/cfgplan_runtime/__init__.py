@@ -8,6 +8,7 @@ for received in cfgplan_runtime.subscribe("/result"):
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -39,7 +40,13 @@ __all__ = sorted(_HOME_OF)
 
 
 def __getattr__(name: str) -> Any:
-    """Import a name from its module at its first use."""
+    """Import a name from its module at its first use. Raises UnsupportedPlatformError on Windows."""
     if name not in _HOME_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if sys.platform == "win32" and name in ("Runtime", "subscribe"):
+        from cfgplan_runtime.errors import UnsupportedPlatformError
+
+        raise UnsupportedPlatformError(
+            "the runtime needs Linux or macOS: Windows can't hand open sockets to processes this way; use WSL"
+        )
     return getattr(import_module(f"cfgplan_runtime.{_HOME_OF[name]}"), name)

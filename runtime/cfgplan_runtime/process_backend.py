@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import selectors
 import socket
-import subprocess
-import sys
 import time
 from collections.abc import Sequence
 from contextlib import suppress
@@ -18,7 +15,6 @@ from cfgplan_runtime.channel import socket_pair
 from cfgplan_runtime.child_process import ChildProcess, cause_of_end
 from cfgplan_runtime.control import ControlConnection
 from cfgplan_runtime.cpu_clock import cpu_us, memory_bytes
-from cfgplan_runtime.errors import UnsupportedPlatformError
 from cfgplan_runtime.events import (
     Event,
     InputLost,
@@ -38,12 +34,8 @@ from cfgplan_runtime.messages import (
     Exhausted,
     Feed,
     Finish,
-    Fork,
     Forked,
     FromChild,
-    FromNursery,
-    Gone,
-    Kill,
     Lost,
     OpenOutlet,
     OutletOrder,
@@ -55,21 +47,20 @@ from cfgplan_runtime.messages import (
     Trouble,
     UnitOrder,
 )
+from cfgplan_runtime.nursery_link import NurseryLink
 from cfgplan_runtime.run_folder import RunFolder
+from cfgplan_runtime.unit_order import unit_order
 
 OUTLETS = ""
 _OUTLET_QUEUE = 1024
-_PATIENCE_AT_CLOSE_S = 5.0
 
 
 class ProcessBackend:
     """A backend of processes. All its methods are called from one thread, which must outlive it."""
 
     def __init__(self, *, folder: Path | None = None, preload: Sequence[str] = (), base: Path | None = None) -> None:
-        refuse_windows()
         self.run_folder = RunFolder(base)
         self._code_folder = str((folder or Path.cwd()).resolve())
-        self._preload = ("numpy", "numpy.random", *preload)
         self._selector = selectors.DefaultSelector()
         self._bell, self._bell_rope = socket.socketpair()
         for bell in (self._bell, self._bell_rope):
@@ -82,9 +73,8 @@ class ProcessBackend:
         self._topics: list[str] = []
         self._serial = 0
         self._clock_offset_ns = time.time_ns() - time.monotonic_ns()
-        self._nursery: ControlConnection[FromNursery] | None = None
-        self._nursery_works = False
-        self._process: subprocess.Popen[bytes] | None = None
+        self._nursery = NurseryLink(("numpy", "numpy.random", *preload))
+        self._nursery_socket: socket.socket | None = None
 
     def now(self) -> float:
         return time.monotonic()
@@ -104,25 +94,7 @@ class ProcessBackend:
         return events
 
     def start(self, unit: str, transformation: Transformation, state: bytes | None) -> None:
-        run = transformation.run
-        assert transformation.source is not None
-        order = UnitOrder(
-            unit=unit,
-            source=transformation.source,
-            folder=self._code_folder,
-            params=dict(transformation.params),
-            inputs=[port.name for port in transformation.inputs],
-            outputs=[port.name for port in transformation.outputs],
-            start=run.start,
-            tolerance_ns=run.tolerance_us * 1000,
-            period_ns=None if run.rate_hz is None else round(1e9 / run.rate_hz),
-            queue=run.queue,
-            blocks=run.blocks,
-            keeps_state=run.state,
-            state=state,
-            memory_bytes=None if run.memory_mb is None else run.memory_mb << 20,
-            clock_offset_ns=self._clock_offset_ns,
-        )
+        order = unit_order(unit, transformation, state, self._code_folder, self._clock_offset_ns)
         self._fork(unit, order)
 
     def stop(self, unit: str) -> None:
@@ -133,8 +105,8 @@ class ProcessBackend:
 
     def kill(self, unit: str, *, dump: bool = False) -> None:
         child = self._by_name.get(unit)
-        if child is not None and self._nursery is not None:
-            self._nursery.send(Kill(child.serial, dump))
+        if child is not None:
+            self._nursery.kill(child.serial, dump=dump)
 
     def connect(self, wire: int, stream: Stream, inlet: Inlet, *, queue: int, blocks: bool) -> None:
         self._wires[wire] = inlet
@@ -186,13 +158,7 @@ class ProcessBackend:
         return None if child is None else child.pid
 
     def close(self) -> None:
-        if self._process is not None and self._nursery is not None:
-            self._nursery.close()
-            try:
-                self._process.wait(_PATIENCE_AT_CLOSE_S)
-            except subprocess.TimeoutExpired:
-                self._process.kill()
-                self._process.wait()
+        self._nursery.close()
         for child in list(self._children.values()):
             self._forget(child)
         self._selector.close()
@@ -206,7 +172,9 @@ class ProcessBackend:
             self._tell(child, OpenOutlet(topic), [self.run_folder.listen(topic)])
 
     def _fork(self, name: str, order: UnitOrder | OutletOrder) -> ChildProcess:
-        nursery = self._open_nursery()
+        if not self._nursery.is_open:
+            self._nursery_socket = self._nursery.open()
+            self._selector.register(self._nursery_socket, selectors.EVENT_READ, self._hear_nursery)
         self._serial += 1
         ours, theirs = socket.socketpair()
         printed, printing = socket.socketpair()
@@ -215,54 +183,29 @@ class ProcessBackend:
         self._children[child.serial] = self._by_name[name] = child
         self._selector.register(ours, selectors.EVENT_READ, lambda: self._hear(child))
         self._selector.register(printed, selectors.EVENT_READ, lambda: self._hear_print(child))
-        nursery.send(Fork(child.serial, order), [theirs, printing])
+        self._nursery.fork(child.serial, order, [theirs, printing])
         return child
-
-    def _open_nursery(self) -> ControlConnection[FromNursery]:
-        if self._nursery is None:
-            ours, theirs = socket.socketpair()
-            code = "import sys; from cfgplan_runtime.nursery import main; main(sys.argv[1:])"
-            number = theirs.fileno()
-            self._process = subprocess.Popen(
-                [sys.executable, "-c", code, str(number), str(os.getpid()), *self._preload],
-                pass_fds=[number],
-                stdin=subprocess.DEVNULL,
-            )
-            theirs.close()
-            self._nursery = ControlConnection(ours, FromNursery)
-            self._nursery_works = False
-            self._selector.register(ours, selectors.EVENT_READ, self._hear_nursery)
-        return self._nursery
 
     def _hear_bell(self) -> None:
         with suppress(BlockingIOError):
             self._bell.recv(4096)
 
     def _hear_nursery(self) -> None:
-        nursery = self._nursery
-        assert nursery is not None
-        nursery.flush()
-        for message, _ in nursery.receive():
-            match message:
-                case Forked(serial, pid):
-                    self._nursery_works = True
-                    if serial in self._children:
-                        self._children[serial].pid = pid
-                case Gone(serial, status):
-                    child = self._children.get(serial)
-                    if child is not None:
-                        self._bury(child, status)
-        if nursery.has_ended:
+        for message in self._nursery.hear():
+            child = self._children.get(message.serial)
+            if child is None:
+                continue
+            if isinstance(message, Forked):
+                child.pid = message.pid
+            else:
+                self._bury(child, message.status)
+        if self._nursery.has_died:
             self._lose_nursery()
 
     def _lose_nursery(self) -> None:
-        assert self._nursery is not None
-        assert self._process is not None
-        self._selector.unregister(self._nursery.socket)
+        assert self._nursery_socket is not None
+        self._selector.unregister(self._nursery_socket)
         self._nursery.close()
-        self._nursery = None
-        self._process.kill()
-        self._process.wait()
         for child in list(self._children.values()):
             child.trouble = child.trouble or "killed together with the nursery"
             self._bury(child, 0)
@@ -277,7 +220,7 @@ class ProcessBackend:
         cause = cause_of_end(child, status)
         if child.name == OUTLETS:
             self._events.append(OutletsLost(cause))
-            if self._topics and self._nursery_works:
+            if self._topics and self._nursery.works:
                 self._start_outlets()
         elif child.is_stopping:
             self._events.append(UnitStopped(child.name))
@@ -301,8 +244,7 @@ class ProcessBackend:
         if child.control.has_ended:
             # The nursery tells how it ended, and ends it if that was only its connection.
             self._selector.unregister(child.control.socket)
-            if self._nursery is not None:
-                self._nursery.send(Kill(child.serial))
+            self._nursery.kill(child.serial)
         else:
             self._watch_control(child)
 
@@ -343,11 +285,3 @@ class ProcessBackend:
         events = selectors.EVENT_READ | (selectors.EVENT_WRITE if child.control.is_waiting else 0)
         with suppress(KeyError):
             self._selector.modify(child.control.socket, events, lambda: self._hear(child))
-
-
-def refuse_windows() -> None:
-    """Raises UnsupportedPlatformError on Windows, where processes can't be handed open sockets."""
-    if sys.platform == "win32":
-        raise UnsupportedPlatformError(
-            "the runtime needs Linux or macOS: Windows can't hand open sockets to processes this way; use WSL"
-        )

@@ -16,7 +16,7 @@ from cfgplan_runtime.applying import Patience
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.events import Applied, Event
 from cfgplan_runtime.observation import Observation
-from cfgplan_runtime.process_backend import ProcessBackend, refuse_windows
+from cfgplan_runtime.process_backend import ProcessBackend
 from cfgplan_runtime.run_log import RunLog
 from cfgplan_runtime.supervisor import Supervisor
 
@@ -42,7 +42,6 @@ class Runtime:
         preload: Sequence[str] = (),
         log: str | Path | None = None,
     ) -> None:
-        refuse_windows()
         self.events: queue.Queue[Event] = queue.Queue(_MOST_EVENTS)
         self._environment = Environment(library=tuple(library), targets=tuple(targets))
         self._folder = None if folder is None else Path(folder)

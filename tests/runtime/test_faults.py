@@ -11,7 +11,7 @@ from pathlib import Path
 import psutil
 import pytest
 from cfgplan_runtime import ApplyError, Patience, StaleChangeSetError, subscribe
-from cfgplan_runtime.errors import NoSuchTopicError
+from cfgplan_runtime.errors import NoSuchTopicError, UnsupportedPlatformError
 from cfgplan_runtime.events import (
     OutletsLost,
     RolledBack,
@@ -255,3 +255,25 @@ def test_cpu_clocks_agree_with_psutil(run_units: StartRuntime) -> None:
     (observation,) = runtime.observe()
     assert observation.labor_us > 0
     assert observation.memory_bytes > 1_000_000
+
+
+def test_the_death_of_the_nursery_takes_all_units_and_the_next_update_starts_anew(run_units: StartRuntime) -> None:
+    runtime = run_units(source())
+    runtime.apply(start(unit("count.1", topic="/result", port="n")))
+    listener = Listener("/result")
+    eventually(lambda: len(listener.received) > 3)
+    psutil.Process(runtime.pid("count.1")).parent().kill()
+    eventually(lambda: not runtime.environment.units)
+    before = len(listener.received)
+    runtime.apply(start(unit("count.1", topic="/result", port="n")))
+    eventually(lambda: len(listener.received) > before + 3)
+    runtime.close()
+    listener.join()
+
+
+def test_windows_is_refused_with_a_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    import cfgplan_runtime
+
+    monkeypatch.setattr(sys, "platform", "win32")
+    with pytest.raises(UnsupportedPlatformError, match="needs Linux or macOS"):
+        _ = cfgplan_runtime.Runtime
