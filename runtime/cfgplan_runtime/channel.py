@@ -100,7 +100,7 @@ class Sender:
         parts = [element.header(number), *element.parts]
         sent = self._try(parts)
         if sent < HEADER.size + element.size and not self.is_closed:
-            self._rest = memoryview(b"".join(parts))[sent:]
+            self._rest = memoryview(_after(parts, sent))
 
     def _try(self, parts: list[Buffer]) -> int:
         try:
@@ -191,3 +191,13 @@ class Receiver:
         if got == 0:
             self.has_ended = True
         return got
+
+
+def _after(parts: list[Buffer], start: int) -> bytes:
+    """A copy of what comes after the first `start` bytes of all parts together."""
+    left: list[Buffer] = []
+    for part in parts:
+        if start < len(part):
+            left.append(memoryview(part)[start:])
+        start = max(0, start - len(part))
+    return b"".join(left)

@@ -57,6 +57,7 @@ class Nursery:
                         self._fork(serial, order, sockets)
                     case Kill(serial, dump):
                         self._kill(serial, dump)
+        signal.set_wakeup_fd(-1)
         for pid in self._serials:
             _kill_group(pid)
 
