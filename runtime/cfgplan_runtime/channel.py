@@ -50,8 +50,8 @@ class Sender:
 
     @property
     def is_full(self) -> bool:
-        """Whether the producer must wait: only ever so for `block`."""
-        return self.blocks and not self.is_closed and len(self._waiting) >= self._limit
+        """Whether the producer must wait, only ever so for `block`: then elements queue at the receiver."""
+        return self.blocks and self.depth > 0
 
     @property
     def depth(self) -> int:
