@@ -277,3 +277,14 @@ def test_windows_is_refused_with_a_reason(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(sys, "platform", "win32")
     with pytest.raises(UnsupportedPlatformError, match="needs Linux or macOS"):
         _ = cfgplan_runtime.Runtime
+
+
+@pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="needs /proc")
+def test_no_process_of_a_run_uses_shared_memory_that_a_kill_could_leave_behind(run_units: StartRuntime) -> None:
+    runtime = run_units(source(code="images"), worker())
+    runtime.apply(start(unit("count.1"), unit("work.1", topic="/result", x="count.1/n")))
+    nursery = psutil.Process(runtime.pid("work.1")).parent()
+    assert nursery is not None
+    family = [nursery, *nursery.children()]
+    assert len(family) == 4
+    assert not [p for p in family if "/dev/shm/" in Path(f"/proc/{p.pid}/maps").read_text()]
