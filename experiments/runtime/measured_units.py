@@ -17,6 +17,14 @@ def count() -> Iterator[int]:
         number += 1
 
 
+def images() -> Iterator[Any]:
+    """Pictures of 460 kB whose pixels are their number modulo 256."""
+    number = 0
+    while True:
+        yield numpy.full((480, 960), number % 256, numpy.uint8)
+        number += 1
+
+
 def same(x: Any) -> Any:
     return x
 

@@ -57,8 +57,8 @@ class Backend(Protocol):
     def connect(self, wire: int, stream: Stream, inlet: Inlet, *, queue: int, blocks: bool) -> None:
         """Let `stream` feed `inlet`, at once or as the standby of what feeds it: WireSwitched follows."""
 
-    def disconnect(self, wire: int) -> None:
-        """Take a wire away, whether it is its inlet's source or standby."""
+    def disconnect(self, wire: int, inlet: Inlet) -> None:
+        """Take a wire away from its inlet, whether it is the source or the standby."""
 
     def switch_now(self, inlet: Inlet) -> None:
         """Let an inlet go over to its standby without waiting for the source it has."""

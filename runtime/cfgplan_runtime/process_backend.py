@@ -69,7 +69,6 @@ class ProcessBackend:
         self._events: list[Event] = []
         self._children: dict[int, ChildProcess] = {}
         self._by_name: dict[str, ChildProcess] = {}
-        self._wires: dict[int, Inlet] = {}
         self._topics: list[str] = []
         self._serial = 0
         self._clock_offset_ns = time.time_ns() - time.monotonic_ns()
@@ -109,7 +108,6 @@ class ProcessBackend:
             self._nursery.kill(child.serial, dump=dump)
 
     def connect(self, wire: int, stream: Stream, inlet: Inlet, *, queue: int, blocks: bool) -> None:
-        self._wires[wire] = inlet
         sender, receiver = socket_pair()
         producer, consumer = self._by_name.get(stream.unit), self._by_name.get(inlet.unit)
         if consumer is None:
@@ -121,10 +119,9 @@ class ProcessBackend:
         else:
             self._tell(producer, Serve(stream.port, wire, queue, blocks), [sender])
 
-    def disconnect(self, wire: int) -> None:
-        inlet = self._wires.pop(wire, None)
-        child = None if inlet is None else self._by_name.get(inlet.unit)
-        if inlet is not None and child is not None:
+    def disconnect(self, wire: int, inlet: Inlet) -> None:
+        child = self._by_name.get(inlet.unit)
+        if child is not None:
             self._tell(child, Cut(inlet.port, wire))
 
     def switch_now(self, inlet: Inlet) -> None:

@@ -14,7 +14,7 @@ from typing import TypeVar
 from cfgplan.domain import ChangeSet, Environment, Target, Transformation
 from cfgplan_runtime.applying import Patience
 from cfgplan_runtime.errors import RuntimeFaultError
-from cfgplan_runtime.events import Applied, Event
+from cfgplan_runtime.events import Applied, Event, UnitStatus
 from cfgplan_runtime.observation import Observation
 from cfgplan_runtime.process_backend import ProcessBackend
 from cfgplan_runtime.run_log import RunLog
@@ -22,15 +22,15 @@ from cfgplan_runtime.supervisor import Supervisor
 
 T = TypeVar("T")
 
-_MOST_EVENTS = 100_000
+_MOST_EVENTS = 10_000
 
 
 class Runtime:
     """Runs units of a library and changes them by change sets; a context manager that leaves nothing behind.
 
     `folder` is what `units.py:Class` is relative to; `preload` names modules that units import, so that
-    they start faster. Every event goes to the log, if there is one, and to `events`, which is bounded: what nobody
-    fetches is thrown away, oldest first.
+    they start faster. Every event but signs of life goes to the log, if any, and to `events`, which is bounded:
+    what nobody fetches is thrown away, oldest first.
     """
 
     def __init__(
@@ -148,7 +148,7 @@ class Runtime:
     def _report(self, event: Event) -> None:
         if self._log is not None:
             self._log.write(event)
-        while True:
+        while not isinstance(event, UnitStatus):
             try:
                 self.events.put_nowait(event)
                 return

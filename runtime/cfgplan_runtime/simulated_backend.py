@@ -137,8 +137,7 @@ class SimulatedBackend:
         if producer is not None and not producer.behaviour.quiet:
             self._later(self.switch_s, WireSwitched(wire))
 
-    def disconnect(self, wire: int) -> None:
-        _, inlet = self.wires[wire]
+    def disconnect(self, wire: int, inlet: Inlet) -> None:
         self.calls.append(("disconnect", str(inlet)))
         self._end(wire)
 

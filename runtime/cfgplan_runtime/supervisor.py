@@ -36,6 +36,8 @@ HANG_S = 10.0
 WATCH_PERIOD_S = 0.25
 MEGABYTE = 1 << 20
 _TIME_TO_DUMP_S = 0.2
+_MOST_REMEMBERED = 1000
+"""How many change sets are known by their ids."""
 
 
 class Supervisor:
@@ -73,6 +75,7 @@ class Supervisor:
             return self._applied[id]
         if basis is not None and basis.units != self.environment.units:
             raise StaleChangeSetError("the change set was planned for other running units than there are now")
+        self.cause_of_death.clear()
         applying = Applying(self, change_set, id or uuid.uuid4().hex[:12], patience or Patience())
         applying.check()
         try:
@@ -81,6 +84,8 @@ class Supervisor:
             self._report(RolledBack(applying.id, str(error)))
             raise
         self._applied[applied.id] = applied
+        if len(self._applied) > _MOST_REMEMBERED:
+            del self._applied[next(iter(self._applied))]
         self._report(applied)
         return applied
 

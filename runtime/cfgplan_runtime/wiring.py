@@ -43,7 +43,7 @@ class Wiring:
         """Leave an inlet without a source."""
         wire = self.feeds.pop(inlet)
         self._wires.pop(wire.id, None)
-        self._backend.disconnect(wire.id)
+        self._backend.disconnect(wire.id, wire.inlet)
 
     def take_back(self, wire: Wire, environment: Environment, alive: set[str]) -> Wire | None:
         """Undo `connect`; the wire that has to switch before the inlet has its old source again, if any."""
@@ -58,7 +58,7 @@ class Wiring:
         self._taken_back[wire.id] = wire
         self.feeds[wire.inlet] = old
         self._wires[old.id] = old
-        self._backend.disconnect(wire.id)
+        self._backend.disconnect(wire.id, wire.inlet)
         return None
 
     def note_switch(self, wire_id: int, environment: Environment) -> None:

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy
+from cfgplan_runtime import At
 from numpy.typing import NDArray
 
 
@@ -122,3 +123,16 @@ class TwoOutputs:
 def twice(x: int) -> Iterator[int]:
     yield x
     yield x
+
+
+def countdown() -> Iterator[int]:
+    """3, 2, 1, at its own pace, then no more."""
+    for number in (3, 2, 1):
+        time.sleep(0.05)
+        yield number
+
+
+def timed() -> Iterator[At]:
+    """Elements with a time of their own."""
+    for second in range(1, 1000):
+        yield At(second * 1_000_000_000, second)

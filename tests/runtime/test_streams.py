@@ -7,7 +7,7 @@ import signal
 from itertools import pairwise
 
 import pytest
-from cfgplan_runtime.events import UnitDied
+from cfgplan_runtime.events import SourceExhausted, UnitDied
 from conftest import StartRuntime
 from watching import Listener, seen
 from world import RESULT, eventually, source, start, unit, worker
@@ -214,3 +214,25 @@ def test_a_stopped_target_leaves_its_topic_there(run_units: StartRuntime) -> Non
     eventually(lambda: len(listener.received) > before + 3)
     runtime.close()
     listener.join()
+
+
+def test_a_source_without_a_rate_sets_its_own_pace_and_may_end(run_units: StartRuntime) -> None:
+    countdown = Transformation("count", outputs=source().outputs, source="running_units.py:countdown")
+    runtime = run_units(countdown)
+    runtime.apply(start(unit("count.1", topic="/result", port="n")))
+    listener = Listener("/result")
+    eventually(lambda: bool(seen(runtime, SourceExhausted)))
+    assert list(runtime.environment.unit) == ["count.1"]
+    eventually(lambda: listener.values[-1:] == [1])
+    runtime.close()
+    listener.join()
+
+
+def test_an_element_can_have_a_time_of_its_own(run_units: StartRuntime) -> None:
+    runtime = run_units(source(code="timed"), worker())
+    runtime.apply(start(unit("count.1"), unit("work.1", topic="/result", x="count.1/n")))
+    listener = Listener("/result")
+    eventually(lambda: len(listener.received) > 5)
+    runtime.close()
+    listener.join()
+    assert all(received.time_ns == received.value * 1_000_000_000 for received in listener.received)
