@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from cfgplan.domain import ChangeSet, Environment
 from cfgplan.errors import InvalidValueError
-from cfgplan_runtime.errors import ApplyError, StaleChangeSetError
+from cfgplan_runtime.errors import ApplyError, NoSourceError, StaleChangeSetError
 from cfgplan_runtime.events import Applied
 from cfgplan_runtime.wiring import Wire, wanted_feeds, wanted_topics, without_feed, without_unit
 
@@ -43,11 +43,20 @@ class Applying:
     seconds: dict[str, float] = field(default_factory=dict)
 
     def check(self) -> None:
-        """Raises StaleChangeSetError if the change set does not fit what runs."""
+        """Raises StaleChangeSetError if the change set does not fit what runs, NoSourceError if there is no code."""
         try:
-            self.after = self.supervisor.environment.update(self.change_set)
+            after = self.after = self.supervisor.environment.update(self.change_set)
         except InvalidValueError as error:
             raise StaleChangeSetError(f"the change set does not fit what runs now: {error}") from None
+        labels = sorted({unit.transformation for unit in self.change_set.started})
+        without = [
+            label for label in labels if label in after.transformation and not after.transformation[label].source
+        ]
+        if without:
+            raise NoSourceError(
+                f"{', '.join(map(repr, without))} can't be started without unit code: "
+                "add `source: package.module:Class` or `source: units.py:Class`"
+            )
         for fault in self._faults():
             raise StaleChangeSetError(f"the change set does not fit what runs now: {fault}")
 
@@ -77,8 +86,6 @@ class Applying:
             if transformation is None:
                 faults.append(f"unit {unit.id!r} has no transformation {unit.transformation!r} in the library")
                 continue
-            if transformation.source is None:
-                faults.append(f"transformation {transformation.label!r} has no source, so it can't be started")
             faults += [
                 f"{transformation.label!r} has no input {s.port!r}"
                 for s in unit.subscriptions

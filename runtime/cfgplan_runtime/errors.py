@@ -17,6 +17,10 @@ class StaleChangeSetError(RuntimeFaultError):
     """A change set that does not fit what is running now; nothing was changed."""
 
 
+class NoSourceError(RuntimeFaultError):
+    """A unit that can't be started because its transformation names no unit code; nothing was changed."""
+
+
 class ApplyError(RuntimeFaultError):
     """A change set that failed half way; every step of it was undone and the old configuration runs on."""
 

@@ -101,7 +101,7 @@ def test_what_unit_code_prints_and_raises_is_shown(env: Path, capsys: pytest.Cap
 def test_a_unit_without_source_is_refused(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
     env.write_text(ENVIRONMENT.replace("    source: units.py:camera\n", ""))
     assert main(["run", str(env), "--for", "1s"]) == 30
-    assert "'camera' has no source" in capsys.readouterr().err
+    assert "'camera' can't be started without unit code" in capsys.readouterr().err
 
 
 def test_code_that_does_not_exist_is_refused(env: Path, capsys: pytest.CaptureFixture[str]) -> None:

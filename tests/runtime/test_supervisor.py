@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from cfgplan_runtime import ApplyError, Patience, SimulatedBackend, StaleChangeSetError, Supervisor
 from cfgplan_runtime.backend import Inlet
+from cfgplan_runtime.errors import NoSourceError
 from cfgplan_runtime.events import Applied, Event, InputLost, RolledBack, UnitDied, UnitHung, UnitTooLarge
 from cfgplan_runtime.simulated_backend import Behaviour
 from cfgplan_runtime.wiring import wanted_feeds
@@ -109,7 +110,7 @@ def test_a_change_set_for_other_units_is_stale() -> None:
 
 def test_a_transformation_without_source_is_refused() -> None:
     simulation = Simulation(Transformation("count"))
-    with pytest.raises(StaleChangeSetError, match="no source"):
+    with pytest.raises(NoSourceError, match="'count' can't be started"):
         simulation.apply(start(ComputationUnit("count.1", "count")))
 
 
