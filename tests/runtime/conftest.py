@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import psutil
 import pytest
 from cfgplan_runtime import Runtime
+from watching import StartRuntime
 from world import RESULT
 
 from cfgplan.domain import Transformation
-
-StartRuntime = Callable[..., Runtime]
 
 
 @pytest.fixture(autouse=True)

@@ -21,8 +21,7 @@ from cfgplan_runtime.events import (
     UnitPrinted,
     UnitTooLarge,
 )
-from conftest import StartRuntime
-from watching import Listener, seen
+from watching import Listener, StartRuntime, seen
 from world import eventually, source, start, unit, worker
 
 from cfgplan.domain import ChangeSet, RunOptions

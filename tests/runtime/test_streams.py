@@ -8,8 +8,7 @@ from itertools import pairwise
 
 import pytest
 from cfgplan_runtime.events import SourceExhausted, UnitDied
-from conftest import StartRuntime
-from watching import Listener, seen
+from watching import Listener, StartRuntime, seen
 from world import RESULT, eventually, source, start, unit, worker
 
 from cfgplan.domain import ChangeSet, RunOptions, Transformation

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from typing import Any
 
 from cfgplan_runtime import Received, Runtime, subscribe
 from cfgplan_runtime.events import Event
 from world import PATIENCE_S
+
+StartRuntime = Callable[..., Runtime]
+"""Starts a runtime of a library."""
 
 
 class Listener:
