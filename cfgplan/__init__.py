@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from cfgplan.errors import Fault as Fault
     from cfgplan.errors import InputError as InputError
     from cfgplan.errors import InvalidValueError as InvalidValueError
+    from cfgplan.graphs import computation_graph as computation_graph
     from cfgplan.planning import Plan as Plan
     from cfgplan.planning import Planner as Planner
     from cfgplan.planning import Problem as Problem
@@ -54,6 +55,7 @@ _HOMES = {
     "cfgplan.domain": "ChangeSet ComputationUnit Environment InputPort OutputPort Publication Similarity Stream "
     "Subscription Target Transformation",
     "cfgplan.errors": "CfgplanError Fault InputError InvalidValueError",
+    "cfgplan.graphs": "computation_graph",
     "cfgplan.planning": "Plan Planner Problem Progress Status",
     "cfgplan.validity": "Rule Violation",
 }

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Literal
 from cfgplan import validity
 from cfgplan.domain import Environment, Similarity
 from cfgplan.errors import CfgplanError, InputError
-from cfgplan.matching import REASONERS, MatchExplanation, Matching, Nearest, Ontology, load_ontology
+from cfgplan.matching import REASONERS, MatchExplanation, Matching, Nearest, Ontology, load_ontology, read_owlready
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import Plan, Problem, Progress
 from cfgplan.validity import Violation
@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 PLANNER_NAMES = tuple(PLANNERS)
 REASONER_NAMES = tuple(REASONERS)
+MEMBERSHIP_LIMIT_S = 60.0
+"""How long a reasoner may take to find the individuals of a template's class."""
 
 
 class UntruthfulPlanError(CfgplanError):
@@ -48,14 +50,14 @@ class World:
     ontology: Ontology
     horizon_s: int
     max_cost_us: int | None = None
-    file: formats.World | None = None
+    file: formats.EnvironmentFile | None = None
 
     @cached_property
     def digest(self) -> str:
         """A hash of all that a plan depends on; a plan file carries it, so that a stale plan is noticed."""
         from cfgplan import formats
 
-        file = self.file or formats.World(Path(), self.environment, self.horizon_s, self.max_cost_us)
+        file = self.file or formats.EnvironmentFile(Path(), self.environment, self.horizon_s, self.max_cost_us)
         return file.digest
 
 
@@ -205,10 +207,10 @@ class _OntologyVocabulary:
 
     def instances(self, class_name: str) -> tuple[str, ...]:
         from cfgplan.formats import BadClassError
-        from cfgplan.matching import TagError, UnknownNameError
+        from cfgplan.matching import TagError, UnknownNameError, instances
 
         try:
-            return self._ontology.instances(class_name)
+            return instances(self._ontology, class_name, time_limit_s=MEMBERSHIP_LIMIT_S)
         except (TagError, UnknownNameError) as error:
             raise BadClassError(error.message, error.mend) from None
 
@@ -231,7 +233,7 @@ def _as_ontology(ontology: object) -> Ontology:
         return load_ontology([Path(ontology)])
     if isinstance(ontology, (list, tuple)):
         return load_ontology([Path(path) for path in ontology])
-    return Ontology.from_owlready(ontology)
+    return read_owlready(ontology)
 
 
 def _cache_folder() -> Path:

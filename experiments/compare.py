@@ -8,15 +8,18 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 
 from rich.console import Console
 
-from cfgplan.comparing import REGISTERED, Limits, read_rows, run
+from cfgplan.comparing import REGISTERED, Limits, Row, read_rows, run
 from cfgplan.comparing.bar import progress_bar
 from cfgplan.comparing.invariants import breaches
 from cfgplan.comparing.report import write_report
 from cfgplan.comparing.suites import SUITES
+from cfgplan.comparing.wsc import wsc_sets
+from cfgplan.errors import CfgplanError
 from experiments.peers import PEERS
 
 ENTRANTS = {**REGISTERED, **PEERS}
@@ -31,13 +34,17 @@ def main() -> int:
     results = folder / "results.jsonl"
     console = Console(stderr=True)
     if options.report_only:
-        rows = read_rows(results)
+        rows = in_order(read_rows(results))
     else:
         instances = list(SUITES[options.suite]())
+        if options.wsc:
+            instances += wsc_sets(options.wsc)
+        else:
+            console.print("The sets of the Web Service Challenge are left out: no --wsc DIR.")
         entrants = [ENTRANTS[name] for name in options.planner or ENTRANTS]
         limits = Limits(time_limit_s=options.timeout or SECONDS[options.suite])
         with progress_bar(console) as watch:
-            rows = run(instances, entrants, limits, results, watch=watch)
+            rows = in_order(run(instances, entrants, limits, results, watch=watch))
     for path in write_report(rows, folder):
         print(path)
     found = breaches(rows)
@@ -46,12 +53,18 @@ def main() -> int:
     return 1 if found else 0
 
 
+def in_order(rows: Iterable[Row]) -> list[Row]:
+    """The rows by planner, in the order of the registries; repeated runs stand last in the file."""
+    return sorted(rows, key=lambda row: list(ENTRANTS).index(row.planner))
+
+
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     which = parser.add_mutually_exclusive_group(required=True)
     which.add_argument("--short", dest="suite", action="store_const", const="short", help="under five minutes")
     which.add_argument("--full", dest="suite", action="store_const", const="full", help="the study: half an hour")
     parser.add_argument("--planner", action="append", choices=ENTRANTS, help="only these (all of them)")
+    parser.add_argument("--wsc", type=Path, metavar="DIR", help="a folder with sets of the Web Service Challenge 2008")
     parser.add_argument("--timeout", type=float, metavar="S", help="seconds for a run (short: 2, full: 5)")
     parser.add_argument("--report", type=Path, metavar="DIR", help="where results, tables and plots go")
     parser.add_argument("--report-only", action="store_true", help="write the report again from the results there")
@@ -59,4 +72,9 @@ def _options() -> argparse.Namespace:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    try:
+        sys.exit(main())
+    except KeyboardInterrupt:
+        sys.exit("interrupted; the same command goes on from here")
+    except CfgplanError as error:
+        sys.exit(f"error: {error}")

@@ -29,10 +29,14 @@ def add_to(verbs: shared.Subparsers) -> None:
         "compare",
         "run planners side by side, each run in a process of its own, and check them against each other",
         "  cfgplan compare models/nao/2-segmenter-lost.yaml models/building/office.yaml\n"
-        "  cfgplan compare --suite short --planner cpsat --planner branch-and-bound --timeout 2 --report build/compare",
+        "  cfgplan compare --instance 'random_library(transformations=50, depth=8)#7' --timeout 2\n"
+        "  cfgplan compare --suite short --planner cpsat --planner branch-and-bound --report build/compare",
     )
     parser.add_argument("envs", metavar="ENV", nargs="*", help="environment files to plan for")
     parser.add_argument("--suite", choices=SUITES, help="generated instances to plan for")
+    parser.add_argument(
+        "--instance", action="append", default=[], metavar="NAME", help="one generated instance, named as in the tables"
+    )
     parser.add_argument("--wsc", metavar="DIR", help="folder with sets of the Web Service Challenge 2008 to plan for")
     parser.add_argument(
         "--planner", action="append", metavar="NAME", help="only this planner (repeat); yours: module:function"
@@ -81,6 +85,7 @@ def _instances(options: argparse.Namespace, screen: Screen) -> list[Instance]:
         instances.append(comparing.given(env, shared.problem(options, screen, world)))
     if options.suite:
         instances += SUITES[options.suite]()
+    instances += map(comparing.named, options.instance)
     if options.wsc:
         instances += wsc_sets(Path(options.wsc))
     if not instances:

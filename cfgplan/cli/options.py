@@ -45,6 +45,13 @@ def add_matching(parser: argparse.ArgumentParser) -> None:
     from cfgplan.api import REASONER_NAMES
 
     parser.add_argument("--reasoner", choices=REASONER_NAMES, default="auto", help="who decides what matches (auto)")
+    parser.add_argument(
+        "--reasoner-timeout",
+        type=positive,
+        default=60.0,
+        metavar="S",
+        help="what HermiT or Konclude can't decide in S seconds does not match (60)",
+    )
     parser.add_argument("--no-cache", action="store_true", help="neither read nor write the cache of matches")
 
 
@@ -75,7 +82,12 @@ def problem(options: argparse.Namespace, screen: Screen, world: api.World) -> Pr
     from cfgplan import api
 
     with screen.phase("match"):
-        matching = api.match_ports(world, reasoner=options.reasoner, use_cache=not options.no_cache)
+        matching = api.match_ports(
+            world,
+            reasoner=options.reasoner,
+            time_limit_s=options.reasoner_timeout,
+            use_cache=not options.no_cache,
+        )
     for warning in matching.warnings:
         screen.warn(warning)
     return api.problem(

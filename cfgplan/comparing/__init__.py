@@ -1,7 +1,7 @@
 """Planners side by side on families of instances: generators, runner, result rows, tables and plots."""
 
 from cfgplan.comparing.entrants import REGISTERED, Entrant, entrant
-from cfgplan.comparing.instances import Instance, generated, given
+from cfgplan.comparing.instances import Instance, generated, given, named
 from cfgplan.comparing.rows import Failure, Row, read_rows
 from cfgplan.comparing.runner import Limits, Standing, run, run_one
 
@@ -16,6 +16,7 @@ __all__ = [
     "entrant",
     "generated",
     "given",
+    "named",
     "read_rows",
     "run",
     "run_one",

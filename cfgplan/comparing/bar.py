@@ -28,7 +28,9 @@ def progress_bar(console: Console) -> Iterator[Callable[[Standing], None]]:
         task = bar.add_task("", total=None, left="")
 
         def watch(standing: Standing) -> None:
-            left = "" if standing.left_s is None else f"about {duration(standing.left_s)} left"
+            left = ""
+            if standing.left_s is not None and standing.done < standing.total:
+                left = f"about {duration(standing.left_s)} left"
             bar.update(
                 task, total=standing.total, completed=standing.done, left=left, description=standing.ahead, refresh=True
             )

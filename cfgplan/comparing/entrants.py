@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
 from types import MappingProxyType
 
 from cfgplan.errors import InputError
@@ -49,7 +50,9 @@ def _version(distribution: str) -> str:
 
 def _registered(name: str) -> Entrant:
     module = f"cfgplan.planners.{name.replace('-', '_')}"
-    return Entrant(name, engines=(module,), distributions=("ortools",) if name == "cpsat" else ())
+    if name == "cpsat":
+        return Entrant(name, engines=("ortools.sat.python.cp_model", module), distributions=("ortools",))
+    return Entrant(name, engines=(module,) if find_spec(module) else ())
 
 
 REGISTERED: Mapping[str, Entrant] = MappingProxyType({name: _registered(name) for name in PLANNERS})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -52,6 +53,27 @@ def generated(family: str, seed: int = 0, /, **parameters: object) -> Instance:
 
     shown = ", ".join(f"{name}={value}" for name, value in parameters.items())
     return Instance(f"{family}({shown})#{seed}", family, parameters, seed, make)
+
+
+def named(name: str) -> Instance:
+    """The generated instance of that name, such as `random_library(depth=8, back=0.3)#7`; the seed may be left out.
+
+    Raises InputError.
+    """
+    found = re.fullmatch(r"\s*(\w+)\s*(?:\(([^()]*)\))?\s*(?:#(\d+))?\s*", name)
+    pairs = [pair.split("=", 1) for pair in (found[2] or "").split(",") if pair.strip()] if found else []
+    if found is None or any(len(pair) != 2 for pair in pairs):
+        raise InputError.of(f"{name!r} names no instance", mend="write it as family(parameter=value, ...)#seed")
+    return generated(found[1], int(found[3] or 0), **{key.strip(): _value(text.strip()) for key, text in pairs})
+
+
+def _value(text: str) -> object:
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text
 
 
 def given(name: str, problem: Problem, *, family: str = "own") -> Instance:

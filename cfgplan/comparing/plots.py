@@ -29,11 +29,13 @@ def write_plots(rows: Sequence[Row], folder: Path) -> list[Path]:
     import matplotlib
 
     matplotlib.use("Agg")
+    families = dict.fromkeys(row.family for row in rows)
     figures = {
-        "scaling": scaling(rows),
+        **{f"scaling-{name}": scaling([row for row in rows if row.family == name], rows) for name in families},
         "gaps": gap_profile(rows),
         "performance": performance_profile(rows),
         "anytime": anytime(rows),
+        "bounds": bounds(rows),
     }
     folder.mkdir(parents=True, exist_ok=True)
     written = []
@@ -45,8 +47,11 @@ def write_plots(rows: Sequence[Row], folder: Path) -> list[Path]:
     return written
 
 
-def scaling(rows: Sequence[Row]) -> Figure | None:
-    """Time to proof against every parameter that is varied by itself; what is not proven lies hollow at its end."""
+def scaling(rows: Sequence[Row], everyone: Sequence[Row]) -> Figure | None:
+    """Time to proof against every parameter that is varied by itself; what is not proven lies hollow at its end.
+
+    The styles of the planners are those in the rows of `everyone`.
+    """
     from matplotlib.ticker import MaxNLocator
 
     panels = _series(rows)
@@ -54,10 +59,12 @@ def scaling(rows: Sequence[Row]) -> Figure | None:
         return None
     figure, axes = _grid(len(panels), 3)
     for axis, ((title, name), points) in zip(axes, sorted(panels.items()), strict=False):
-        for planner, style in _styles(rows).items():
-            xs = sorted({x for x, row in points if row.planner == planner and row.total_s is not None})
+        for planner, style in _styles(everyone).items():
+            xs = sorted({x for x, row in points if row.planner == planner})
             at = {x: [row for value, row in points if (value, row.planner) == (x, planner)] for x in xs}
-            times = {x: median(max(LEAST_S, row.total_s or row.time_limit_s) for row in at[x]) for x in xs}
+            times = {
+                x: median(max(LEAST_S, row.proof_s or row.total_s or row.time_limit_s) for row in at[x]) for x in xs
+            }
             axis.plot(xs, [times[x] for x in xs], color=style.color, linestyle=style.line, linewidth=1)
             for proven in (True, False):
                 some = [x for x in xs if all(row.proven for row in at[x]) == proven]
@@ -75,12 +82,13 @@ def scaling(rows: Sequence[Row]) -> Figure | None:
         axis.set_title(title, fontsize=9)
         axis.set_xlabel(name, fontsize=8)
         positive = [x for x, _ in points if x > 0]
-        if max(positive, default=1) / min(positive, default=1) > 30 and len(positive) == len(points):
-            axis.set_xscale("log")
+        if max(positive, default=1) / min(positive, default=1) > 30:
+            axis.set_xscale("log" if len(positive) == len(points) else "symlog")
+            axis.set_xlim(left=min(x for x, _ in points))
         elif all(x == int(x) for x, _ in points):
             axis.xaxis.set_major_locator(MaxNLocator(integer=True))
-    figure.supylabel("seconds to the end; hollow: not proven", fontsize=9)
-    return _with_legend(figure, rows)
+    figure.supylabel("seconds to proof; hollow: to the end, none", fontsize=9)
+    return _with_legend(figure, everyone)
 
 
 def gap_profile(rows: Sequence[Row]) -> Figure | None:
@@ -137,8 +145,49 @@ def performance_profile(rows: Sequence[Row]) -> Figure | None:
     return _with_legend(figure, rows)
 
 
-def anytime(rows: Sequence[Row], most: int = 6) -> Figure | None:
+def anytime(rows: Sequence[Row]) -> Figure | None:
     """How far each planner's best plan was from the least cost over time, on the instances that were proven last."""
+    hardest = _hardest(rows)
+    if not hardest:
+        return None
+    figure, axes = _grid(len(hardest), 3)
+    for axis, (title, least_us, group) in zip(axes, hardest, strict=False):
+        for row in group:
+            points = [(max(LEAST_S, when), cost) for when, cost, _ in row.trace if cost is not None]
+            if row.has_plan and row.cost_us is not None:
+                points.append((max(LEAST_S, row.best_s or 0.0), row.cost_us))
+            _steps(axis, row, [(when, max(LEAST_GAP, cost / least_us - 1)) for when, cost in points], rows)
+        axis.set_xscale("log")
+        axis.set_yscale("log")
+        axis.set_ylim(LEAST_GAP * 0.8)
+        axis.set_title(title, fontsize=7)
+    figure.supxlabel("seconds", fontsize=9)
+    figure.supylabel("gap to the least known cost (0.001: at most that)", fontsize=9)
+    return _with_legend(figure, rows)
+
+
+def bounds(rows: Sequence[Row]) -> Figure | None:
+    """The proven bound of each planner over time, as a share of the least cost, on the same instances."""
+    hardest = _hardest(rows)
+    if not hardest:
+        return None
+    figure, axes = _grid(len(hardest), 3)
+    for axis, (title, least_us, group) in zip(axes, hardest, strict=False):
+        for row in group:
+            points = [(max(LEAST_S, when), bound / least_us) for when, _, bound in row.trace if bound > 0]
+            if row.total_s is not None and row.bound_us > 0:
+                points.append((max(LEAST_S, row.proof_s or row.total_s), row.bound_us / least_us))
+            _steps(axis, row, points, rows)
+        axis.set_xscale("log")
+        axis.set_ylim(0, 1.05)
+        axis.set_title(title, fontsize=7)
+    figure.supxlabel("seconds", fontsize=9)
+    figure.supylabel("proven bound / least known cost", fontsize=9)
+    return _with_legend(figure, rows)
+
+
+def _hardest(rows: Sequence[Row], most: int = 6) -> list[tuple[str, int, list[Row]]]:
+    """Name, least cost and rows of the instances that took the fastest prover longest."""
     reference = references(rows)
     groups = {key: group for key, group in by_instance(rows).items() if key in reference}
 
@@ -146,29 +195,18 @@ def anytime(rows: Sequence[Row], most: int = 6) -> Figure | None:
         return min((row.proof_s for row in groups[key] if row.proof_s is not None), default=float("inf"))
 
     hardest = sorted(groups, key=lambda key: (-hardness(key), key))[:most]
-    if not hardest:
-        return None
-    figure, axes = _grid(len(hardest), 3)
-    for axis, key in zip(axes, hardest, strict=False):
-        least_us = max(1, reference[key].cost_us)
-        for row in groups[key]:
-            style = _styles(rows)[row.planner]
-            points = [(max(LEAST_S, when), cost) for when, cost, _ in row.trace if cost is not None]
-            if row.has_plan and row.cost_us is not None:
-                points.append((max(LEAST_S, row.best_s or 0.0), row.cost_us))
-            points.sort()
-            if points:
-                xs = [x for x, _ in points] + [max(row.time_limit_s, points[-1][0])]
-                ys = [max(LEAST_GAP, cost / least_us - 1) for _, cost in points]
-                axis.step(xs, [*ys, ys[-1]], where="post", color=style.color, linestyle=style.line)
-                axis.scatter(xs[0], ys[0], s=18, marker=style.marker, color=style.color, zorder=3)
-        axis.set_xscale("log")
-        axis.set_yscale("log")
-        axis.set_ylim(LEAST_GAP * 0.8)
-        axis.set_title(key[0].replace("#", " #"), fontsize=7)
-    figure.supxlabel("seconds", fontsize=9)
-    figure.supylabel("gap to the least known cost (0.001: at most that)", fontsize=9)
-    return _with_legend(figure, rows)
+    return [(key[0].replace("#", " #"), max(1, reference[key].cost_us), groups[key]) for key in hardest]
+
+
+def _steps(axis: Axes, row: Row, points: list[tuple[float, float]], rows: Sequence[Row]) -> None:
+    """A row's curve, carried on to the time limit."""
+    if points:
+        style = _styles(rows)[row.planner]
+        points = sorted(points)
+        xs = [*(x for x, _ in points), max(row.time_limit_s, points[-1][0])]
+        ys = [*(y for _, y in points), points[-1][1]]
+        axis.step(xs, ys, where="post", color=style.color, linestyle=style.line)
+        axis.scatter(xs[0], ys[0], s=18, marker=style.marker, color=style.color, zorder=3)
 
 
 def _series(rows: Sequence[Row]) -> dict[tuple[str, str], list[tuple[float, Row]]]:
@@ -219,6 +257,7 @@ def _grid(count: int, width: int) -> tuple[Figure, list[Axes]]:
     for axis in flat:
         axis.grid(alpha=0.3)
         axis.tick_params(labelsize=7)
+        axis.tick_params(which="minor", labelbottom=False)
     return figure, flat
 
 

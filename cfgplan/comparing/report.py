@@ -8,7 +8,7 @@ from pathlib import Path
 from cfgplan.comparing.invariants import breaches
 from cfgplan.comparing.plots import write_plots
 from cfgplan.comparing.rows import Row
-from cfgplan.comparing.tables import by_family, detail, overview
+from cfgplan.comparing.tables import by_family, detail, effort, overview
 
 
 def write_report(rows: Sequence[Row], folder: Path) -> list[Path]:
@@ -37,5 +37,6 @@ def tables_text(rows: Sequence[Row]) -> str:
         overview(rows).markdown(),
         by_family(rows).markdown(),
         detail(rows).markdown(),
+        effort(rows).markdown(),
     ]
     return "\n\n".join(part.strip() for part in parts) + "\n"

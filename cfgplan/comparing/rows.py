@@ -40,7 +40,8 @@ class Row:
     `outcome` is a `Status` or a `Failure`. `violations` is what the judge found, None where there
     was no answer to judge. `peak_mb` is the largest resident memory of the process, the solver's own if it is
     a process apart. `trace` tells the best cost and the bound over time. There is a time of proof where the
-    planner proved its answer, be it that there is none, or that no plan costs less: ties need not be broken.
+    planner proved its answer, be it that there is none, or that no plan costs less; to break ties between equal
+    costs may take it until `total_s`.
     """
 
     instance: str

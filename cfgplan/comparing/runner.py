@@ -98,9 +98,6 @@ def run_one(instance: Instance, entrant: Entrant, limits: Limits) -> Row:
         if trace and answer["outcome"] != Failure.CRASHED:
             answer |= {"cost_us": trace[-1][1], "bound_us": trace[-1][2]}
     first_s, best_s = _times(trace, answer)
-    proven = answer["outcome"] in PROVEN or (
-        answer["outcome"] == Status.FEASIBLE and answer["bound_us"] == answer["cost_us"]
-    )
     environment = instance.problem.environment
     return Row(
         instance=instance.name,
@@ -118,7 +115,7 @@ def run_one(instance: Instance, entrant: Entrant, limits: Limits) -> Row:
         unused_required=answer.get("unused_required", 0),
         first_s=first_s,
         best_s=best_s,
-        proof_s=answer["total_s"] if proven else None,
+        proof_s=_proof_s(trace, answer),
         total_s=answer.get("total_s"),
         trace=thinned(trace),
         counts=answer.get("counts", {}),
@@ -219,3 +216,11 @@ def _times(trace: Sequence[Point], answer: dict[str, Any]) -> tuple[float | None
     first_s = costs[0][0] if costs else end
     best_s = next((when for when, cost in costs if cost == answer["cost_us"]), end)
     return first_s, best_s
+
+
+def _proof_s(trace: Sequence[Point], answer: dict[str, Any]) -> float | None:
+    """When the answer was proven: for a plan, when the bound had reached its cost, whatever became of ties later."""
+    if answer["outcome"] in (Status.OPTIMAL, Status.FEASIBLE) and answer["bound_us"] == answer["cost_us"]:
+        at_cost = (when for when, cost, bound in trace if cost == bound == answer["cost_us"])
+        return next(at_cost, float(answer["total_s"]))
+    return float(answer["total_s"]) if answer["outcome"] in PROVEN else None

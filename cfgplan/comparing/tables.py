@@ -44,6 +44,9 @@ def overview(rows: Sequence[Row], *, base: str = "cpsat") -> Table:
         "judged false",
         "median gap",
         "worst gap",
+        "median s to first plan",
+        "median s to best plan",
+        "median s to proof",
         f"time to proof / {base}'s (instances)",
         "peak MB",
     )
@@ -51,23 +54,26 @@ def overview(rows: Sequence[Row], *, base: str = "cpsat") -> Table:
     return Table("All instances", ("", *names), tuple(zip(measures, *columns, strict=True)))
 
 
-def by_family(rows: Sequence[Row]) -> Table:
-    """For each family and planner how many instances were proven, out of those that it did not refuse."""
+def by_family(rows: Sequence[Row], *, base: str = "cpsat") -> Table:
+    """For each family and planner: proven out of those not refused, how fast against `base`, and the worst gap."""
     names = planners(rows)
+    reference = references(rows)
     lines = []
     for kind in dict.fromkeys(_kind(row) for row in rows):
         group = [row for row in rows if _kind(row) == kind]
         cells = []
         for name in names:
-            own = [row for row in group if row.planner == name]
-            tried = [row for row in own if row.outcome not in (Failure.REFUSED, Failure.UNAVAILABLE)]
-            gaps = [g for row in tried if (g := gap(row, references(group))) is not None]
+            tried = [r for r in group if r.planner == name and r.outcome not in (Failure.REFUSED, Failure.UNAVAILABLE)]
+            ratio, _ = ratio_to(group, name, base)
+            speed = f", x{ratio:.2g}" if ratio is not None and name != base else ""
+            gaps = [g for row in tried if (g := gap(row, reference)) is not None]
             worst = f", gap to {max(gaps):.0%}" if gaps and max(gaps) >= 0.005 else ""
-            cells.append(f"{sum(row.proven for row in tried)} of {len(tried)}{worst}" if tried else "-")
+            cells.append(f"{sum(row.proven for row in tried)} of {len(tried)}{speed}{worst}" if tried else "-")
         lines.append((kind, str(len(by_instance(group))), *cells))
-    return Table(
-        "Proven by family, with the worst gap of what was found", ("family", "instances", *names), tuple(lines)
+    title = (
+        f"Proven by family; time to proof as a multiple of {base}'s, over what both proved; worst gap of what was found"
     )
+    return Table(title, ("family", "instances", *names), tuple(lines))
 
 
 def detail(rows: Sequence[Row]) -> Table:
@@ -83,6 +89,23 @@ def detail(rows: Sequence[Row]) -> Table:
     return Table(
         "Every run: seconds to proof, or the gap of an unproven plan", ("instance", "least cost", *names), tuple(lines)
     )
+
+
+LARGE = 200
+"""From so many transformations on, instances of one family make a line of their own."""
+EFFORT = ("nodes", "conflicts", "expanded", "wirings")
+
+
+def effort(rows: Sequence[Row]) -> Table:
+    """Every run: how many nodes, conflicts, expanded states or tried wirings it took, whatever the planner counts."""
+    names = planners(rows)
+    lines = []
+    for instance, group in by_instance(rows).items():
+        counted = {row.planner: next((row.counts[key] for key in EFFORT if key in row.counts), None) for row in group}
+        cells = ("" if counted.get(name) is None else f"{counted[name]:,}" for name in names)
+        lines.append((instance[0], *cells))
+    title = "Every run: nodes (branch-and-bound, HiGHS), conflicts (cpsat, clingo), expanded states, or wirings tried"
+    return Table(title, ("instance", *names), tuple(lines))
 
 
 def planners(rows: Iterable[Row]) -> tuple[str, ...]:
@@ -116,9 +139,15 @@ def _column(
         str(sum(bool(row.violations) for row in own)),
         f"{median(gaps):.1%}" if gaps else "-",
         f"{max(gaps):.0%}" if gaps else "-",
+        *(_median_s(own, name) for name in ("first_s", "best_s", "proof_s")),
         f"{ratio:.2g} ({number})" if ratio is not None else "-",
         f"{max(peaks):.0f}" if peaks else "-",
     )
+
+
+def _median_s(rows: Sequence[Row], name: str) -> str:
+    times = [getattr(row, name) for row in rows if getattr(row, name) is not None]
+    return f"{median(times):.2g}" if times else "-"
 
 
 def _class(row: Row) -> str:
@@ -147,4 +176,8 @@ def _cell(row: Row, reference: Mapping[tuple[str, str], Reference]) -> str:
 
 def _kind(row: Row) -> str:
     kind = row.parameters.get("kind") or row.parameters.get("event")
-    return f"{row.family}: {kind}" if kind else row.family
+    if kind:
+        return f"{row.family}: {kind}"
+    if "transformations" in row.parameters:
+        return f"{row.family}, {'from' if row.transformations >= LARGE else 'under'} {LARGE} transformations"
+    return row.family

@@ -4,12 +4,12 @@ from cfgplan.formats.building import build
 from cfgplan.formats.conversion import as_xml, as_yaml
 from cfgplan.formats.document import Document, read_document
 from cfgplan.formats.dump import dump_environment
+from cfgplan.formats.environment_file import EnvironmentFile, environment_digest
 from cfgplan.formats.places import Place
 from cfgplan.formats.plain import plain_environment
 from cfgplan.formats.plan_file import dump_plan, load_plan, plain_plan, plan_schema
 from cfgplan.formats.schema import environment_schema
 from cfgplan.formats.vocabulary import BadClassError, BadTagError, Vocabulary
-from cfgplan.formats.world import World, environment_digest
 from cfgplan.formats.wsc import read_wsc, wsc_texts
 from cfgplan.formats.xml_dump import dump_xml
 
@@ -17,9 +17,9 @@ __all__ = [
     "BadClassError",
     "BadTagError",
     "Document",
+    "EnvironmentFile",
     "Place",
     "Vocabulary",
-    "World",
     "as_xml",
     "as_yaml",
     "build",

@@ -1,45 +1,53 @@
-"""From a document to a world: templates expanded, every tag and every reference checked."""
+"""From a document to an environment: templates expanded, every tag and every reference checked."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from cfgplan.domain import Environment, Target, Transformation
 from cfgplan.errors import Fault, InputError
-from cfgplan.formats.document import Document
+from cfgplan.formats.document import Document, File
+from cfgplan.formats.environment_file import EnvironmentFile
 from cfgplan.formats.expansion import Expander
 from cfgplan.formats.garbage import no_garbage_collection
+from cfgplan.formats.left_out import LeftOut
 from cfgplan.formats.places import Path, Source
 from cfgplan.formats.references import UnitChecker
 from cfgplan.formats.tags import TagChecker
 from cfgplan.formats.vocabulary import Vocabulary
-from cfgplan.formats.world import World
 
 Origins = dict[tuple[str, str], tuple[Source, Path]]
 
 
-def build(document: Document, vocabulary: Vocabulary) -> World:
-    """The world that a document describes; raises InputError with every fault of the document and of this stage."""
+def build(document: Document, vocabulary: Vocabulary) -> EnvironmentFile:
+    """The environment that a document describes; raises InputError with every fault of the document and of this stage."""
     with no_garbage_collection():
         return _build(document, vocabulary)
 
 
-def _build(document: Document, vocabulary: Vocabulary) -> World:
+def _build(document: Document, vocabulary: Vocabulary) -> EnvironmentFile:
     faults = list(document.faults)
     origins: Origins = {}
+    left_out = LeftOut(document)
     tags = TagChecker(vocabulary, faults)
-    library = _library(document, vocabulary, tags, origins, faults)
+    expander = Expander(document.defaults, vocabulary, tags, left_out, faults)
+    library = _library(document, expander, origins, faults)
     targets = _targets(document, tags, origins, faults)
-    units = UnitChecker(document, library, targets, origins, faults).units()
+    units = UnitChecker(document, left_out, library, targets, origins, faults).units()
+    for file in document.files:
+        _check_broken_tags(file, tags)
     if faults:
         raise InputError(_in_file_order(faults, document))
     environment = Environment(tuple(units), tuple(library.values()), tuple(targets.values()))
-    return World(document.path, environment, document.horizon_s, document.max_cost_us, document.ontology_paths, origins)
+    return EnvironmentFile(
+        document.path, environment, document.horizon_s, document.max_cost_us, document.ontology_paths, origins
+    )
 
 
 def _library(
-    document: Document, vocabulary: Vocabulary, tags: TagChecker, origins: Origins, faults: list[Fault]
+    document: Document, expander: Expander, origins: Origins, faults: list[Fault]
 ) -> dict[str, Transformation]:
     library: dict[str, Transformation] = {}
-    expander = Expander(document.defaults, vocabulary, tags, faults)
     for file in document.files:
         for index, part in file.transformations:
             path = ("transformations", index)
@@ -60,6 +68,30 @@ def _targets(document: Document, tags: TagChecker, origins: Origins, faults: lis
             if _is_new(("topic", part.topic), file.source, path, "topic", topics, faults) and is_new:
                 targets[part.label] = Target(part.label, part.tag, part.topic, part.priority)
     return targets
+
+
+def _check_broken_tags(file: File, tags: TagChecker) -> None:
+    """Check the plain tags of parts that were left out, so that all their faults are told at once."""
+    for kind, parts in file.broken.items():
+        for part in parts:
+            if part.index is not None:
+                raw = file.source.data[kind][part.index]  # type: ignore[index]
+                for path, tag in _tags_in(raw, (kind, part.index)):
+                    if isinstance(tag, str) and tag and "$" not in tag:
+                        tags.check(tag, file.source, path)
+
+
+def _tags_in(raw: object, path: Path) -> Iterator[tuple[Path, object]]:
+    if isinstance(raw, dict):
+        yield (*path, "tag"), raw.get("tag")
+        for key in ("inputs", "outputs"):
+            ports = raw.get(key)
+            for name, port in ports.items() if path[0] == "transformations" and isinstance(ports, dict) else ():
+                yield (
+                    ((*path, key, name, "tag"), port.get("tag"))
+                    if isinstance(port, dict)
+                    else ((*path, key, name), port)
+                )
 
 
 def _is_new(name: tuple[str, str], source: Source, path: Path, key: str, origins: Origins, faults: list[Fault]) -> bool:

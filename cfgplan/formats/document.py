@@ -33,17 +33,22 @@ Indexed = tuple[int, P]
 
 
 @dataclass(frozen=True)
-class File:
-    """The valid parts of one file, and the names of those that have faults.
+class Broken:
+    """A part with faults; the index is None if the whole list is broken, the name if that is missing too."""
 
-    A name is None where even that is missing.
-    """
+    index: int | None = None
+    name: str | None = None
+
+
+@dataclass(frozen=True)
+class File:
+    """The valid parts of one file, and by list those that have faults."""
 
     source: Source
     transformations: tuple[Indexed[TransformationPart], ...] = ()
     units: tuple[Indexed[UnitPart], ...] = ()
     targets: tuple[Indexed[TargetPart], ...] = ()
-    broken: Mapping[str, tuple[str | None, ...]] = field(default_factory=dict)
+    broken: Mapping[str, tuple[Broken, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -144,7 +149,7 @@ def _file(source: Source, model: Any, data: Mapping[str, Any], bad: Mapping[Any,
 
     names = {"transformations": "label", "units": "id", "targets": "label"}
     broken = {
-        key: tuple(_name(data[key][index], names[key]) for index in sorted(bad[key])) or (None,)
+        key: tuple(Broken(index, _name(data[key][index], names[key])) for index in sorted(bad[key])) or (Broken(),)
         for key in names
         if key in bad
     }
@@ -189,7 +194,7 @@ def _included(main: FilePath, source: Source, names: list[str]) -> tuple[list[Fi
                 _, file, more = _read_file(member, IncludedPart)
             except InputError as error:
                 faults += (_at_entry(fault, name, source, ("include", index)) for fault in error.faults)
-                files.append(File(source, broken={"transformations": (None,), "targets": (None,)}))
+                files.append(File(source, broken={"transformations": (Broken(),), "targets": (Broken(),)}))
                 continue
             files.append(file)
             faults += more

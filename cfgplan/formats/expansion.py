@@ -8,6 +8,7 @@ from typing import cast
 
 from cfgplan.domain import START_MODES, InputPort, OutputPort, RunOptions, Transformation
 from cfgplan.errors import Fault
+from cfgplan.formats.left_out import LeftOut
 from cfgplan.formats.places import Path, Source
 from cfgplan.formats.schema import (
     DEFAULT_LABOR_US,
@@ -35,11 +36,14 @@ from cfgplan.formats.vocabulary import BadClassError, Vocabulary
 class Expander:
     """Makes transformations from their written form; what is wrong goes into `faults`."""
 
-    def __init__(self, defaults: DefaultsPart, vocabulary: Vocabulary, tags: TagChecker, faults: list[Fault]) -> None:
+    def __init__(
+        self, defaults: DefaultsPart, vocabulary: Vocabulary, tags: TagChecker, left_out: LeftOut, faults: list[Fault]
+    ) -> None:
         self._labor_us = DEFAULT_LABOR_US if defaults.labor is None else defaults.labor
         self._upkeep_us = DEFAULT_UPKEEP_US if defaults.upkeep is None else defaults.upkeep
         self._vocabulary = vocabulary
         self._tags = tags
+        self._left_out = left_out
         self._faults = faults
         self._instances: dict[str, tuple[str, ...] | BadClassError] = {}
 
@@ -49,9 +53,21 @@ class Expander:
         if not any("$" in text for _, text in texts):
             yield from self._filled(source, path, part, {})
             return
+        instances = self._variable_instances(source, path, part, texts)
+        if instances is None:
+            self._left_out.add("transformations", part.label)
+            self._check_plain_tags(source, path, part)
+            return
+        for values in assignments(instances):
+            yield from self._filled(source, path, part, values)
+
+    def _variable_instances(
+        self, source: Source, path: Path, part: TransformationPart, texts: list[tuple[Path, str]]
+    ) -> dict[Variable, tuple[str, ...]] | None:
+        """What each variable of a template ranges over, or None if the template has faults."""
         found = self._variables(source, texts)
         if found is None:
-            return
+            return None
         in_label = {variable for variable, _ in variables(part.label)}
         missing = [variable for variable in found if variable not in in_label]
         if missing:
@@ -60,14 +76,13 @@ class Expander:
             self._faults.append(source.fault((*path, "label"), f"the label does not mention {names}", mend))
         instances = self._instances_of(source, found)
         if missing or instances is None:
-            return
+            return None
         count = prod(len(names) for names in instances.values())
         if count > MOST_EXPANSIONS:
             message = f"this template stands for {count:,} transformations, more than {MOST_EXPANSIONS:,}"
             self._faults.append(source.fault((*path, "label"), message, "use fewer variables or smaller classes"))
-            return
-        for values in assignments(instances):
-            yield from self._filled(source, path, part, values)
+            return None
+        return instances
 
     def _variables(self, source: Source, texts: list[tuple[Path, str]]) -> dict[Variable, tuple[Path, int]] | None:
         """Each variable with the place of its first mention, or None if a `${` is wrong."""
@@ -102,7 +117,9 @@ class Expander:
             except BadClassError as error:
                 self._instances[class_name] = error
             else:
-                empty = BadClassError(f"the class {class_name} has no individuals", "assert one in the ontology")
+                empty = BadClassError(
+                    f"the class {class_name} has no individuals", "assert one in an ontology that `ontology:` names"
+                )
                 self._instances[class_name] = names or empty
         return self._instances[class_name]
 
@@ -120,6 +137,7 @@ class Expander:
         names = [*(port.name for port in inputs), *(port.name for port in outputs)]
         if len(set(names)) != len(names):
             self._note_repeated_port(source, path, part, names, values)
+            self._left_out.add("transformations", label)
             return
         yield Transformation(
             label,
@@ -154,11 +172,18 @@ class Expander:
         self, source: Source, path: Path, key: str, part: TransformationPart, values: Mapping[Variable, str]
     ) -> Iterator[tuple[str, str, str | InputPart | OutputPart]]:
         for name, written in (getattr(part, key) or {}).items():
-            tag_path = (*path, key, name) if isinstance(written, str) else (*path, key, name, "tag")
-            template = written if isinstance(written, str) else written.tag
+            tag_path, template = _tag_of(written, (*path, key, name))
             tag = substitute(template, values)
             self._tags.check(tag, source, tag_path, template, values)
             yield substitute(name, values), tag, written
+
+    def _check_plain_tags(self, source: Source, path: Path, part: TransformationPart) -> None:
+        """Check what can be checked of a template that has no expansion, so that all its faults are told at once."""
+        for key in ("inputs", "outputs"):
+            for name, written in (getattr(part, key) or {}).items():
+                place, tag = _tag_of(written, (*path, key, name))
+                if "$" not in tag:
+                    self._tags.check(tag, source, place)
 
     def _note_repeated_port(
         self, source: Source, path: Path, part: TransformationPart, names: list[str], values: Mapping[Variable, str]
@@ -176,6 +201,11 @@ def _optional(text: str | None, values: Mapping[Variable, str]) -> str | None:
     return None if text is None else substitute(text, values)
 
 
+def _tag_of(written: str | InputPart | OutputPart, path: Path) -> tuple[Path, str]:
+    """The tag of a port as written, and its place."""
+    return (path, written) if isinstance(written, str) else ((*path, "tag"), written.tag)
+
+
 def _texts(part: TransformationPart, path: Path) -> Iterator[tuple[Path, str]]:
     """Every text of a written transformation in which a variable may stand, with its place."""
     yield (*path, "label"), part.label
@@ -188,10 +218,7 @@ def _texts(part: TransformationPart, path: Path) -> Iterator[tuple[Path, str]]:
     for key in ("inputs", "outputs"):
         for name, written in (getattr(part, key) or {}).items():
             yield (*path, key, name), name
-            if isinstance(written, str):
-                yield (*path, key, name), written
-                continue
-            yield (*path, key, name, "tag"), written.tag
+            yield _tag_of(written, (*path, key, name))
             if isinstance(written, InputPart) and written.distinct is not None:
                 yield (*path, key, name, "distinct"), written.distinct
     if part.params:

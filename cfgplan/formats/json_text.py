@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+from bisect import bisect_right
+from collections import deque
 from collections.abc import Iterator
 from decimal import Decimal
 from typing import Any
@@ -92,11 +94,15 @@ class _JsonLocator:
     def __init__(self, text: str) -> None:
         self._text = text
         self._root: _Node | None = None
+        self._line_starts = [0]
 
     def __call__(self, path: Path, at_key: bool) -> Spot:
         node = self._tree()
         for number, step in enumerate(path, start=1):
-            found = next((child for child in reversed(node.children) if child[0] == step), None)
+            if isinstance(step, int):
+                found = node.children[step] if step < len(node.children) else None
+            else:
+                found = next((child for child in reversed(node.children) if child[0] == step), None)
             if found is None:
                 break
             node = found[1] if at_key and isinstance(step, str) and number == len(path) else found[2]
@@ -104,9 +110,9 @@ class _JsonLocator:
 
     def repeated_keys(self) -> Iterator[tuple[str, Spot]]:
         """Every key that stands in its mapping before, with its place."""
-        ahead = [self._tree()]
+        ahead = deque([self._tree()])
         while ahead:
-            node = ahead.pop(0)
+            node = ahead.popleft()
             seen: set[str | int] = set()
             for step, key, value in node.children:
                 if step in seen:
@@ -115,8 +121,8 @@ class _JsonLocator:
                 ahead.append(value)
 
     def _spot(self, node: _Node) -> Spot:
-        line = self._text.count("\n", 0, node.start) + 1
-        column = node.start - self._text.rfind("\n", 0, node.start)
+        line = bisect_right(self._line_starts, node.start)
+        column = node.start - self._line_starts[line - 1] + 1
         written = self._text[node.start : node.end]
         if written.startswith('"'):
             value = json.loads(written)
@@ -127,6 +133,7 @@ class _JsonLocator:
         if self._root is None:
             tokens = ((m.group(1), m.start(1), m.end(1)) for m in _TOKEN.finditer(self._text))
             self._root = _value(tokens, next(tokens))
+            self._line_starts += (found.end() for found in re.finditer("\n", self._text))
         return self._root
 
 

@@ -20,6 +20,7 @@ from cfgplan.errors import InputError, InvalidValueError
 from cfgplan.formats.files import read_text
 from cfgplan.formats.json_text import read_json
 from cfgplan.formats.plain import plain_unit
+from cfgplan.formats.schema import json_schema
 from cfgplan.formats.schema_faults import schema_faults
 from cfgplan.planning import Plan, Problem, Status
 
@@ -74,11 +75,11 @@ class PlanPart(_Part):
 
 def plan_schema() -> dict[str, Any]:
     """The JSON Schema (draft 2020-12) of the plan file."""
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **PlanPart.model_json_schema()}
+    return json_schema(PlanPart)
 
 
 def dump_plan(plan: Plan, problem: Problem, digest: str) -> str:
-    """The JSON text of a plan for `problem`, whose environment has the digest `World.digest`.
+    """The JSON text of a plan for `problem`, whose environment has the digest `EnvironmentFile.digest`.
 
     Raises InvalidValueError for a change set over transformations or targets: planners change units.
     """

@@ -9,9 +9,10 @@ from graphlib import CycleError, TopologicalSorter
 from cfgplan.domain import ComputationUnit, Publication, Stream, Subscription, Target, Transformation
 from cfgplan.errors import Fault, InvalidValueError
 from cfgplan.formats.document import Document
+from cfgplan.formats.left_out import LeftOut
 from cfgplan.formats.places import Path, Source
 from cfgplan.formats.schema import UnitPart
-from cfgplan.formats.schema_faults import did_you_mean
+from cfgplan.formats.suggestions import did_you_mean
 
 MOST_CYCLES_SHOWN = 10
 
@@ -25,18 +26,19 @@ class UnitChecker:
     def __init__(
         self,
         document: Document,
+        left_out: LeftOut,
         library: Mapping[str, Transformation],
         targets: Mapping[str, Target],
         origins: dict[tuple[str, str], tuple[Source, Path]],
         faults: list[Fault],
     ) -> None:
         self._document = document
+        self._left_out = left_out
         self._library = library
-        self._topics = sorted(target.topic for target in targets.values())
+        self._topics = {target.topic for target in targets.values()}
         self._origins = origins
         self._faults = faults
         self._parts: dict[str, tuple[Source, Path, UnitPart]] = {}
-        self._is_sure = not faults
 
     def units(self) -> list[ComputationUnit]:
         """The units that have no faults."""
@@ -59,9 +61,9 @@ class UnitChecker:
 
     def _unit(self, source: Source, path: Path, part: UnitPart) -> ComputationUnit:
         transformation = self._library.get(part.transformation)
-        if transformation is None and not self._may_be_broken("transformations", part.transformation):
+        if transformation is None and not self._left_out.may_have("transformations", part.transformation):
             hint = "write the label of one of the transformations, templates expanded"
-            mend = did_you_mean(part.transformation, list(self._library), hint)
+            mend = did_you_mean(part.transformation, self._library, hint)
             message = f"there is no transformation `{part.transformation}`"
             self._faults.append(source.fault((*path, "transformation"), message, mend))
         subscriptions = tuple(self._subscriptions(source, path, part, transformation))
@@ -89,8 +91,8 @@ class UnitChecker:
     def _check_stream(self, source: Source, place: Path, stream: Stream) -> None:
         feeder = self._parts.get(stream.unit)
         if feeder is None:
-            if not self._may_be_broken("units", stream.unit):
-                mend = did_you_mean(stream.unit, list(self._parts), "write null if the feeder is gone")
+            if not self._left_out.may_have("units", stream.unit):
+                mend = did_you_mean(stream.unit, self._parts, "write null if the feeder is gone")
                 self._faults.append(source.fault(place, f"no unit `{stream.unit}` is running", mend))
             return
         transformation = self._library.get(feeder[2].transformation)
@@ -110,7 +112,7 @@ class UnitChecker:
                 self._note_unknown_port(source, place, port, "output", transformation, list(transformation.output))
             for index, topic in enumerate(topics):
                 place = (*path, "topics", port, index)
-                if topic not in self._topics and not self._may_be_broken("targets", None):
+                if topic not in self._topics and not self._left_out.any_of("targets"):
                     mend = did_you_mean(topic, self._topics, "add a target with this topic, or remove it here")
                     self._faults.append(source.fault(place, f"no target names the topic `{topic}`", mend))
                 if topic in seen:
@@ -134,13 +136,6 @@ class UnitChecker:
         hint = f"its {kind}s are {', '.join(known)}" if known else f"it has no {kind}s"
         message = f"transformation `{transformation.label}` has no {kind} `{port}`"
         self._faults.append(source.fault(place, message, did_you_mean(port, known, hint), at_key=at_key))
-
-    def _may_be_broken(self, key: str, name: str | None) -> bool:
-        """Whether `name` may be one of the parts that were left out; with None, whether any was."""
-        if key == "transformations" and not self._is_sure:
-            return True
-        broken = [broken for file in self._document.files for broken in file.broken.get(key, ())]
-        return bool(broken) and (name is None or None in broken or name in broken)
 
     def _check_cycles(self, units: list[ComputationUnit]) -> None:
         feeders: dict[str, dict[str, str]] = {}

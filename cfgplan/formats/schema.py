@@ -236,4 +236,22 @@ class EnvironmentPart(_Part):
 
 def environment_schema() -> dict[str, Any]:
     """The JSON Schema (draft 2020-12) of the environment file, for editors and other tools."""
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **EnvironmentPart.model_json_schema()}
+    return json_schema(EnvironmentPart)
+
+
+def json_schema(part: type[BaseModel]) -> dict[str, Any]:
+    """The JSON Schema of a definition, strict about the names of ports too."""
+    schema = part.model_json_schema()
+    _bar_other_names(schema)
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
+
+
+def _bar_other_names(schema: Any) -> None:
+    if isinstance(schema, dict):
+        if "patternProperties" in schema:
+            schema["additionalProperties"] = False
+        for inner in schema.values():
+            _bar_other_names(inner)
+    elif isinstance(schema, list):
+        for inner in schema:
+            _bar_other_names(inner)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from decimal import Decimal
-from difflib import get_close_matches
 from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel
@@ -20,6 +19,7 @@ from cfgplan.formats.schema import (
     EnvironmentPart,
     IncludedPart,
 )
+from cfgplan.formats.suggestions import did_you_mean
 
 _KINDS = {
     "string_type": "text",
@@ -36,16 +36,24 @@ _KINDS = {
 
 def schema_faults(source: Source, root: Path, errors: Sequence[Any], part: type[BaseModel]) -> Iterator[Fault]:
     """The faults of pydantic's errors for the value at `root` of a source."""
+    nominals = {error["loc"][:-1] for error in errors if _is_nominal(error)}
     for error in errors:
+        if error["loc"][:-1] in nominals and error["type"] == "extra_forbidden":
+            continue
         path = root + tuple(step for step in error["loc"] if step not in (SHORT_FORM, FULL_FORM, "[key]"))
         at_key = error["loc"][-1:] == ("[key]",)
         yield _fault(source, path, at_key, error, part)
 
 
-def did_you_mean(name: str, known: Sequence[str], otherwise: str) -> str:
-    """A mend for an unknown name: the known one that is close to it, or else a hint."""
-    close = get_close_matches(name, known, n=1)
-    return f"did you mean `{close[0]}`?" if close else otherwise
+def _is_nominal(error: Any) -> bool:
+    """Whether a port's tag is missing since the tag itself, {a}, was read as the mapping from a to nothing."""
+    value = error["input"]
+    return (
+        error["type"] == "missing"
+        and FULL_FORM in error["loc"]
+        and bool(value)
+        and all(inner is None for inner in value.values())
+    )
 
 
 def _fault(source: Source, path: Path, at_key: bool, error: Any, part: type[BaseModel]) -> Fault:
@@ -53,9 +61,10 @@ def _fault(source: Source, path: Path, at_key: bool, error: Any, part: type[Base
     if kind == "extra_forbidden":
         return _unknown_key(source, path, part)
     if kind == "missing":
+        if _is_nominal(error):
+            mend = "write it in quotes: a text that begins with { is read as a mapping"
+            return source.fault(path[:-1], "this must be a tag or a mapping with the key `tag`", mend)
         mend = f"add `format: {FORMAT}` here" if path == ("format",) else f"add `{path[-1]}:` here"
-        if path[-3:-2] in (("inputs",), ("outputs",)):
-            mend += ", or write it in quotes if it is a concept: what begins with { is read as a mapping"
         return source.fault(path[:-1], f"the key `{path[-1]}` is missing", mend)
     if kind == "literal_error":
         return source.fault(

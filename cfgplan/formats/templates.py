@@ -72,6 +72,12 @@ def original_column(text: str, values: Mapping[Variable, str], column: int) -> i
     return column - added
 
 
+def pattern(text: str) -> re.Pattern[str]:
+    """What the expansions of a text may look like, whatever its variables stand for."""
+    pieces = re.split(r"\$?\$\{[^}]*\}?", text)
+    return re.compile(".*".join(map(re.escape, pieces)), re.DOTALL)
+
+
 def assignments(
     instances: Mapping[Variable, Iterable[str]],
 ) -> Iterator[dict[Variable, str]]:

@@ -19,7 +19,7 @@ from typing import Literal
 
 from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Target, Transformation
 from cfgplan.formats.dump import dump_environment
-from cfgplan.formats.world import World
+from cfgplan.formats.environment_file import EnvironmentFile
 from cfgplan.formats.wsc_files import Service, TestSet, read_test_set
 
 Objective = Literal["services", "length"]
@@ -27,7 +27,7 @@ SERVICE_LABOR_US = 1_000_000
 _IRI = "urn:cfgplan:wsc#"
 
 
-def read_wsc(folder: str | os.PathLike[str], objective: Objective = "services") -> tuple[World, Similarity]:
+def read_wsc(folder: str | os.PathLike[str], objective: Objective = "services") -> tuple[EnvironmentFile, Similarity]:
     """The environment of a set (a folder with taxonomy.xml, services.xml, problem.xml) and its matching relation.
 
     With the objective "length" only compositions of the shortest length are possible; where none is possible at
@@ -35,7 +35,7 @@ def read_wsc(folder: str | os.PathLike[str], objective: Objective = "services") 
     """
     test_set = read_test_set(Path(folder))
     environment = _environment(test_set, objective)
-    return World(Path(folder), environment, horizon_s=0), _similarity(environment, test_set)
+    return EnvironmentFile(Path(folder), environment, horizon_s=0), _similarity(environment, test_set)
 
 
 def wsc_texts(

@@ -25,7 +25,7 @@ _MENDS = {
 }
 
 
-@dataclass
+@dataclass(slots=True)
 class Element:
     """One element; `text` is without the blanks around it unless it has `xml:space="preserve"`."""
 
@@ -35,11 +35,12 @@ class Element:
     column: int
     children: list[Element] = field(default_factory=list)
     pieces: list[tuple[str, int, int]] = field(default_factory=list)
+    text: str = ""
 
-    @property
-    def text(self) -> str:
-        whole = "".join(piece for piece, _, _ in self.pieces)
-        return whole if self.attributes.get("xml:space") == "preserve" else whole.strip(_BLANK)
+    def close(self) -> None:
+        """Join the pieces of the text: there are no more to come."""
+        whole = "".join([piece for piece, _, _ in self.pieces])
+        self.text = whole if self.attributes.get("xml:space") == "preserve" else whole.strip(_BLANK)
 
     @property
     def spot(self) -> Spot:
@@ -70,7 +71,7 @@ def parse_xml(content: bytes, file: str) -> Element:
         opened.append(element)
 
     def end(_: str) -> None:
-        opened.pop()
+        opened.pop().close()
 
     def text(piece: str) -> None:
         opened[-1].pieces.append((piece, *parser.place))

@@ -15,7 +15,7 @@ from cfgplan.formats.json_text import read_json
 from cfgplan.formats.places import Path, Source, Spot
 from cfgplan.formats.scalars import resolve
 from cfgplan.formats.schema import FORMAT
-from cfgplan.formats.schema_faults import did_you_mean
+from cfgplan.formats.suggestions import did_you_mean
 from cfgplan.formats.xml_elements import Element, parse_xml
 
 _ATTRIBUTES = {
@@ -57,17 +57,20 @@ class _Reading:
     def __init__(self, file: str) -> None:
         self.file = file
         self.faults: list[Fault] = []
-        self._spots: dict[Path, Spot] = {}
+        self._spots: dict[Path, tuple[Element, bool]] = {}
 
     def locate(self, path: Path, _at_key: bool) -> Spot:
         """The spot of a path or of the nearest one above it."""
         while path and path not in self._spots:
             path = path[:-1]
-        return self._spots.get(path, Spot(1, 1))
+        if path not in self._spots:
+            return Spot(1, 1)
+        element, is_text = self._spots[path]
+        return element.text_spot if is_text else element.spot
 
     def environment(self, root: Element) -> dict[str, Any]:
         data: dict[str, Any] = {"format": FORMAT}
-        self._spots[()] = root.spot
+        self._spots[()] = (root, False)
         if root.name in ("transformation", "target", "unit"):
             root = Element("environment", {}, root.line, root.column, [root])
         self._check(root, _ROOT_ATTRIBUTES, _ROOT_CHILDREN, several=_ROOT_CHILDREN)
@@ -84,7 +87,7 @@ class _Reading:
             elif child.name in ("transformation", "unit", "target"):
                 parts = data.setdefault(f"{child.name}s", [])
                 path = (f"{child.name}s", len(parts))
-                self._spots[path] = child.spot
+                self._spots[path] = (child, False)
                 self._check(child, _ATTRIBUTES[child.name], _CHILDREN[child.name])
                 parts.append(getattr(self, f"_{child.name}")(child, path))
         return data
@@ -107,7 +110,7 @@ class _Reading:
                 if name in params:
                     self._note(param, f"the param `{name}` is there twice", "remove one of the two")
                 params[name] = self._param(param)
-                self._spots[*path, "params", name] = param.text_spot
+                self._spots[*path, "params", name] = (param, True)
         if params:
             part["params"] = params
         return part | self._ports(element, path)
@@ -140,7 +143,7 @@ class _Reading:
         return {key: value for key, value in ports.items() if value}
 
     def _port(self, port: Element, path: Path, tag: Element | None) -> object:
-        self._spots[path] = port.spot
+        self._spots[path] = (port, False)
         kinds: dict[str, Callable[[str], object]] = {"distinct": str, "feedback": resolve}
         if port.attributes["type"] == "out":
             for name in set(kinds) & set(port.attributes):
@@ -185,10 +188,10 @@ class _Reading:
                 if port in inputs:
                     self._note(child, f"the input `{port}` is there twice", "remove one of the two")
                 inputs[port] = child.attributes.get("stream")
-                self._spots[*path, "inputs", port] = child.spot
+                self._spots[*path, "inputs", port] = (child, False)
             else:
                 topics = part.setdefault("topics", {}).setdefault(port, [])
-                self._spots.setdefault((*path, "topics", port), child.spot)
+                self._spots.setdefault((*path, "topics", port), (child, False))
                 topics.append(self._text(child, (*path, "topics", port, len(topics))))
         return part
 
@@ -233,7 +236,7 @@ class _Reading:
     def _attributes(self, element: Element, path: Path, kinds: Mapping[str, Callable[[str], object]]) -> dict[str, Any]:
         found = {name: read(element.attributes[name]) for name, read in kinds.items() if name in element.attributes}
         for name in found:
-            self._spots[*path, name] = element.spot
+            self._spots[*path, name] = (element, False)
         return found
 
     def _texts(self, element: Element, path: Path, names: tuple[str, ...]) -> dict[str, Any]:
@@ -241,7 +244,7 @@ class _Reading:
 
     def _text(self, element: Element, path: Path) -> str:
         self._check(element, ("port",) if element.name in ("tag", "topic") else (), ())
-        self._spots[path] = element.text_spot
+        self._spots[path] = (element, True)
         return element.text
 
     def _required(self, element: Element, name: str) -> str | None:

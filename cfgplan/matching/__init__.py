@@ -1,26 +1,35 @@
-"""Semantic matching: tags, ontologies, reasoners, and the relation ~ between tags (paper, section IV-B)."""
+"""Semantic matching: tags, ontologies, reasoners, and the relation ~ between tags (paper, section IV-B).
+
+Names are imported from their modules when they are first used, so that importing the package costs nothing.
+"""
 
 from __future__ import annotations
 
-from cfgplan.matching.explaining import MatchExplanation, Nearest, explain_match, nearest_offers
-from cfgplan.matching.faults import (
-    InconsistentOntologyError,
-    MatchingError,
-    ReasonerError,
-    ReasonerTimeoutError,
-    TagError,
-    UnknownNameError,
-)
-from cfgplan.matching.loading import load_ontology
-from cfgplan.matching.matrix import Matching, match
-from cfgplan.matching.ontology import Ontology
-from cfgplan.matching.reasoners import REASONERS
-from cfgplan.matching.syntax import check_tag
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from cfgplan.matching.explaining import MatchExplanation, Nearest, explain_match, nearest_offers
+    from cfgplan.matching.faults import (
+        InconsistentOntologyError,
+        MatchingError,
+        ReasonerError,
+        ReasonerTimeoutError,
+        TagError,
+        UnknownNameError,
+    )
+    from cfgplan.matching.loading import load_ontology, read_owlready
+    from cfgplan.matching.matrix import match
+    from cfgplan.matching.membership import instances
+    from cfgplan.matching.ontology import Ontology
+    from cfgplan.matching.reasoners import REASONERS
+    from cfgplan.matching.session import Matcher, Matching
+    from cfgplan.matching.syntax import check_tag
 
 __all__ = [
     "REASONERS",
     "InconsistentOntologyError",
     "MatchExplanation",
+    "Matcher",
     "Matching",
     "MatchingError",
     "Nearest",
@@ -31,7 +40,34 @@ __all__ = [
     "UnknownNameError",
     "check_tag",
     "explain_match",
+    "instances",
     "load_ontology",
     "match",
     "nearest_offers",
+    "read_owlready",
 ]
+
+_MODULES = {
+    "explaining": ("MatchExplanation", "Nearest", "explain_match", "nearest_offers"),
+    "faults": (
+        *("InconsistentOntologyError", "MatchingError", "ReasonerError", "ReasonerTimeoutError"),
+        *("TagError", "UnknownNameError"),
+    ),
+    "loading": ("load_ontology", "read_owlready"),
+    "matrix": ("match",),
+    "membership": ("instances",),
+    "ontology": ("Ontology",),
+    "reasoners": ("REASONERS",),
+    "session": ("Matcher", "Matching"),
+    "syntax": ("check_tag",),
+}
+_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
+
+
+def __getattr__(name: str) -> object:
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
+    value = globals()[name] = getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
+    return value

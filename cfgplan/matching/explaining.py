@@ -5,21 +5,28 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 
-from cfgplan.matching.concepts import And
+from cfgplan.matching.concepts import And, Concept
+from cfgplan.matching.justifying import justification
 from cfgplan.matching.matrix import match
 from cfgplan.matching.ontology import Ontology
+from cfgplan.matching.reasoners import reference_named
 from cfgplan.matching.syntax import parse_tag
+from cfgplan.matching.tracing import derivation
 
 
 @dataclass(frozen=True)
 class MatchExplanation:
-    """Whether `offered` feeds `demanded`, the steps that prove it, or the demanded conjuncts that it lacks."""
+    """Whether `offered` feeds `demanded`, the steps that prove it, or the demanded conjuncts that it lacks.
+
+    `undecided` are conjuncts that no reasoner could decide in time.
+    """
 
     offered: str
     demanded: str
     matches: bool
     steps: tuple[str, ...] = ()
     missing: tuple[str, ...] = ()
+    undecided: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
 
     def lines(self) -> tuple[str, ...]:
@@ -29,6 +36,7 @@ class MatchExplanation:
             f"{self.offered}  {verdict}  {self.demanded}",
             *(f"  because {step}" for step in self.steps),
             *(f"  it lacks {part}" for part in self.missing),
+            *(f"  whether it is {part} could not be decided" for part in self.undecided),
             *(f"  note: {warning}" for warning in self.warnings),
         )
 
@@ -50,13 +58,20 @@ def explain_match(
     time_limit_s: float | None = None,
 ) -> MatchExplanation:
     """Why one tag does or does not feed another. Raises TagError and InputError."""
-    concept = parse_tag(demanded_tag, ontology)
-    parts = sorted(map(ontology.render, concept.parts)) if isinstance(concept, And) else [ontology.render(concept)]
+    demanded = parse_tag(demanded_tag, ontology)
+    offered = parse_tag(offered_tag, ontology)
+    parts = conjuncts(demanded, ontology)
     found = match([offered_tag], [demanded_tag, *parts], ontology, reasoner=reasoner, time_limit_s=time_limit_s)
     holds = found.similarity.holds
-    missing = () if holds(offered_tag, demanded_tag) else tuple(p for p in parts if not holds(offered_tag, p))
+    if holds(offered_tag, demanded_tag):
+        steps = derivation(offered, demanded, ontology)
+        if steps is None:
+            steps = _steps_of_the_reference(offered, demanded, ontology, reasoner)
+        return MatchExplanation(offered_tag, demanded_tag, True, steps, warnings=found.warnings)
+    undecided = tuple(part for part in parts if (offered_tag, part) in found.similarity.unknown)
+    missing = tuple(part for part in parts if not holds(offered_tag, part) and part not in undecided)
     return MatchExplanation(
-        offered_tag, demanded_tag, holds(offered_tag, demanded_tag), missing=missing, warnings=found.warnings
+        offered_tag, demanded_tag, False, missing=missing, undecided=undecided, warnings=found.warnings
     )
 
 
@@ -70,11 +85,23 @@ def nearest_offers(
     time_limit_s: float | None = None,
 ) -> tuple[Nearest, ...]:
     """The `k` offered tags that lack the fewest conjuncts of a demanded one, fewest first. Raises as `match`."""
-    concept = parse_tag(demanded_tag, ontology)
-    parts = sorted(map(ontology.render, concept.parts)) if isinstance(concept, And) else [ontology.render(concept)]
+    parts = conjuncts(parse_tag(demanded_tag, ontology), ontology)
     found = match(offered_tags, parts, ontology, reasoner=reasoner, time_limit_s=time_limit_s)
     lacking = [
         Nearest(tag, tuple(part for part in parts if not found.similarity.holds(tag, part)))
         for tag in set(offered_tags)
     ]
     return tuple(sorted(lacking, key=lambda near: (len(near.missing), near.offered))[:k])
+
+
+def _steps_of_the_reference(offered: Concept, demanded: Concept, ontology: Ontology, reasoner: str) -> tuple[str, ...]:
+    name, classifier = reference_named(reasoner)
+    axioms = () if classifier is None else justification(offered, demanded, ontology, classifier)
+    if not axioms:
+        return (f"it follows from the tags alone, as {name} finds",)
+    return (f"it follows from what is listed next, as {name} finds", *map(ontology.shortened, axioms))
+
+
+def conjuncts(concept: Concept, ontology: Ontology) -> list[str]:
+    """The conjuncts of a concept as tags, in alphabetical order; the concept itself if it is no conjunction."""
+    return sorted(map(ontology.render, concept.parts if isinstance(concept, And) else (concept,)))

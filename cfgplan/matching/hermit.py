@@ -72,6 +72,10 @@ def _error_of(errors: str, return_code: int) -> ReasonerError:
             f"a property that is transitive or made of a chain is counted or excluded, which OWL forbids: {message}",
             "drop the number restriction or the characteristic of that property",
         )
+    if "not regular" in message:
+        return ReasonerError(
+            "property chains feed on each other in a ring, which OWL forbids", "order the properties of the chains"
+        )
     if kind == "OutOfMemoryError":
         return ReasonerError("HermiT ran out of memory", "simplify the ontology")
     told = f": {message}" if message else ""

@@ -13,6 +13,7 @@ from urllib.parse import unquote, urlsplit
 from cfgplan.errors import Fault, InputError
 from cfgplan.matching.functional import LOGICAL
 from cfgplan.matching.ontology import Ontology
+from cfgplan.matching.rdf import ANONYMOUS, Graph
 
 EXTENSIONS: Final = {
     ".ttl": "ttl", ".nt": "ttl", ".n3": "ttl", ".owl": "rdf", ".rdf": "rdf", ".xml": "rdf",
@@ -25,8 +26,10 @@ _PREFIX: Final = re.compile(
     r"""(?:@prefix|\bPREFIX|^Prefix:)\s*([\w.-]*):\s*<([^<>]*)>|\bxmlns:([\w.-]+)\s*=\s*["']([^"']*)["']""",
     re.MULTILINE,
 )
-_ROOT: Final = re.compile(r"<rdf:RDF\b[^>]*?(?=/?>)")
-_LINE: Final = re.compile(r"line: (\d+), column: (\d+)|line_col: Pos\(\((\d+), (\d+)\)\)|BytePosition\((\d+)\)")
+_ANONYMOUS: Final = re.compile(r'"(?:[^"\\]|\\.)*"|<[^>]*>|_:([\w.-]+)')
+_PLACE: Final = re.compile(r"^Parser error (?:at|between) [^:]*: ")
+_ANONYMOUS_IRI: Final = re.compile(f"<{ANONYMOUS}([^>]*)>")
+_LINE: Final = re.compile(r"line_col: Pos\(\((\d+), (\d+)\)\)|BytePosition\((\d+)\)")
 _REASON: Final = re.compile(
     r'message: "((?:[^"\\]|\\.)*)"|Msg\("((?:[^"\\]|\\.)*)"\)|(?:Validity)?Error\("((?:[^"\\]|\\.)*)"'
 )
@@ -85,18 +88,31 @@ def load_ontology(paths: Sequence[Path]) -> Ontology:
     for document in documents.values():
         for prefix, namespace in document.prefixes.items():
             prefixes.setdefault(prefix, namespace)
-    axioms = [axiom for document in documents.values() for axiom in document.axioms]
+    axioms = [
+        _with_own_anonymous(axiom, number)
+        for number, document in enumerate(documents.values())
+        for axiom in document.axioms
+    ]
     return Ontology(axioms, prefixes, files=documents)
 
 
 def read_owlready(onto: Any) -> Ontology:
     """The axioms of an `owlready2` ontology object and of those that it imports. Raises InputError."""
     axioms: list[str] = []
-    for part in onto.indirectly_imported_ontologies() if hasattr(onto, "indirectly_imported_ontologies") else [onto]:
+    for number, part in enumerate(onto.indirectly_imported_ontologies()):
         written = io.BytesIO()
         part.save(written, format="rdfxml")
-        axioms.extend(_parse(written.getvalue().decode(), "rdf", f"owlready2 ontology <{part.base_iri}>").axioms)
+        shown = f"owlready2 ontology <{part.base_iri}>"
+        document = _parse_rdf(written.getvalue().decode(), "rdf", part.base_iri, shown)
+        axioms.extend(_with_own_anonymous(axiom, number) for axiom in document.axioms)
     return Ontology(axioms)
+
+
+def _with_own_anonymous(axiom: str, number: int) -> str:
+    """The axiom with anonymous individuals that no other document has, whatever they are called there."""
+    if "_:" not in axiom:
+        return axiom
+    return _ANONYMOUS.sub(lambda found: f"_:d{number}x{found[1]}" if found[1] else found.group(), axiom)
 
 
 def _read(path: Path, shown: str) -> _Document:
@@ -111,12 +127,9 @@ def _read(path: Path, shown: str) -> _Document:
     if not text.strip():
         raise InputError.of("the ontology file is empty", file=shown, mend="write an ontology, or don't name the file")
     syntax = _syntax_of(text, path.suffix.lower())
-    base = path.as_uri()
-    if syntax == "ttl":
-        text = f"@base <{base}> . {text}"
-    elif syntax == "rdf" and "xml:base" not in text:
-        text = _ROOT.sub(lambda root: f'{root.group()} xml:base="{base}"', text, count=1)
-    document = _parse(text, syntax, shown)
+    document = (
+        _parse_rdf(text, syntax, path.as_uri(), shown) if syntax in ("ttl", "rdf") else _parse(text, syntax, shown)
+    )
     if not document.axioms and not document.imports and document.iri is None:
         raise InputError.of(
             "is no ontology: it holds no axiom", file=shown, mend="write OWL, such as `:Robot a owl:Class .` in Turtle"
@@ -134,6 +147,30 @@ def _syntax_of(text: str, suffix: str) -> str:
     if re.match(r"(Prefix|Ontology|Class|ObjectProperty|Individual):(\s|$)", start):
         return "omn"
     return "ttl" if EXTENSIONS.get(suffix) in (None, "rdf", "owx") else EXTENSIONS[suffix]
+
+
+def _parse_rdf(text: str, syntax: str, base: str, shown: str) -> _Document:
+    try:
+        graph = Graph(text, syntax, base)
+    except SyntaxError as error:
+        name, (line, column) = _SYNTAX_NAMES[syntax], (error.lineno, error.offset)
+        if line is None and syntax == "rdf":
+            line, column = _xml_error_place(text)
+        told = _PLACE.sub("", error.msg)
+        message, mend = f"the ontology can't be read as {name}: {told}", f"write valid {name}"
+        raise InputError([Fault(message, file=shown, line=line, column=column, mend=mend)]) from None
+    document = _parse(graph.lossless(), "ttl", shown)
+    axioms = [_ANONYMOUS_IRI.sub(r"_:\1", axiom) for axiom in (*document.axioms, *graph.axioms)]
+    axioms = [axiom for axiom in axioms if not axiom.startswith("Declaration(NamedIndividual(_:")]
+    return _Document(document.iri, document.imports, tuple(axioms), _prefixes_in(text))
+
+
+def _prefixes_in(text: str) -> dict[str, str]:
+    prefixes: dict[str, str] = {}
+    for found in _PREFIX.finditer(text):
+        prefix, namespace = (found[1], found[2]) if found[2] is not None else (found[3], found[4])
+        prefixes.setdefault(prefix, namespace)
+    return prefixes
 
 
 def _parse(text: str, syntax: str, shown: str) -> _Document:
@@ -155,24 +192,18 @@ def _parse(text: str, syntax: str, shown: str) -> _Document:
         elif keyword == "Import":
             imports.append(axiom[len("Import(") : -1].strip("<>"))
     prefixes = {prefix: namespace for prefix, namespace in parsed.prefix_mapping if prefix not in ("_", "xml")}
-    for found in _PREFIX.finditer(text):
-        prefix, namespace = (found[1], found[2]) if found[2] is not None else (found[3], found[4])
-        prefixes.setdefault(prefix, namespace)
-    return _Document(parsed.get_iri(), tuple(sorted(imports)), tuple(axioms), prefixes)
+    iri = parsed.get_iri()
+    return _Document(None if iri is None else str(iri), tuple(sorted(imports)), tuple(axioms), prefixes)
 
 
 def _fault_of(error: str, text: str, syntax: str, shown: str) -> Fault:
     line = column = None
     found = _LINE.search(error)
     if found and found[1]:
-        line, column = int(found[1]) + 1, int(found[2]) + 1
-        if line == 1:
-            column = max(1, column - (len(text) - len(text.split(" . ", 1)[-1])))
-    elif found and found[3]:
-        line, column = int(found[3]), int(found[4])
-    elif found and int(found[5]):
-        line = text.encode()[: int(found[5])].count(b"\n") + 1
-    elif syntax in ("rdf", "owx"):
+        line, column = int(found[1]), int(found[2])
+    elif found and int(found[3]):
+        line = text.encode()[: int(found[3])].count(b"\n") + 1
+    elif syntax == "owx":
         line, column = _xml_error_place(text)
     reason = _REASON.search(error)
     message = next(filter(None, reason.groups()), "") if reason else ""

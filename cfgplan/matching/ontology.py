@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Collection, Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
+from typing import Final
 
 from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI, Concept, in_description_logic
 from cfgplan.matching.faults import UnknownNameError
 from cfgplan.matching.functional import Signature, Tree, parse
 from cfgplan.matching.names import Vocabulary, expanded, short_name, suggestion
+
+_BRACKETED: Final = re.compile(r"<([^<>\s]+)>")
 
 
 class Ontology:
@@ -33,13 +37,6 @@ class Ontology:
         self.prefixes: Mapping[str, str] = MappingProxyType(dict(prefixes or {}))
         self.is_open = is_open
         self.files = tuple(files)
-
-    @classmethod
-    def from_owlready(cls, onto: object) -> Ontology:
-        """The axioms of an `owlready2` ontology object and of the ontologies that it imports. Raises InputError."""
-        from cfgplan.matching.loading import read_owlready
-
-        return read_owlready(onto)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Ontology):
@@ -97,18 +94,6 @@ class Ontology:
         """IRIs of the object properties by short name (`prefix:name` where the short name is ambiguous)."""
         return self.property_names.by_short_name
 
-    def instances(
-        self, class_or_tag: str, *, reasoner: str = "auto", time_limit_s: float | None = None
-    ) -> tuple[str, ...]:
-        """The names of the individuals that belong to a class or tag, asserted or inferred, sorted.
-
-        Raises UnknownNameError for a name that is no class, TagError for a tag that can't be read, InputError for
-        an ontology that can't be reasoned with.
-        """
-        from cfgplan.matching.membership import instances
-
-        return instances(self, class_or_tag, reasoner=reasoner, time_limit_s=time_limit_s)
-
     def find(self, name: str, vocabularies: Collection[Vocabulary]) -> tuple[Vocabulary, str] | None:
         """The vocabulary and IRI of a name; None in an open ontology. Raises UnknownNameError."""
         found = [(vocabulary, iri) for vocabulary in vocabularies if (iri := vocabulary.find(name)) is not None]
@@ -131,6 +116,10 @@ class Ontology:
             if iri in vocabulary:
                 return vocabulary.written(iri)
         return {THING_IRI: "⊤", NOTHING_IRI: "⊥"}.get(iri) or short_name(iri)
+
+    def shortened(self, text: str) -> str:
+        """A text, such as an axiom, with short names for the IRIs in brackets."""
+        return _BRACKETED.sub(lambda found: self.written(found[1]), text)
 
     def render(self, concept: Concept) -> str:
         """A concept in DL syntax with short names."""

@@ -4,14 +4,38 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Final
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from cfgplan.matching.reference import Classifier
 
 REASONERS: Final[Mapping[str, str]] = MappingProxyType(
     {
-        "auto": "the fast engine, and for what it can't certify Konclude (if installed) or HermiT",
+        "auto": "the fast engine, and for what it can't certify Konclude (if it works here) or HermiT",
         "el": "the fast engine alone; what it can't certify is unknown",
         "hermit": "HermiT for everything",
         "konclude": "Konclude for everything; it must be installed",
     }
 )
 """What each reasoner that `match` accepts does."""
+
+
+def reference_named(reasoner: str) -> tuple[str, Classifier | None]:
+    """The reference that a reasoner of REASONERS asks, with its name; None for one that asks none.
+
+    Raises UnknownNameError.
+    """
+    from cfgplan.matching import hermit, konclude
+    from cfgplan.matching.faults import UnknownNameError
+    from cfgplan.matching.names import suggestion
+
+    if reasoner not in REASONERS:
+        known = ", ".join(REASONERS)
+        raise UnknownNameError(
+            f"there is no reasoner {reasoner!r}", suggestion(reasoner, REASONERS) or f"choose one of {known}"
+        )
+    if reasoner == "el":
+        return "el", None
+    if reasoner == "konclude" or (reasoner == "auto" and konclude.is_usable()):
+        return "konclude", konclude.classify
+    return "hermit", hermit.classify

@@ -32,6 +32,7 @@ def plan(
 ) -> Plan:
     """The cheapest update, proven so unless the time runs out; see `planning.Planner`."""
     began = time.monotonic()
+    until = began + (float("inf") if time_limit_s is None else time_limit_s)
     if reasons := unmet_reasons(problem):
         return Plan(NAME, Status.INFEASIBLE, reasons=reasons)
     selection = Selection(problem, NAME)
@@ -40,15 +41,16 @@ def plan(
     best: Set | None = None
     best_us, bound_us, nodes = float("inf"), queue[0][0], 0
 
-    def offer(chosen: Set) -> None:
+    def offer(chosen: Set | None) -> None:
         nonlocal best, best_us
-        if selection.cost_us(chosen) < best_us:
+        chosen = None if chosen is None else selection.needed(chosen)
+        if chosen is not None and selection.cost_us(chosen) < best_us:
             best, best_us = chosen, selection.cost_us(chosen)
             if report is not None:
                 report(Progress(time.monotonic() - began, selection.cost_us(chosen), bound_us))
 
     while queue and queue[0][0] < best_us:
-        if time_limit_s is not None and time.monotonic() - began > time_limit_s:
+        if time.monotonic() > until:
             bound_us = queue[0][0]
             break
         bound, _, units = heapq.heappop(queue)
@@ -58,7 +60,7 @@ def plan(
                 report(Progress(time.monotonic() - began, selection.cost_us(best) if best else None, bound_us))
         nodes += 1
         if nodes % DIVE_EVERY == 1:
-            offer(_dive(selection, frozenset(units)))
+            offer(_dive(selection, frozenset(units), until))
         for child in _children(selection, frozenset(units)):
             if child not in seen:
                 seen.add(child)
@@ -75,18 +77,10 @@ def plan(
 NAME = "branch-and-bound-shared"
 
 
-def _open(selection: Selection, chosen: Set) -> dict[str, tuple[int, ...]]:
-    """The demands of the targets and of the chosen units that no chosen unit feeds, with who could."""
-    tags = dict.fromkeys(selection.wanted)
-    for i in sorted(chosen):
-        tags.update(dict.fromkeys(port.tag for port in selection.candidates[i].transformation.inputs))
-    return {tag: selection.feeders(tag) for tag in tags if chosen.isdisjoint(selection.feeders(tag))}
-
-
 def _state(selection: Selection, chosen: Set) -> State:
     bound = selection.cost_us(chosen)
     counted: set[int] = set()
-    cheapest = {f: min(selection.candidates[i].cost_us for i in f) for f in _open(selection, chosen).values()}
+    cheapest = {f: min(selection.candidates[i].cost_us for i in f) for f in selection.open_demands(chosen).values()}
     for feeders, cost_us in sorted(cheapest.items(), key=lambda entry: (-entry[1], entry[0])):
         if counted.isdisjoint(feeders):
             counted.update(feeders)
@@ -96,13 +90,15 @@ def _state(selection: Selection, chosen: Set) -> State:
 
 def _children(selection: Selection, chosen: Set) -> list[Set]:
     """The chosen and one more, such that every valid superset of the chosen is one of a child."""
-    demands = _open(selection, chosen).values()
+    demands = selection.open_demands(chosen).values()
     ways = min(demands, key=lambda feeders: (len(feeders), feeders)) if demands else selection.ways_in(chosen)
     return [chosen | {i} for i in ways]
 
 
-def _dive(selection: Selection, chosen: Set) -> Set:
-    """A valid set of units at least as large as the chosen, by the most promising child at each step."""
+def _dive(selection: Selection, chosen: Set, until: float) -> Set | None:
+    """A valid set of units around the chosen, by the most promising child at each step; None if time runs out."""
     while not selection.satisfied(chosen):
+        if time.monotonic() > until:
+            return None
         chosen = frozenset(min(_state(selection, child) for child in _children(selection, chosen))[2])
     return chosen

@@ -67,12 +67,11 @@ class Selection:
         largest = self.problem.max_cost_us
         if largest is not None and bound_us > largest:
             return Plan(self.who, Status.TOO_EXPENSIVE, bound_us=bound_us, seconds=seconds, counts=counts)
-        units = [] if chosen is None else self.units(chosen)
-        ids = {unit.id for unit in units}
-        cost_us = self.cost_us([i for i, candidate in enumerate(self.candidates) if candidate.id in ids])
+        wired = {} if chosen is None else self._wired(chosen)
+        cost_us = self.cost_us(wired)
         if chosen is None or (largest is not None and cost_us > largest):
             return Plan(self.who, Status.UNKNOWN, bound_us=bound_us, seconds=seconds, counts=counts)
-        changes = self.problem.environment.change_to(units)
+        changes = self.problem.environment.change_to(wired.values())
         bound_us = min(bound_us, cost_us)
         return Plan(self.who, Status.FEASIBLE, changes, cost_us, bound_us, seconds=seconds, counts=counts)
 
@@ -112,12 +111,21 @@ class Selection:
 
     def satisfied(self, chosen: Collection[int]) -> bool:
         """Whether the chosen are all grounded and meet every target."""
-        return len(self.grounded(chosen)) == len(chosen) and all(
-            not set(self.feeders(tag)).isdisjoint(chosen) for tag in self.wanted
-        )
+        return not self.open_demands(frozenset(chosen)) and len(self.grounded(chosen)) == len(chosen)
 
-    def units(self, chosen: Collection[int]) -> list[ComputationUnit]:
-        """Those of the grounded chosen that targets and pinned units need, wired; old streams are preferred."""
+    def open_demands(self, chosen: frozenset[int]) -> dict[str, tuple[int, ...]]:
+        """The demands of the targets and of the chosen that no chosen one feeds, with who could."""
+        tags = dict.fromkeys(self.wanted)
+        for i in sorted(chosen):
+            tags.update(dict.fromkeys(port.tag for port in self.candidates[i].transformation.inputs))
+        return {tag: self.feeders(tag) for tag in tags if chosen.isdisjoint(self.feeders(tag))}
+
+    def needed(self, chosen: Collection[int]) -> frozenset[int]:
+        """Those of the satisfied chosen that targets and pinned units need in the wiring of `answer`."""
+        return frozenset(self._wired(chosen))
+
+    def _wired(self, chosen: Collection[int]) -> dict[int, ComputationUnit]:
+        """The units of the needed ones; old streams are preferred."""
         order = self.grounded(chosen)
         topics: dict[int, list[Publication]] = defaultdict(list)
         for target in self.problem.environment.targets:
@@ -135,7 +143,7 @@ class Selection:
                     candidate.id, candidate.transformation.label, subscriptions, tuple(topics[i])
                 )
                 ahead += feeds.values()
-        return list(units.values())
+        return units
 
     def _feed(self, index: int, before: Collection[int], anywhere: Collection[int]) -> dict[InputPort, int] | None:
         """A feeder for each input, its old one if it may stay; None if there is no way."""

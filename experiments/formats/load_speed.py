@@ -19,7 +19,7 @@ from typing import TypeVar
 
 import yaml
 
-from cfgplan.formats import build, read_document
+from cfgplan.formats import build, dump_xml, read_document
 from cfgplan.formats.json_text import read_json
 from cfgplan.formats.schema import EnvironmentPart
 from cfgplan.formats.yaml_text import read_yaml
@@ -38,7 +38,7 @@ class FreeNames:
 
 
 def environment(count: int) -> dict[str, object]:
-    """A plain environment of `count` transformations with two inputs and one output each."""
+    """A plain environment: `count` transformations with three ports each, a chain of units, targets."""
     transformations = [
         {
             "label": f"transformation{number}",
@@ -51,7 +51,25 @@ def environment(count: int) -> dict[str, object]:
         }
         for number in range(count)
     ]
-    return {"format": "cfgplan/1", "horizon": 600, "transformations": transformations}
+    units = [
+        {
+            "id": f"unit{number}",
+            "transformation": f"transformation{number}",
+            "inputs": {"left": f"unit{number - 1}/out" if number else None},
+            "topics": {"out": [f"/topic{number}"]},
+        }
+        for number in range(count // 100)
+    ]
+    targets = [
+        {"label": f"target{number}", "topic": f"/topic{number}", "tag": f"C{number}"} for number in range(count // 100)
+    ]
+    return {
+        "format": "cfgplan/1",
+        "horizon": 600,
+        "transformations": transformations,
+        "units": units,
+        "targets": targets,
+    }
 
 
 def timed(what: str, step: Callable[[], T], unit_s: float | None = None) -> tuple[T, float]:
@@ -76,7 +94,8 @@ def main() -> None:
     parser.add_argument("--transformations", type=int, default=50_000)
     data = environment(parser.parse_args().transformations)
     with tempfile.TemporaryDirectory() as folder:
-        as_yaml, as_json = Path(folder) / "env.yaml", Path(folder) / "env.json"
+        as_yaml, as_json, as_xml = (Path(folder) / f"env.{suffix}" for suffix in ("yaml", "json", "xml"))
+        loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
         dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
         as_yaml.write_text(yaml.dump(data, Dumper=dumper, sort_keys=False, width=1000))
         as_json.write_text(json.dumps(data))
@@ -89,9 +108,12 @@ def main() -> None:
         timed("build", lambda: build(document, FreeNames()), unit_s)
         timed("all, YAML", lambda: build(read_document(as_yaml), FreeNames()), unit_s)
         timed("all, JSON", lambda: build(read_document(as_json), FreeNames()), unit_s)
+        as_xml.write_text(dump_xml(data))
+        timed("all, XML", lambda: build(read_document(as_xml), FreeNames()), unit_s)
         timed("bare JSON construction", lambda: read_json(as_json.read_text(), "env.json"), unit_s)
         world = build(document, FreeNames())
         timed("digest", lambda: world.digest, unit_s)
+        timed("PyYAML's own safe_load, for comparison", lambda: yaml.load(text, loader), unit_s)
         timed("place of one part", lambda: world.place(transformation="transformation7"), unit_s)
 
 

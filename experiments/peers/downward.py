@@ -79,7 +79,10 @@ def _program() -> str:
     spec = find_spec("up_fast_downward")
     if spec is None or not spec.submodule_search_locations:
         raise ModuleNotFoundError("No module named 'up_fast_downward'")
-    return str(Path(spec.submodule_search_locations[0], PROGRAM))
+    program = Path(spec.submodule_search_locations[0], PROGRAM)
+    if not program.exists():
+        raise ImportError(f"up_fast_downward has no program at {PROGRAM} on this platform")
+    return str(program)
 
 
 def _task(selection: Selection, scale: int) -> str:

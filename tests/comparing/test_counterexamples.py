@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import pytest
 
 from cfgplan.comparing import generated
@@ -15,7 +17,7 @@ def answer(planner: str, kind: str, size: int) -> Plan:
 
 def test_the_papers_tree_grows_sixfold_with_each_floor() -> None:
     nodes = [answer("branch-and-bound", "blow-up", floors).counts["nodes"] for floors in range(1, 5)]
-    assert [round(after / before) for before, after in zip(nodes, nodes[1:], strict=False)] == [6, 6, 6]
+    assert [round(after / before) for before, after in pairwise(nodes)] == [6, 6, 6]
 
 
 @pytest.mark.parametrize("targets", [2, 5, 9])

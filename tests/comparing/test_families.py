@@ -1,10 +1,14 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from cfgplan.comparing.families import FAMILIES, adversarial, nao, random_library, replanning
 from cfgplan.comparing.families.adversarial import KINDS
 from cfgplan.comparing.families.running import cheap_configuration
+from cfgplan.comparing.wsc import wsc_sets
+from cfgplan.errors import InputError
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import Problem, Status
 from cfgplan.reasons import unmet_reasons
@@ -107,3 +111,17 @@ def test_the_optimum_of_a_hand_made_case_is_what_its_sentence_says(kind: str, si
 def test_every_hand_made_case_can_be_solved() -> None:
     for kind in KINDS:
         assert PLANNERS["cpsat"](adversarial(0, kind=kind, size=4)).status is Status.OPTIMAL
+
+
+def test_a_set_of_the_web_service_challenge_is_two_instances() -> None:
+    folder = Path(__file__).parents[3] / "shared" / "data" / "wsc08"
+    if not folder.exists():
+        pytest.skip("the sets of the Web Service Challenge are not beside the checkout")
+    first, shortest = (i for i in wsc_sets(folder) if i.parameters["set"] == "set01")
+    assert PLANNERS["cpsat"](first.problem).cost_us == PLANNERS["cpsat"](shortest.problem).cost_us == 10_000_000
+    assert first.digest != shortest.digest
+
+
+def test_a_folder_without_sets_is_bad_input(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no set"):
+        wsc_sets(tmp_path)

@@ -11,7 +11,7 @@ from cfgplan.comparing.bar import duration
 from cfgplan.comparing.invariants import breaches, gap, references
 from cfgplan.comparing.rows import thinned
 from cfgplan.comparing.suites import SUITES
-from cfgplan.comparing.tables import by_family, detail, overview, ratio_to
+from cfgplan.comparing.tables import by_family, detail, effort, overview, ratio_to
 from cfgplan.planning import Status
 
 
@@ -96,6 +96,11 @@ def test_time_outs_and_failures_are_counted_not_dropped() -> None:
     assert by_family(rows).lines[0][-1] == "0 of 4"
 
 
+def test_each_planner_counts_its_own_effort() -> None:
+    rows = [row("search", 1, counts={"nodes": 12345}), row("solver", 1, counts={"rounds": 2, "conflicts": 7})]
+    assert effort(rows).lines == (("it", "12,345", "7"),)
+
+
 def test_a_table_is_markdown() -> None:
     text = detail([row("exact", 2_000_000, 0.5, instance="a|b")]).markdown()
     assert "| a\\|b | 2 | 0.5 |" in text
@@ -113,21 +118,31 @@ def test_durations_are_read_at_a_glance() -> None:
     assert [duration(s) for s in (0.4, 59.4, 61, 3700)] == ["0 s", "59 s", "1:01 min", "1:01 h"]
 
 
-def test_every_registered_planner_keeps_the_invariants_on_the_tiny_suite(tmp_path: Path) -> None:
-    results = tmp_path / "results.jsonl"
-    rows = run(list(SUITES["tiny"]()), list(REGISTERED.values()), Limits(time_limit_s=20), results)
-    assert breaches(rows) == []
-    exact = [r for r in rows if r.planner in ("cpsat", "exhaustive", "branch-and-bound-shared")]
-    assert [r.instance for r in exact if not r.proven] == []
-    assert all(r.has_plan and r.violations == () for r in rows)
-    assert max(gap(r, references(rows)) or 0.0 for r in rows if r.planner == "branch-and-bound") > 2
+@pytest.fixture(scope="module")
+def tiny_rows(tmp_path_factory: pytest.TempPathFactory) -> list[Row]:
+    results = tmp_path_factory.mktemp("tiny") / "results.jsonl"
+    return run(list(SUITES["tiny"]()), list(REGISTERED.values()), Limits(time_limit_s=20), results)
 
+
+@pytest.mark.xdist_group("tiny")
+def test_every_registered_planner_keeps_the_invariants_on_the_tiny_suite(tiny_rows: list[Row]) -> None:
+    assert breaches(tiny_rows) == []
+    exact = [r for r in tiny_rows if r.planner != "branch-and-bound"]
+    assert [r.instance for r in exact if not r.proven] == []
+    assert all(r.has_plan and r.violations == () for r in tiny_rows)
+    reference = references(tiny_rows)
+    assert max(gap(r, reference) or 0.0 for r in tiny_rows if r.planner == "branch-and-bound") > 2
+
+
+@pytest.mark.xdist_group("tiny")
+def test_a_report_has_tables_and_plots(tiny_rows: list[Row], tmp_path: Path) -> None:
     pytest.importorskip("matplotlib", reason="the plots need the extra `plots`")
     from cfgplan.comparing.report import write_report
 
-    files = write_report(rows, tmp_path / "report")
-    assert {file.name for file in files} >= {"tables.md", "gaps.png", "performance.png", "anytime.png"}
+    files = write_report(tiny_rows, tmp_path / "report")
+    assert {file.name for file in files} == {"tables.md", "gaps.png", "performance.png", "anytime.png", "bounds.png"}
     assert all(file.stat().st_size > 1000 for file in files)
+    assert "None: all proofs agree" in files[0].read_text()
 
 
 @pytest.mark.parametrize("suite", SUITES)

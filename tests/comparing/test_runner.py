@@ -13,7 +13,20 @@ from pathlib import Path
 
 import pytest
 
-from cfgplan.comparing import Entrant, Failure, Limits, Standing, entrant, generated, given, read_rows, run, run_one
+from cfgplan.comparing import (
+    Entrant,
+    Failure,
+    Limits,
+    Standing,
+    entrant,
+    generated,
+    given,
+    named,
+    read_rows,
+    run,
+    run_one,
+)
+from cfgplan.comparing.suites import SUITES
 from cfgplan.comparing.transport import document, restored
 from cfgplan.errors import InputError, InvalidValueError
 from cfgplan.planners import PLANNERS
@@ -163,6 +176,19 @@ def test_a_problem_survives_the_way_to_another_process(family: str) -> None:
     back = restored(json.loads(json.dumps(document(problem))))
     assert (back.environment, back.similarity.offers) == (problem.environment, problem.similarity.offers)
     assert (back.horizon_s, back.max_cost_us) == (problem.horizon_s, problem.max_cost_us)
+
+
+@pytest.mark.parametrize("suite", SUITES)
+def test_the_name_of_an_instance_makes_it_again(suite: str) -> None:
+    for instance in SUITES[suite]():
+        assert named(instance.name) == instance
+    assert named("random_library") == generated("random_library")
+
+
+@pytest.mark.parametrize("name", ["", "random_library(", "random_library(depth)", "nao(robots=2)#x", "dynasty(size=2)"])
+def test_a_name_of_no_instance_is_refused(name: str) -> None:
+    with pytest.raises(InputError):
+        named(name)
 
 
 def test_unknown_names_and_limits_are_refused() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from cfgplan.errors import Fault, InputError
-from cfgplan.formats import BadClassError, BadTagError, World, build, read_document
+from cfgplan.formats import BadClassError, BadTagError, EnvironmentFile, build, read_document
 
 CLASSES = {"NAO": ("piff", "puff"), "Room": ("r1", "r2", "r3"), "Nothing": ()}
 
@@ -23,12 +23,12 @@ class SmallVocabulary:
             raise BadTagError("unknown name Bad", text.index("Bad") + 1, "did you mean `Bed`?")
 
 
-def load(path: Path) -> World:
+def load(path: Path) -> EnvironmentFile:
     """The world in a file."""
     return build(read_document(path), SmallVocabulary())
 
 
-def load_text(folder: Path, text: str, name: str = "env.yaml") -> World:
+def load_text(folder: Path, text: str, name: str = "env.yaml") -> EnvironmentFile:
     """The world in a text, written into a folder."""
     path = folder / name
     path.write_text(text, encoding="utf-8")

@@ -260,8 +260,9 @@ def test_a_byte_order_mark_does_no_harm(tmp_path: Path) -> None:
 
 
 def test_a_port_with_an_unquoted_nominal_is_told_to_quote_it(tmp_path: Path) -> None:
-    faults = faults_of(tmp_path, HEAD + "transformations: [{label: a, outputs: {o: {cam1}}}]\n")
-    assert "write it in quotes if it is a concept" in str(faults[0])
+    fault = only_fault(tmp_path, HEAD + "transformations: [{label: a, outputs: {o: {cam1}}}]\n")
+    assert place_of(fault) == (2, 43)
+    assert fault.mend == "write it in quotes: a text that begins with { is read as a mapping"
 
 
 def test_every_cycle_of_units_is_named(tmp_path: Path) -> None:
@@ -334,3 +335,30 @@ def test_an_empty_folder_to_include_is_named(tmp_path: Path) -> None:
     (tmp_path / "parts").mkdir()
     fault = only_fault(tmp_path, f"{HEAD}include: [parts]\n")
     assert fault.message == "the folder parts has no environment files"
+
+
+def test_a_fault_elsewhere_hides_no_dangling_reference(tmp_path: Path) -> None:
+    text = (
+        f"{HEAD}max_cost: -1\n"
+        "transformations: [{label: a, labor: -1, inputs: {i: A Bad}}, {label: 'b(${NAO})', host: '${'}]\n"
+        "units:\n"
+        "  - {id: u, transformation: c}\n"
+        "  - {id: v, transformation: a}\n"
+        "  - {id: w, transformation: b(piff)}\n"
+        "targets: [{label: t, topic: /t, tag: Bad, priority: x}]\n"
+    )
+    assert [fault.message.partition(",")[0] for fault in faults_of(tmp_path, text)] == [
+        "-1 is negative",
+        "-1 is negative",
+        "unknown name Bad",
+        "`${` begins no template variable here",
+        "there is no transformation `c`",
+        "unknown name Bad",
+        "this must be a whole number",
+    ]
+
+
+def test_among_many_names_the_close_one_is_found(tmp_path: Path) -> None:
+    labels = "".join(f"  - label: step{number}\n" for number in range(1000))
+    text = f"{HEAD}transformations:\n{labels}units: [{{id: u, transformation: setp7}}]\n"
+    assert only_fault(tmp_path, text).mend == "did you mean `step7`?"

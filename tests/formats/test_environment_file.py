@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import gc
 import json
 from pathlib import Path
 
 import pytest
-from loading import load, load_text
+from loading import faults_of, load, load_text
 
 from cfgplan.domain import (
     ComputationUnit,
@@ -203,6 +204,8 @@ def test_the_schema_names_every_key_and_bars_others() -> None:
     assert schema["properties"]["format"]["const"] == "cfgplan/1"
     labor = schema["$defs"]["TransformationPart"]["properties"]["labor"]
     assert {"type": "number", "minimum": 0} in labor["anyOf"]
+    ports = schema["$defs"]["TransformationPart"]["properties"]["inputs"]["anyOf"][0]
+    assert ports["additionalProperties"] is False
     json.dumps(schema)
 
 
@@ -221,3 +224,17 @@ def test_the_slow_parser_reads_what_the_fast_one_reads(tmp_path: Path, monkeypat
 def test_loading_twice_gives_equal_worlds(tmp_path: Path) -> None:
     load_text(tmp_path, WHOLE)
     assert load(tmp_path / "env.yaml") == load(tmp_path / "env.yaml")
+
+
+def test_loading_leaves_the_garbage_collector_as_it_was(tmp_path: Path) -> None:
+    was_enabled = gc.isenabled()
+    try:
+        for state in (gc.enable, gc.disable):
+            state()
+            before = gc.isenabled()
+            load_text(tmp_path, WHOLE)
+            assert gc.isenabled() is before
+            faults_of(tmp_path, "a: [")
+            assert gc.isenabled() is before
+    finally:
+        (gc.enable if was_enabled else gc.disable)()

@@ -84,6 +84,11 @@ def test_a_template_over_an_empty_class_is_refused(tmp_path: Path) -> None:
     assert (fault.message, place_of(fault)) == ("the class Nothing has no individuals", (3, 16))
 
 
+def test_a_template_without_expansions_still_has_its_plain_tags_checked(tmp_path: Path) -> None:
+    text = HEAD + "  - label: cam ${Nothing}\n    outputs: {a: 'T Bad', b: {tag: '${Nothing} Bad'}}\n"
+    assert [place_of(fault) for fault in faults_of(tmp_path, text)] == [(3, 16), (4, 21)]
+
+
 def test_a_template_over_an_unknown_class_is_refused(tmp_path: Path) -> None:
     fault = only_fault(tmp_path, HEAD + "  - label: cam(${NOA})\n    host: ${NOA}\n")
     assert (fault.message, place_of(fault), fault.mend) == ("no class NOA", (3, 16), "did you mean `NAO`?")

@@ -11,7 +11,7 @@ import pytest
 from cfgplan import api
 from cfgplan.domain import InputPort, OutputPort, Similarity
 from cfgplan.errors import InputError
-from cfgplan.formats import World, read_wsc, wsc_texts
+from cfgplan.formats import EnvironmentFile, read_wsc, wsc_texts
 from cfgplan.formats.wsc import Objective, shortest_length
 from cfgplan.formats.wsc_files import read_test_set
 from cfgplan.planners import PLANNERS
@@ -146,7 +146,7 @@ def test_a_set_that_nothing_solves_is_proven_infeasible() -> None:
         assert plan.status is Status.INFEASIBLE
 
 
-def planned_services(world: World, similarity: Similarity) -> set[str]:
+def planned_services(world: EnvironmentFile, similarity: Similarity) -> set[str]:
     """The services that the optimal plan starts, without their layers."""
     plan = PLANNERS["cpsat"](Problem(world.environment, similarity, world.horizon_s))
     assert plan.status is Status.OPTIMAL

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from worlds import problems, reordered
 
 from cfgplan.planners import PLANNERS
+from cfgplan.planners.cpsat import Grounding, PlannerSession
 from cfgplan.planning import Plan, Problem, Status
 from cfgplan.validity import plan_violations
 
@@ -55,6 +56,15 @@ def test_cpsat_equals_the_oracle_on_plain_problems(problem: Problem) -> None:
 @given(problems(most=5))
 def test_cpsat_equals_the_oracle_with_pinned_required_distinct_and_feedback(problem: Problem) -> None:
     agree(problem)
+
+
+@fewer
+@given(problems(most=7, special=False))
+def test_level_variables_and_lazy_cuts_agree(problem: Problem) -> None:
+    levels = PlannerSession(Grounding.LEVELS).plan(problem)
+    assert plan_violations(problem, levels) == []
+    assert levels.counts.get("cuts", 0) == 0
+    assert quality(levels) == quality(PLANNERS["cpsat"](problem))
 
 
 @fewer

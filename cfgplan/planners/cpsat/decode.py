@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections import defaultdict
 
-from cfgplan.domain import ComputationUnit, InputPort, Publication, Stream, Subscription
+from cfgplan.domain import ComputationUnit, InputPort, Publication, Subscription
 from cfgplan.planners.cpsat.model import Model
+from cfgplan.planners.cpsat.wiring import fed_stream, published_port
 
 
 def decode(model: Model, true: set[int], rank: dict[int, int]) -> list[ComputationUnit] | None:
@@ -20,17 +21,17 @@ def decode(model: Model, true: set[int], rank: dict[int, int]) -> list[Computati
         publisher = _publisher(model, target.label, target.tag, true, rank)
         if publisher is None:
             return None
-        topics[publisher].append(Publication(_port(model, publisher, target.tag, target.topic), target.topic))
-    ahead = sorted(topics.keys() | {i for i, c in enumerate(site.candidates) if c.running and c.transformation.pinned})
+        topics[publisher].append(Publication(published_port(site, publisher, target.tag, target.topic), target.topic))
+    ahead = sorted(topics.keys() | set(filter(site.is_kept_pinned, range(len(site.candidates)))))
     units: dict[int, ComputationUnit] = {}
     for i in ahead:
         if i in units:
             continue
         candidate = site.candidates[i]
-        streams = {port.name: _stream(model, i, port, true, rank) for port in candidate.transformation.inputs}
-        subscriptions = tuple(Subscription(name, stream) for name, stream in streams.items() if stream is not None)
-        if len(subscriptions) < len(streams) or model.runs[i].index not in rank:
+        feeders = {port: _feeders(model, i, port, true, rank) for port in candidate.transformation.inputs}
+        if model.runs[i].index not in rank or not all(feeders.values()):
             return None
+        subscriptions = tuple(Subscription(port.name, fed_stream(site, i, port, feeders[port])) for port in feeders)
         units[i] = ComputationUnit(candidate.id, candidate.transformation.label, subscriptions, tuple(topics[i]))
         ahead += [site.index_of[s.stream.unit] for s in subscriptions]
     return list(units.values())
@@ -47,32 +48,9 @@ def _publisher(model: Model, target: str, tag: str, true: set[int], rank: dict[i
     return min(others, default=None)
 
 
-def _port(model: Model, publisher: int, tag: str, topic: str) -> str:
-    """The output to publish on the topic: the one that does already, if it matches."""
-    candidate = model.site.candidates[publisher]
-    for publication in candidate.running.publications if candidate.running else ():
-        output = candidate.transformation.output.get(publication.port)
-        if publication.topic == topic and output and model.site.problem.similarity.holds(output.tag, tag):
-            return publication.port
-    return model.site.port_for(publisher, tag)
-
-
-def _stream(model: Model, unit: int, port: InputPort, true: set[int], rank: dict[int, int]) -> Stream | None:
-    """The stream to feed an input with, None if no feeder is grounded (and before it where it must be)."""
-    site = model.site
+def _feeders(model: Model, unit: int, port: InputPort, true: set[int], rank: dict[int, int]) -> list[int]:
+    """Who may feed an input: the feeder connected, or else all that are grounded (before it where they must be)."""
     if (unit, port.name) in model.connects:
-        feeders = [f for f, connected in model.connects[unit, port.name].items() if connected.index in true]
-    else:
-        place = rank.get(model.runs[unit].index, 0)
-        feeders = [
-            f
-            for f in site.feeders(port.tag)
-            if rank.get(model.runs[f].index, len(rank)) < (len(rank) if port.feedback else place)
-        ]
-    running = site.candidates[unit].running
-    old = running.feeds.get(port.name) if running else None
-    if old is not None and site.index_of.get(old.unit) in feeders:
-        output = site.candidates[site.index_of[old.unit]].transformation.output.get(old.port)
-        if output is not None and site.problem.similarity.holds(output.tag, port.tag):
-            return old
-    return Stream(site.candidates[feeders[0]].id, site.port_for(feeders[0], port.tag)) if feeders else None
+        return [f for f, connected in model.connects[unit, port.name].items() if connected.index in true]
+    limit = len(rank) if port.feedback else rank.get(model.runs[unit].index, 0)
+    return [f for f in model.site.feeders(port.tag) if rank.get(model.runs[f].index, len(rank)) < limit]

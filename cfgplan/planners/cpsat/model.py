@@ -77,6 +77,12 @@ class Model:
             unit in self.tracked and not self.tracked.isdisjoint(self.site.feeders(port.tag))
         )
 
+    def some_member_of_each_runs(self, landmarks: Iterable[Iterable[str]]) -> None:
+        """Every plan has a transformation of each landmark."""
+        units = self.site.units_of
+        for landmark in landmarks:
+            self.cp.add_bool_or([self.runs[i] for label in landmark for i in units[label]])
+
     def cost(self) -> LinearExprT:
         return sum(c.cost_us * x for c, x in zip(self.site.candidates, self.runs, strict=True))
 
@@ -194,8 +200,8 @@ def a_target_is_published_by_one_unit(model: Model) -> None:
 
 
 def pinned_units_run(model: Model) -> None:
-    for runs, candidate in zip(model.runs, model.site.candidates, strict=True):
-        if candidate.running is not None and candidate.transformation.pinned:
+    for i, runs in enumerate(model.runs):
+        if model.site.is_kept_pinned(i):
             model.cp.add(runs == 1)
 
 

@@ -2,72 +2,40 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from math import ceil
 
-from ortools.sat.python import cp_model
-from ortools.sat.python.cp_model import LinearExprT
+from ortools.sat.python.cp_model import (
+    FEASIBLE,
+    INFEASIBLE,
+    OPTIMAL,
+    UNKNOWN,
+    CpSolver,
+    IntVar,
+    LinearExpr,
+    LinearExprT,
+)
 
-from cfgplan.costs import keep_cost_us, start_cost_us
 from cfgplan.domain import ComputationUnit
+from cfgplan.planners.cpsat.clock import Clock
 from cfgplan.planners.cpsat.decode import decode
+from cfgplan.planners.cpsat.engine import OnSolution, repeatable_solver, solve
+from cfgplan.planners.cpsat.levels import everything_rests_on_something_lower
 from cfgplan.planners.cpsat.model import Model
-from cfgplan.planners.cpsat.site import Site, relevant
-from cfgplan.planning import Plan, Problem, Progress, Status
-from cfgplan.reasons import Givers, startable, unmet_reasons
+from cfgplan.planners.cpsat.prepared import Prepared
+from cfgplan.planners.cpsat.quality import Key, key_of, unused_required
+from cfgplan.planners.cpsat.site import Site
+from cfgplan.planners.cpsat.wiring import forced_changes, wire
+from cfgplan.planning import Plan, Progress, Status
 
-Key = tuple[int, int, int, int]
-"""Unused required transformations, cost in microseconds, rewired and started units: the order of optimality."""
-
-
-def plan(
-    problem: Problem,
-    *,
-    time_limit_s: float | None = None,
-    report: Callable[[Progress], None] | None = None,
-) -> Plan:
-    """The optimal update; see `planning.Planner`. Without a time limit it ends with a proof."""
-    clock = Clock(time_limit_s)
-    givers = Givers(problem.environment.library, problem.similarity)
-    possible = startable(problem.environment, givers)
-    if any(possible.isdisjoint(givers.of(target.tag)) for target in problem.environment.targets):
-        return Plan("cpsat", Status.INFEASIBLE, reasons=unmet_reasons(problem), seconds=clock.phases("check"))
-    site = Site(problem, givers, relevant(problem.environment, givers, possible))
-    clock.phase("preprocess")
-    model = Model(site)
-    clock.phase("build")
-    search = Search(model, clock, report)
-    search.run()
-    clock.phase("solve")
-    return search.plan()
-
-
-class Clock:
-    """The time that is left, and what each phase took."""
-
-    def __init__(self, time_limit_s: float | None) -> None:
-        self._began = self._phase_began = time.monotonic()
-        self._limit_s = time_limit_s
-        self.seconds: dict[str, float] = {}
-
-    def elapsed_s(self) -> float:
-        return time.monotonic() - self._began
-
-    def left_s(self) -> float | None:
-        return None if self._limit_s is None else max(0.0, self._limit_s - self.elapsed_s())
-
-    def phase(self, name: str) -> None:
-        """Note that the phase `name` ends now."""
-        now = time.monotonic()
-        self.seconds[name] = self.seconds.get(name, 0.0) + now - self._phase_began
-        self._phase_began = now
-
-    def phases(self, name: str) -> dict[str, float]:
-        self.phase(name)
-        return self.seconds
+SMALL = 1000
+"""With fewer booleans than this, probing and looking for symmetries take longer than they save."""
+EXACT = 2**50
+"""Up to here the solver's bound, a double, is exact."""
+LARGEST = 2**62
+"""No sum of the solver's integers may exceed this."""
 
 
 class Stage(Enum):
@@ -76,7 +44,15 @@ class Stage(Enum):
     REQUIRED = "unused required transformations"
     COST = "cost"
     CHANGES = "rewired and started units"
+    COST_AND_CHANGES = "cost, then rewired and started units, in one sum"
     DONE = "nothing: all is proven"
+
+
+class Grounding(Enum):
+    """How the model makes sure that every unit's data comes from sources."""
+
+    CUTS = "lazy cuts"
+    LEVELS = "level variables"
 
 
 @dataclass
@@ -88,20 +64,65 @@ class Incumbent:
 
 
 class Search:
-    """A model on its way to the optimum: the stage, the incumbent and the proven bound on the cost."""
+    """A site on its way to the optimum: the stage, the incumbent and the proven bound on the cost."""
 
-    def __init__(self, model: Model, clock: Clock, report: Callable[[Progress], None] | None) -> None:
-        self.model = model
+    def __init__(
+        self,
+        site: Site,
+        prepared: Prepared,
+        clock: Clock,
+        report: Callable[[Progress], None] | None,
+        grounding: Grounding = Grounding.CUTS,
+    ) -> None:
+        self.site = site
+        self.grounding = grounding
+        self.prepared = prepared
         self.clock = clock
         self.report = report
         self.stage = Stage.REQUIRED
         self.best: Incumbent | None = None
         self.bound_us = 0
-        self.counts = {"booleans": len(model.literals), "rounds": 0, "cuts": 0, "conflicts": 0}
+        self.counts = {**prepared.counts}
+        self.raise_bound(prepared.bound_us)
 
     def run(self) -> None:
+        """Begin with the first plan; where that is not proven optimal, go on with the model."""
+        if self.prepared.plan is not None:
+            chosen = self.site.first_of_each(self.prepared.plan)
+            units = wire(self.site, chosen)
+            if units is not None:
+                self.offer(units)
+            if self.is_proven(chosen):
+                self.stage = Stage.DONE
+                return
+        if not self.clock.is_over():
+            self.run_model(Model(self.site))
+
+    def is_proven(self, chosen: set[int]) -> bool:
+        """Whether the incumbent is the only choice of units at its cost, with no more rewired than must be."""
+        return (
+            self.best is not None
+            and self.best.key[:2] == (0, self.bound_us)
+            and len(chosen) == len(self.site.candidates) == len(self.best.units)
+            and self.best.key[2] == forced_changes(self.site, chosen)
+        )
+
+    def run_model(self, model: Model) -> None:
         """Go through the stages until the clock stops one."""
-        model = self.model
+        self.model = model
+        self.counts |= {"booleans": len(model.literals), "rounds": 0, "cuts": 0, "conflicts": 0}
+        model.some_member_of_each_runs(self.prepared.landmarks)
+        if self.grounding is Grounding.LEVELS:
+            everything_rests_on_something_lower(model)
+        if self.prepared.cost_us is not None:
+            model.cp.add(model.cost() <= self.prepared.cost_us)
+        scale = self.changes_scale()
+        if scale is not None:
+            self.stage = Stage.COST_AND_CHANGES
+            if self.minimise(LinearExpr.weighted_sum([model.cost(), model.changes()], [scale, 1])):
+                self.stage = Stage.DONE
+                self.raise_bound(self.best.key[1] if self.best else 0)
+            return
         required = len(model.uses_required)
         used = sum(model.uses_required.values())
         if required and not self.minimise(required - used):
@@ -109,40 +130,54 @@ class Search:
         if required and self.best is not None:
             model.cp.add(used >= required - self.best.key[0] + self.hopeless_required())
         self.stage = Stage.COST
-        if not self.minimise(model.cost()) or self.best is None:
-            return
-        self.raise_bound(self.best.key[1])
+        if self.best is None or self.best.key[1] > self.bound_us or required:
+            if not self.minimise(model.cost()):
+                return
+            assert self.best is not None
+            self.raise_bound(self.best.key[1])
         model.cp.add(model.cost() <= self.best.key[1])
         self.stage = Stage.CHANGES
         if self.minimise(model.changes()):
             self.stage = Stage.DONE
 
+    def changes_scale(self) -> int | None:
+        """What a microsecond must weigh against changes to add both up; None if the sum would not be exact."""
+        started = sum(candidate.running is None for candidate in self.site.candidates)
+        rewired = len(self.site.candidates) - started
+        scale = (started + 1) * (rewired + 1)
+        most = scale * (1 + sum(candidate.cost_us for candidate in self.site.candidates))
+        if self.best is None or self.best.key[1] * scale >= EXACT or most >= LARGEST or self.model.uses_required:
+            return None
+        return scale
+
     def hopeless_required(self) -> int:
         """How many required transformations can never be used, whatever is planned."""
-        return sum(t.required for t in self.model.site.environment.library) - len(self.model.uses_required)
+        return sum(t.required for t in self.site.environment.library) - len(self.model.uses_required)
 
     def minimise(self, objective: LinearExprT) -> bool:
         """Rounds of solving and cutting; True with a proof that the incumbent is best in this stage."""
         self.model.cp.minimize(objective)
-        while True:
+        while not self.clock.is_over():
             solver = self.solver()
             self.hint()
             self.counts["rounds"] += 1
-            status = solver.solve(self.model.cp, OnSolution(self))
+            solver.best_bound_callback = lambda bound: self.learn_bound(ceil(bound - 0.5))
+            status = solve(solver, self.model.cp, OnSolution(self.look_at), self.clock)
             self.counts["conflicts"] += solver.num_conflicts
-            if self.stage is Stage.COST and status in (cp_model.OPTIMAL, cp_model.FEASIBLE, cp_model.UNKNOWN):
-                self.raise_bound(ceil(solver.best_objective_bound - 0.5))
-            if status == cp_model.INFEASIBLE:
+            if status in (OPTIMAL, FEASIBLE, UNKNOWN):
+                self.learn_bound(ceil(solver.best_objective_bound - 0.5))
+            if status == INFEASIBLE:
                 raise AssertionError("a problem whose targets can all be met has a plan")
-            if status not in (cp_model.OPTIMAL, cp_model.FEASIBLE):
+            if status not in (OPTIMAL, FEASIBLE):
                 return False
             true = {x.index for x in self.model.literals if solver.boolean_value(x)}
             level = self.level_of(self.consider(true))
-            if status != cp_model.OPTIMAL:
+            if status != OPTIMAL:
                 return False
             if level is not None and level <= round(solver.objective_value):
                 return True
             self.cut(true)
+        return False
 
     def level_of(self, key: Key | None) -> int | None:
         """The present stage's objective for a plan with this key."""
@@ -152,16 +187,24 @@ class Search:
             return key[0] - self.hopeless_required()
         if self.stage is Stage.COST:
             return key[1]
-        started = sum(candidate.running is None for candidate in self.model.site.candidates)
-        return (started + 1) * key[2] + key[3]
+        started = sum(candidate.running is None for candidate in self.site.candidates)
+        changes = (started + 1) * key[2] + key[3]
+        scale = self.changes_scale() if self.stage is Stage.COST_AND_CHANGES else 0
+        return (scale or 0) * key[1] + changes
 
     def consider(self, true: set[int]) -> Key | None:
         """The key of a solution, which becomes the incumbent if it is better; None if it is not grounded."""
         rank = self.model.support.grounded(true)
         units = decode(self.model, true, rank)
-        if units is None:
-            return None
-        key = key_of(self.model.site.problem, units)
+        return None if units is None else self.offer(units)
+
+    def look_at(self, holds: Callable[[IntVar], bool]) -> None:
+        """Look at a solution on the way: one that is grounded is a plan."""
+        self.consider({literal.index for literal in self.model.literals if holds(literal)})
+
+    def offer(self, units: list[ComputationUnit]) -> Key:
+        """Take a plan as the incumbent if it is the best so far; returns its key."""
+        key = key_of(self.site.problem, units)
         if self.best is None or key < self.best.key:
             self.best = Incumbent(key, units)
             self.tell()
@@ -177,6 +220,13 @@ class Search:
             self.model.needs_any(literals[proposition], [literals[way] for way in ways_in])
         self.counts["cuts"] += len(unfounded)
 
+    def learn_bound(self, objective: int) -> None:
+        """What a bound on the present stage's objective says about the cost."""
+        if self.stage is Stage.COST:
+            self.raise_bound(objective)
+        elif self.stage is Stage.COST_AND_CHANGES:
+            self.raise_bound(objective // (self.changes_scale() or 1))
+
     def raise_bound(self, bound_us: int) -> None:
         if bound_us > self.bound_us:
             self.bound_us = bound_us
@@ -187,28 +237,21 @@ class Search:
             cost_us = self.best.key[1] if self.best else None
             self.report(Progress(self.clock.elapsed_s(), cost_us, self.bound_us))
 
-    def solver(self) -> cp_model.CpSolver:
-        """One worker is repeatable; a full linearisation is what proves these models."""
-        solver = cp_model.CpSolver()
-        solver.parameters.num_workers = 1
-        solver.parameters.linearization_level = 2
-        solver.parameters.cut_level = 0
-        left_s = self.clock.left_s()
-        if left_s is not None:
-            solver.parameters.max_time_in_seconds = left_s
-        return solver
+    def solver(self) -> CpSolver:
+        """An engine for one round, with the time that is left."""
+        return repeatable_solver(small=len(self.model.literals) < SMALL, time_limit_s=self.clock.left_s())
 
     def hint(self) -> None:
         """Start from the incumbent's units."""
         self.model.cp.clear_hints()  # type: ignore[no-untyped-call]
         if self.best is not None:
             running = {unit.id for unit in self.best.units}
-            for runs, candidate in zip(self.model.runs, self.model.site.candidates, strict=True):
+            for runs, candidate in zip(self.model.runs, self.site.candidates, strict=True):
                 self.model.cp.add_hint(runs, candidate.id in running)
 
     def plan(self) -> Plan:
         """The answer at the present stage."""
-        problem, max_cost_us = self.model.site.problem, self.model.site.problem.max_cost_us
+        problem, max_cost_us = self.site.problem, self.site.problem.max_cost_us
         counts, seconds = self.counts, self.clock.seconds
         proven = self.stage in (Stage.CHANGES, Stage.DONE)
         if max_cost_us is not None and self.bound_us > max_cost_us:
@@ -226,40 +269,3 @@ class Search:
             seconds=seconds,
             counts=counts,
         )
-
-
-class OnSolution(cp_model.CpSolverSolutionCallback):
-    """Looks at every solution on the way: one that is grounded is a plan."""
-
-    def __init__(self, search: Search) -> None:
-        super().__init__()
-        self._search = search
-
-    def on_solution_callback(self) -> None:
-        self._search.consider({x.index for x in self._search.model.literals if self.boolean_value(x)})
-
-
-def key_of(problem: Problem, units: list[ComputationUnit]) -> Key:
-    """How good a wiring is, in the order of optimality."""
-    changes = problem.environment.change_to(units)
-    library = problem.environment.transformation
-    cost_us = sum(
-        (keep_cost_us if unit.id in problem.environment.unit else start_cost_us)(
-            library[unit.transformation], problem.horizon_s
-        )
-        for unit in units
-    )
-    return len(unused_required(problem, units)), cost_us, len(changes.rewired), len(changes.started)
-
-
-def unused_required(problem: Problem, units: list[ComputationUnit]) -> tuple[str, ...]:
-    """The labels of the required transformations without a unit that serves a target."""
-    by_id = {unit.id: unit for unit in units}
-    ahead = [unit.id for unit in units if unit.publications]
-    serving = set(ahead)
-    for unit_id in ahead:
-        new = {s.stream.unit for s in by_id[unit_id].subscriptions} - serving
-        serving |= new
-        ahead += sorted(new)
-    used = {by_id[unit_id].transformation for unit_id in serving}
-    return tuple(t.label for t in problem.environment.library if t.required and t.label not in used)

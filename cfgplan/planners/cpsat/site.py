@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from cfgplan.costs import keep_cost_us, start_cost_us
-from cfgplan.domain import ComputationUnit, Environment, Transformation
+from cfgplan.domain import ComputationUnit, Environment, Stream, Subscription, Transformation
 from cfgplan.planning import Problem, fresh_unit_ids
 from cfgplan.reasons import Givers
 
@@ -35,17 +35,38 @@ class Site:
         self.environment = problem.environment
         self._givers = givers
         self.candidates = tuple(_candidates(problem, frozenset(labels)))
-        self._by_label: dict[str, list[int]] = defaultdict(list)
+        self.units_of: dict[str, list[int]] = defaultdict(list)
         for index, candidate in enumerate(self.candidates):
-            self._by_label[candidate.transformation.label].append(index)
+            self.units_of[candidate.transformation.label].append(index)
         self.index_of = {candidate.id: index for index, candidate in enumerate(self.candidates)}
         self._rows: dict[str, tuple[int, ...]] = {}
+
+    def first_of_each(self, labels: Iterable[str]) -> set[int]:
+        """The first unit of each label, a running one if there is one; of pinned ones all that run."""
+        chosen = {self.units_of[label][0] for label in labels}
+        return chosen | {i for i in range(len(self.candidates)) if self.is_kept_pinned(i)}
 
     def feeders(self, tag: str) -> tuple[int, ...]:
         """The candidates with an output that matches the demanded tag."""
         if tag not in self._rows:
-            self._rows[tag] = tuple(i for label in self._givers.of(tag) for i in self._by_label.get(label, ()))
+            self._rows[tag] = tuple(i for label in self._givers.of(tag) for i in self.units_of.get(label, ()))
         return self._rows[tag]
+
+    def gives(self, stream: Stream, tag: str) -> bool:
+        """Whether a candidate's stream matches the demanded tag."""
+        index = self.index_of.get(stream.unit)
+        output = None if index is None else self.candidates[index].transformation.output.get(stream.port)
+        return output is not None and self.problem.similarity.holds(output.tag, tag)
+
+    def old_subscriptions(self, unit: int) -> tuple[Subscription, ...]:
+        """What the candidate subscribes to at present; a new unit to nothing."""
+        running = self.candidates[unit].running
+        return running.subscriptions if running is not None else ()
+
+    def is_kept_pinned(self, unit: int) -> bool:
+        """Whether the candidate runs and must go on."""
+        candidate = self.candidates[unit]
+        return candidate.running is not None and candidate.transformation.pinned
 
     def port_for(self, feeder: int, tag: str) -> str:
         """The first output of the feeder that matches the demanded tag."""
@@ -74,6 +95,10 @@ def relevant(environment: Environment, givers: Givers, possible: frozenset[str])
 
 
 def _candidates(problem: Problem, labels: frozenset[str]) -> list[Candidate]:
+    """Running units, then new ones.
+
+    A new unit beside a running one can pay only if it costs no labor, or lets more required ones be used.
+    """
     environment = problem.environment
     candidates = []
     running = set()
@@ -83,18 +108,16 @@ def _candidates(problem: Problem, labels: frozenset[str]) -> list[Candidate]:
             transformation = environment.transformation[unit.transformation]
             cost_us = keep_cost_us(transformation, problem.horizon_s)
             candidates.append(Candidate(unit.id, transformation, unit, cost_us, _may_stay(problem, labels, unit)))
-    startable = [label for label in sorted(labels) if label not in running or _may_double(environment, labels, label)]
-    for label, unit_id in fresh_unit_ids(environment, startable).items():
+    forced = any(environment.transformation[label].required for label in labels)
+    may_start = [
+        label
+        for label in sorted(labels)
+        if forced or label not in running or environment.transformation[label].labor_us == 0
+    ]
+    for label, unit_id in fresh_unit_ids(environment, may_start).items():
         transformation = environment.transformation[label]
         candidates.append(Candidate(unit_id, transformation, None, start_cost_us(transformation, problem.horizon_s)))
     return candidates
-
-
-def _may_double(environment: Environment, labels: frozenset[str], label: str) -> bool:
-    """Whether a new unit beside a running one may pay: if it costs no labor, or lets more required ones be used."""
-    return environment.transformation[label].labor_us == 0 or any(
-        environment.transformation[i].required for i in labels
-    )
 
 
 def _may_stay(problem: Problem, labels: frozenset[str], unit: ComputationUnit) -> bool:

@@ -14,7 +14,7 @@ from cfgplan.formats.places import Path, Place, Source
 
 
 @dataclass(frozen=True)
-class World:
+class EnvironmentFile:
     """An environment with what planning it needs besides, and the way back to its files.
 
     `origins` maps ("transformation", label), ("unit", id) and ("target", label) to where that is written.

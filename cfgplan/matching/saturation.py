@@ -1,0 +1,225 @@
+"""Consequence-based saturation of an EL ontology: what follows for each kind of thing that axioms speak of.
+
+A context stands for all things that have some atoms (or for one individual). It collects the atoms that these have
+and the links that they have to other contexts. The contexts without ⊥ are a model of the ontology: the canonical one.
+Reference: Y. Kazakov, M. Krötzsch, F. Simančík, "The Incredible ELK", J. Automated Reasoning 53 (2014).
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable
+from typing import TypeAlias
+
+from cfgplan.matching.rules import BOTTOM_ATOM, TOP_ATOM, Rules
+
+Edge: TypeAlias = "tuple[int, Context]"
+Fact: TypeAlias = "tuple[Context, int] | tuple[Context, int, Context]"
+"""That a context has an atom, or a link by a role to another context."""
+Reason: TypeAlias = "tuple[tuple[object, ...], tuple[Fact, ...]]"
+"""The rule (a key of `Rules.origin`, if it comes from an axiom) and the facts from which a fact follows."""
+
+
+class Context:
+    """The atoms and links of a kind of thing.
+
+    `exists`: there is such a thing in every model. `conditional`: if there is one, then an individual gets atoms that
+    it doesn't have otherwise, so that the context may miss something; what it has is right all the same.
+    """
+
+    __slots__ = ("atoms", "conditional", "edges", "exists", "finished", "individual", "links", "preds", "seeds")
+
+    def __init__(self, seeds: frozenset[int], individual: bool = False) -> None:
+        self.seeds = seeds
+        self.individual = individual
+        self.atoms: set[int] = set()
+        self.links: defaultdict[int, set[Context]] = defaultdict(set)
+        self.preds: defaultdict[int, set[Context]] = defaultdict(set)
+        self.edges: frozenset[Edge] = frozenset()
+        self.exists = False
+        self.finished = False
+        self.conditional = False
+
+    @property
+    def is_unsatisfiable(self) -> bool:
+        """Whether there can be no such thing."""
+        return BOTTOM_ATOM in self.atoms
+
+
+class Saturation:
+    """The contexts of an ontology, made and saturated on demand; those of individuals at once."""
+
+    def __init__(self, rules: Rules, *, reasons: dict[Fact, Reason] | None = None) -> None:
+        """Saturate what must exist. `reasons`, if given, gets the first reason found for each fact."""
+        self.rules = rules
+        self._reasons = reasons
+        self._contexts: dict[frozenset[int], Context] = {}
+        self._fresh: list[Context] = []
+        self._disturbed = False
+        self._atoms: list[tuple[Context, int]] = []
+        self._links: list[tuple[Context, int, Context]] = []
+        self.top = self._context(frozenset((TOP_ATOM,)))
+        self._let_exist(self.top)
+        for atom in list(rules.individuals):
+            self._let_exist(self._context(frozenset((atom,))))
+        self._run()
+
+    @property
+    def is_inconsistent(self) -> bool:
+        """Whether something that must exist can't."""
+        return any(context.exists and context.is_unsatisfiable for context in self._contexts.values())
+
+    def context(self, seeds: Iterable[int]) -> Context:
+        """The saturated context of the things with these atoms, at most one of which is a nominal, and that alone."""
+        key = frozenset(seeds) or frozenset((TOP_ATOM,))
+        known = self._contexts.get(key)
+        if known is None:
+            known = self._context(key)
+            if known.individual:
+                self._let_exist(known)
+            self._run()
+        return known
+
+    def let_individuals_come(self, atoms: Iterable[int]) -> bool:
+        """Make contexts of individuals that are new; False if that changes a context that was there before."""
+        self._disturbed = False
+        for atom in atoms:
+            self._let_exist(self._context(frozenset((atom,))))
+        self._run()
+        return not self._disturbed
+
+    def let_individuals_go(self, atoms: Iterable[int]) -> bool:
+        """Whether nothing else rests on the existence of these individuals; they stay known, but out of reach."""
+        seen: set[Context] = set()
+        waiting = [self._contexts[frozenset((atom,))] for atom in atoms]
+        while waiting:
+            context = waiting.pop()
+            if context in seen:
+                continue
+            seen.add(context)
+            for role, target in context.edges:
+                if target.individual and self.rules.ranges[role]:
+                    return False
+                if not target.individual:
+                    waiting.append(target)
+        return True
+
+    def is_conditional_link(self, role: int, target: Context) -> bool:
+        """Whether a link that need not exist tells something new about an individual, or leads to what does."""
+        return target.conditional or (target.individual and not self.rules.ranges[role] <= target.atoms)
+
+    def _context(self, key: frozenset[int]) -> Context:
+        known = self._contexts.get(key)
+        if known is None:
+            individual = any(atom in self.rules.individuals for atom in key)
+            known = self._contexts[key] = Context(key, individual)
+            self._fresh.append(known)
+            self._add(known, TOP_ATOM, ())
+            for atom in key:
+                self._add(known, atom, ())
+        return known
+
+    def _let_exist(self, context: Context) -> None:
+        waiting = [context]
+        while waiting:
+            existing = waiting.pop()
+            if existing.exists:
+                continue
+            existing.exists = True
+            for role, targets in existing.links.items():
+                for target in targets:
+                    waiting.append(target)
+                    self._add_ranges(existing, role, target)
+
+    def _add_ranges(self, source: Context, role: int, target: Context) -> None:
+        if target.individual:
+            for atom in self.rules.ranges[role]:
+                self._add(target, atom, ("range", role, atom), (source, role, target))
+
+    def _add(self, context: Context, atom: int, rule: tuple[object, ...], *premises: Fact) -> None:
+        if atom not in context.atoms:
+            context.atoms.add(atom)
+            self._disturbed = self._disturbed or context.finished
+            self._atoms.append((context, atom))
+            if self._reasons is not None:
+                self._reasons.setdefault((context, atom), (rule, premises))
+
+    def _link(self, source: Context, role: int, target: Context, rule: tuple[object, ...], *premises: Fact) -> None:
+        for upper in self.rules.supers[role]:
+            if target not in source.links[upper]:
+                self._disturbed = self._disturbed or source.finished
+                source.links[upper].add(target)
+                target.preds[upper].add(source)
+                self._links.append((source, upper, target))
+                if self._reasons is not None:
+                    own = (rule, premises) if upper == role else (("role", role, upper), ((source, role, target),))
+                    self._reasons.setdefault((source, upper, target), own)
+
+    def _run(self) -> None:
+        while self._atoms or self._links:
+            while self._atoms:
+                self._follow_atom(*self._atoms.pop())
+            if self._links:
+                self._follow_link(*self._links.pop())
+        self._finish()
+
+    def _follow_atom(self, context: Context, atom: int) -> None:
+        rules = self.rules
+        for implied in rules.sub.get(atom, ()):
+            self._add(context, implied, ("sub", atom, implied), (context, atom))
+        partners = rules.joint.get(atom)
+        if partners:
+            for partner in partners.keys() & context.atoms:
+                for joined in partners[partner]:
+                    self._add(context, joined, (), (context, atom), (context, partner))
+        for role, fillers in rules.right.get(atom, ()):
+            rule = ("right", atom, role, fillers)
+            self._link(context, role, self._filler(role, fillers), rule, (context, atom))
+        for role, sources in list(context.preds.items()):
+            heads: Iterable[int] = rules.left[role].get(atom, ()) if role in rules.left else ()
+            for head in (BOTTOM_ATOM,) if atom == BOTTOM_ATOM else heads:
+                for source in list(sources):
+                    self._add(source, head, (), (source, role, context), (context, atom))
+
+    def _filler(self, role: int, fillers: frozenset[int]) -> Context:
+        if any(atom in self.rules.individuals for atom in fillers):
+            return self._context(fillers)
+        return self._context((fillers | self.rules.ranges[role]) or frozenset((TOP_ATOM,)))
+
+    def _follow_link(self, source: Context, role: int, target: Context) -> None:
+        rules = self.rules
+        if BOTTOM_ATOM in target.atoms:
+            self._add(source, BOTTOM_ATOM, (), (source, role, target), (target, BOTTOM_ATOM))
+        heads = rules.left.get(role)
+        if heads:
+            for atom in heads.keys() & target.atoms:
+                for head in heads[atom]:
+                    self._add(source, head, (), (source, role, target), (target, atom))
+        for second, composed in rules.chains.get(role, ()):
+            for end in list(target.links.get(second, ())):
+                rule = ("chain", role, second, composed)
+                self._link(source, composed, end, rule, (source, role, target), (target, second, end))
+        for first, composed in rules.chained.get(role, ()):
+            for start in list(source.preds.get(first, ())):
+                rule = ("chain", first, role, composed)
+                self._link(start, composed, target, rule, (start, first, source), (source, role, target))
+        if source.exists:
+            self._add_ranges(source, role, target)
+            self._let_exist(target)
+
+    def _finish(self) -> None:
+        """Give the contexts that are new their edges, and find out which of them are conditional."""
+        fresh, self._fresh = self._fresh, []
+        for context in fresh:
+            context.edges = frozenset((role, target) for role, targets in context.links.items() for target in targets)
+            context.finished = True
+        waiting = [
+            context
+            for context in fresh
+            if not context.exists and any(self.is_conditional_link(role, target) for role, target in context.edges)
+        ]
+        while waiting:
+            context = waiting.pop()
+            if not context.conditional:
+                context.conditional = True
+                waiting += [source for sources in context.preds.values() for source in sources if not source.exists]

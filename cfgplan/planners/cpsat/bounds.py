@@ -1,0 +1,142 @@
+"""Lower bounds from landmarks: sets of transformations of which every plan has one.
+
+For any set of facts (a *zone*) with something that the goal needs, every plan has a transformation
+that offers a fact of the zone and needs none of it: the first to enter. Charging each landmark part of
+the costs of its members, never more than a member costs in total, adds up to a lower bound (LM-cut:
+Helmert and Domshlak 2009). A zone stays good whatever costs become, so a session keeps them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cfgplan.planners.cpsat.charging import best_weights
+from cfgplan.planners.cpsat.network import NEVER, Core, Flags, Ints
+
+
+def cheapest_way(core: Core, cost: Ints, above: Ints | None = None) -> tuple[Ints, Ints]:
+    """h_max of each fact and of each label: the dearest chain that can't be avoided before it.
+
+    `above` are values known to be at least as high, as those for greater costs are.
+    """
+    facts = np.full(len(core.givers), NEVER) if above is None else above
+    while True:
+        labels = core.most_of_needs(facts)
+        better = np.minimum(facts, core.least_of_givers(labels[:-1] + cost))
+        if np.array_equal(better, facts):
+            return facts, labels
+        facts = better
+
+
+@dataclass(frozen=True)
+class Landmark:
+    """A zone of facts and the labels that may enter it first."""
+
+    zone: Ints
+    members: Ints
+
+
+def landmark_of(core: Core, zone: Ints) -> Landmark:
+    """The landmark of a zone of the core's facts."""
+    needs_it = np.zeros(core.goal + 1, np.bool_)
+    needs_it[core.needed_by.gathered(zone)] = True
+    givers = core.givers.gathered(zone)
+    return Landmark(zone, np.unique(givers[~needs_it[givers]]))
+
+
+@dataclass
+class Bound:
+    """A lower bound on cost: landmarks of a core, and what is left of each label's cost after charging them."""
+
+    core: Core
+    cost: Ints
+    landmarks: list[Landmark] = field(default_factory=list)
+    weights: list[int] = field(default_factory=list)
+    value: int = 0
+
+    def __post_init__(self) -> None:
+        self.residual = self.cost.copy()
+
+    def charge(self, landmark: Landmark, at_most: int = int(NEVER)) -> int:
+        """Charge a landmark what its members have left, or less; returns how much."""
+        if not len(landmark.members):
+            return 0
+        weight = min(int(self.residual[landmark.members].min()), at_most)
+        self.residual[landmark.members] -= weight
+        self.value += weight
+        return weight
+
+    def recharge(self, weights: Sequence[int]) -> None:
+        """Charge all landmarks anew: each its weight as far as that goes, then each what is left."""
+        self.residual, self.value = self.cost.copy(), 0
+        charged = [self.charge(one, weight) for one, weight in zip(self.landmarks, weights, strict=False)]
+        charged += [0] * (len(self.landmarks) - len(charged))
+        self.weights = [already + self.charge(one) for one, already in zip(self.landmarks, charged, strict=True)]
+
+    def recharge_best(self, time_limit_s: float | None) -> None:
+        """Charge all landmarks anew in the best way that is found in time."""
+        weights = best_weights([landmark.members for landmark in self.landmarks], self.cost, time_limit_s)
+        self.recharge(weights or self.weights)
+
+    def improve(self, enough: int, most: int, is_over: Callable[[], bool]) -> None:
+        """Charge up to `most` new landmarks, until the value is `enough` or the goal is free at residual costs."""
+        facts, _ = cheapest_way(self.core, self.residual)
+        wanted = self.core.needs[self.core.goal]
+        for _ in range(most):
+            if self.value >= enough or not len(wanted) or is_over():
+                return
+            goal = int(wanted[np.argmax(facts[wanted])])
+            landmark = self._first_ways_into(goal, facts)
+            weight = self.charge(landmark) if facts[goal] else 0
+            if not weight:
+                return
+            self.landmarks.append(landmark)
+            self.weights.append(weight)
+            facts, _ = cheapest_way(self.core, self.residual, facts)
+
+    def _first_ways_into(self, goal: int, facts: Ints) -> Landmark:
+        """The landmark of the zone from which `goal` comes free by the dearest needs."""
+        core = self.core
+        zone = [goal]
+        seen = {goal}
+        for fact in zone:
+            givers = core.givers[fact]
+            for label in givers[self.residual[givers] == 0].tolist():
+                needs = core.needs[label]
+                if not len(needs):
+                    continue
+                need = int(needs[np.argmax(facts[needs])])
+                if need not in seen:
+                    seen.add(need)
+                    zone.append(need)
+        return landmark_of(core, np.array(zone))
+
+    def may_be_used(self, limit: int) -> Flags:
+        """Which labels may be in a plan that costs at most `limit` (reduced-cost fixing)."""
+        _, before = cheapest_way(self.core, self.residual)
+        return np.asarray(self.value + before[:-1] + self.residual <= limit)
+
+    def restricted(self, keep: Flags) -> Bound:
+        """The bound for plans with no labels but those flagged, by the landmarks that count."""
+        core = self.core.restricted(keep)
+        fact = np.full(len(self.core.givers), -1)
+        fact[np.searchsorted(self.core.facts, core.facts)] = np.arange(len(core.facts))
+        label = np.where(keep, np.cumsum(keep) - 1, -1)
+        weights = [weight for weight in self.weights if weight]
+        landmarks = [
+            Landmark(_kept(fact, landmark.zone), _kept(label, landmark.members))
+            for landmark, weight in zip(self.landmarks, self.weights, strict=True)
+            if weight
+        ]
+        part = Bound(core, self.cost[keep], landmarks)
+        part.recharge(weights)
+        return part
+
+
+def _kept(number: Ints, items: Ints) -> Ints:
+    """The new numbers of the items that have one."""
+    new: Ints = number[items]
+    return new[new >= 0]

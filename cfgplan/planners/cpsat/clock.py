@@ -1,0 +1,33 @@
+"""The time that is left, and what each phase took."""
+
+from __future__ import annotations
+
+import time
+from threading import Event
+
+
+class Clock:
+    """Runs from construction; over at the time limit or when somebody sets `stop`."""
+
+    def __init__(self, time_limit_s: float | None = None, stop: Event | None = None) -> None:
+        self._began = self._phase_began = time.monotonic()
+        self._limit_s = time_limit_s
+        self.stop = stop or Event()
+        self.seconds: dict[str, float] = {}
+
+    def elapsed_s(self) -> float:
+        return time.monotonic() - self._began
+
+    def left_s(self) -> float | None:
+        """Seconds until the limit, None without one."""
+        return None if self._limit_s is None else max(0.0, self._limit_s - self.elapsed_s())
+
+    def is_over(self) -> bool:
+        return self.stop.is_set() or self.left_s() == 0.0
+
+    def end(self, phase: str) -> dict[str, float]:
+        """Note that a phase ends now; returns the seconds of all phases so far."""
+        now = time.monotonic()
+        self.seconds[phase] = self.seconds.get(phase, 0.0) + now - self._phase_began
+        self._phase_began = now
+        return self.seconds

@@ -1,0 +1,61 @@
+"""CP-SAT as it is run here: repeatable, and to be stopped at any moment."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from threading import Event, Thread
+
+from ortools.sat.python.cp_model import CpModel, CpSolver, CpSolverSolutionCallback, CpSolverStatus, IntVar
+
+from cfgplan.planners.cpsat.clock import Clock
+
+
+def repeatable_solver(*, small: bool, time_limit_s: float | None) -> CpSolver:
+    """One worker is repeatable; a full linearisation is what proves these models (the default takes 10 times as long).
+
+    In `small` models, probing and looking for symmetries take longer than they save.
+    """
+    solver = CpSolver()
+    solver.parameters.num_workers = 1
+    solver.parameters.catch_sigint_signal = False
+    solver.parameters.linearization_level = 2
+    solver.parameters.cut_level = 0
+    if small:
+        solver.parameters.cp_model_probing_level = 0
+        solver.parameters.symmetry_level = 0
+    if time_limit_s is not None:
+        solver.parameters.max_time_in_seconds = time_limit_s
+    return solver
+
+
+def solve(solver: CpSolver, model: CpModel, callback: CpSolverSolutionCallback, clock: Clock) -> CpSolverStatus:
+    """Solve in a thread, so that `stop` and Ctrl-C end it with the best solution so far."""
+    status: list[CpSolverStatus] = []
+    done = Event()
+
+    def work() -> None:
+        try:
+            status.append(solver.solve(model, callback))
+        finally:
+            done.set()
+
+    Thread(target=work, daemon=True).start()
+    while not done.is_set():
+        try:
+            done.wait(0.05)
+            if clock.stop.is_set():
+                solver.stop_search()
+        except KeyboardInterrupt:
+            clock.stop.set()
+    return status[0]
+
+
+class OnSolution(CpSolverSolutionCallback):
+    """Hands each solution to `look_at`, as the function that says which booleans hold."""
+
+    def __init__(self, look_at: Callable[[Callable[[IntVar], bool]], None]) -> None:
+        super().__init__()
+        self._look_at = look_at
+
+    def on_solution_callback(self) -> None:
+        self._look_at(self.boolean_value)

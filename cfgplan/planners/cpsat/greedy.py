@@ -1,0 +1,166 @@
+"""A good plan without search: cheapest support by h_add, redundant members dropped, improved by replanning.
+
+A plan here is a set of labels with a grounded wiring that meets the goal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from cfgplan.planners.cpsat.network import Floats, Ints, Network
+from cfgplan.reasons import assign_different, distinct_groups
+
+
+def first_plan(network: Network, cost: Ints, attempts: int, is_over: Callable[[], bool]) -> set[int] | None:
+    """A plan, after up to `attempts` attempts to do without one of its members; None if none was found."""
+    best = _supported(network, cost, set())
+    tried: set[int] = set()
+    while best is not None and len(tried) < attempts and not is_over():
+        ahead = sorted((label for label in best - tried if cost[label]), key=lambda label: (-cost[label], label))
+        if not ahead:
+            break
+        tried.add(ahead[0])
+        best = _without(network, cost, best, ahead[0])
+    return best
+
+
+def improved(network: Network, cost: Ints, plan: set[int], doubtful: set[int]) -> set[int]:
+    """The plan, or a cheaper one without some of its doubtful members."""
+    for label in sorted(doubtful):
+        if label in plan:
+            plan = _without(network, cost, plan, label)
+    return plan
+
+
+def _without(network: Network, cost: Ints, plan: set[int], label: int) -> set[int]:
+    """The plan, or a cheaper one around a member, with the other members for nothing."""
+    other = _supported(network, cost, plan - {label}, avoid=label)
+    return other if other is not None and _cost(cost, other) < _cost(cost, plan) else plan
+
+
+def _cost(cost: Ints, labels: Iterable[int]) -> int:
+    return int(cost[list(labels)].sum())
+
+
+def _supported(network: Network, cost: Ints, free: set[int], avoid: int | None = None) -> set[int] | None:
+    """The cheapest support of the goal by h_add, where `free` labels cost nothing and `avoid` is not to be had."""
+    price = cost + 1.0
+    price[list(free)] = 1e-3
+    if avoid is not None:
+        price[avoid] = np.inf
+    facts = np.full(len(network.core.givers), np.inf)
+    while True:
+        labels = network.core.sum_of_needs(facts)
+        total = labels[:-1] + price
+        better = network.core.least_of_givers(total)
+        if np.array_equal(better, facts):
+            break
+        facts = better
+    if not np.isfinite(labels[network.core.goal]):
+        return None
+    chosen = _support(network, total)
+    if chosen is None:
+        return None
+    return _without_redundant(network, cost, chosen)
+
+
+def _support(network: Network, total: Floats) -> set[int] | None:
+    """The cheapest giver of each fact that is needed, from the goal down; None if that is not grounded."""
+    chosen: set[int] = set(network.pinned)
+    fed: set[int] = set()
+    ahead = [network.core.goal, *sorted(chosen)]
+    for label in ahead:
+        for giver in _feeders(network, label, total, fed):
+            if giver not in chosen:
+                chosen.add(giver)
+                ahead.append(giver)
+    return chosen if is_plan(network, chosen) else None
+
+
+def _feeders(network: Network, label: int, total: Floats, fed: set[int]) -> list[int]:
+    feeders = []
+    for fact in network.core.needs[label].tolist():
+        if fact not in fed:
+            fed.add(fact)
+            givers = network.core.givers[fact]
+            feeders.append(int(givers[np.argmin(total[givers])]))
+    if label in network.special:
+        transformation = network.transformations[label]
+        for group in distinct_groups(transformation):
+            by_price = {
+                port.name: sorted(
+                    network.core.givers[network.fact_of_tag[port.tag]].tolist(), key=lambda i: (total[i], i)
+                )
+                for port in group
+            }
+            feeders += [network.number[i] for i in _assigned(network, by_price)]
+        for port in transformation.inputs:
+            if port.feedback:
+                givers = network.core.givers[network.fact_of_tag[port.tag]]
+                feeders.append(int(givers[np.argmin(total[givers])]))
+    return feeders
+
+
+def _assigned(network: Network, by_price: dict[str, list[int]]) -> list[str]:
+    chosen = assign_different({name: [network.labels[i] for i in order] for name, order in by_price.items()})
+    return sorted(chosen.values()) if chosen is not None else []
+
+
+def _without_redundant(network: Network, cost: Ints, chosen: set[int]) -> set[int]:
+    """Drop, the dearest first, what the rest can do without."""
+    givers_left: dict[int, int] = {}
+    for label in chosen:
+        for fact in network.core.gives[label].tolist():
+            givers_left[fact] = givers_left.get(fact, 0) + 1
+    needed = {fact for label in (*chosen, network.core.goal) for fact in network.core.needs[label].tolist()}
+    pinned = set(network.pinned)
+    for label in sorted(chosen, key=lambda label: (-cost[label], label)):
+        gives = network.core.gives[label].tolist()
+        if label in pinned or any(fact in needed and givers_left[fact] == 1 for fact in gives):
+            continue
+        rest = chosen - {label}
+        if is_plan(network, rest):
+            chosen = rest
+            for fact in gives:
+                givers_left[fact] -= 1
+    return chosen
+
+
+def is_plan(network: Network, chosen: set[int]) -> bool:
+    """Whether the labels have a grounded wiring among themselves that meets the goal."""
+    waiting: dict[int, list[int]] = {}
+    missing: dict[int, int] = {}
+    ahead: list[int] = []
+    for label in (*sorted(chosen), network.core.goal):
+        needs = network.core.needs[label].tolist()
+        missing[label] = len(needs)
+        for fact in needs:
+            waiting.setdefault(fact, []).append(label)
+        if not needs:
+            ahead.append(label)
+    before: set[int] = set()
+    for label in ahead:
+        if label in network.special and not _special_inputs_are_fed(network, label, before, chosen):
+            return False
+        before.add(label)
+        for fact in network.core.gives[label].tolist() if label != network.core.goal else ():
+            for consumer in waiting.pop(fact, ()):
+                missing[consumer] -= 1
+                if missing[consumer] == 0:
+                    ahead.append(consumer)
+    return len(before) == len(chosen) + 1
+
+
+def _special_inputs_are_fed(network: Network, label: int, before: set[int], chosen: set[int]) -> bool:
+    """Whether distinct groups can be filled and feedback inputs fed; in doubt (a later feeder) no."""
+    transformation = network.transformations[label]
+
+    def feeders(tag: str, among: set[int]) -> list[str]:
+        return [network.labels[i] for i in network.core.givers[network.fact_of_tag[tag]].tolist() if i in among]
+
+    return all(feeders(p.tag, chosen) for p in transformation.inputs if p.feedback) and all(
+        assign_different({p.name: feeders(p.tag, chosen if p.feedback else before) for p in group}) is not None
+        for group in distinct_groups(transformation)
+    )

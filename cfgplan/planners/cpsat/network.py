@@ -1,0 +1,178 @@
+"""The problem over transformations as arrays: what each needs and offers.
+
+For least cost alone one unit of each transformation is enough, so the problem is one of *labels*:
+choose a set of them, grounded, that meets the targets. A *fact* is a demand (merged with all demands
+that the same transformations can meet): "somebody offers this". Distinct and feedback inputs are
+relaxed here, the one to an ordinary input, the other to none: bounds stay valid.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from cfgplan.domain import Transformation
+from cfgplan.reasons import Givers
+
+Ints = npt.NDArray[np.int64]
+Floats = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+Number = TypeVar("Number", np.int64, np.float64)
+
+NEVER = np.int64(2**60)
+"""A cost that no sum of real costs reaches."""
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Lists of integers, one after the other: row i is `items[starts[i]:starts[i + 1]]`."""
+
+    starts: Ints
+    items: Ints
+
+    @classmethod
+    def of(cls, rows: Sequence[Iterable[int]]) -> Rows:
+        lists = [list(row) for row in rows]
+        items = np.fromiter((item for row in lists for item in row), np.int64)
+        return cls(_starts([len(row) for row in lists]), items)
+
+    def __len__(self) -> int:
+        return len(self.starts) - 1
+
+    def __getitem__(self, row: int) -> Ints:
+        return self.items[self.starts[row] : self.starts[row + 1]]
+
+    def gathered(self, rows: Ints) -> Ints:
+        """The items of some rows, one row after the other."""
+        first = self.starts[rows]
+        counts = self.starts[rows + 1] - first
+        ends = np.cumsum(counts)
+        items: Ints = self.items[np.repeat(first - ends + counts, counts) + np.arange(ends[-1] if len(ends) else 0)]
+        return items
+
+    @cached_property
+    def row_of_item(self) -> Ints:
+        return np.repeat(np.arange(len(self)), np.diff(self.starts))
+
+    def transposed(self, columns: int) -> Rows:
+        """Row j holds the i whose row held j."""
+        order = np.argsort(self.items, kind="stable")
+        return Rows(_starts(np.bincount(self.items, minlength=columns)), self.row_of_item[order])
+
+    def restricted(self, rows: Flags, number: Ints) -> Rows:
+        """The rows flagged, with their items renumbered; items whose new number is negative are left out."""
+        items = number[self.items]
+        stays = rows[self.row_of_item] & (items >= 0)
+        counts = np.bincount(self.row_of_item[stays], minlength=len(self))[rows]
+        return Rows(_starts(counts), items[stays])
+
+
+def _starts(counts: npt.ArrayLike) -> Ints:
+    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+
+
+@dataclass(frozen=True)
+class Core:
+    """`needs[label]` are facts, `givers[fact]` labels. The last label is the goal, which needs all that is wanted.
+
+    `labels` and `facts` are the numbers that they have in the network of which this is a part.
+    """
+
+    needs: Rows
+    givers: Rows
+    labels: Ints
+    facts: Ints
+
+    @property
+    def goal(self) -> int:
+        return len(self.labels)
+
+    @cached_property
+    def gives(self) -> Rows:
+        return self.givers.transposed(self.goal + 1)
+
+    @cached_property
+    def needed_by(self) -> Rows:
+        return self.needs.transposed(len(self.givers))
+
+    @cached_property
+    def _fed(self) -> Ints:
+        """The labels that need something at all."""
+        return np.flatnonzero(np.diff(self.needs.starts))
+
+    def most_of_needs(self, of_fact: Ints) -> Ints:
+        """For each label the greatest value of the facts it needs; 0 for sources."""
+        value = np.zeros(self.goal + 1, np.int64)
+        if len(self._fed):
+            value[self._fed] = np.maximum.reduceat(of_fact[self.needs.items], self.needs.starts[self._fed])
+        return value
+
+    def sum_of_needs(self, of_fact: Floats) -> Floats:
+        """For each label the sum over the facts it needs."""
+        value = np.zeros(self.goal + 1)
+        if len(self._fed):
+            value[self._fed] = np.add.reduceat(of_fact[self.needs.items], self.needs.starts[self._fed])
+        return value
+
+    def least_of_givers(self, of_label: npt.NDArray[Number]) -> npt.NDArray[Number]:
+        """For each fact the least value of the labels that offer it; every fact has one."""
+        if not len(self.givers):
+            return np.zeros(0, of_label.dtype)
+        least: npt.NDArray[Number] = np.minimum.reduceat(of_label[self.givers.items], self.givers.starts[:-1])
+        return least
+
+    def restricted(self, keep: Flags) -> Core:
+        """The part with the labels flagged and the facts they need; what a kept label needs must be kept."""
+        stays = np.append(keep, True)
+        needed = np.zeros(len(self.givers), np.bool_)
+        needed[self.needs.items[stays[self.needs.row_of_item]]] = True
+        label_number = np.where(keep, np.cumsum(keep) - 1, -1)
+        fact_number = np.where(needed, np.cumsum(needed) - 1, -1)
+        return Core(
+            self.needs.restricted(stays, fact_number),
+            self.givers.restricted(needed, label_number),
+            self.labels[keep],
+            self.facts[needed],
+        )
+
+
+class Network:
+    """The core of a problem with the names of its labels and the facts of its tags.
+
+    `special` are the labels with distinct or feedback inputs, `pinned` those that have to run.
+    """
+
+    def __init__(
+        self, library: Sequence[Transformation], targets: Iterable[str], pinned: Iterable[str], rows: Givers
+    ) -> None:
+        self.transformations = library
+        self.labels = [transformation.label for transformation in library]
+        self.number = {label: i for i, label in enumerate(self.labels)}
+        self.fact_of_tag: dict[str, int] = {}
+        fact_of_givers: dict[tuple[int, ...], int] = {}
+
+        def fact(tag: str) -> int:
+            if tag not in self.fact_of_tag:
+                givers = tuple(self.number[label] for label in rows.of(tag) if label in self.number)
+                self.fact_of_tag[tag] = fact_of_givers.setdefault(givers, len(fact_of_givers))
+            return self.fact_of_tag[tag]
+
+        needs = [{fact(port.tag) for port in t.inputs if not port.feedback} for t in library]
+        for port in (port for t in library for port in t.inputs if port.feedback):
+            fact(port.tag)
+        self.pinned = sorted(self.number[label] for label in pinned)
+        wanted = {fact(tag) for tag in targets}.union(*(needs[label] for label in self.pinned))
+        self.special = frozenset(
+            i for i, t in enumerate(library) if any(port.feedback or port.distinct is not None for port in t.inputs)
+        )
+        self.core = Core(
+            Rows.of([sorted(facts) for facts in (*needs, wanted)]),
+            Rows.of(list(fact_of_givers)),
+            np.arange(len(library)),
+            np.arange(len(fact_of_givers)),
+        )

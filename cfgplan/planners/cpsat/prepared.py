@@ -1,0 +1,17 @@
+"""What preprocessing hands to the search."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What preprocessing leaves: labels that may be used, a first plan, its cost, a bound, landmarks."""
+
+    labels: list[str]
+    plan: list[str] | None = None
+    cost_us: int | None = None
+    bound_us: int = 0
+    landmarks: list[list[str]] = field(default_factory=list)
+    counts: dict[str, int] = field(default_factory=dict)

@@ -1,0 +1,10 @@
+"""The judge: every rule that an environment or a plan breaks, in words (Definitions 8-10).
+
+It shares no code with any planner and recomputes feasibility and cost from the definitions alone.
+"""
+
+from cfgplan.validity.environments import violations
+from cfgplan.validity.plans import plan_violations
+from cfgplan.validity.rules import Rule, Violation
+
+__all__ = ["Rule", "Violation", "plan_violations", "violations"]

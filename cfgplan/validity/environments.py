@@ -1,0 +1,112 @@
+"""Every rule that a running configuration breaks (Definition 9)."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
+
+from cfgplan.domain import Environment, Similarity, Stream
+from cfgplan.validity.reading import known_units, needed_by, publishers, tag_of
+from cfgplan.validity.rules import Rule, Violation
+
+
+def violations(environment: Environment, similarity: Similarity) -> list[Violation]:
+    """Every rule that the running configuration violates; empty when it is valid (Definition 9)."""
+    return [
+        *_unknown_transformations(environment),
+        *_bad_subscriptions(environment, similarity),
+        *_bad_publications(environment, similarity),
+        *_cycles(environment),
+        *_indistinct_feeds(environment),
+        *_needless_units(environment),
+    ]
+
+
+def _unknown_transformations(environment: Environment) -> Iterator[Violation]:
+    for unit in environment.units:
+        if unit.transformation not in environment.transformation:
+            yield Violation(
+                Rule.KNOWN, f"unit {unit.id} instantiates {unit.transformation}, which is not in the library", unit.id
+            )
+
+
+def _bad_subscriptions(environment: Environment, similarity: Similarity) -> Iterator[Violation]:
+    for unit, transformation in known_units(environment):
+        for port in transformation.inputs:
+            if port.name not in unit.feeds:
+                text = f"input {port.name} of unit {unit.id} has no subscription"
+                yield Violation(Rule.FED, text, unit.id, port.name)
+        for name, stream in unit.feeds.items():
+            if name not in transformation.input:
+                text = f"unit {unit.id} subscribes at {name}, which is no input of {transformation.label}"
+                yield Violation(Rule.FED, text, unit.id, name)
+                continue
+            offered = tag_of(environment, stream)
+            if offered is None:
+                text = f"input {name} of unit {unit.id} subscribes to {stream}, which nothing produces"
+                yield Violation(Rule.FED, text, unit.id, name)
+            elif not similarity.holds(offered, transformation.input[name].tag):
+                wanted = transformation.input[name].tag
+                text = f"input {name} of unit {unit.id} needs {wanted}, but {stream} gives {offered}"
+                yield Violation(Rule.MATCHING, text, unit.id, name)
+
+
+def _bad_publications(environment: Environment, similarity: Similarity) -> Iterator[Violation]:
+    published: dict[str, list[Stream]] = defaultdict(list)
+    topics = {target.topic for target in environment.targets}
+    for unit, transformation in known_units(environment):
+        for publication in unit.publications:
+            published[publication.topic].append(Stream(unit.id, publication.port))
+            if publication.port not in transformation.output:
+                text = f"unit {unit.id} publishes {publication.port}, which is no output of {transformation.label}"
+                yield Violation(Rule.PUBLISHED, text, unit.id, publication.port)
+            if publication.topic not in topics:
+                text = f"unit {unit.id} publishes on {publication.topic}, which no target names"
+                yield Violation(Rule.PUBLISHED, text, unit.id, publication.port)
+    for target in environment.targets:
+        streams = published[target.topic]
+        if len(streams) != 1:
+            found = f"{len(streams)} streams are" if streams else "no stream is"
+            text = f"{found} published on {target.topic}, the topic of target {target.label}"
+            yield Violation(Rule.MET, text, target=target.label)
+        for stream in streams:
+            offered = tag_of(environment, stream)
+            if offered is not None and not similarity.holds(offered, target.tag):
+                text = f"target {target.label} wants {target.tag}, but {stream} gives {offered}"
+                yield Violation(Rule.MATCHING, text, target=target.label)
+
+
+def _cycles(environment: Environment) -> Iterator[Violation]:
+    sorter: TopologicalSorter[str] = TopologicalSorter()
+    for unit, transformation in known_units(environment):
+        for name, stream in unit.feeds.items():
+            if name in transformation.input and not transformation.input[name].feedback:
+                sorter.add(unit.id, stream.unit)
+    try:
+        sorter.prepare()
+    except CycleError as error:
+        ring = error.args[1]
+        text = f"units feed each other in a cycle with nothing from outside: {' -> '.join(ring)}"
+        yield Violation(Rule.GROUNDED, text, ring[0])
+
+
+def _indistinct_feeds(environment: Environment) -> Iterator[Violation]:
+    for unit, transformation in known_units(environment):
+        feeders: dict[tuple[str, str], list[str]] = defaultdict(list)
+        for port in transformation.inputs:
+            stream = unit.feeds.get(port.name)
+            if port.distinct is not None and stream is not None and stream.unit in environment.unit:
+                feeders[port.distinct, environment.unit[stream.unit].transformation].append(port.name)
+        for (_, feeder), ports in feeders.items():
+            if len(ports) > 1:
+                text = f"inputs {' and '.join(ports)} of unit {unit.id} must differ, but {feeder} feeds them all"
+                yield Violation(Rule.DISTINCT, text, unit.id, ports[0])
+
+
+def _needless_units(environment: Environment) -> Iterator[Violation]:
+    pinned = {unit.id for unit, transformation in known_units(environment) if transformation.pinned}
+    needed = needed_by(environment, publishers(environment) | pinned)
+    for unit in environment.units:
+        if unit.id not in needed:
+            yield Violation(Rule.LEAN, f"unit {unit.id} runs, but no target needs it", unit.id)

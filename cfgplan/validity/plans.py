@@ -1,0 +1,110 @@
+"""Every way in which a plan is not what it says (Definitions 8 and 10)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from cfgplan.domain import Environment
+from cfgplan.errors import InvalidValueError
+from cfgplan.planning import Plan, Problem, Status
+from cfgplan.validity.environments import violations
+from cfgplan.validity.reading import known_units, needed_by, publishers
+from cfgplan.validity.rules import Rule, Violation
+from cfgplan.validity.startable import givers_by_tag, startable
+
+
+def plan_violations(problem: Problem, plan: Plan) -> list[Violation]:
+    """Every way in which a plan fails to be what it says it is; empty for a good plan.
+
+    That no plan is cheaper is the planner's proof and is not repeated here.
+    """
+    if (plan.change_set is not None) != (plan.status in (Status.OPTIMAL, Status.FEASIBLE)):
+        text = f"a plan that is {plan.status} must have a change set exactly if one was found"
+        return [Violation(Rule.CONSISTENT, text)]
+    if plan.change_set is None:
+        return list(_bad_refusal(problem, plan))
+    try:
+        after = problem.environment.update(plan.change_set)
+    except InvalidValueError as error:
+        return [Violation(Rule.CONSISTENT, str(error))]
+    return [
+        *violations(after, problem.similarity),
+        *_bad_change_set(problem.environment, plan, after),
+        *_dropped_pinned_units(problem, after),
+        *_misreported_required(plan, after),
+        *_bad_cost(problem, plan, after),
+    ]
+
+
+def _bad_refusal(problem: Problem, plan: Plan) -> Iterator[Violation]:
+    possible = startable(problem.environment, problem.similarity)
+    givers = givers_by_tag(problem.environment, problem.similarity)
+    impossible = {
+        target.label for target in problem.environment.targets if possible.isdisjoint(givers.get(target.tag, set()))
+    }
+    if plan.status is Status.INFEASIBLE and set(plan.reasons) != impossible:
+        text = f"the targets that can't be met are {sorted(impossible)}, but the plan names {sorted(plan.reasons)}"
+        yield Violation(Rule.MET, text)
+    if plan.status is Status.INFEASIBLE and not impossible:
+        yield Violation(Rule.MET, "every target can be met, but the plan says infeasible")
+    if plan.status is Status.TOO_EXPENSIVE:
+        if impossible:
+            yield Violation(Rule.MET, f"the plan says too expensive, but {sorted(impossible)} can't be met at all")
+        if problem.max_cost_us is None or plan.bound_us <= problem.max_cost_us:
+            yield Violation(Rule.BOUND, "the plan says too expensive, but its bound does not exceed the largest cost")
+
+
+def _bad_change_set(before: Environment, plan: Plan, after: Environment) -> Iterator[Violation]:
+    assert plan.change_set is not None
+    if (after.library, after.targets) != (before.library, before.targets):
+        yield Violation(Rule.CONSISTENT, "a planner may change units, not the library or the targets")
+    mentioned = {s.stream.unit for unit in before.units for s in unit.subscriptions}
+    for unit in plan.change_set.started:
+        if unit.id in mentioned:
+            text = f"the new unit {unit.id} takes the id of a unit that is gone but still subscribed to"
+            yield Violation(Rule.CONSISTENT, text, unit.id)
+    for unit in plan.change_set.rewired:
+        was = before.unit[unit.id]
+        if unit == was:
+            yield Violation(Rule.CONSISTENT, f"unit {unit.id} is said to be rewired, but stays as it is", unit.id)
+        if unit.transformation != was.transformation:
+            yield Violation(Rule.CONSISTENT, f"unit {unit.id} can't change its transformation", unit.id)
+
+
+def _dropped_pinned_units(problem: Problem, after: Environment) -> Iterator[Violation]:
+    dropped = [
+        (unit, transformation)
+        for unit, transformation in known_units(problem.environment)
+        if transformation.pinned and unit.id not in after.unit
+    ]
+    possible = startable(problem.environment, problem.similarity) if dropped else set()
+    for unit, transformation in dropped:
+        if transformation.label in possible:
+            yield Violation(Rule.PINNED, f"unit {unit.id} is pinned and can be fed, but is stopped", unit.id)
+
+
+def _misreported_required(plan: Plan, after: Environment) -> Iterator[Violation]:
+    needed = needed_by(after, publishers(after))
+    used = {after.unit[unit_id].transformation for unit_id in needed}
+    unused = tuple(t.label for t in after.library if t.required and t.label not in used)
+    if unused != plan.unused_required:
+        text = (
+            f"the unused required transformations are {list(unused)}, but the plan names {list(plan.unused_required)}"
+        )
+        yield Violation(Rule.REQUIRED, text)
+
+
+def _bad_cost(problem: Problem, plan: Plan, after: Environment) -> Iterator[Violation]:
+    cost = 0
+    for unit, transformation in known_units(after):
+        cost += transformation.upkeep_us * problem.horizon_s
+        if unit.id not in problem.environment.unit:
+            cost += transformation.labor_us
+    if plan.cost_us != cost:
+        yield Violation(Rule.COST, f"the update costs {cost} us, but the plan says {plan.cost_us} us")
+    if problem.max_cost_us is not None and cost > problem.max_cost_us:
+        yield Violation(Rule.COST, f"the update costs {cost} us, more than the {problem.max_cost_us} us allowed")
+    if plan.bound_us > cost:
+        yield Violation(Rule.BOUND, f"the bound {plan.bound_us} us exceeds the cost {cost} us")
+    if plan.status is Status.OPTIMAL and plan.bound_us != cost:
+        yield Violation(Rule.BOUND, f"the plan says optimal, but its bound is {plan.bound_us} us of {cost} us")

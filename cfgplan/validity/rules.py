@@ -1,0 +1,38 @@
+"""The rules that are judged, and a broken one in words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class Rule(StrEnum):
+    """What a valid environment, and a truthful plan, must satisfy."""
+
+    KNOWN = "every unit instantiates a transformation of the library (Definition 9.1)"
+    FED = "every input of a unit is fed by a stream of a running unit (Definition 9.2)"
+    MET = "every target is met by exactly one stream, published on its topic (Definition 9.3)"
+    MATCHING = "every stream's tag is subsumed by the tag of what it feeds (Definition 9.4)"
+    GROUNDED = "every unit's data comes from sources: no cycle without a feedback input"
+    DISTINCT = "inputs of one distinct group are fed by different transformations"
+    LEAN = "no unit runs that no target needs, unless it is pinned"
+    PUBLISHED = "a topic carries only what a target asks for"
+    PINNED = "a running unit of a pinned transformation is kept where it can be fed"
+    REQUIRED = "a plan says which required transformations it leaves unused"
+    CONSISTENT = "a change set can be applied and says exactly what changes"
+    COST = "cost is labor of what starts plus upkeep of what runs over the horizon (Definition 8)"
+    BOUND = "the bound is at most the cost, and equal to it when the plan is optimal"
+
+
+@dataclass(frozen=True, slots=True)
+class Violation:
+    """One broken rule, with the unit or target (and port) where it is broken."""
+
+    rule: Rule
+    text: str
+    unit: str | None = None
+    port: str | None = None
+    target: str | None = None
+
+    def __str__(self) -> str:
+        return self.text

@@ -1,0 +1,70 @@
+"""Which transformations can run at all, by the judge's own reckoning."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping
+
+from cfgplan.domain import Environment, Similarity, Transformation
+
+
+def startable(environment: Environment, similarity: Similarity) -> set[str]:
+    """The labels of all transformations of which a unit can run in some valid wiring.
+
+    More providers never hurt, so it is enough to look at all of them running at once: the largest
+    set whose ordinary inputs are fed by members that come before and feedback inputs by any member.
+    """
+    givers = givers_by_tag(environment, similarity)
+    candidates = set(environment.transformation)
+    while True:
+        grounded: set[str] = set()
+        while True:
+            more = {
+                label
+                for label in candidates - grounded
+                if _can_be_fed(givers, environment.transformation[label], grounded, candidates)
+            }
+            if not more:
+                break
+            grounded |= more
+        if grounded == candidates:
+            return grounded
+        candidates = grounded
+
+
+def _can_be_fed(
+    givers: Mapping[str, set[str]], transformation: Transformation, before: set[str], anywhere: set[str]
+) -> bool:
+    choices: dict[str, dict[str, set[str]]] = defaultdict(dict)
+    for port in transformation.inputs:
+        group = port.distinct if port.distinct is not None else f"\0{port.name}"
+        allowed = anywhere if port.feedback else before
+        choices[group][port.name] = givers.get(port.tag, set()) & allowed
+    return all(_different_choices_exist(group) for group in choices.values())
+
+
+def givers_by_tag(environment: Environment, similarity: Similarity) -> dict[str, set[str]]:
+    """For each demanded tag the transformations with an output that matches it."""
+    offering: dict[str, set[str]] = defaultdict(set)
+    for transformation in environment.library:
+        for port in transformation.outputs:
+            offering[port.tag].add(transformation.label)
+    return {
+        demanded: {label for tag in offered for label in offering.get(tag, ())}
+        for demanded, offered in similarity.offers.items()
+    }
+
+
+def _different_choices_exist(choices: Mapping[str, set[str]]) -> bool:
+    """Whether each port can have a feeder of its own (a matching, by augmenting paths)."""
+    port_of: dict[str, str] = {}
+
+    def assign(port: str, tried: set[str]) -> bool:
+        for feeder in choices[port] - tried:
+            tried.add(feeder)
+            if feeder not in port_of or assign(port_of[feeder], tried):
+                port_of[feeder] = port
+                return True
+        return False
+
+    return all(assign(port, set()) for port in choices)

@@ -1,0 +1,62 @@
+"""The same planner written in the obvious ways, for comparison: `module:function` planners."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from ortools.sat.python.cp_model import CpSolver
+
+from cfgplan.planners.cpsat.clock import Clock
+from cfgplan.planners.cpsat.prepared import Prepared
+from cfgplan.planners.cpsat.search import Grounding, Search
+from cfgplan.planners.cpsat.session import PlannerSession
+from cfgplan.planners.cpsat.site import Site, relevant
+from cfgplan.planning import Plan, Problem, Progress
+from cfgplan.reasons import Givers, startable
+
+
+class Defaults(Search):
+    """The search with the solver's default parameters but one worker."""
+
+    def solver(self) -> CpSolver:
+        solver = CpSolver()
+        solver.parameters.num_workers = 1
+        left_s = self.clock.left_s()
+        if left_s is not None:
+            solver.parameters.max_time_in_seconds = left_s
+        return solver
+
+
+def _unprepared(
+    search: type[Search], grounding: Grounding, problem: Problem, limit_s: float | None, report: Report
+) -> Plan:
+    clock = Clock(limit_s)
+    givers = Givers(problem.environment.library, problem.similarity)
+    labels = relevant(problem.environment, givers, startable(problem.environment, givers))
+    running = search(Site(problem, givers, labels), Prepared(sorted(labels)), clock, report, grounding)
+    running.run()
+    clock.end("search")
+    return running.plan()
+
+
+Report = Callable[[Progress], None] | None
+
+
+def cuts_alone(problem: Problem, *, time_limit_s: float | None = None, report: Report = None) -> Plan:
+    """Hub model with lazy cuts and the planner's parameters, without preprocessing, bounds or a first plan."""
+    return _unprepared(Search, Grounding.CUTS, problem, time_limit_s, report)
+
+
+def levels_alone(problem: Problem, *, time_limit_s: float | None = None, report: Report = None) -> Plan:
+    """Hub model with level variables and the planner's parameters, without preprocessing."""
+    return _unprepared(Search, Grounding.LEVELS, problem, time_limit_s, report)
+
+
+def defaults_alone(problem: Problem, *, time_limit_s: float | None = None, report: Report = None) -> Plan:
+    """Hub model with level variables and CP-SAT's default parameters on one worker."""
+    return _unprepared(Defaults, Grounding.LEVELS, problem, time_limit_s, report)
+
+
+def levels_prepared(problem: Problem, *, time_limit_s: float | None = None, report: Report = None) -> Plan:
+    """The whole planner, but with level variables in place of the cuts."""
+    return PlannerSession(Grounding.LEVELS).plan(problem, time_limit_s=time_limit_s, report=report)

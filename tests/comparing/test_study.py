@@ -1,0 +1,50 @@
+"""The committed study: its rows can be read, do not contradict each other, and give the tables beside them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from cfgplan.comparing import Row, named, read_rows
+from cfgplan.comparing.invariants import breaches
+from cfgplan.comparing.report import tables_text
+from cfgplan.comparing.suites import SUITES
+from experiments.compare import ENTRANTS, in_order
+
+REPORT = Path(__file__).parents[2] / "experiments" / "report"
+
+
+@pytest.fixture(scope="module")
+def rows() -> list[Row]:
+    return read_rows(REPORT / "results.jsonl")
+
+
+def test_no_two_planners_of_the_study_contradict_each_other(rows: list[Row]) -> None:
+    assert len(rows) > 1000
+    assert breaches(rows) == []
+
+
+def test_the_tables_are_those_of_the_results(rows: list[Row]) -> None:
+    assert tables_text(in_order(rows)) == (REPORT / "tables.md").read_text()
+
+
+def test_every_planner_ran_on_every_instance_of_the_suite(rows: list[Row]) -> None:
+    names = {row.planner for row in rows}
+    assert names <= set(ENTRANTS)
+    assert len(names) >= 8
+    ran = {(row.instance, row.planner) for row in rows}
+    assert {(instance.name, name) for instance in SUITES["full"]() for name in names} <= ran
+
+
+def test_the_instances_of_the_study_can_be_made_again(rows: list[Row]) -> None:
+    for instance in ("nao(robots=20)#0", "random_library(transformations=500)#1", "adversarial(kind=cover, size=40)#0"):
+        (digest,) = {row.digest for row in rows if row.instance == instance}
+        assert named(instance).digest == digest
+
+
+def test_the_text_shows_every_picture() -> None:
+    text = (REPORT / "README.md").read_text()
+    assert {path.name for path in REPORT.glob("*.png")} == {
+        part.split(")")[0] for part in text.split("](") if ".png)" in part
+    }

@@ -1,0 +1,225 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from cfgplan.errors import InputError
+from cfgplan.matching import (
+    MatchingError,
+    Ontology,
+    ReasonerTimeoutError,
+    instances,
+    load_ontology,
+    match,
+    read_owlready,
+)
+
+TURTLE = """@prefix : <http://w.example/#> .
+@prefix owl: <http://www.w3.org/2002/07/owl#> .
+@prefix rdfs: <http://www.w3.org/2000/01/rdf-schema#> .
+<http://w.example/> a owl:Ontology .
+:Camera a owl:Class ; rdfs:subClassOf :Device .
+:hasSource a owl:ObjectProperty .
+:cam1 a :Camera .
+"""
+RDF_TYPE = "<http://www.w3.org/1999/02/22-rdf-syntax-ns#type>"
+SUBCLASS = "<http://www.w3.org/2000/01/rdf-schema#subClassOf>"
+N_TRIPLES = f"""<http://w.example/#Camera> {SUBCLASS} <http://w.example/#Device> .
+<http://w.example/#cam1> {RDF_TYPE} <http://w.example/#Camera> .
+<http://w.example/#hasSource> {RDF_TYPE} <http://www.w3.org/2002/07/owl#ObjectProperty> .
+"""
+RDF_XML = """<?xml version="1.0"?>
+<rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#" xmlns:owl="http://www.w3.org/2002/07/owl#"
+  xmlns:rdfs="http://www.w3.org/2000/01/rdf-schema#" xmlns:w="http://w.example/#">
+  <owl:Ontology rdf:about=""/>
+  <owl:Class rdf:about="#Camera"><rdfs:subClassOf rdf:resource="#Device"/></owl:Class>
+  <owl:ObjectProperty rdf:about="#hasSource"/>
+  <owl:NamedIndividual rdf:about="#cam1"><rdf:type rdf:resource="#Camera"/></owl:NamedIndividual>
+</rdf:RDF>
+"""
+OWL_XML = """<?xml version="1.0"?>
+<Ontology xmlns="http://www.w3.org/2002/07/owl#" xml:base="http://w.example/" ontologyIRI="http://w.example/">
+  <Prefix name="" IRI="http://w.example/#"/>
+  <Declaration><ObjectProperty abbreviatedIRI=":hasSource"/></Declaration>
+  <SubClassOf><Class abbreviatedIRI=":Camera"/><Class abbreviatedIRI=":Device"/></SubClassOf>
+  <ClassAssertion><Class abbreviatedIRI=":Camera"/><NamedIndividual abbreviatedIRI=":cam1"/></ClassAssertion>
+</Ontology>
+"""
+FUNCTIONAL = """# comment
+Prefix(:=<http://w.example/#>)
+Ontology(<http://w.example/>
+  Declaration(ObjectProperty(:hasSource))
+  SubClassOf(:Camera :Device)
+  ClassAssertion(:Camera :cam1)
+)
+"""
+MANCHESTER = """Prefix: : <http://w.example/#>
+Ontology: <http://w.example/>
+ObjectProperty: :hasSource
+Class: :Device
+Class: :Camera
+  SubClassOf: :Device
+Individual: :cam1
+  Types: :Camera
+"""
+
+
+@pytest.mark.parametrize("suffix", [".ttl", ".owl", ".rdf", ""])
+@pytest.mark.parametrize("text", [TURTLE, N_TRIPLES, RDF_XML, OWL_XML, FUNCTIONAL, MANCHESTER])
+def test_every_syntax_is_told_by_its_content(text: str, suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"world{suffix}"
+    path.write_text(text)
+    ontology = load_ontology([path])
+    assert set(ontology.classes) == {"Camera", "Device"}
+    assert instances(ontology, "Device") == ("cam1",)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "line", "told"),
+    [
+        ("a.ttl", b"", None, "is empty"),
+        ("a.ttl", b"@prefix : <http://x#> .\n\n:a :b c .", 3, "Turtle"),
+        ("a.ttl", b"@prefix : <http://x#> . nonsense", 1, "Turtle"),
+        ("a.ofn", FUNCTIONAL.replace("SubClassOf", "SubClassUp").encode(), 5, "functional"),
+        ("a.omn", MANCHESTER.replace("SubClassOf: ", "SubClassOf: and ").encode(), 6, "Manchester"),
+        ("a.owl", RDF_XML.replace("</owl:Class>", "</owl:Klass>").encode(), 5, "RDF/XML"),
+        ("a.owx", OWL_XML.replace("<SubClassOf>", "<SubKlass>").encode(), 5, "OWL/XML"),
+        ("a.png", b"\x89PNG\r\n\xff\xfe\x00", None, "not text"),
+        ("a.ttl", b"<http://x/a> <http://www.w3.org/2000/01/rdf-schema#seeAlso> 5 .", None, "no axiom"),
+        ("missing.ttl", None, None, "does not exist"),
+    ],
+)
+def test_a_file_that_is_no_ontology_is_one_clear_fault(
+    name: str, content: bytes | None, line: int | None, told: str, tmp_path: Path
+) -> None:
+    path = tmp_path / name
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(InputError) as caught:
+        load_ontology([path])
+    (fault,) = caught.value.faults
+    assert (fault.file, fault.line) == (str(path), line)
+    assert told in fault.message
+
+
+@pytest.mark.parametrize(
+    ("turtle", "offered", "demanded"),
+    [
+        ("[] a owl:AllDisjointClasses ; owl:members ( :A :B :C ) .", "A", "¬C"),
+        ("[] a owl:AllDisjointClasses ; owl:members ( [ owl:unionOf ( :A :B ) ] :C ) .", "A", "¬C"),
+        ("[] a owl:AllDisjointProperties ; owl:members ( :r :s ) .", "∃r.{p} ⊓ ∃s.{q}", "∃r.{p} ⊓ ¬{q} ⊔ ∃r.⊤"),
+        (":p :r [ a :A ] .", "{p}", "∃r.A"),
+        (":p :r _:x . _:x a :A ; :s :q .", "{p}", "∃r.(A ⊓ ∃s.{q})"),
+        (":A rdfs:subClassOf [ owl:onProperty :r ; owl:someValuesFrom :B ] .", "A", "∃r.B"),
+        (":A owl:intersectionOf ( :B :C ) .", "B ⊓ C", "A"),
+        (":A rdfs:subClassOf [ owl:unionOf ( :B :C ) ] . :B rdfs:subClassOf :C .", "A", "C"),
+        ("[] a owl:AllDifferent ; owl:distinctMembers ( :p :q ) .", "{p}", "¬{q}"),
+        (':p rdfs:comment "a \\"quoted\\" text; _:x <y>" ; :r :q .', "{p}", "∃r.{q}"),
+    ],
+)
+def test_nothing_that_rdf_says_is_lost(turtle: str, offered: str, demanded: str, tmp_path: Path) -> None:
+    names = "".join(f":{name} a owl:Class . " for name in "ABC")
+    names += "".join(f":{name} a owl:ObjectProperty . " for name in "rs")
+    names += "".join(f":{name} a owl:NamedIndividual . " for name in "pq")
+    path = tmp_path / "said.ttl"
+    path.write_text(TURTLE + names + turtle)
+    ontology = load_ontology([path])
+    assert match([offered], [demanded], ontology).similarity.holds(offered, demanded)
+    assert set(ontology.individuals) == {"cam1", "p", "q"}
+
+
+def test_disjoint_properties_contradict_a_shared_value(tmp_path: Path) -> None:
+    path = tmp_path / "said.ttl"
+    both = "[] a owl:AllDisjointProperties ; owl:members ( :r :hasSource ) . :r a owl:ObjectProperty ."
+    path.write_text(f"{TURTLE}{both} :cam1 :r :cam1 ; :hasSource :cam1 .")
+    with pytest.raises(InputError, match="contradicts"):
+        match(["Camera"], ["Device"], load_ontology([path]))
+
+
+def test_anonymous_individuals_of_two_files_are_two(tmp_path: Path) -> None:
+    for name, kind in (("one", "Camera"), ("two", "Device")):
+        (tmp_path / f"{name}.ttl").write_text(
+            f"{TURTLE}:{name} a owl:NamedIndividual ; :hasSource _:x . _:x a :{kind} ."
+        )
+    ontology = load_ontology([tmp_path / "one.ttl", tmp_path / "two.ttl"])
+    assert instances(ontology, "hasSource some Camera") == ("one",)
+    assert instances(ontology, "hasSource some Device") == ("one", "two")
+
+
+def importing(iri: str) -> str:
+    return TURTLE.replace("a owl:Ontology", f"a owl:Ontology ; owl:imports <{iri}>")
+
+
+@pytest.mark.parametrize("iri", ["sub/base.ttl", "http://base.example/base", "http://other.example/by-its-own-iri"])
+def test_an_import_is_found_by_path_by_name_and_by_what_a_file_calls_itself(iri: str, tmp_path: Path) -> None:
+    base = TURTLE.replace("http://w.example/>", "http://other.example/by-its-own-iri>").replace("Camera", "Lidar")
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub/base.ttl").write_text(base)
+    (tmp_path / "base.ttl").write_text(base.replace("<http://other.example", "<http://base.example", 1))
+    (tmp_path / "own.ttl").write_text(base)
+    (tmp_path / "main.ttl").write_text(importing(iri))
+    ontology = load_ontology([tmp_path / "main.ttl"])
+    assert {"Camera", "Lidar"} <= set(ontology.classes)
+
+
+def test_a_missing_import_is_a_fault_with_its_line_and_rings_of_imports_end(tmp_path: Path) -> None:
+    (tmp_path / "one.ttl").write_text(importing("two.ttl"))
+    (tmp_path / "two.ttl").write_text(importing("one.ttl"))
+    assert len(load_ontology([tmp_path / "one.ttl"]).files) == 2
+    (tmp_path / "two.ttl").write_text(importing("http://nowhere.example/three"))
+    with pytest.raises(InputError) as caught:
+        load_ontology([tmp_path / "one.ttl"])
+    (fault,) = caught.value.faults
+    assert (fault.file, fault.line) == (str(tmp_path / "two.ttl"), 4)
+    assert "<http://nowhere.example/three>" in fault.message
+
+
+def test_the_digest_depends_on_the_axioms_alone(tmp_path: Path) -> None:
+    digests = set()
+    for number, text in enumerate((TURTLE, TURTLE.replace("\n:", "\n# comment\n\n:"))):
+        path = tmp_path / f"{number}.ttl"
+        path.write_text(text)
+        digests.add(load_ontology([path]).digest)
+    assert len(digests) == 1
+    assert Ontology(["SubClassOf(<a> <b>)"]).digest != Ontology(["SubClassOf(<b> <a>)"]).digest
+
+
+def test_instances_are_inferred_and_the_class_must_be_one(streams: Ontology) -> None:
+    assert instances(streams, "Device") == ("cam1", "laser1")
+    assert instances(streams, "Device ⊓ ¬Camera") == ()
+    assert instances(streams, "Image") == ()
+    for name in ("cam1", "hasSource", "Devise"):
+        with pytest.raises(MatchingError):
+            instances(streams, name)
+    assert instances(load_ontology([]), "Robot") == ()
+
+
+def test_an_owlready2_ontology_is_taken_over() -> None:
+    owlready2 = pytest.importorskip("owlready2")
+    onto = owlready2.World().get_ontology("http://w.example/")
+    with onto:
+        device = type("Device", (owlready2.Thing,), {})
+        camera = type("Camera", (device,), {})
+        has_source = type("hasSource", (owlready2.ObjectProperty,), {})
+        type("CameraImage", (owlready2.Thing,), {"equivalent_to": [has_source.some(camera)]})
+        camera("cam1")
+    ontology = read_owlready(onto)
+    assert instances(ontology, "Device") == ("cam1",)
+    assert match(["hasSource value cam1"], ["CameraImage"], ontology).similarity.holds(
+        "hasSource value cam1", "CameraImage"
+    )
+
+
+def test_members_that_can_not_be_found_in_time_are_an_error_and_not_left_out() -> None:
+    outside = Ontology(
+        [
+            "SubClassOf(<urn:x#A> ObjectUnionOf(<urn:x#B> <urn:x#C>))",
+            "ClassAssertion(<urn:x#A> <urn:x#one>)",
+            "Declaration(Class(<urn:x#B>))",
+            "Declaration(Class(<urn:x#C>))",
+        ]
+    )
+    assert instances(outside, "A") == ("one",)
+    with pytest.raises(ReasonerTimeoutError, match="could not be decided"):
+        instances(outside, "B ⊔ C", time_limit_s=1e-3)

@@ -1,0 +1,120 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cfgplan.matching import Ontology, TagError, check_tag, load_ontology
+from cfgplan.matching.concepts import Named, Nominal, Some, conjunction
+from cfgplan.matching.syntax import parse_tag
+
+OPEN = load_ontology([])
+ALIKE = [
+    ("Undistorted ⊓ ∃hasSource.{cam1}", "hasSource value cam1 and Undistorted"),
+    ("Undistorted ⊓ ∃hasSource.{cam1}", "Undistorted(cam1)"),
+    ("Undistorted ⊓ ∃hasSource.cam1", "Undistorted(cam1)"),
+    ("∃hasSource.Camera", "hasSource some Camera"),
+    ("exists hasSource.Camera & Image", "Image that hasSource some Camera"),
+    ("∀hasSource.Camera", "hasSource only Camera"),
+    ("¬(Image ⊔ Device)", "not (Device or Image or Device)"),
+    ("~Image | !Device", "not Image or not Device"),
+    ("⊤", "owl:Thing"),
+    ("⊥ ⊓ Image", "Nothing"),
+    ("{cam1, laser1}", "{laser1} or {cam1}"),
+    ("hasSource min 1 Camera", "∃hasSource.Camera"),
+    ("hasSource min 2", "≥2 hasSource.⊤"),
+    ("hasSource exactly 2 Camera", "≥ 2 hasSource.Camera ⊓ ≤ 2 hasSource.Camera"),
+    ("(((Image)))", "<w#Image>"),
+    ("w:Image", "'Image'"),
+    ("∃hasSource.Camera ⊓ Image", "(hasSource some Camera) and Image"),
+]
+WRONG = [
+    ("", 1, "empty"),
+    ("Imag", 1, "did you mean 'Image'?"),
+    ("Image and", 10, "ends where a concept"),
+    ("Image Device", 7, "not expected"),
+    ("∃hasSorce.Camera", 2, "did you mean 'hasSource'?"),
+    ("∃hasSource", 11, "'.' is wanted"),
+    ("Image ⊓ ∃hasSource.{Camera}", 21, "'Camera' is a class, but an individual is wanted"),
+    ("Image)", 6, "remove it"),
+    ("{cam1", 6, "to close '{'"),
+    ("hasSource min many Camera", 15, "no number"),
+    ("Undistorted(Camera)", 13, "an individual is wanted"),
+    ("x:Image", 1, "prefix 'x:' is unknown"),
+    ("Image ⊓ ⊓ Device", 9, "where a concept is wanted"),
+    ("hasSource", 1, "is a property"),
+    ("some Camera", 1, "where a concept is wanted"),
+    ("(" * 200 + "Image", 101, "nested"),
+]
+
+
+@pytest.mark.parametrize(("one", "other"), ALIKE)
+def test_syntaxes_that_say_the_same_mean_the_same(one: str, other: str, streams: Ontology) -> None:
+    assert parse_tag(one, streams) == parse_tag(other, streams)
+
+
+@pytest.mark.parametrize(("tag", "column", "told"), WRONG)
+def test_an_error_names_its_column_and_the_mend(tag: str, column: int, told: str, streams: Ontology) -> None:
+    with pytest.raises(TagError) as caught:
+        check_tag(tag, streams)
+    assert caught.value.column == column
+    assert told in str(caught.value)
+
+
+def test_and_binds_tighter_than_or_and_restrictions_tighter_than_and(streams: Ontology) -> None:
+    assert parse_tag("Image or Device and hasSource some Camera or Device", streams) == parse_tag(
+        "(Image ⊔ (Device ⊓ (∃hasSource.Camera))) ⊔ Device", streams
+    )
+
+
+def test_in_an_open_ontology_every_name_is_free() -> None:
+    wanted = conjunction((Named("Any"), Some("hasSource", Nominal("thing-1"))))
+    assert parse_tag("Any(thing-1)", OPEN) == wanted
+
+
+def test_an_ambiguous_name_must_be_written_with_its_prefix() -> None:
+    ontology = Ontology(["SubClassOf(<x#Image> <y#Image>)"], {"x": "x#", "y": "y#"})
+    with pytest.raises(TagError, match="ambiguous"):
+        check_tag("Image", ontology)
+    assert parse_tag("y:Image", ontology) == Named("y#Image")
+    assert set(ontology.classes) == {"x:Image", "y:Image"}
+
+
+@given(st.text(alphabet="⊓⊔∃∀¬{}().,≥ ab1'<>:-~&|", max_size=30))
+def test_any_text_is_a_tag_or_a_tag_error_within_it(text: str) -> None:
+    try:
+        check_tag(text, OPEN)
+    except TagError as error:
+        assert 1 <= error.column <= len(text) + 1
+
+
+CONCEPTS = st.recursive(
+    st.sampled_from(["A", "B", "{i}", "⊤"]),
+    lambda inner: st.one_of(
+        st.builds("({} ⊓ {})".format, inner, inner),
+        st.builds("({} ⊔ {})".format, inner, inner),
+        st.builds("¬{}".format, inner),
+        st.builds("∃r.{}".format, inner),
+        st.builds("∀r.{}".format, inner),
+        st.builds("≤3 r.{}".format, inner),
+    ),
+    max_leaves=8,
+)
+
+
+@given(CONCEPTS)
+def test_a_concept_reads_back_as_it_is_rendered(text: str) -> None:
+    concept = parse_tag(text, OPEN)
+    assert parse_tag(OPEN.render(concept), OPEN) == concept
+
+
+def test_the_package_gives_each_of_its_names_and_imports_no_reasoner_for_it() -> None:
+    code = (
+        "import sys, cfgplan.matching as m; m.REASONERS; "
+        "heavy = {'cfgplan.matching.session', 'pyhornedowl', 'owlready2', 'pyoxigraph'} & sys.modules.keys(); "
+        "assert not heavy, heavy; [getattr(m, name) for name in m.__all__]"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

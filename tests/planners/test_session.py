@@ -1,0 +1,151 @@
+"""A warm session answers as well as a cold planner, whatever changes in between."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import threading
+from dataclasses import replace
+from threading import Event
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from test_against_the_oracle import quality
+from worlds import TAGS, problems, transformations
+
+from cfgplan.domain import ChangeSet, Environment, InputPort, OutputPort, Similarity, Target, Transformation
+from cfgplan.planners.cpsat import PlannerSession, plan
+from cfgplan.planning import Problem, Progress, Status
+from cfgplan.validity import plan_violations
+
+EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "400"))
+
+
+@st.composite
+def changed(draw: st.DrawFn, problem: Problem) -> Problem:
+    """The problem after one thing happened to it."""
+    environment = problem.environment
+    kind = draw(
+        st.sampled_from(["unit died", "joined", "left", "cost", "target came", "target left", "relation", "cap"])
+    )
+    units, library, targets = list(environment.units), list(environment.library), list(environment.targets)
+    similarity, max_cost_us = problem.similarity, problem.max_cost_us
+    if kind == "unit died" and units:
+        units.remove(draw(st.sampled_from(units)))
+    elif kind == "joined":
+        library.append(draw(transformations(f"new{len(library)}", special=draw(st.booleans()))))
+        library = list({t.label: t for t in library}.values())
+    elif kind == "left" and len(library) > 1:
+        library.remove(draw(st.sampled_from(library)))
+    elif kind == "cost":
+        moved = draw(st.sampled_from(library))
+        library[library.index(moved)] = replace(
+            moved, labor_us=draw(st.integers(0, 9)), upkeep_us=draw(st.integers(0, 5))
+        )
+    elif kind == "target came" and len(targets) < 4:
+        targets.append(Target(f"late{len(targets)}", draw(st.sampled_from(TAGS)), f"/late{len(targets)}"))
+        targets = list({t.label: t for t in targets}.values())
+    elif kind == "target left" and targets:
+        targets.remove(draw(st.sampled_from(targets)))
+    elif kind == "relation":
+        one, other = draw(st.sampled_from(TAGS)), draw(st.sampled_from(TAGS))
+        similarity = Similarity({**similarity.offers, one: similarity.offers[one] ^ ({other} - {one})})
+    elif kind == "cap":
+        max_cost_us = draw(st.one_of(st.none(), st.integers(0, 30)))
+    return Problem(
+        Environment(tuple(units), tuple(library), tuple(targets)), similarity, problem.horizon_s, max_cost_us
+    )
+
+
+@settings(
+    max_examples=EXAMPLES // 2,
+    deadline=None,
+    derandomize="CFGPLAN_EXAMPLES" not in os.environ,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
+)
+@given(st.data())
+def test_a_warm_session_is_as_good_as_a_cold_planner_through_any_changes(data: st.DataObject) -> None:
+    session = PlannerSession()
+    problem = data.draw(problems(most=7, special=data.draw(st.booleans())))
+    for _ in range(data.draw(st.integers(1, 6))):
+        warm = session.plan(problem)
+        assert plan_violations(problem, warm) == []
+        assert quality(warm) == quality(plan(problem))
+        if warm.change_set is not None and data.draw(st.booleans()):
+            problem = replace(problem, environment=problem.environment.update(warm.change_set))
+        problem = data.draw(changed(problem))
+
+
+def hard_problem(demands: int = 150) -> Problem:
+    """A covering problem whose proof takes minutes: many overlapping choices at nearly the same cost."""
+    draw = random.Random(7)
+    tags = [f"T{i}" for i in range(demands)]
+    library = [
+        Transformation(
+            f"t{i}",
+            (),
+            tuple(OutputPort(f"o{tag}", tag) for tag in draw.sample(tags, 6)),
+            labor_us=draw.randint(1000, 1100),
+        )
+        for i in range(3 * demands)
+    ]
+    join = Transformation("join", tuple(InputPort(tag, tag) for tag in tags), (OutputPort("out", "Z"),))
+    similarity = Similarity({tag: frozenset({tag}) for tag in [*tags, "Z"]})
+    return Problem(Environment((), (*library, join), (Target("q", "Z", "/q"),)), similarity, 1)
+
+
+def test_a_stop_event_ends_with_the_best_plan_so_far_and_an_honest_bound() -> None:
+    problem, stop = hard_problem(), Event()
+    stop.set()
+    found = plan(problem, stop=stop)
+    assert found.status is Status.FEASIBLE
+    assert found.gap is not None
+    assert found.gap > 0
+    assert plan_violations(problem, found) == []
+
+
+@pytest.mark.skipif(os.name != "posix", reason="sends itself an interrupt as Ctrl-C does")
+def test_ctrl_c_during_the_solving_ends_with_the_best_plan_so_far() -> None:
+    problem = hard_problem()
+    bounds: list[int] = []
+
+    def interrupt(progress: Progress) -> None:
+        bounds.append(progress.bound_us)
+        if threading.current_thread() is not threading.main_thread() and bounds.count(-1) == 0:
+            bounds.append(-1)
+            os.kill(os.getpid(), signal.SIGINT)
+
+    found = plan(problem, time_limit_s=60, report=interrupt)
+    assert -1 in bounds
+    assert found.status is Status.FEASIBLE
+    assert plan_violations(problem, found) == []
+
+
+def test_the_bound_rises_and_the_cost_falls_while_it_works() -> None:
+    seen: list[Progress] = []
+    plan(hard_problem(), time_limit_s=2, report=seen.append)
+    bounds = [progress.bound_us for progress in seen]
+    costs = [progress.cost_us for progress in seen if progress.cost_us is not None]
+    assert bounds == sorted(bounds)
+    assert costs == sorted(costs, reverse=True)
+    assert len(set(bounds)) > 1
+    assert bounds[-1] < costs[-1]
+
+
+def test_a_session_plans_again_after_each_failure_without_a_change_where_none_is_needed() -> None:
+    library = [Transformation(f"s{i}", (), (OutputPort("o", "A"),), labor_us=5 + i) for i in range(3)]
+    library.append(Transformation("f", (InputPort("i", "A"),), (OutputPort("o", "B"),), labor_us=2))
+    environment = Environment((), tuple(library), (Target("q", "B", "/q"),))
+    problem = Problem(environment, Similarity({"A": frozenset("A"), "B": frozenset("B")}), 1)
+    session = PlannerSession()
+    first = session.plan(problem)
+    assert first.change_set is not None
+    running = replace(problem, environment=environment.update(first.change_set))
+    assert not session.plan(running).change_set
+    failed = replace(running, environment=running.environment.update(ChangeSet(stopped=("s0.1",))))
+    again = session.plan(failed)
+    assert again.change_set is not None
+    assert [unit.id for unit in again.change_set.started] == ["s0.2"]
+    assert [unit.id for unit in again.change_set.rewired] == ["f.1"]

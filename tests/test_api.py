@@ -1,0 +1,62 @@
+"""What `import cfgplan` hands out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import networkx
+import pytest
+
+import cfgplan
+
+NAO = Path(__file__).parent.parent / "models" / "nao"
+
+
+def test_the_case_study_is_an_acyclic_graph_with_an_edge_for_each_subscription() -> None:
+    environment = cfgplan.load(NAO / "3-puff-registered.yaml").environment
+    graph = cfgplan.computation_graph(environment)
+    assert networkx.is_directed_acyclic_graph(graph)
+    assert set(graph) == set(environment.unit)
+    assert graph.number_of_edges() == sum(len(unit.subscriptions) for unit in environment.units)
+    assert graph.edges["segmenter(piff).1", "ball_detector(piff).1", "hull"]["stream"] == "segmenter(piff).1/hull"
+
+
+def test_a_gap_has_no_edge() -> None:
+    graph = cfgplan.computation_graph(cfgplan.load(NAO / "2-segmenter-lost.yaml").environment)
+    assert {key for _, _, key in graph.in_edges("ball_detector(piff).1", keys=True)} == {"fine", "coarse"}
+
+
+def test_every_name_that_the_package_promises_is_there() -> None:
+    for name in cfgplan.__all__:
+        assert getattr(cfgplan, name).__module__.startswith("cfgplan."), name
+
+
+def test_an_owlready2_ontology_gives_tags_their_meaning() -> None:
+    import owlready2
+
+    ontology = owlready2.World().get_ontology("http://example.org/animals.owl")
+    with ontology:
+        animal = owlready2.types.new_class("Animal", (owlready2.Thing,))
+        owlready2.types.new_class("Cat", (animal,))
+    library = (cfgplan.Transformation("camera", outputs=(cfgplan.OutputPort("o", "Cat"),), labor_us=5),)
+    targets = (cfgplan.Target("t", "Animal", "/t"),)
+    world = cfgplan.world(cfgplan.Environment(library=library, targets=targets), horizon_s=1, ontology=ontology)
+    plan = cfgplan.plan(cfgplan.match(world))
+    assert plan.cost_us == 5
+
+
+def test_a_code_built_world_refuses_a_tag_that_does_not_parse() -> None:
+    library = (cfgplan.Transformation("camera", outputs=(cfgplan.OutputPort("o", "Cat and"),)),)
+    world = cfgplan.world(cfgplan.Environment(library=library), horizon_s=1)
+    with pytest.raises(cfgplan.InputError, match="Cat and"):
+        cfgplan.match(world)
+
+
+def test_an_answer_that_the_judge_does_not_accept_never_reaches_the_user(monkeypatch: pytest.MonkeyPatch) -> None:
+    def liar(problem: cfgplan.Problem, **_: object) -> cfgplan.Plan:
+        return cfgplan.Plan("liar", cfgplan.Status.OPTIMAL, problem.environment.change_to([]), 0, 0)
+
+    monkeypatch.setattr("cfgplan.api.PLANNERS", {"liar": liar})
+    problem = cfgplan.match(cfgplan.load(NAO / "2-segmenter-lost.yaml"))
+    with pytest.raises(cfgplan.UntruthfulPlanError, match="no stream is published on /result"):
+        cfgplan.plan(problem, planner="liar")
