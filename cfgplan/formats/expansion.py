@@ -18,7 +18,7 @@ from cfgplan.formats.schema import (
     OutputPart,
     TransformationPart,
 )
-from cfgplan.formats.schema_faults import did_you_mean
+from cfgplan.formats.suggestions import did_you_mean
 from cfgplan.formats.tags import TagChecker
 from cfgplan.formats.templates import (
     MOST_EXPANSIONS,
