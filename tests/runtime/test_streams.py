@@ -187,7 +187,7 @@ def test_state_survives_a_restart_when_asked(run_units: StartRuntime) -> None:
     eventually(lambda: len(listener.received) > before + 5)
     runtime.close()
     listener.join()
-    assert listener.values == list(range(listener.values[0], listener.values[0] + len(listener.values)))
+    assert listener.values == sorted(set(listener.values)), "a count that began anew would fall back to 1"
 
 
 def test_values_are_those_that_were_sent(run_units: StartRuntime) -> None:
