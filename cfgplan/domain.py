@@ -60,6 +60,30 @@ class OutputPort:
     tag: str
 
 
+START_MODES = ("all", "any", "aligned")
+
+
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """How the units of a transformation run; planning never looks at it.
+
+    `start` says what starts a step: `all` inputs fresh, `any` input, inputs `aligned` in time within
+    `tolerance_us`, or a port's name. `rate_hz` is a source's. `queue` elements wait at each input; when full,
+    the oldest is dropped, or the producer waits if it `blocks`. A unit that is silent for `hang_us` (0: it
+    may be silent) or takes more than `memory_mb` megabytes is killed. With `state`, a new unit goes on with the
+    state of the last.
+    """
+
+    start: str = "all"
+    tolerance_us: int = 0
+    rate_hz: float | None = None
+    queue: int = 256
+    blocks: bool = False
+    hang_us: int | None = None
+    memory_mb: int | None = None
+    state: bool = False
+
+
 @dataclass(frozen=True)
 class Transformation:
     """A streaming function that can be instantiated (Definition 2, section IV-A).
@@ -81,6 +105,7 @@ class Transformation:
     host: str | None = None
     kind: str | None = None
     params: Mapping[str, object] = field(default_factory=dict, hash=False)
+    run: RunOptions = RunOptions()
 
     def __post_init__(self) -> None:
         _store_sorted(self, "inputs", self.inputs, attrgetter("name"))

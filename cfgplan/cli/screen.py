@@ -52,6 +52,10 @@ class Screen:
         """Print text as it is."""
         sys.stdout.write(text)
 
+    def flush(self) -> None:
+        """Let a reader see at once what was written."""
+        sys.stdout.flush()
+
     def write_bytes(self, data: bytes) -> None:
         """Write a file's bytes to stdout as they are."""
         sys.stdout.buffer.write(data)

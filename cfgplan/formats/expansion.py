@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from math import prod
 from typing import cast
 
-from cfgplan.domain import InputPort, OutputPort, Transformation
+from cfgplan.domain import START_MODES, InputPort, OutputPort, RunOptions, Transformation
 from cfgplan.errors import Fault
 from cfgplan.formats.left_out import LeftOut
 from cfgplan.formats.places import Path, Source
@@ -18,6 +18,7 @@ from cfgplan.formats.schema import (
     OutputPart,
     TransformationPart,
 )
+from cfgplan.formats.suggestions import did_you_mean
 from cfgplan.formats.tags import TagChecker
 from cfgplan.formats.templates import (
     MOST_EXPANSIONS,
@@ -150,7 +151,22 @@ class Expander:
             _optional(part.host, values),
             _optional(part.kind, values),
             cast("dict[str, object]", substitute_all(part.params, values)) if part.params else {},
+            self._run_options(source, path, part, [port.name for port in inputs], values),
         )
+
+    def _run_options(
+        self, source: Source, path: Path, part: TransformationPart, inputs: list[str], values: Mapping[Variable, str]
+    ) -> RunOptions:
+        run = part.run
+        if run is None:
+            return RunOptions()
+        start = substitute(run.start, values)
+        known = [*START_MODES, *inputs]
+        if start not in known:
+            mend = did_you_mean(start, known, f"write {', '.join(START_MODES)}, or the name of an input port")
+            self._faults.append(source.fault((*path, "run", "start"), f"no step starts on `{start}`", mend))
+        blocks = run.when_full == "block"
+        return RunOptions(start, run.tolerance, run.rate, run.queue, blocks, run.hang, run.memory, run.state)
 
     def _ports(
         self, source: Source, path: Path, key: str, part: TransformationPart, values: Mapping[Variable, str]
@@ -197,6 +213,8 @@ def _texts(part: TransformationPart, path: Path) -> Iterator[tuple[Path, str]]:
         text = getattr(part, key)
         if text is not None:
             yield (*path, key), text
+    if part.run is not None:
+        yield (*path, "run", "start"), part.run.start
     for key in ("inputs", "outputs"):
         for name, written in (getattr(part, key) or {}).items():
             yield (*path, key, name), name

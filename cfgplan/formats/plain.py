@@ -7,7 +7,7 @@ from decimal import Decimal
 from typing import Any
 
 from cfgplan.costs import seconds
-from cfgplan.domain import ComputationUnit, Environment, InputPort, Target, Transformation
+from cfgplan.domain import ComputationUnit, Environment, InputPort, RunOptions, Target, Transformation
 from cfgplan.formats.schema import FORMAT
 from cfgplan.formats.templates import escape
 
@@ -51,8 +51,25 @@ def _transformation(transformation: Transformation) -> dict[str, Any]:
             "upkeep": plain_cost(transformation.upkeep_us),
             "pinned": transformation.pinned,
             "required": transformation.required,
+            "run": _run_options(transformation.run),
             "inputs": {escape(port.name): _input(port) for port in transformation.inputs},
             "outputs": {escape(port.name): escape(port.tag) for port in transformation.outputs},
+        }
+    )
+
+
+def _run_options(run: RunOptions) -> dict[str, Any]:
+    usual = RunOptions()
+    return _without_nothing(
+        {
+            "start": None if run.start == usual.start else escape(run.start),
+            "tolerance": plain_cost(run.tolerance_us) if run.tolerance_us else None,
+            "rate": None if run.rate_hz is None else Decimal(repr(run.rate_hz)),
+            "queue": None if run.queue == usual.queue else run.queue,
+            "when_full": "block" if run.blocks else None,
+            "hang": None if run.hang_us is None else plain_cost(run.hang_us),
+            "memory": run.memory_mb,
+            "state": run.state,
         }
     )
 

@@ -14,6 +14,8 @@ from cfgplan.errors import InvalidValueError
 
 FORMAT = "cfgplan/1"
 LONGEST_HORIZON_S = 1_000_000_000
+LARGEST_RATE_HZ = 100_000
+LONGEST_QUEUE = 1_000_000
 NAME = r"^[^\s\x00-\x1f\x7f]([^\x00-\x1f\x7f]*[^\s\x00-\x1f\x7f])?$"
 PORT = r"^[^\s\x00-\x1f\x7f/]([^\x00-\x1f\x7f/]*[^\s\x00-\x1f\x7f/])?$"
 
@@ -44,6 +46,21 @@ def _cost(value: object) -> int:
     if type(value) is int or type(value) is Decimal:
         return _microseconds(value)
     raise PydanticCustomError("cost_type", "a cost is a number of CPU seconds")
+
+
+def _seconds(value: object) -> int:
+    if type(value) is int or type(value) is Decimal:
+        return _microseconds(value)
+    raise PydanticCustomError("number_type", "a time is a number of seconds")
+
+
+def _rate(value: object) -> float:
+    if type(value) is not int and type(value) is not Decimal:
+        raise PydanticCustomError("number_type", "a rate is a number")
+    if not 0 < value <= LARGEST_RATE_HZ:
+        mend = f"write a number above 0 and up to {LARGEST_RATE_HZ:,}"
+        raise PydanticCustomError("rate", "{text}", {"text": f"a rate of {value} is out of range", "mend": mend})
+    return float(value)
 
 
 def _finite(value: object) -> object:
@@ -79,6 +96,10 @@ Name = Annotated[str, Field(pattern=NAME)]
 PortName = Annotated[str, Field(pattern=PORT)]
 TagText = Annotated[str, Field(min_length=1, description="a concept in description logic, or the paper's P(a)")]
 Cost = Annotated[int, PlainValidator(_cost), WithJsonSchema({"type": "number", "minimum": 0})]
+Seconds = Annotated[int, PlainValidator(_seconds), WithJsonSchema({"type": "number", "minimum": 0})]
+Rate = Annotated[
+    float, PlainValidator(_rate), WithJsonSchema({"type": "number", "exclusiveMinimum": 0, "maximum": LARGEST_RATE_HZ})
+]
 Params = Annotated[dict[str, Any], PlainValidator(_params), WithJsonSchema({"type": ["object", "null"]})]
 
 
@@ -116,6 +137,27 @@ Names = Annotated[
 ]
 
 
+class RunPart(_Part):
+    """How the units of a transformation run."""
+
+    start: PortName = Field(
+        default="all", description="what starts a step: all inputs fresh, any input, aligned in time, or a port's name"
+    )
+    tolerance: Seconds = Field(default=0, description="how far apart aligned inputs may be, in seconds")
+    rate: Rate | None = Field(default=None, description="how often a source gives an element, per second")
+    queue: int = Field(default=256, ge=1, le=LONGEST_QUEUE, description="how many elements may wait at an input")
+    when_full: Literal["drop_oldest", "block"] = Field(
+        default="drop_oldest", description="drop the oldest element, or let the producer wait"
+    )
+    hang: Seconds | None = Field(
+        default=None, description="kill a unit that is silent for so many seconds; 0: never; 10 if absent"
+    )
+    memory: int | None = Field(
+        default=None, ge=1, le=LONGEST_QUEUE, description="the most memory that a unit may take, in megabytes"
+    )
+    state: bool = Field(default=False, description="a new unit goes on with the state of the last")
+
+
 class TransformationPart(_Part):
     """A streaming function that can be instantiated; `${Class}` in it stands for each individual of a class."""
 
@@ -130,6 +172,7 @@ class TransformationPart(_Part):
     upkeep: Cost | None = Field(default=None, description="CPU seconds that a running unit takes per second")
     pinned: bool = Field(default=False, description="running units are kept even where no target needs them")
     required: bool = Field(default=False, description="must be used wherever that is possible at all")
+    run: RunPart | None = Field(default=None, description="how its units run; planning never looks at it")
     inputs: dict[PortName, Input] | None = Field(default=None, description="input ports: name to tag")
     outputs: dict[PortName, Output] | None = Field(default=None, description="output ports: name to tag")
 

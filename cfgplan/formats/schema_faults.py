@@ -30,6 +30,7 @@ _KINDS = {
     "model_type": "a mapping of keys to values",
     "model_attributes_type": "a mapping of keys to values",
     "cost_type": "a number of CPU seconds",
+    "number_type": "a number",
 }
 
 

@@ -52,6 +52,8 @@ def _transformation(part: Mapping[str, Any]) -> Iterator[str]:
     for name in ("label", "source"):
         if part.get(name) is not None:
             yield f"    {_element(name, part[name])}"
+    if part.get("run"):
+        yield f"    {_opened('run', **part['run'])[:-1]}/>"
     if part.get("params"):
         yield "    <params>"
         for name, value in part["params"].items():

@@ -1,7 +1,7 @@
 """The paper's XML specifications (Listings 1 and 2) as plain data in the environment file's form.
 
 What the paper's XML lacks is added as attributes (labor, upkeep, host, pinned, required, distinct, feedback,
-priority) and elements (unit, ontology, include, and the root environment with horizon and max_cost).
+priority) and elements (run, unit, ontology, include, and the root environment with horizon and max_cost).
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from cfgplan.formats.xml_elements import Element, parse_xml
 
 _ATTRIBUTES = {
     "transformation": ("type", "labor", "upkeep", "host", "pinned", "required"),
+    "run": ("start", "tolerance", "rate", "queue", "when_full", "hang", "memory", "state"),
     "target": ("priority",),
     "unit": ("id", "transformation"),
     "defaults": ("labor", "upkeep"),
@@ -30,7 +31,7 @@ _ATTRIBUTES = {
     "topic": ("port",),
 }
 _CHILDREN = {
-    "transformation": ("label", "source", "params", "ports", "tags"),
+    "transformation": ("label", "source", "run", "params", "ports", "tags"),
     "target": ("label", "topic", "tag"),
     "unit": ("input", "topic"),
     "params": ("param",),
@@ -97,6 +98,11 @@ class _Reading:
         part |= self._attributes(element, path, {"host": str, **numbers})
         if "type" in element.attributes:
             part["kind"] = element.attributes["type"]
+        for run in element.children:
+            if run.name == "run":
+                self._check(run, _ATTRIBUTES["run"], ())
+                kinds = {name: str if name in ("start", "when_full") else resolve for name in _ATTRIBUTES["run"]}
+                part["run"] = self._attributes(run, (*path, "run"), kinds)
         params = {}
         for param in self._inside(element, "params", "param"):
             name = self._required(param, "name")

@@ -5,11 +5,13 @@ from __future__ import annotations
 from hypothesis import strategies as st
 
 from cfgplan.domain import (
+    START_MODES,
     ComputationUnit,
     Environment,
     InputPort,
     OutputPort,
     Publication,
+    RunOptions,
     Stream,
     Subscription,
     Target,
@@ -39,6 +41,21 @@ VALUES = st.recursive(
 )
 
 
+def run_options(inputs: list[str]) -> st.SearchStrategy[RunOptions]:
+    """How units may run that have these input ports."""
+    return st.builds(
+        RunOptions,
+        st.sampled_from([*START_MODES, *inputs]),
+        COSTS,
+        st.none() | st.floats(0.001, 1000),
+        st.integers(1, 1000),
+        st.booleans(),
+        st.none() | COSTS,
+        st.none() | st.integers(1, 1000),
+        st.booleans(),
+    )
+
+
 @st.composite
 def transformations(draw: st.DrawFn, label: str) -> Transformation:
     """A transformation with any ports, costs and params."""
@@ -58,6 +75,7 @@ def transformations(draw: st.DrawFn, label: str) -> Transformation:
         draw(st.none() | NAMES),
         draw(st.none() | NAMES),
         draw(st.dictionaries(TRICKY | PLAIN, VALUES, max_size=3)),
+        draw(run_options(ports[:first_output])),
     )
 
 

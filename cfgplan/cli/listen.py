@@ -1,0 +1,65 @@
+"""`cfgplan listen`: what comes on a topic."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections import deque
+
+from cfgplan.cli import options as shared
+from cfgplan.cli.durations import duration
+from cfgplan.cli.exits import Exit
+from cfgplan.cli.screen import Screen
+
+_RATE_OVER = 20
+
+
+def add_to(verbs: shared.Subparsers) -> None:
+    parser = shared.add_verb(
+        verbs,
+        "listen",
+        "print what comes on a topic of a running system",
+        "  cfgplan listen /result\n  cfgplan listen /result --json --count 10",
+    )
+    parser.add_argument("topic", metavar="TOPIC", help="the topic of a target, such as /result")
+    parser.add_argument("--run", dest="run_id", metavar="ID", help="the run, if several have the topic")
+    parser.add_argument("--count", type=int, metavar="N", help="end after N elements")
+    parser.add_argument("--for", dest="span", type=duration, metavar="TIME", help="end after 30s, 5m, 1h")
+    parser.add_argument(
+        "--wait", type=duration, default=0.0, metavar="TIME", help="wait so long for the topic to be there"
+    )
+    shared.add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace, screen: Screen) -> Exit:
+    from cfgplan_runtime import subscribe
+    from cfgplan_runtime.showing import plain, readable
+
+    times: deque[float] = deque(maxlen=_RATE_OVER + 1)
+    end = None if options.span is None else time.monotonic() + options.span
+    with subscribe(options.topic, run=options.run_id, wait_s=options.wait, timeout_s=options.span) as subscription:
+        try:
+            for number, received in enumerate(subscription, 1):
+                latency_ms = (time.time_ns() - received.time_ns) / 1e6
+                times.append(received.time_ns / 1e9)
+                rate = (len(times) - 1) / (times[-1] - times[0]) if times[-1] > times[0] else 0.0
+                if screen.json:
+                    line = {"topic": received.topic, "time_ns": received.time_ns, "value": plain(received.value)}
+                    more = {"latency_ms": round(latency_ms, 3), "rate_hz": round(rate, 2)}
+                    screen.write(json.dumps({**line, **more, "dropped": subscription.dropped}) + "\n")
+                else:
+                    at = time.strftime("%H:%M:%S", time.localtime(received.time_ns / 1e9))
+                    place = f"{at}.{received.time_ns // 1_000_000 % 1000:03}"
+                    screen.write(f"{place}  {readable(received.value)}  ({rate:.1f} Hz, {latency_ms:.1f} ms old)\n")
+                screen.flush()
+                if number == options.count or (end is not None and time.monotonic() >= end):
+                    break
+        except TimeoutError:
+            screen.note(f"nothing came on {options.topic}")
+        except KeyboardInterrupt:
+            screen.note("stopped")
+        if subscription.dropped:
+            screen.warn(f"{subscription.dropped} elements were dropped because this listener was slow")
+    return Exit.OK

@@ -1,0 +1,60 @@
+"""Unit code of the experiments with the runtime."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy
+
+
+def count() -> Iterator[int]:
+    """0, 1, 2, ..."""
+    number = 0
+    while True:
+        yield number
+        number += 1
+
+
+def images() -> Iterator[Any]:
+    """Pictures of 460 kB whose pixels are their number modulo 256."""
+    number = 0
+    while True:
+        yield numpy.full((480, 960), number % 256, numpy.uint8)
+        number += 1
+
+
+def same(x: Any) -> Any:
+    return x
+
+
+class FailsToStart:
+    def __init__(self) -> None:
+        raise RuntimeError("no such device")
+
+
+def stamped(size: int) -> Iterator[Any]:
+    """Payloads of a size in bytes with the time at which they were made."""
+    data = payload(size)
+    while True:
+        yield [time.monotonic_ns(), data]
+
+
+def payload(size: int) -> Any:
+    return bytes(size) if size <= 100 else numpy.zeros(size, numpy.uint8)
+
+
+class Ages:
+    """Collects how old payloads are when they come; gives count and the sorted ages in microseconds."""
+
+    def __init__(self, every: int) -> None:
+        self.every = every
+        self.ages: list[float] = []
+
+    def __call__(self, x: Any) -> Any:
+        self.ages.append((time.monotonic_ns() - x[0]) / 1000)
+        if len(self.ages) < self.every:
+            return None
+        ages, self.ages = self.ages, []
+        return [len(ages), sorted(ages)[len(ages) // 2], sorted(ages)[len(ages) * 99 // 100], time.monotonic_ns()]

@@ -1,0 +1,52 @@
+"""Carries out what cfgplan plans: units as processes, change sets applied without a gap in the streams.
+
+import cfgplan_runtime
+
+for received in cfgplan_runtime.subscribe("/result"):
+    print(received.value)
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from cfgplan_runtime.applying import Patience as Patience
+    from cfgplan_runtime.errors import ApplyError as ApplyError
+    from cfgplan_runtime.errors import NoSuchTopicError as NoSuchTopicError
+    from cfgplan_runtime.errors import RuntimeFaultError as RuntimeFaultError
+    from cfgplan_runtime.errors import StaleChangeSetError as StaleChangeSetError
+    from cfgplan_runtime.runtime import Runtime as Runtime
+    from cfgplan_runtime.simulated_backend import SimulatedBackend as SimulatedBackend
+    from cfgplan_runtime.subscription import Received as Received
+    from cfgplan_runtime.subscription import subscribe as subscribe
+    from cfgplan_runtime.supervisor import Supervisor as Supervisor
+    from cfgplan_runtime.unit_code import At as At
+
+_HOMES = {
+    "applying": "Patience",
+    "errors": "ApplyError NoSuchTopicError RuntimeFaultError StaleChangeSetError",
+    "runtime": "Runtime",
+    "simulated_backend": "SimulatedBackend",
+    "subscription": "Received subscribe",
+    "supervisor": "Supervisor",
+    "unit_code": "At",
+}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names.split()}
+
+__all__ = sorted(_HOME_OF)
+
+
+def __getattr__(name: str) -> Any:
+    """Import a name from its module at its first use. Raises UnsupportedPlatformError on Windows."""
+    if name not in _HOME_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if sys.platform == "win32" and name in ("Runtime", "subscribe"):
+        from cfgplan_runtime.errors import UnsupportedPlatformError
+
+        raise UnsupportedPlatformError(
+            "the runtime needs Linux or macOS: Windows can't hand open sockets to processes this way; use WSL"
+        )
+    return getattr(import_module(f"cfgplan_runtime.{_HOME_OF[name]}"), name)

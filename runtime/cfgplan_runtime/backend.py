@@ -1,0 +1,76 @@
+"""What the supervisor asks of whatever runs the units."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from cfgplan.domain import Stream, Transformation
+from cfgplan_runtime.events import Event
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Inlet:
+    """Where a stream may lead: an input port of a unit, or (`unit` is "") a topic's outlet."""
+
+    unit: str
+    port: str
+
+    @property
+    def is_outlet(self) -> bool:
+        return not self.unit
+
+    def __str__(self) -> str:
+        return self.port if self.is_outlet else f"{self.unit}/{self.port}"
+
+
+@dataclass(frozen=True, slots=True)
+class Usage:
+    """What a unit has used: CPU time since its start in microseconds, memory now in bytes."""
+
+    cpu_us: int
+    memory_bytes: int
+
+
+class Backend(Protocol):
+    """Runs units and connects them. No method waits for its effect: that comes as an event from `wait`."""
+
+    def now(self) -> float:
+        """Seconds on a clock that only rises."""
+
+    def wait(self, timeout_s: float | None) -> Sequence[Event]:
+        """What has happened since the last call; waits up to `timeout_s` for the first of it."""
+
+    def start(self, unit: str, transformation: Transformation, state: bytes | None) -> None:
+        """Start a unit: UnitReady or UnitDied follows."""
+
+    def stop(self, unit: str) -> None:
+        """Let a unit give what it has taken in, and end: UnitStopped (or UnitDied) follows."""
+
+    def kill(self, unit: str, *, dump: bool = False) -> None:
+        """End a unit at once: UnitDied follows, or UnitStopped if it had been asked to stop.
+
+        With `dump` it first prints where it is.
+        """
+
+    def connect(self, wire: int, stream: Stream, inlet: Inlet, *, queue: int, blocks: bool) -> None:
+        """Let `stream` feed `inlet`, at once or as the standby of what feeds it: WireSwitched follows."""
+
+    def disconnect(self, wire: int, inlet: Inlet) -> None:
+        """Take a wire away from its inlet, whether it is the source or the standby."""
+
+    def switch_now(self, inlet: Inlet) -> None:
+        """Let an inlet go over to its standby without waiting for the source it has."""
+
+    def open_outlet(self, topic: str) -> None:
+        """Give a topic its address."""
+
+    def close_outlet(self, topic: str) -> None:
+        """Take a topic's address away."""
+
+    def usage(self, unit: str) -> Usage | None:
+        """What a unit has used so far; None if it does not run."""
+
+    def close(self) -> None:
+        """Stop everything at once and leave nothing behind."""

@@ -1,0 +1,203 @@
+"""Channels: one subscription's two ends of a stream socket, and the only place that knows sockets' ways.
+
+What the receiver's socket does not take waits at the sender in a bounded queue. When that is full,
+`drop_oldest` drops, and the receiver sees the gap in the numbers; `block` asks the producer to wait.
+"""
+
+from __future__ import annotations
+
+import socket
+from collections import deque
+from collections.abc import Iterator
+
+from cfgplan_runtime.element import HEADER, LONGEST_PAYLOAD, Element, Outgoing
+from cfgplan_runtime.payload import Buffer
+
+MOST_WAITING_BYTES = 32 << 20
+"""What may wait for one subscriber, whatever the queue's length."""
+
+SOCKET_BUFFER = 1 << 20
+_CHUNK = 1 << 16
+_MOST_PER_READ = 4 << 20
+
+
+def socket_pair() -> tuple[socket.socket, socket.socket]:
+    """A channel's two ends: the sender's, the receiver's."""
+    sender, receiver = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
+    widen(sender)
+    return sender, receiver
+
+
+def widen(sender: socket.socket) -> None:
+    """Let a socket take an image at once, as far as the system allows."""
+    sender.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SOCKET_BUFFER)
+
+
+class Sender:
+    """The producer's end of one subscription."""
+
+    def __init__(self, end: socket.socket, *, queue: int, blocks: bool) -> None:
+        end.setblocking(False)
+        self.socket = end
+        self.blocks = blocks
+        self.dropped = 0
+        self.is_closed = False
+        self._limit = queue
+        self._number = 0
+        self._waiting: deque[tuple[int, Outgoing]] = deque()
+        self._waiting_bytes = 0
+        self._rest: memoryview | None = None
+
+    @property
+    def is_full(self) -> bool:
+        """Whether the producer must wait, only ever so for `block`: then elements queue at the receiver."""
+        return self.blocks and self.depth > 0
+
+    @property
+    def depth(self) -> int:
+        return len(self._waiting) + (self._rest is not None)
+
+    def offer(self, element: Outgoing) -> None:
+        """Send an element, or as much as fits; the rest waits for `flush`."""
+        if self.is_closed:
+            return
+        number = self._number
+        self._number += 1
+        if self._rest is None and not self._waiting:
+            self._send(number, element)
+            return
+        element.own()
+        self._waiting.append((number, element))
+        self._waiting_bytes += element.size
+        if not self.blocks:
+            while len(self._waiting) > 1 and (
+                len(self._waiting) > self._limit or self._waiting_bytes > MOST_WAITING_BYTES
+            ):
+                self._waiting_bytes -= self._waiting.popleft()[1].size
+                self.dropped += 1
+
+    def flush(self) -> bool:
+        """Send what waits; whether nothing is left."""
+        while not self.is_closed and self.depth:
+            if self._rest is not None:
+                sent = self._try([self._rest])
+                self._rest = self._rest[sent:] if sent < len(self._rest) else None
+                if self._rest is not None:
+                    break
+            else:
+                number, element = self._waiting.popleft()
+                self._waiting_bytes -= element.size
+                self._send(number, element)
+        return self.is_closed or not self.depth
+
+    def give_up(self) -> None:
+        """Send nothing any more. The socket stays open until its owner has stopped watching it."""
+        self.is_closed = True
+        self._waiting.clear()
+        self._rest = None
+
+    def _send(self, number: int, element: Outgoing) -> None:
+        parts = [element.header(number), *element.parts]
+        sent = self._try(parts)
+        if sent < HEADER.size + element.size and not self.is_closed:
+            self._rest = memoryview(_after(parts, sent))
+
+    def _try(self, parts: list[Buffer]) -> int:
+        try:
+            return self.socket.sendmsg(parts)
+        except BlockingIOError:
+            return 0
+        except OSError:
+            self.give_up()
+            return 0
+
+
+class Receiver:
+    """The consumer's end of one subscription."""
+
+    def __init__(self, end: socket.socket) -> None:
+        end.setblocking(False)
+        self.socket = end
+        self.has_ended = False
+        self._chunk = bytearray(_CHUNK)
+        self._pending = b""
+        self._header: tuple[int, int, int, int] | None = None
+        self._payload: bytearray | None = None
+        self._filled = 0
+
+    def read(self) -> Iterator[Element]:
+        """What has come, in order; `has_ended` tells whether that was all there will ever be."""
+        budget = _MOST_PER_READ
+        while budget > 0 and not self.has_ended:
+            if self._payload is not None:
+                got = self._receive(memoryview(self._payload)[self._filled :])
+                if got == 0:
+                    return
+                self._filled += got
+                if self._filled == len(self._payload):
+                    yield self._complete(self._payload)
+            else:
+                got = self._receive(memoryview(self._chunk))
+                if got == 0:
+                    return
+                yield from self._parse(self._pending + self._chunk[:got])
+                if got < _CHUNK and self._payload is None:
+                    return
+            budget -= got
+
+    def close(self) -> None:
+        self.has_ended = True
+        self.socket.close()
+
+    def _parse(self, data: bytes | bytearray) -> Iterator[Element]:
+        start = 0
+        while True:
+            if self._header is None:
+                if len(data) - start < HEADER.size:
+                    break
+                self._header = HEADER.unpack_from(data, start)
+                start += HEADER.size
+                if self._header[0] > LONGEST_PAYLOAD:
+                    self.has_ended = True
+                    return
+            length = self._header[0]
+            if len(data) - start >= length:
+                payload = data[start : start + length]
+                start += length
+                yield self._complete(payload)
+            elif length > _CHUNK:
+                self._payload = bytearray(length)
+                self._filled = len(data) - start
+                self._payload[: self._filled] = data[start:]
+                start = len(data)
+                break
+            else:
+                break
+        self._pending = bytes(data[start:])
+
+    def _complete(self, payload: Buffer) -> Element:
+        assert self._header is not None
+        _, turn, number, time_ns = self._header
+        self._header = self._payload = None
+        return Element(time_ns, turn, number, payload)
+
+    def _receive(self, into: memoryview) -> int:
+        try:
+            got = self.socket.recv_into(into)
+        except BlockingIOError:
+            return 0
+        except OSError:
+            got = 0
+        if got == 0:
+            self.has_ended = True
+        return got
+
+
+def _after(parts: list[Buffer], start: int) -> bytes:
+    """A copy of what comes after the first `start` bytes of all parts together."""
+    left: list[Buffer] = []
+    for part in parts:
+        if start < len(part):
+            left.append(memoryview(part)[start:])
+        start = max(0, start - len(part))
+    return b"".join(left)

@@ -1,0 +1,109 @@
+"""The supervisor's connections to its children: typed messages, some with open sockets attached."""
+
+from __future__ import annotations
+
+import os
+import socket
+import struct
+from collections import deque
+from collections.abc import Iterator, Sequence
+from typing import Generic, TypeVar
+
+import msgspec
+
+Incoming = TypeVar("Incoming")
+
+_LENGTH = struct.Struct("<II")
+_MOST_SOCKETS = 64
+_CHUNK = 1 << 16
+
+
+class ControlConnection(Generic[Incoming]):
+    """One end of a connection. Sending never blocks: what the socket does not take waits for `flush`."""
+
+    def __init__(self, end: socket.socket, incoming: object) -> None:
+        end.setblocking(False)
+        self.socket = end
+        self.has_ended = False
+        self._decoder: msgspec.msgpack.Decoder[Incoming] = msgspec.msgpack.Decoder(incoming)
+        self._received = bytearray()
+        self._descriptors: deque[int] = deque()
+        self._waiting: deque[tuple[bytes, list[socket.socket]]] = deque()
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether something waits for `flush`."""
+        return bool(self._waiting)
+
+    def send(self, message: msgspec.Struct, sockets: Sequence[socket.socket] = ()) -> None:
+        """Send a message; the sockets become the receiver's and are closed here. Nothing happens once it has ended."""
+        if self.has_ended:
+            for attached in sockets:
+                attached.close()
+            return
+        body = msgspec.msgpack.encode(message)
+        self._waiting.append((_LENGTH.pack(len(body), len(sockets)) + body, list(sockets)))
+        self.flush()
+
+    def flush(self) -> bool:
+        """Send what waits; whether nothing is left."""
+        while self._waiting and not self.has_ended:
+            data, sockets = self._waiting[0]
+            try:
+                if sockets:
+                    sent = socket.send_fds(self.socket, [data], [s.fileno() for s in sockets])
+                else:
+                    sent = self.socket.send(data)
+            except BlockingIOError:
+                return False
+            except OSError:
+                self._end()
+                break
+            for attached in sockets:
+                attached.close()
+            if sent < len(data):
+                self._waiting[0] = (data[sent:], [])
+            else:
+                self._waiting.popleft()
+        return True
+
+    def receive(self) -> Iterator[tuple[Incoming, list[socket.socket]]]:
+        """The messages that have come, with their sockets; `has_ended` tells whether there will be more."""
+        while not self.has_ended:
+            try:
+                data, descriptors, _, _ = socket.recv_fds(self.socket, _CHUNK, _MOST_SOCKETS)
+            except BlockingIOError:
+                return
+            except OSError:
+                data, descriptors = b"", []
+            for descriptor in descriptors:
+                os.set_inheritable(descriptor, False)
+            self._descriptors.extend(descriptors)
+            if not data:
+                self._end()
+                return
+            self._received += data
+            yield from self._complete()
+
+    def close(self) -> None:
+        self._end()
+        self.socket.close()
+
+    def _complete(self) -> Iterator[tuple[Incoming, list[socket.socket]]]:
+        while len(self._received) >= _LENGTH.size:
+            length, count = _LENGTH.unpack_from(self._received)
+            end = _LENGTH.size + length
+            if len(self._received) < end:
+                return
+            message = self._decoder.decode(bytes(self._received[_LENGTH.size : end]))
+            del self._received[:end]
+            yield message, [socket.socket(fileno=self._descriptors.popleft()) for _ in range(count)]
+
+    def _end(self) -> None:
+        self.has_ended = True
+        for _, sockets in self._waiting:
+            for attached in sockets:
+                attached.close()
+        self._waiting.clear()
+        while self._descriptors:
+            socket.socket(fileno=self._descriptors.popleft()).close()

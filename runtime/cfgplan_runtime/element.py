@@ -1,0 +1,51 @@
+"""Elements of streams (Definition 1) on their way: a header and a payload."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import NamedTuple, TypeAlias
+
+from cfgplan_runtime.payload import Buffer
+
+Moment: TypeAlias = "tuple[int, int]"
+"""When an element is: nanoseconds, and its turn among elements of one nanosecond. Rises along a stream."""
+
+HEADER = struct.Struct("<IIQq")
+"""Length of the payload, turn, sequence number within the subscription, time in nanoseconds."""
+
+LONGEST_PAYLOAD = 1 << 31
+
+
+class Element(NamedTuple):
+    """A received element; `number` counts what was offered to the subscription, so a gap is a drop."""
+
+    time_ns: int
+    turn: int
+    number: int
+    payload: Buffer
+
+    @property
+    def moment(self) -> Moment:
+        return (self.time_ns, self.turn)
+
+
+@dataclass(slots=True)
+class Outgoing:
+    """An element to be sent to any number of subscribers. Its parts may share the memory of user code."""
+
+    time_ns: int
+    turn: int
+    parts: list[Buffer]
+    size: int = 0
+
+    def __post_init__(self) -> None:
+        self.size = sum(map(len, self.parts))
+
+    def header(self, number: int) -> bytes:
+        return HEADER.pack(self.size, self.turn, number, self.time_ns)
+
+    def own(self) -> None:
+        """Copy the parts, once, so that user code may change its arrays while this waits."""
+        if len(self.parts) != 1 or not isinstance(self.parts[0], bytes):
+            self.parts = [b"".join(self.parts)]

@@ -1,0 +1,41 @@
+"""What can go wrong when a plan is carried out."""
+
+from __future__ import annotations
+
+from cfgplan.errors import CfgplanError
+
+
+class RuntimeFaultError(CfgplanError):
+    """Base of the errors of carrying plans out."""
+
+
+class UnsupportedPlatformError(RuntimeFaultError):
+    """The runtime does not work on this operating system."""
+
+
+class StaleChangeSetError(RuntimeFaultError):
+    """A change set that does not fit what is running now; nothing was changed."""
+
+
+class NoSourceError(RuntimeFaultError):
+    """A unit that can't be started because its transformation names no unit code; nothing was changed."""
+
+
+class ApplyError(RuntimeFaultError):
+    """A change set that failed half way; every step of it was undone and the old configuration runs on."""
+
+
+class EncodingError(RuntimeFaultError):
+    """A value that can't travel between processes."""
+
+
+class BadSourceError(RuntimeFaultError):
+    """A `source:` that can't be found or is no unit code."""
+
+
+class WrongPortsError(RuntimeFaultError):
+    """Unit code returned something other than values for its output ports."""
+
+
+class NoSuchTopicError(RuntimeFaultError):
+    """Nothing that runs publishes the topic."""

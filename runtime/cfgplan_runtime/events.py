@@ -1,0 +1,144 @@
+"""What happens to running units, as typed events: the one language between backend, supervisor and life-cycle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from cfgplan_runtime.messages import PortCounts
+
+
+@dataclass(frozen=True, slots=True)
+class UnitReady:
+    """A unit has started; `labor_us` is the CPU time that took, in microseconds."""
+
+    unit: str
+    labor_us: int
+
+
+@dataclass(frozen=True, slots=True)
+class UnitDied:
+    """A unit has ended unasked, or could not start; `cause` says how."""
+
+    unit: str
+    cause: str
+
+
+@dataclass(frozen=True, slots=True)
+class UnitStopped:
+    """A unit has ended as asked."""
+
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class UnitFailed:
+    """Unit code failed in a step, and the unit goes on. `suppressed` such failures are not reported one by one."""
+
+    unit: str
+    kind: str
+    step: int
+    text: str
+    suppressed: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class UnitHung:
+    """A unit has given no sign of life for longer than it may, and is killed."""
+
+    unit: str
+    silent_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class UnitTooLarge:
+    """A unit uses more memory than it may, and is killed."""
+
+    unit: str
+    memory_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class UnitPrinted:
+    """A line that a unit wrote to its standard output or error."""
+
+    unit: str
+    line: str
+
+
+@dataclass(frozen=True, slots=True)
+class SourceExhausted:
+    """A source has no more elements to give; its unit stays."""
+
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class InputLost:
+    """An input of a living unit, or a topic (`unit` is None), has lost its source."""
+
+    unit: str | None
+    port: str
+    wire: int
+
+
+@dataclass(frozen=True, slots=True)
+class WireSwitched:
+    """An input goes on with the stream of this wire."""
+
+    wire: int
+
+
+@dataclass(frozen=True, slots=True)
+class UnitStatus:
+    """A sign of life, with counts since the unit's start."""
+
+    unit: str
+    steps: int
+    errors: int
+    inputs: dict[str, PortCounts]
+    outputs: dict[str, PortCounts]
+    state: bytes | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class OutletsLost:
+    """The process that owns the topics' addresses has died; a new one takes its place."""
+
+    cause: str
+
+
+@dataclass(frozen=True, slots=True)
+class Applied:
+    """A change set was carried out. `seconds` is the time of each phase; `unswitched` counts inputs whose new
+    source had given nothing yet when the old one was taken away."""
+
+    id: str
+    seconds: dict[str, float]
+    unswitched: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class RolledBack:
+    """A change set failed and was undone."""
+
+    id: str
+    cause: str
+
+
+Event: TypeAlias = (
+    UnitReady
+    | UnitDied
+    | UnitStopped
+    | UnitFailed
+    | UnitHung
+    | UnitTooLarge
+    | UnitPrinted
+    | SourceExhausted
+    | InputLost
+    | WireSwitched
+    | UnitStatus
+    | OutletsLost
+    | Applied
+    | RolledBack
+)

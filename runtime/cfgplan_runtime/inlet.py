@@ -1,0 +1,99 @@
+"""Inputs that change their source without losing, repeating or reordering an element.
+
+An inlet has an active source and, while it is rewired, a standby. The standby's elements wait until
+the active source has given everything before the first of them; then the inlet switches and goes on
+with those of the standby that are newer. So the moments of what it hands on always rise.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+
+from cfgplan_runtime.element import Element, Moment
+
+_BEFORE_ALL: Moment = (-(1 << 63), -1)
+
+
+@dataclass(slots=True)
+class Inlet:
+    """One input. Sources are named by the numbers of their wires; it knows no socket."""
+
+    limit: int
+    active: int | None = None
+    standby: int | None = None
+    dropped: int = 0
+    stale: int = 0
+    """Elements that were not newer than what had been handed on."""
+    last: Moment = _BEFORE_ALL
+    _held: deque[Element] = field(default_factory=deque)
+    _next_number: dict[int, int] = field(default_factory=dict)
+
+    def attach(self, wire: int) -> bool:
+        """Add a source; whether it is the active one at once. An earlier standby gives way to it."""
+        if self.active is None:
+            self.active = wire
+            return True
+        self._forget_standby()
+        self.standby = wire
+        return False
+
+    def accept(self, wire: int, element: Element) -> list[Element]:
+        """What is to be handed on now that `element` came from `wire`."""
+        if wire == self.active:
+            self._count_drops(wire, element)
+            handed_on = self._newer([element])
+            return handed_on + self._switch_when_due()
+        if wire == self.standby:
+            self._count_drops(wire, element)
+            self._held.append(element)
+            if len(self._held) > self.limit:
+                return self.switch()
+            return self._switch_when_due()
+        return []
+
+    def end(self, wire: int) -> list[Element]:
+        """What is to be handed on now that `wire` has ended."""
+        if wire == self.standby:
+            self._forget_standby()
+        elif wire == self.active:
+            self.active = None
+            self._next_number.pop(wire, None)
+            if self.standby is not None:
+                return self.switch()
+        return []
+
+    def switch(self) -> list[Element]:
+        """Make the standby the active source, whatever the active one has still to give."""
+        if self.standby is None:
+            return []
+        if self.active is not None:
+            self._next_number.pop(self.active, None)
+        self.active, self.standby = self.standby, None
+        held, self._held = self._held, deque()
+        return self._newer(held)
+
+    def _switch_when_due(self) -> list[Element]:
+        if self._held and self.last >= self._held[0].moment:
+            return self.switch()
+        return []
+
+    def _newer(self, elements: deque[Element] | list[Element]) -> list[Element]:
+        newer = []
+        for element in elements:
+            if element.moment > self.last:
+                self.last = element.moment
+                newer.append(element)
+            else:
+                self.stale += 1
+        return newer
+
+    def _count_drops(self, wire: int, element: Element) -> None:
+        self.dropped += element.number - self._next_number.get(wire, 0)
+        self._next_number[wire] = element.number + 1
+
+    def _forget_standby(self) -> None:
+        if self.standby is not None:
+            self._next_number.pop(self.standby, None)
+        self.standby = None
+        self._held.clear()

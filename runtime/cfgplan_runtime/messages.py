@@ -1,0 +1,180 @@
+"""What supervisor, nursery and child processes say to each other."""
+
+from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+import msgspec
+
+
+class UnitOrder(msgspec.Struct, frozen=True, tag=True):
+    """All that a child needs to be a unit."""
+
+    unit: str
+    source: str
+    folder: str
+    params: dict[str, Any]
+    inputs: list[str]
+    outputs: list[str]
+    start: str
+    tolerance_ns: int
+    period_ns: int | None
+    queue: int
+    blocks: bool
+    keeps_state: bool
+    state: bytes | None
+    memory_bytes: int | None
+    clock_offset_ns: int
+
+
+class OutletOrder(msgspec.Struct, frozen=True, tag=True):
+    """All that a child needs to be the outlets of a run."""
+
+    folder: str
+    queue: int
+
+
+# To a child.
+
+
+class Feed(msgspec.Struct, tag=True):
+    """Attach the receiving end that comes along to an input, as its source or its standby."""
+
+    port: str
+    wire: int
+
+
+class Serve(msgspec.Struct, tag=True):
+    """Send an output's elements to the end that comes along, too."""
+
+    port: str
+    wire: int
+    queue: int
+    blocks: bool
+
+
+class Cut(msgspec.Struct, tag=True):
+    """Detach an input from one of its sources."""
+
+    port: str
+    wire: int
+
+
+class SwitchNow(msgspec.Struct, tag=True):
+    """Go over to the standby without waiting for the active source any longer."""
+
+    port: str
+
+
+class OpenOutlet(msgspec.Struct, tag=True):
+    """Own a topic's address and relay to whoever connects. Comes with the listening socket."""
+
+    topic: str
+
+
+class CloseOutlet(msgspec.Struct, tag=True):
+    topic: str
+
+
+class Finish(msgspec.Struct, tag=True):
+    """Give what has come already, then end."""
+
+
+ToChild: TypeAlias = Feed | Serve | Cut | SwitchNow | OpenOutlet | CloseOutlet | Finish
+
+
+# From a child.
+
+
+class Ready(msgspec.Struct, tag=True):
+    """The unit code is constructed; `cpu_ns` is the CPU time that took."""
+
+    cpu_ns: int
+
+
+class Switched(msgspec.Struct, tag=True):
+    """The wire is its input's active source now."""
+
+    port: str
+    wire: int
+
+
+class Lost(msgspec.Struct, tag=True):
+    """An input's active source has ended and there is no standby."""
+
+    port: str
+    wire: int
+
+
+class Trouble(msgspec.Struct, tag=True):
+    """Unit code failed in a step; `suppressed` counts like failures that are not reported one by one."""
+
+    kind: str
+    step: int
+    text: str
+    suppressed: int = 0
+
+
+class Exhausted(msgspec.Struct, tag=True):
+    """A source has no more to give."""
+
+
+class PortCounts(msgspec.Struct, frozen=True):
+    """What went through one port since the start, and what waits there now.
+
+    `dropped` had no room, `stale` is what a new source repeated of an old one, `skipped` found no partner of its time.
+    """
+
+    elements: int = 0
+    dropped: int = 0
+    stale: int = 0
+    skipped: int = 0
+    waiting: int = 0
+
+
+class Status(msgspec.Struct, tag=True):
+    """A sign of life, with counts since the start, and the state where it survives a restart."""
+
+    steps: int
+    errors: int
+    inputs: dict[str, PortCounts]
+    outputs: dict[str, PortCounts]
+    state: bytes | None = None
+
+
+FromChild: TypeAlias = Ready | Switched | Lost | Trouble | Exhausted | Status
+
+
+# To and from the nursery.
+
+
+class Fork(msgspec.Struct, tag=True):
+    """Make a child. Comes with its end of the control connection and of the pipe for what it prints."""
+
+    serial: int
+    order: UnitOrder | OutletOrder
+
+
+class Kill(msgspec.Struct, tag=True):
+    """Kill a child and what it has started; `dump` first asks it for its stack."""
+
+    serial: int
+    dump: bool = False
+
+
+ToNursery: TypeAlias = Fork | Kill
+
+
+class Forked(msgspec.Struct, tag=True):
+    serial: int
+    pid: int
+
+
+class Gone(msgspec.Struct, tag=True):
+    """A child has ended; `status` is negative for a signal."""
+
+    serial: int
+    status: int
+
+
+FromNursery: TypeAlias = Forked | Gone

@@ -1,0 +1,192 @@
+"""The process that makes the children: it has everything imported, so that a child is ready at once.
+
+It ends when the supervisor is gone, however that ended, and takes all children with it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import faulthandler
+import gc
+import importlib
+import os
+import random
+import resource
+import selectors
+import signal
+import socket
+import sys
+import traceback
+from collections.abc import Sequence
+
+from cfgplan_runtime import death_signal
+from cfgplan_runtime.control import ControlConnection
+from cfgplan_runtime.messages import Fork, Forked, Gone, Kill, OutletOrder, ToChild, ToNursery, Trouble, UnitOrder
+from cfgplan_runtime.outlet_child import OutletChild
+from cfgplan_runtime.unit_child import UnitChild
+
+DUMP_SIGNAL = signal.SIGUSR1
+FAILED = 70
+"""Exit status of a child whose unit code could not be constructed; what it says before tells why."""
+
+
+class Nursery:
+    """Forks children on request and reports the end of each."""
+
+    def __init__(self, end: socket.socket) -> None:
+        self._control: ControlConnection[ToNursery] = ControlConnection(end, ToNursery)
+        self._serials: dict[int, int] = {}
+        self._selector = selectors.DefaultSelector()
+        self._bell, self._bell_rope = socket.socketpair()
+        for bell in (self._bell, self._bell_rope):
+            bell.setblocking(False)
+
+    def run(self) -> None:
+        signal.signal(signal.SIGCHLD, lambda *_: None)
+        signal.set_wakeup_fd(self._bell_rope.fileno(), warn_on_full_buffer=False)
+        self._selector.register(self._bell, selectors.EVENT_READ)
+        self._selector.register(self._control.socket, selectors.EVENT_READ)
+        while not self._control.has_ended:
+            self._selector.select()
+            with contextlib.suppress(BlockingIOError):
+                self._bell.recv(4096)
+            self._reap()
+            for message, sockets in self._control.receive():
+                match message:
+                    case Fork(serial, order):
+                        self._fork(serial, order, sockets)
+                    case Kill(serial, dump):
+                        self._kill(serial, dump)
+        signal.set_wakeup_fd(-1)
+        for pid in self._serials:
+            _kill_group(pid)
+
+    def _fork(self, serial: int, order: UnitOrder | OutletOrder, sockets: list[socket.socket]) -> None:
+        parent = os.getpid()
+        pid = os.fork()
+        if pid == 0:
+            status = FAILED
+            try:
+                self._become_child(parent)
+                status = be_child(order, *sockets)
+            finally:
+                os._exit(status)
+        with contextlib.suppress(OSError):
+            os.setpgid(pid, pid)
+        for end in sockets:
+            end.close()
+        self._serials[pid] = serial
+        self._control.send(Forked(serial, pid))
+
+    def _become_child(self, parent: int) -> None:
+        death_signal.die_with_parent(parent)
+        signal.set_wakeup_fd(-1)
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        with contextlib.suppress(OSError):
+            os.setpgid(0, 0)
+        self._selector.close()
+        self._control.close()
+        for bell in (self._bell, self._bell_rope):
+            bell.close()
+
+    def _kill(self, serial: int, dump: bool) -> None:
+        for pid, other in self._serials.items():
+            if other == serial:
+                if dump:
+                    with contextlib.suppress(OSError):
+                        os.kill(pid, DUMP_SIGNAL)
+                else:
+                    _kill_group(pid)
+
+    def _reap(self) -> None:
+        for pid, serial in list(self._serials.items()):
+            status = _end_of(pid)
+            if status is not None:
+                del self._serials[pid]
+                self._control.send(Gone(serial, status))
+
+
+def be_child(order: UnitOrder | OutletOrder, control_end: socket.socket, printed: socket.socket) -> int:
+    """Be a unit, or the outlets, until told to finish; the exit status."""
+    _redirect(printed)
+    random.seed()
+    control: ControlConnection[ToChild] = ControlConnection(control_end, ToChild)
+    unit: UnitChild | None = None
+    try:
+        if isinstance(order, OutletOrder):
+            OutletChild(order, control).run()
+            return 0
+        if "numpy.random" in sys.modules:
+            sys.modules["numpy.random"].seed()
+        _limit_memory(order.memory_bytes)
+        unit = UnitChild(order, control)
+        unit.run()
+    except SystemExit as error:
+        _tell(control, Trouble("exited", unit.step if unit else 0, "".join(traceback.format_exception(error))))
+        return error.code if isinstance(error.code, int) else int(error.code is not None)
+    except BaseException as error:
+        _tell(control, Trouble("failed", unit.step if unit else 0, "".join(traceback.format_exception(error))))
+        return FAILED
+    finally:
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(Exception):
+                stream.flush()
+    return 0
+
+
+def _tell(control: ControlConnection[ToChild], trouble: Trouble) -> None:
+    control.socket.setblocking(True)
+    control.send(trouble)
+
+
+def _redirect(printed: socket.socket) -> None:
+    null = os.open(os.devnull, os.O_RDONLY)
+    os.dup2(null, 0)
+    os.close(null)
+    for number in (1, 2):
+        os.dup2(printed.fileno(), number)
+    printed.close()
+    for name in ("stdout", "stderr"):
+        number = 1 if name == "stdout" else 2
+        setattr(sys, name, os.fdopen(number, "w", buffering=1, errors="backslashreplace", closefd=False))
+    faulthandler.enable(sys.stderr)
+    faulthandler.register(DUMP_SIGNAL, sys.stderr, all_threads=True)
+
+
+def _limit_memory(limit: int | None) -> None:
+    if limit is not None and sys.platform == "linux":
+        resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
+
+
+def _end_of(pid: int) -> int | None:
+    """The exit status of a child that has ended, whose own children are killed then; None while it lives.
+
+    Its process group is killed before it is reaped, where that can be told apart: afterwards the number is free.
+    """
+    if hasattr(os, "waitid"):
+        if os.waitid(os.P_PID, pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
+            return None
+        _kill_group(pid)
+    found, status = os.waitpid(pid, os.WNOHANG)
+    return os.waitstatus_to_exitcode(status) if found == pid else None
+
+
+def _kill_group(pid: int) -> None:
+    """Kill a child and all that it has started."""
+    for kill in (os.killpg, os.kill):
+        with contextlib.suppress(OSError):
+            kill(pid, signal.SIGKILL)
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Be a nursery: the number of the control socket, the supervisor's process id, modules to import."""
+    number, parent, *preload = arguments
+    death_signal.die_with_parent(int(parent))
+    os.setpgid(0, 0)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for name in preload:
+        with contextlib.suppress(ImportError):
+            importlib.import_module(name)
+    gc.collect()
+    gc.freeze()
+    Nursery(socket.socket(fileno=int(number))).run()

@@ -1,0 +1,78 @@
+"""The supervisor's side of the nursery: opened when first needed, and again if it has died."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+
+from cfgplan_runtime.control import ControlConnection
+from cfgplan_runtime.messages import Fork, Forked, FromNursery, Gone, Kill, OutletOrder, UnitOrder
+
+_CODE = "import sys; from cfgplan_runtime.nursery import main; main(sys.argv[1:])"
+_PATIENCE_AT_CLOSE_S = 5.0
+
+
+class NurseryLink:
+    """A nursery and the connection to it. It is made by the thread that calls `open`, and ends with that thread."""
+
+    def __init__(self, preload: Sequence[str]) -> None:
+        self.works = False
+        """Whether the nursery has ever made a child: one that can't is not worth opening again."""
+        self._preload = tuple(preload)
+        self._control: ControlConnection[FromNursery] | None = None
+        self._process: subprocess.Popen[bytes] | None = None
+
+    @property
+    def is_open(self) -> bool:
+        return self._control is not None
+
+    def open(self) -> socket.socket:
+        """Make a nursery; what is to be watched for `hear`."""
+        ours, theirs = socket.socketpair()
+        number = theirs.fileno()
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", _CODE, str(number), str(os.getpid()), *self._preload],
+            pass_fds=[number],
+            stdin=subprocess.DEVNULL,
+        )
+        theirs.close()
+        self._control = ControlConnection(ours, FromNursery)
+        self.works = False
+        return ours
+
+    def fork(self, serial: int, order: UnitOrder | OutletOrder, ends: Sequence[socket.socket]) -> None:
+        """Have a child made, with its ends of the control connection and of the pipe for what it prints."""
+        assert self._control is not None
+        self._control.send(Fork(serial, order), ends)
+
+    def kill(self, serial: int, *, dump: bool = False) -> None:
+        """Have a child killed; does nothing without a nursery, for then there is no child."""
+        if self._control is not None:
+            self._control.send(Kill(serial, dump))
+
+    def hear(self) -> Iterator[Forked | Gone]:
+        """What the nursery says; afterwards, `has_died` may be so."""
+        assert self._control is not None
+        self._control.flush()
+        for message, _ in self._control.receive():
+            self.works = self.works or isinstance(message, Forked)
+            yield message
+
+    @property
+    def has_died(self) -> bool:
+        return self._control is not None and self._control.has_ended
+
+    def close(self) -> None:
+        """Let the nursery and all its children go, and wait until it is gone."""
+        if self._control is None or self._process is None:
+            return
+        self._control.close()
+        self._control = None
+        try:
+            self._process.wait(_PATIENCE_AT_CLOSE_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()

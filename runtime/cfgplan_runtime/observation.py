@@ -1,0 +1,84 @@
+"""What is known of a running unit: its costs, its rates, its queues and its last error."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from cfgplan_runtime.backend import Usage
+from cfgplan_runtime.events import UnitFailed, UnitStatus
+from cfgplan_runtime.messages import PortCounts
+
+_US_PER_S = 1_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """One unit as observed.
+
+    `labor_us` is the CPU time of its start; `upkeep_us` the CPU time per second since the last observation,
+    None at the first; both in microseconds. `steps_per_s` is over the time between two signs of life.
+    """
+
+    unit: str
+    transformation: str
+    labor_us: int
+    upkeep_us: int | None
+    cpu_us: int
+    memory_bytes: int
+    steps: int
+    steps_per_s: float
+    errors: int
+    last_error: str | None
+    inputs: Mapping[str, PortCounts]
+    outputs: Mapping[str, PortCounts]
+
+    @property
+    def dropped(self) -> int:
+        """Elements that were dropped on their way to this unit or waiting for it."""
+        return sum(counts.dropped for counts in self.inputs.values())
+
+
+@dataclass(slots=True)
+class UnitRecord:
+    """What the supervisor remembers of a unit."""
+
+    transformation: str
+    started_s: float
+    labor_us: int = 0
+    sign_s: float = 0.0
+    """When it last gave a sign of life."""
+    status: UnitStatus | None = None
+    steps_per_s: float = 0.0
+    failure: UnitFailed | None = None
+    killed_s: float | None = None
+    _last_cpu_us: int = 0
+    _last_s: float | None = None
+
+    def note_status(self, status: UnitStatus, now_s: float) -> None:
+        before = 0 if self.status is None else self.status.steps
+        if now_s > self.sign_s:
+            self.steps_per_s = (status.steps - before) / (now_s - self.sign_s)
+        self.status, self.sign_s = status, now_s
+
+    def observe(self, unit: str, usage: Usage, now_s: float) -> Observation:
+        """The unit as it is now; its upkeep is over the time since the last call."""
+        upkeep = None
+        if self._last_s is not None and now_s > self._last_s:
+            upkeep = round((usage.cpu_us - self._last_cpu_us) / (now_s - self._last_s))
+        self._last_cpu_us, self._last_s = usage.cpu_us, now_s
+        status = self.status
+        return Observation(
+            unit,
+            self.transformation,
+            self.labor_us,
+            upkeep,
+            usage.cpu_us,
+            usage.memory_bytes,
+            status.steps if status else 0,
+            self.steps_per_s,
+            status.errors if status else 0,
+            self.failure.text if self.failure else None,
+            status.inputs if status else {},
+            status.outputs if status else {},
+        )

@@ -1,0 +1,254 @@
+"""The ports of a child process: inlets and outputs on one selector, rewired by control messages."""
+
+from __future__ import annotations
+
+import selectors
+import socket
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+
+from cfgplan_runtime.channel import Receiver, Sender
+from cfgplan_runtime.control import ControlConnection
+from cfgplan_runtime.element import Element, Outgoing
+from cfgplan_runtime.inlet import Inlet
+from cfgplan_runtime.messages import (
+    Cut,
+    Feed,
+    FromChild,
+    Lost,
+    PortCounts,
+    Serve,
+    Switched,
+    SwitchNow,
+    ToChild,
+)
+
+
+@dataclass(slots=True)
+class InputPort:
+    """An inlet and the receivers of its wires."""
+
+    name: str
+    inlet: Inlet
+    take: Callable[[Element], None]
+    """Gets each element that the inlet hands on."""
+    has_room: Callable[[], bool]
+    """False where the producers are to wait."""
+    receivers: dict[int, Receiver] = field(default_factory=dict)
+    announced: int | None = None
+    """The active source that the supervisor was last told of."""
+    elements: int = 0
+    is_paused: bool = False
+
+
+@dataclass(slots=True)
+class OutputPort:
+    """An output and its subscriptions."""
+
+    senders: list[Sender] = field(default_factory=list)
+    elements: int = 0
+    dropped_before: int = 0
+
+
+class Ports:
+    """All ports of this process; `wait` is the one place where it waits."""
+
+    def __init__(self, control: ControlConnection[ToChild], order: Callable[[ToChild, list[socket.socket]], None]):
+        self.inputs: dict[str, InputPort] = {}
+        self.outputs: dict[str, OutputPort] = {}
+        self.has_ended = False
+        self._control = control
+        self._order = order
+        self._selector = selectors.DefaultSelector()
+        self.watch(control.socket, self._hear)
+
+    def watch(self, end: socket.socket, call: Callable[[], None]) -> None:
+        """Call whenever `end` can be read."""
+        self._selector.register(end, selectors.EVENT_READ, call)
+
+    def unwatch(self, end: socket.socket) -> None:
+        with suppress(KeyError, ValueError):
+            self._selector.unregister(end)
+
+    def wait(self, timeout_s: float | None) -> None:
+        """Handle what has come and send what can be sent; wait at most `timeout_s` for the first of it."""
+        for key, _ in self._selector.select(timeout_s):
+            if key.fileobj.fileno() != -1:  # type: ignore[union-attr]
+                key.data()
+
+    def say(self, message: FromChild) -> None:
+        """Tell the supervisor."""
+        self._control.send(message)
+        if self._control.is_waiting:
+            self._modify(self._control.socket, self._hear)
+
+    def emit(self, port: str, element: Outgoing) -> None:
+        """Send an element to every subscriber of an output."""
+        output = self.outputs[port]
+        output.elements += 1
+        for sender in output.senders:
+            had_rest = sender.depth
+            sender.offer(element)
+            if sender.is_closed or (sender.depth and not had_rest):
+                self._after_sending(output, sender)
+
+    @property
+    def must_wait(self) -> bool:
+        """Whether a subscriber that blocks has no room."""
+        return any(sender.is_full for output in self.outputs.values() for sender in output.senders)
+
+    @property
+    def is_flushed(self) -> bool:
+        return not any(sender.depth for output in self.outputs.values() for sender in output.senders)
+
+    def drain(self) -> None:
+        """Hand on what has come already, then accept no more."""
+        for port in self.inputs.values():
+            for wire in list(port.receivers):
+                self._read(port, wire)
+            port.take = _ignore
+
+    def add_sender(self, port: str, sender: Sender) -> None:
+        output = self.outputs[port]
+        output.senders.append(sender)
+        self._selector.register(sender.socket, selectors.EVENT_READ, lambda: self._peer_spoke(output, sender))
+
+    def close_output(self, port: str) -> None:
+        for sender in list(self.outputs[port].senders):
+            self._remove_sender(self.outputs[port], sender)
+        del self.outputs[port]
+
+    def close_input(self, port: str) -> None:
+        for receiver in self.inputs.pop(port).receivers.values():
+            self._close(receiver)
+
+    def resume(self) -> None:
+        """Read on from inputs that have room again."""
+        for port in self.inputs.values():
+            if port.is_paused and port.has_room():
+                port.is_paused = False
+                for wire in list(port.receivers):
+                    self._watch_receiver(port, wire)
+
+    def input_counts(self) -> dict[str, PortCounts]:
+        return {
+            name: PortCounts(port.elements, port.inlet.dropped, port.inlet.stale) for name, port in self.inputs.items()
+        }
+
+    def output_counts(self) -> dict[str, PortCounts]:
+        return {
+            name: PortCounts(
+                output.elements,
+                output.dropped_before + sum(sender.dropped for sender in output.senders),
+                waiting=max((sender.depth for sender in output.senders), default=0),
+            )
+            for name, output in self.outputs.items()
+        }
+
+    def _hear(self) -> None:
+        if not self._control.flush():
+            return
+        self._modify(self._control.socket, self._hear)
+        for message, sockets in self._control.receive():
+            match message:
+                case Feed(port, wire):
+                    self._feed(port, wire, sockets[0])
+                case Serve(port, _, queue, blocks):
+                    self.add_sender(port, Sender(sockets[0], queue=queue, blocks=blocks))
+                case Cut(port, wire):
+                    self._cut(port, wire)
+                case SwitchNow(port):
+                    self._switch_now(self.inputs[port])
+                case _:
+                    self._order(message, sockets)
+        if self._control.has_ended:
+            self.has_ended = True
+
+    def _feed(self, name: str, wire: int, end: socket.socket) -> None:
+        port = self.inputs[name]
+        port.receivers[wire] = Receiver(end)
+        port.inlet.attach(wire)
+        if not port.is_paused:
+            self._watch_receiver(port, wire)
+        self._settle(port, [])
+
+    def _cut(self, name: str, wire: int) -> None:
+        port = self.inputs[name]
+        self._settle(port, port.inlet.end(wire))
+
+    def _switch_now(self, port: InputPort) -> None:
+        if port.inlet.standby is not None and port.inlet.active is not None:
+            self._read(port, port.inlet.active)
+        self._settle(port, port.inlet.switch())
+
+    def _watch_receiver(self, port: InputPort, wire: int) -> None:
+        self.watch(port.receivers[wire].socket, lambda: self._read(port, wire))
+
+    def _read(self, port: InputPort, wire: int) -> None:
+        receiver = port.receivers.get(wire)
+        if receiver is None:
+            return
+        for element in receiver.read():
+            self._settle(port, port.inlet.accept(wire, element))
+        if receiver.has_ended and wire in port.receivers:
+            self._settle(port, port.inlet.end(wire))
+            if port.inlet.active is None:
+                self.say(Lost(port.name, wire))
+        if not port.is_paused and not port.has_room():
+            port.is_paused = True
+            for other in port.receivers.values():
+                self.unwatch(other.socket)
+
+    def _settle(self, port: InputPort, elements: list[Element]) -> None:
+        """Hand elements on, close the receivers that the inlet is through with, and say so if it has switched."""
+        port.elements += len(elements)
+        for element in elements:
+            port.take(element)
+        if len(port.receivers) > (port.inlet.active is not None) + (port.inlet.standby is not None):
+            for wire in [w for w in port.receivers if w not in (port.inlet.active, port.inlet.standby)]:
+                self._close(port.receivers.pop(wire))
+        if port.inlet.active != port.announced:
+            port.announced = port.inlet.active
+            if port.announced is not None:
+                self.say(Switched(port.name, port.announced))
+
+    def _close(self, receiver: Receiver) -> None:
+        self.unwatch(receiver.socket)
+        receiver.close()
+
+    def _peer_spoke(self, output: OutputPort, sender: Sender) -> None:
+        """A receiver never speaks: it has gone, or its socket takes more now."""
+        try:
+            gone = not sender.socket.recv(1, socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            gone = False
+        except OSError:
+            gone = True
+        if gone:
+            sender.give_up()
+        elif sender.depth:
+            sender.flush()
+        self._after_sending(output, sender)
+
+    def _after_sending(self, output: OutputPort, sender: Sender) -> None:
+        if sender.is_closed:
+            self._remove_sender(output, sender)
+            return
+        events = selectors.EVENT_READ | (selectors.EVENT_WRITE if sender.depth else 0)
+        self._selector.modify(sender.socket, events, lambda: self._peer_spoke(output, sender))
+
+    def _remove_sender(self, output: OutputPort, sender: Sender) -> None:
+        output.dropped_before += sender.dropped
+        output.senders = [other for other in output.senders if other is not sender]
+        self.unwatch(sender.socket)
+        sender.give_up()
+        sender.socket.close()
+
+    def _modify(self, end: socket.socket, call: Callable[[], None]) -> None:
+        events = selectors.EVENT_READ | (selectors.EVENT_WRITE if self._control.is_waiting else 0)
+        self._selector.modify(end, events, call)
+
+
+def _ignore(_: Element) -> None:
+    """Takes what comes after an input was drained."""

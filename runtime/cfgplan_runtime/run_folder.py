@@ -1,0 +1,122 @@
+"""A run's folder: the sockets of its topics, and a lock by which others see whether it lives.
+
+The folders of one user's runs are in `$XDG_RUNTIME_DIR/cfgplan`, else in a folder of that user's own
+below the temporary folder. Only the user can enter it.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import os
+import secrets
+import shutil
+import socket
+import stat
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.parse import quote
+
+from cfgplan_runtime.errors import RuntimeFaultError
+
+_LONGEST_NAME = 40
+_BACKLOG = 64
+
+
+class RunFolder:
+    """The folder of a run that lives as long as this object is open."""
+
+    def __init__(self, base: Path | None = None) -> None:
+        self.base = base_folder() if base is None else base
+        remove_dead_runs(self.base)
+        self.id = secrets.token_hex(4)
+        self.path = self.base / self.id
+        self.path.mkdir(mode=0o700)
+        self._lock = os.open(self.path / "lock", os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600)
+        fcntl.flock(self._lock, fcntl.LOCK_EX)
+
+    def listen(self, topic: str) -> socket.socket:
+        """A listening socket at the topic's address."""
+        path = address(self.path, topic)
+        path.unlink(missing_ok=True)
+        listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        listener.bind(str(path))
+        listener.listen(_BACKLOG)
+        path.with_suffix(".topic").write_text(topic, encoding="utf-8")
+        return listener
+
+    def forget(self, topic: str) -> None:
+        """Remove the topic's address."""
+        for path in (address(self.path, topic), address(self.path, topic).with_suffix(".topic")):
+            path.unlink(missing_ok=True)
+
+    def close(self) -> None:
+        """Remove the folder."""
+        shutil.rmtree(self.path, ignore_errors=True)
+        os.close(self._lock)
+
+
+def base_folder() -> Path:
+    """The folder of this user's runs, made if need be. Raises RuntimeFaultError if someone else's is in its place."""
+    given = os.environ.get("XDG_RUNTIME_DIR")
+    base = Path(given) / "cfgplan" if given else Path(tempfile.gettempdir()) / f"cfgplan-{os.getuid()}"
+    try:
+        base.mkdir(mode=0o700, parents=True, exist_ok=True)
+        found = base.lstat()
+    except OSError as error:
+        raise RuntimeFaultError(f"{base}: can't hold the run's sockets: {error.strerror}") from None
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
+        raise RuntimeFaultError(f"{base} is open to other users, or not yours: remove it, or set XDG_RUNTIME_DIR")
+    return base
+
+
+def live_runs(base: Path) -> Iterator[Path]:
+    """The folders of the runs that live."""
+    for path in sorted(base.iterdir()) if base.is_dir() else ():
+        if is_alive(path):
+            yield path
+
+
+def is_alive(run: Path) -> bool:
+    """Whether the process that made a run's folder still runs."""
+    try:
+        lock = os.open(run / "lock", os.O_RDWR | os.O_CLOEXEC)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(lock)
+    return False
+
+
+def remove_dead_runs(base: Path) -> None:
+    """Remove what killed runtimes have left."""
+    for path in base.iterdir():
+        if path.is_dir() and not _is_being_made(path) and not is_alive(path):
+            shutil.rmtree(path, ignore_errors=True)
+
+
+def topics_of(run: Path) -> list[str]:
+    """The topics of a run."""
+    return sorted(path.read_text(encoding="utf-8") for path in run.glob("*.topic"))
+
+
+def address(run: Path, topic: str) -> Path:
+    """Where a topic's socket is; short enough for a socket's path."""
+    name = quote(topic, safe="")
+    if len(name) > _LONGEST_NAME:
+        name = f"{name[:20]}-{hashlib.sha256(topic.encode()).hexdigest()[:16]}"
+    return run / f"{name}.socket"
+
+
+def _is_being_made(path: Path) -> bool:
+    """Whether a folder may belong to a runtime that is just about to lock it."""
+    try:
+        return time.time() - path.stat().st_mtime < 5.0 and not (path / "lock").exists()
+    except OSError:
+        return True

@@ -1,0 +1,211 @@
+"""Units that run only in thought, on a clock that is set: for the tests of what is above, and for experiments."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from cfgplan.domain import Stream, Transformation
+from cfgplan_runtime.backend import Inlet, Usage
+from cfgplan_runtime.events import (
+    Event,
+    InputLost,
+    UnitDied,
+    UnitReady,
+    UnitStatus,
+    UnitStopped,
+    WireSwitched,
+)
+
+_US_PER_S = 1_000_000
+
+
+@dataclass
+class Behaviour:
+    """How the units of a transformation behave. Times in seconds; None is never.
+
+    Costs are the transformation's own. `dies_s` counts from being ready; a `quiet` unit gives no element; a `hung`
+    one gives no sign of life and does not stop when asked.
+    """
+
+    start_s: float = 0.01
+    dies_at_start: str | None = None
+    dies_s: float | None = None
+    stop_s: float = 0.002
+    quiet: bool = False
+    hung: bool = False
+    memory_bytes: int = 10 << 20
+
+
+@dataclass
+class _Unit:
+    transformation: Transformation
+    behaviour: Behaviour
+    state: bytes | None
+    started_s: float
+    is_ready: bool = False
+    is_stopping: bool = False
+    steps: int = 0
+
+
+@dataclass
+class _Input:
+    active: int | None = None
+    standby: int | None = None
+
+
+@dataclass
+class SimulatedBackend:
+    """A backend whose clock moves only in `wait`, straight to the next thing that happens.
+
+    `behaviours` are by transformation. `calls` lists what was asked of it, in order.
+    """
+
+    behaviours: dict[str, Behaviour] = field(default_factory=dict)
+    switch_s: float = 0.005
+    sign_period_s: float = 1.0
+    calls: list[tuple[str, ...]] = field(default_factory=list)
+    topics: set[str] = field(default_factory=set)
+    units: dict[str, _Unit] = field(default_factory=dict)
+    wires: dict[int, tuple[Stream, Inlet]] = field(default_factory=dict)
+    _now: float = 0.0
+    _due: list[tuple[float, int, Event]] = field(default_factory=list)
+    _count: int = 0
+    _inputs: dict[Inlet, _Input] = field(default_factory=dict)
+
+    def now(self) -> float:
+        return self._now
+
+    def wait(self, timeout_s: float | None) -> Sequence[Event]:
+        end = None if timeout_s is None else self._now + timeout_s
+        while self._due and (end is None or self._due[0][0] <= end):
+            self._now = max(self._now, self._due[0][0])
+            event = heapq.heappop(self._due)[2]
+            if self._happens(event):
+                return [event]
+        if end is not None:
+            self._now = end
+        return []
+
+    def fail(self, unit: str, cause: str = "killed by SIGKILL") -> None:
+        """Let a unit die now."""
+        self._later(0.0, UnitDied(unit, cause))
+
+    def feeding(self, inlet: Inlet) -> Stream | None:
+        """The stream that an inlet gets its elements from now."""
+        active = self._inputs.get(inlet, _Input()).active
+        return None if active is None else self.wires[active][0]
+
+    def start(self, unit: str, transformation: Transformation, state: bytes | None) -> None:
+        self.calls.append(("start", unit))
+        behaviour = self.behaviours.get(transformation.label, Behaviour())
+        self.units[unit] = _Unit(transformation, behaviour, state, self._now)
+        if behaviour.dies_at_start is not None:
+            self._later(behaviour.start_s, UnitDied(unit, behaviour.dies_at_start))
+            return
+        self._later(behaviour.start_s, UnitReady(unit, transformation.labor_us))
+        if behaviour.dies_s is not None:
+            self._later(behaviour.start_s + behaviour.dies_s, UnitDied(unit, "died of old age"))
+        if not behaviour.hung:
+            self._later(behaviour.start_s + self.sign_period_s, UnitStatus(unit, 0, 0, {}, {}))
+
+    def stop(self, unit: str) -> None:
+        self.calls.append(("stop", unit))
+        found = self.units.get(unit)
+        if found is not None:
+            found.is_stopping = True
+            if not found.behaviour.hung:
+                self._later(found.behaviour.stop_s, UnitStopped(unit))
+
+    def kill(self, unit: str, *, dump: bool = False) -> None:
+        self.calls.append(("dump" if dump else "kill", unit))
+        found = self.units.get(unit)
+        if found is not None and not dump:
+            self._later(0.0, UnitStopped(unit) if found.is_stopping else UnitDied(unit, "killed by SIGKILL"))
+
+    def connect(self, wire: int, stream: Stream, inlet: Inlet, *, queue: int, blocks: bool) -> None:  # noqa: ARG002
+        self.calls.append(("connect", str(stream), str(inlet)))
+        self.wires[wire] = (stream, inlet)
+        port = self._inputs.setdefault(inlet, _Input())
+        if port.active is None:
+            port.active = wire
+            self._later(0.0, WireSwitched(wire))
+            return
+        port.standby = wire
+        producer = self.units.get(stream.unit)
+        if producer is not None and not producer.behaviour.quiet:
+            self._later(self.switch_s, WireSwitched(wire))
+
+    def disconnect(self, wire: int, inlet: Inlet) -> None:
+        self.calls.append(("disconnect", str(inlet)))
+        self._end(wire)
+
+    def switch_now(self, inlet: Inlet) -> None:
+        self.calls.append(("switch", str(inlet)))
+        port = self._inputs[inlet]
+        if port.standby is not None:
+            self._later(0.0, WireSwitched(port.standby))
+
+    def open_outlet(self, topic: str) -> None:
+        self.calls.append(("open", topic))
+        self.topics.add(topic)
+
+    def close_outlet(self, topic: str) -> None:
+        self.calls.append(("close", topic))
+        self.topics.discard(topic)
+
+    def usage(self, unit: str) -> Usage | None:
+        found = self.units.get(unit)
+        if found is None:
+            return None
+        costs = found.transformation
+        ran_s = max(0.0, self._now - found.started_s - found.behaviour.start_s)
+        return Usage(costs.labor_us + round(costs.upkeep_us * ran_s), found.behaviour.memory_bytes)
+
+    def close(self) -> None:
+        self.units.clear()
+        self.topics.clear()
+        self._due.clear()
+
+    def _later(self, delay_s: float, event: Event) -> None:
+        self._count += 1
+        heapq.heappush(self._due, (self._now + delay_s, self._count, event))
+
+    def _happens(self, event: Event) -> bool:
+        """Let a due event take effect; whether it still can."""
+        match event:
+            case WireSwitched(wire):
+                return self._switch(wire)
+            case UnitReady(unit) if unit in self.units:
+                self.units[unit].is_ready = True
+            case UnitDied(unit) | UnitStopped(unit) if unit in self.units:
+                del self.units[unit]
+                for wire in [wire for wire, (stream, _) in self.wires.items() if stream.unit == unit]:
+                    self._end(wire)
+            case UnitStatus(unit, steps) if unit in self.units:
+                self._later(self.sign_period_s, UnitStatus(unit, steps + 1, 0, {}, {}))
+            case UnitReady() | UnitDied() | UnitStopped() | UnitStatus():
+                return False
+        return True
+
+    def _switch(self, wire: int) -> bool:
+        port = self._inputs.get(self.wires[wire][1]) if wire in self.wires else None
+        if port is None or wire not in (port.active, port.standby):
+            return False
+        if wire == port.standby:
+            port.active, port.standby = wire, None
+        return True
+
+    def _end(self, wire: int) -> None:
+        """A wire has no source any more: its inlet goes over to the standby, or has lost its input."""
+        inlet = self.wires[wire][1]
+        port = self._inputs[inlet]
+        if wire == port.standby:
+            port.standby = None
+        elif wire == port.active:
+            port.active = None
+            if port.standby is not None:
+                self._later(0.0, WireSwitched(port.standby))
+            elif inlet.is_outlet or inlet.unit in self.units:
+                self._later(0.0, InputLost(inlet.unit or None, inlet.port, wire))

@@ -1,0 +1,132 @@
+"""Receiving a topic from outside: connect once, and keep receiving whatever feeds the topic."""
+
+from __future__ import annotations
+
+import selectors
+import socket
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cfgplan_runtime.channel import Receiver
+from cfgplan_runtime.element import Element, Moment
+from cfgplan_runtime.errors import NoSuchTopicError
+from cfgplan_runtime.payload import decode
+from cfgplan_runtime.run_folder import address, base_folder, is_alive, live_runs, topics_of
+
+_RETRY_S = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """A value of a topic. `time_ns` is when it was made, in nanoseconds since the epoch."""
+
+    value: Any
+    time_ns: int
+    topic: str
+
+
+class SubscriptionToTopic:
+    """A connection to a topic; iterate over it for what comes, until the run ends."""
+
+    def __init__(self, topic: str, run: Path, *, timeout_s: float | None) -> None:
+        self.topic = topic
+        self.dropped = 0
+        """How many elements were dropped because this consumer was slow."""
+        self._run = run
+        self._timeout_s = timeout_s
+        self._receiver: Receiver | None = None
+        self._next_number = 0
+        self._last: Moment | None = None
+        if not self._connect():
+            raise NoSuchTopicError(f"topic {topic!r} of run {run.name} can't be connected to")
+
+    def __iter__(self) -> Iterator[Received]:
+        """Values as they come. Ends with the run, or raises TimeoutError if nothing comes for `timeout_s`."""
+        while self._receiver is not None:
+            self._wait(self._receiver)
+            for element in self._receiver.read():
+                if self._is_new(element):
+                    yield Received(decode(element.payload), element.time_ns, self.topic)
+                if self._receiver is None:
+                    return
+            if self._receiver.has_ended:
+                self._receiver.close()
+                self._reconnect()
+
+    def __enter__(self) -> SubscriptionToTopic:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Disconnect."""
+        if self._receiver is not None:
+            self._receiver.close()
+            self._receiver = None
+
+    def _wait(self, receiver: Receiver) -> None:
+        with selectors.DefaultSelector() as selector:
+            selector.register(receiver.socket, selectors.EVENT_READ)
+            if not selector.select(self._timeout_s):
+                raise TimeoutError(f"nothing came on {self.topic} for {self._timeout_s} s")
+
+    def _is_new(self, element: Element) -> bool:
+        self.dropped += element.number - self._next_number
+        self._next_number = element.number + 1
+        if self._last is not None and element.moment <= self._last:
+            return False
+        self._last = element.moment
+        return True
+
+    def _reconnect(self) -> None:
+        self._receiver = None
+        while is_alive(self._run) and not self._connect():
+            time.sleep(_RETRY_S)
+
+    def _connect(self) -> bool:
+        end = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            end.connect(str(address(self._run, self.topic)))
+        except OSError:
+            end.close()
+            return False
+        self._receiver = Receiver(end)
+        self._next_number = 0
+        return True
+
+
+def subscribe(
+    topic: str, *, run: str | None = None, timeout_s: float | None = None, wait_s: float = 0.0
+) -> SubscriptionToTopic:
+    """Subscribe to a topic of a runtime of this user on this machine.
+
+    `run` is the run's id, needed only if several runs have the topic. `wait_s` is how long to wait for
+    the topic to be there, `timeout_s` how long to wait for each value. Raises NoSuchTopicError.
+    """
+    deadline = time.monotonic() + wait_s
+    while True:
+        found = _runs_with(topic, run)
+        if len(found) == 1:
+            try:
+                return SubscriptionToTopic(topic, found[0], timeout_s=timeout_s)
+            except NoSuchTopicError:
+                if time.monotonic() >= deadline:
+                    raise
+        elif time.monotonic() >= deadline:
+            raise NoSuchTopicError(_why_not(topic, found))
+        time.sleep(_RETRY_S)
+
+
+def _runs_with(topic: str, run: str | None) -> list[Path]:
+    return [path for path in live_runs(base_folder()) if run in (None, path.name) and address(path, topic).exists()]
+
+
+def _why_not(topic: str, found: list[Path]) -> str:
+    if found:
+        return f"several runs have topic {topic!r}: name one of {', '.join(path.name for path in found)}"
+    there = sorted({name for path in live_runs(base_folder()) for name in topics_of(path)})
+    return f"nothing publishes topic {topic!r}; there is {', '.join(there) or 'no topic at all'}"

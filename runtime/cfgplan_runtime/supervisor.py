@@ -1,0 +1,202 @@
+"""The supervisor: knows what runs, carries out change sets, notices what goes wrong. It knows no process.
+
+Everything happens in the thread that calls it; the backend's events are its only input.
+"""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Callable
+
+from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Transformation
+from cfgplan_runtime.applying import Applying, Patience
+from cfgplan_runtime.backend import Backend
+from cfgplan_runtime.errors import ApplyError, StaleChangeSetError
+from cfgplan_runtime.events import (
+    Applied,
+    Event,
+    InputLost,
+    OutletsLost,
+    RolledBack,
+    UnitDied,
+    UnitFailed,
+    UnitHung,
+    UnitReady,
+    UnitStatus,
+    UnitStopped,
+    UnitTooLarge,
+    WireSwitched,
+)
+from cfgplan_runtime.observation import Observation, UnitRecord
+from cfgplan_runtime.wiring import Wiring, without_feed, without_unit
+
+HANG_S = 10.0
+"""How long a unit may be silent if its transformation does not say; a source without a rate may be so for ever."""
+
+WATCH_PERIOD_S = 0.25
+MEGABYTE = 1 << 20
+_TIME_TO_DUMP_S = 0.2
+_MOST_REMEMBERED = 1000
+"""How many change sets are known by their ids."""
+
+
+class Supervisor:
+    """Holds the actual configuration in `environment`; `report` gets every event, in order."""
+
+    def __init__(self, backend: Backend, environment: Environment, report: Callable[[Event], None]) -> None:
+        self.backend = backend
+        self.environment = environment
+        self.wiring = Wiring(backend)
+        self.alive: set[str] = set()
+        self.ready: set[str] = set()
+        self.outlets: set[str] = set()
+        self.cause_of_death: dict[str, str] = {}
+        self._report = report
+        self._applied: dict[str, Applied] = {}
+        self._records: dict[str, UnitRecord] = {}
+        self._states: dict[str, bytes] = {}
+        self._library: dict[str, Transformation] = {}
+        self._watched_s = backend.now()
+
+    def apply(
+        self,
+        change_set: ChangeSet,
+        *,
+        id: str | None = None,  # noqa: A002
+        basis: Environment | None = None,
+        patience: Patience | None = None,
+    ) -> Applied:
+        """Carry out a change set as a whole or not at all; the same `id` is carried out once.
+
+        `basis` is the environment that it was planned for. Raises StaleChangeSetError if that, or what the
+        change set names, is not what runs; ApplyError if a step failed and all was undone.
+        """
+        if id is not None and id in self._applied:
+            return self._applied[id]
+        if basis is not None and basis.units != self.environment.units:
+            raise StaleChangeSetError("the change set was planned for other running units than there are now")
+        self.cause_of_death.clear()
+        applying = Applying(self, change_set, id or uuid.uuid4().hex[:12], patience or Patience())
+        applying.check()
+        try:
+            applied = applying.carry_out()
+        except ApplyError as error:
+            self._report(RolledBack(applying.id, str(error)))
+            raise
+        self._applied[applied.id] = applied
+        if len(self._applied) > _MOST_REMEMBERED:
+            del self._applied[next(iter(self._applied))]
+        self._report(applied)
+        return applied
+
+    def pump(self, timeout_s: float) -> None:
+        """Handle what happens within `timeout_s`; returns after the first of it."""
+        for event in self.backend.wait(min(max(0.0, timeout_s), WATCH_PERIOD_S)):
+            if self._understand(event):
+                self._report(event)
+        if self.backend.now() - self._watched_s >= WATCH_PERIOD_S:
+            self._watched_s = self.backend.now()
+            self._watch()
+
+    def observe(self) -> tuple[Observation, ...]:
+        """Every running unit as it is now."""
+        observations = []
+        for unit in sorted(self.alive & self.ready):
+            usage = self.backend.usage(unit)
+            if usage is not None:
+                observations.append(self._records[unit].observe(unit, usage, self.backend.now()))
+        return tuple(observations)
+
+    def start(self, unit: ComputationUnit, transformation: Transformation) -> None:
+        """Start a unit without any wire, for an update."""
+        self.alive.add(unit.id)
+        self.ready.discard(unit.id)
+        self.cause_of_death.pop(unit.id, None)
+        self._library[unit.id] = transformation
+        self._records[unit.id] = UnitRecord(transformation.label, self.backend.now())
+        self.backend.start(unit.id, transformation, self._states.get(transformation.label))
+
+    def stop(self, unit: str) -> None:
+        """Ask a unit to end, for an update."""
+        self.wiring.forget_inputs(unit)
+        self.backend.stop(unit)
+
+    def _understand(self, event: Event) -> bool:
+        """Take an event into account; whether it is news to others."""
+        match event:
+            case UnitReady(unit, labor_us):
+                self.ready.add(unit)
+                record = self._records[unit]
+                record.labor_us, record.sign_s = labor_us, self.backend.now()
+            case UnitDied(unit, cause):
+                self.cause_of_death[unit] = cause
+                self._bury(unit)
+                self.environment = without_unit(self.environment, unit)
+            case UnitStopped(unit):
+                self._bury(unit)
+            case WireSwitched(wire):
+                self.wiring.note_switch(wire, self.environment)
+            case InputLost(_, _, wire):
+                inlet = self.wiring.note_loss(wire)
+                if inlet is None:
+                    return False
+                self.environment = without_feed(self.environment, inlet)
+            case UnitStatus(unit):
+                self._note_status(unit, event)
+            case UnitFailed(unit):
+                if unit in self._records and event.text:
+                    self._records[unit].failure = event
+            case OutletsLost():
+                self._restore_outlets()
+        return True
+
+    def _note_status(self, unit: str, status: UnitStatus) -> None:
+        record = self._records.get(unit)
+        if record is None:
+            return
+        record.note_status(status, self.backend.now())
+        if status.state is not None:
+            self._states[record.transformation] = status.state
+
+    def _bury(self, unit: str) -> None:
+        self.alive.discard(unit)
+        self.ready.discard(unit)
+        self.wiring.forget_unit(unit)
+        self._records.pop(unit, None)
+        self._library.pop(unit, None)
+
+    def _restore_outlets(self) -> None:
+        """The backend has made the topics' addresses anew: feed them."""
+        for inlet, wire in list(self.wiring.feeds.items()):
+            if inlet.is_outlet:
+                del self.wiring.feeds[inlet]
+                self.wiring.connect(wire.stream, inlet, self.environment)
+
+    def _watch(self) -> None:
+        """Kill what hangs or has grown too large."""
+        now = self.backend.now()
+        for unit in sorted(self.ready):
+            record, run = self._records[unit], self._library[unit].run
+            if record.killed_s is not None:
+                if now - record.killed_s >= _TIME_TO_DUMP_S:
+                    self.backend.kill(unit)
+                continue
+            patience_s = _patience_s(self._library[unit])
+            if patience_s is not None and now - record.sign_s > patience_s:
+                record.killed_s = now
+                self._report(UnitHung(unit, now - record.sign_s))
+                self.backend.kill(unit, dump=True)
+            elif run.memory_mb is not None:
+                usage = self.backend.usage(unit)
+                if usage is not None and usage.memory_bytes > run.memory_mb * MEGABYTE:
+                    record.killed_s = now
+                    self._report(UnitTooLarge(unit, usage.memory_bytes))
+                    self.backend.kill(unit)
+
+
+def _patience_s(transformation: Transformation) -> float | None:
+    run = transformation.run
+    if run.hang_us is not None:
+        return run.hang_us / 1e6 or None
+    is_free_source = not transformation.inputs and run.rate_hz is None
+    return None if is_free_source else HANG_S

@@ -1,0 +1,216 @@
+"""The process of one unit: waits, takes steps of the unit code, sends the results; rewires between two steps."""
+
+from __future__ import annotations
+
+import socket
+import time
+import traceback
+from collections.abc import Iterator
+
+import msgspec
+
+from cfgplan_runtime.control import ControlConnection
+from cfgplan_runtime.element import Element, Moment, Outgoing
+from cfgplan_runtime.errors import EncodingError, WrongPortsError
+from cfgplan_runtime.inlet import Inlet
+from cfgplan_runtime.messages import Exhausted, Finish, PortCounts, Ready, Status, ToChild, Trouble, UnitOrder
+from cfgplan_runtime.payload import PayloadEncoder, decode
+from cfgplan_runtime.ports import InputPort, OutputPort, Ports
+from cfgplan_runtime.stepping import Step, StepQueue
+from cfgplan_runtime.unit_code import Given, UnitCode
+
+STATUS_PERIOD_S = 1.0
+_LONGEST_WORK_NS = 1_000_000
+"""How long steps follow each other before sockets are looked at again."""
+_MOST_REPORTS = 5
+"""Failures that are reported one by one between two signs of life."""
+_KINDS = ((WrongPortsError, "wrong ports"), (EncodingError, "can't be sent"))
+_LATEST_TICK_NS = 100_000_000
+"""A source that is later than this skips ticks instead of catching up."""
+
+
+class UnitChild:
+    """One unit. Constructing it constructs the unit code, and raises whatever that raises."""
+
+    def __init__(self, order: UnitOrder, control: ControlConnection[ToChild]) -> None:
+        self._order = order
+        self._ports = Ports(control, self._obey)
+        self._is_source = not order.inputs
+        self._steps = StepQueue(order.inputs, start=order.start, tolerance_ns=order.tolerance_ns, limit=order.queue)
+        self._code = UnitCode(order.source, order.params, order.outputs, folder=order.folder, is_source=self._is_source)
+        if order.keeps_state and order.state is not None and self._code.has_state:
+            self._code.set_state(msgspec.msgpack.decode(order.state))
+        for port in order.inputs:
+            self._ports.inputs[port] = self._input_port(port)
+        for port in order.outputs:
+            self._ports.outputs[port] = OutputPort()
+        self._encoder = PayloadEncoder()
+        self._last: dict[str, Moment] = {}
+        self._results: Iterator[Given] | None = None
+        self._moment: Moment | None = None
+        self._next_step: Step | None = None
+        self.step = 0
+        """How many steps have begun."""
+        self._errors = self._reported = 0
+        self._is_exhausted = self._is_finishing = False
+        self._tick_ns = time.monotonic_ns()
+
+    def run(self) -> None:
+        """Work until told to finish, or until the supervisor is gone. SystemExit of unit code comes through."""
+        self._ports.say(Ready(time.process_time_ns()))
+        self._status_ns = time.monotonic_ns()
+        while not self._ports.has_ended:
+            self._ports.wait(self._patience_s())
+            self._work()
+            if time.monotonic_ns() >= self._status_ns:
+                self._say_status()
+            if self._is_finishing and not self._has_work and self._ports.is_flushed:
+                self._say_status()
+                return
+
+    def _obey(self, message: ToChild, _: list[socket.socket]) -> None:
+        if isinstance(message, Finish):
+            self._ports.drain()
+            self._is_finishing = True
+
+    @property
+    def _has_work(self) -> bool:
+        return self._results is not None or self._pending is not None
+
+    @property
+    def _pending(self) -> Step | None:
+        if self._next_step is None and not self._is_source:
+            self._next_step = self._steps.next()
+        return self._next_step
+
+    def _patience_s(self) -> float:
+        now = time.monotonic_ns()
+        until = self._status_ns
+        if not self._ports.must_wait:
+            if self._has_work:
+                return 0.0
+            if self._is_source and not self._is_exhausted and not self._is_finishing:
+                until = min(until, self._tick_ns)
+        return max(0.0, (until - now) / 1e9)
+
+    def _work(self) -> None:
+        start = time.monotonic_ns()
+        while not self._ports.must_wait and time.monotonic_ns() - start < _LONGEST_WORK_NS:
+            if self._results is not None:
+                self._give_next()
+            elif self._pending is not None:
+                self._begin(self._pending)
+            elif self._is_source and not self._is_exhausted and not self._is_finishing:
+                if not self._tick():
+                    return
+            else:
+                break
+        self._ports.resume()
+
+    def _begin(self, step: Step) -> None:
+        self._next_step = None
+        self.step += 1
+        self._moment = step.moment
+        try:
+            values = {port: decode(element.payload) for port, element in step.elements.items()}
+            self._results = self._code.step(values)
+            self._give_next()
+        except Exception as error:
+            self._fail(error)
+
+    def _tick(self) -> bool:
+        """Let a source produce if its time has come; whether it had."""
+        now = time.monotonic_ns()
+        if now < self._tick_ns:
+            return False
+        period = self._order.period_ns
+        if period is not None:
+            self._tick_ns += period
+            if now - self._tick_ns > _LATEST_TICK_NS:
+                self._tick_ns = now
+        self.step += 1
+        self._moment = None
+        try:
+            self._results = self._code.produce()
+        except StopIteration:
+            self._is_exhausted = True
+            self._ports.say(Exhausted())
+        except Exception as error:
+            self._fail(error)
+        return True
+
+    def _give_next(self) -> None:
+        assert self._results is not None
+        try:
+            given = next(self._results, None)
+            if given is None:
+                self._results = None
+                return
+            time_ns, turn = self._moment_of(given)
+            self._ports.emit(given.port, Outgoing(time_ns, turn, self._encoder.encode(given.value)))
+        except Exception as error:
+            self._results = None
+            self._fail(error)
+
+    def _moment_of(self, given: Given) -> Moment:
+        """Moments rise along a stream: of equal times, the later element takes the next turn."""
+        if given.time_ns is not None:
+            moment = (given.time_ns, 0)
+        elif self._moment is not None:
+            moment = self._moment
+        else:
+            moment = (time.monotonic_ns() + self._order.clock_offset_ns, 0)
+        last = self._last.get(given.port)
+        if last is not None and moment <= last:
+            moment = (last[0], last[1] + 1)
+        self._last[given.port] = moment
+        return moment
+
+    def _fail(self, error: Exception) -> None:
+        self._errors += 1
+        self._reported += 1
+        if self._reported > _MOST_REPORTS:
+            return
+        kind = next((kind for known, kind in _KINDS if isinstance(error, known)), "raised")
+        text = "".join(traceback.format_exception(error)) if kind == "raised" else str(error)
+        self._ports.say(Trouble(kind, self.step, text))
+
+    def _say_status(self) -> None:
+        self._status_ns = time.monotonic_ns() + int(STATUS_PERIOD_S * 1e9)
+        if self._reported > _MOST_REPORTS:
+            self._ports.say(Trouble("raised", self.step, "", self._reported - _MOST_REPORTS))
+        self._reported = 0
+        self._ports.say(
+            Status(self.step, self._errors, self._input_counts(), self._ports.output_counts(), self._state())
+        )
+
+    def _input_counts(self) -> dict[str, PortCounts]:
+        steps = self._steps
+        return {
+            port: PortCounts(
+                counts.elements,
+                counts.dropped + steps.dropped[port],
+                counts.stale,
+                steps.skipped[port],
+                steps.waiting(port),
+            )
+            for port, counts in self._ports.input_counts().items()
+        }
+
+    def _state(self) -> bytes | None:
+        if not (self._order.keeps_state and self._code.has_state):
+            return None
+        try:
+            return msgspec.msgpack.encode(self._code.get_state())
+        except Exception as error:
+            self._fail(error)
+            return None
+
+    def _input_port(self, name: str) -> InputPort:
+        def take(element: Element) -> None:
+            self._steps.put(name, element, may_drop=not self._order.blocks)
+
+        def has_room() -> bool:
+            return not (self._order.blocks and self._steps.is_full(name))
+
+        return InputPort(name, Inlet(self._order.queue), take, has_room)

@@ -1,0 +1,160 @@
+"""The user's class or function, and the rules for calling it.
+
+A class is constructed with the transformation's params as keyword arguments, then called with the
+values of one step, each under the name of its input port. What it returns is the value of its output
+port; with several output ports, a mapping from port to value. None is no value. A generator gives one
+result after the other. A unit without inputs is a source: a generator function, an iterable, or
+a callable that is called at the transformation's rate.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import inspect
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from types import GeneratorType, ModuleType
+from typing import Any
+
+from cfgplan_runtime.errors import BadSourceError, WrongPortsError
+
+
+@dataclass(frozen=True, slots=True)
+class At:
+    """A value with the time it belongs to, for sources that know it better than the clock.
+
+    `time_ns` is in nanoseconds since the epoch and must rise along a stream, also across restarts.
+    """
+
+    time_ns: int
+    value: object
+
+
+@dataclass(frozen=True, slots=True)
+class Given:
+    """One value for one output port; without a time it is of its step's moment."""
+
+    port: str
+    value: object
+    time_ns: int | None = None
+
+
+class UnitCode:
+    """Unit code that was found and constructed. Raises BadSourceError, or what the constructor raises."""
+
+    def __init__(
+        self, source: str, params: Mapping[str, object], outputs: Sequence[str], *, folder: str, is_source: bool
+    ) -> None:
+        self._outputs = tuple(outputs)
+        found = find_source(source, Path(folder))
+        made: Any = found(**params) if inspect.isclass(found) else partial(found, **params)
+        self._object = made
+        self._produce: Iterator[Any] | None = None
+        if is_source:
+            self._produce = _source_iterator(made, source)
+        elif not callable(made):
+            raise BadSourceError(f"{source} makes an object that can't be called: give it a __call__ method")
+        self.has_state = hasattr(made, "get_state") and hasattr(made, "set_state")
+
+    def step(self, values: Mapping[str, object]) -> Iterator[Given]:
+        """One step's results, made while they are asked for. Raises whatever the unit code raises."""
+        result = self._object(**values)
+        if isinstance(result, GeneratorType):
+            for one in result:
+                yield from self._given(one)
+        else:
+            yield from self._given(result)
+
+    def produce(self) -> Iterator[Given]:
+        """A source's next results. Raises StopIteration when it has no more, or what the unit code raises."""
+        assert self._produce is not None
+        return self._given(next(self._produce))
+
+    def get_state(self) -> object:
+        return self._object.get_state()
+
+    def set_state(self, state: object) -> None:
+        self._object.set_state(state)
+
+    def _given(self, result: object) -> Iterator[Given]:
+        if result is None:
+            return
+        if len(self._outputs) == 1:
+            yield _timed(self._outputs[0], result)
+            return
+        if not self._outputs:
+            raise WrongPortsError("the unit has no output port, but its code returned a value")
+        if not isinstance(result, Mapping):
+            raise WrongPortsError(
+                f"the unit has several output ports, so its code returns a mapping from port to value, "
+                f"not {type(result).__name__}"
+            )
+        for port in result:
+            if port not in self._outputs:
+                raise WrongPortsError(f"there is no output port {port!r}, only {', '.join(self._outputs)}")
+        for port, value in result.items():
+            if value is not None:
+                yield _timed(port, value)
+
+
+def find_source(source: str, folder: Path) -> Callable[..., Any]:
+    """What `package.module:Name` or `units.py:Name` (relative to `folder`) names. Raises BadSourceError."""
+    place, colon, name = source.rpartition(":")
+    if not (colon and place and name):
+        raise BadSourceError(f"{source!r} names no unit code: write package.module:Class or units.py:Class")
+    module = _module_of_file(folder / place) if place.endswith(".py") else _module_by_name(place, folder)
+    found: Any = module
+    for part in name.split("."):
+        found = getattr(found, part, None)
+        if found is None:
+            raise BadSourceError(f"{place} has no {name}")
+    if not callable(found):
+        raise BadSourceError(f"{source} is neither a class nor a function")
+    return found  # type: ignore[no-any-return]
+
+
+def _module_of_file(path: Path) -> ModuleType:
+    if not path.is_file():
+        raise BadSourceError(f"there is no file {path}")
+    name = f"cfgplan_units_{path.stem}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise BadSourceError(f"{path} is no Python file")
+    if str(path.parent) not in sys.path:
+        sys.path.insert(0, str(path.parent))
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def _module_by_name(name: str, folder: Path) -> ModuleType:
+    if str(folder) not in sys.path:
+        sys.path.insert(0, str(folder))
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name is not None and (name == error.name or name.startswith(f"{error.name}.")):
+            raise BadSourceError(f"there is no module {error.name}") from None
+        raise
+
+
+def _source_iterator(made: Any, source: str) -> Iterator[Any]:
+    if hasattr(made, "__iter__"):
+        return iter(made)
+    if not callable(made):
+        raise BadSourceError(f"{source} has no inputs, so it must be a generator function, iterable or callable")
+    function = made.func if isinstance(made, partial) else type(made).__call__
+    if inspect.isgeneratorfunction(function):
+        return iter(made())
+    return iter(made, _NEVER)
+
+
+_NEVER = object()
+
+
+def _timed(port: str, value: object) -> Given:
+    return Given(port, value.value, value.time_ns) if isinstance(value, At) else Given(port, value)

@@ -1,0 +1,30 @@
+"""What a child is told, so that it becomes a unit of a transformation."""
+
+from __future__ import annotations
+
+from cfgplan.domain import Transformation
+from cfgplan_runtime.messages import UnitOrder
+
+
+def unit_order(
+    unit: str, transformation: Transformation, state: bytes | None, folder: str, clock_offset_ns: int
+) -> UnitOrder:
+    """The order for a unit of a transformation; its elements' times are the monotonic clock's plus the offset."""
+    run = transformation.run
+    return UnitOrder(
+        unit=unit,
+        source=transformation.source or "",
+        folder=folder,
+        params=dict(transformation.params),
+        inputs=[port.name for port in transformation.inputs],
+        outputs=[port.name for port in transformation.outputs],
+        start=run.start,
+        tolerance_ns=run.tolerance_us * 1000,
+        period_ns=None if run.rate_hz is None else round(1e9 / run.rate_hz),
+        queue=run.queue,
+        blocks=run.blocks,
+        keeps_state=run.state,
+        state=state,
+        memory_bytes=None if run.memory_mb is None else run.memory_mb << 20,
+        clock_offset_ns=clock_offset_ns,
+    )

@@ -1,0 +1,163 @@
+"""Which stream feeds which inlet: the wires that there are and those that an environment wants."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from cfgplan.domain import ComputationUnit, Environment, Stream, Subscription
+from cfgplan_runtime.backend import Backend, Inlet
+
+
+@dataclass(slots=True, eq=False)
+class Wire:
+    """A stream's way into an inlet. `replaces` is what the inlet goes back to if the wire is taken back."""
+
+    id: int
+    stream: Stream
+    inlet: Inlet
+    replaces: Wire | None = None
+    has_switched: bool = False
+
+
+class Wiring:
+    """The wires of running units. Wherever it says `feeds`, it means the source that an inlet has or is to have."""
+
+    def __init__(self, backend: Backend) -> None:
+        self._backend = backend
+        self._last_id = 0
+        self._wires: dict[int, Wire] = {}
+        self._taken_back: dict[int, Wire] = {}
+        self.feeds: dict[Inlet, Wire] = {}
+
+    def connect(self, stream: Stream, inlet: Inlet, environment: Environment) -> Wire:
+        """Let a stream feed an inlet, after what feeds it now if anything does."""
+        self._last_id += 1
+        wire = Wire(self._last_id, stream, inlet, self.feeds.get(inlet))
+        self._wires[wire.id] = self.feeds[inlet] = wire
+        queue, blocks = _room(inlet, environment)
+        self._backend.connect(wire.id, stream, inlet, queue=queue, blocks=blocks)
+        return wire
+
+    def disconnect(self, inlet: Inlet) -> None:
+        """Leave an inlet without a source."""
+        wire = self.feeds.pop(inlet)
+        self._wires.pop(wire.id, None)
+        self._backend.disconnect(wire.id, wire.inlet)
+
+    def take_back(self, wire: Wire, environment: Environment, alive: set[str]) -> Wire | None:
+        """Undo `connect`; the wire that has to switch before the inlet has its old source again, if any."""
+        old = wire.replaces
+        if old is None or old.stream.unit not in alive:
+            if self.feeds.get(wire.inlet) is wire:
+                self.disconnect(wire.inlet)
+            return None
+        if wire.has_switched:
+            return self.connect(old.stream, wire.inlet, environment)
+        self._wires.pop(wire.id, None)
+        self._taken_back[wire.id] = wire
+        self.feeds[wire.inlet] = old
+        self._wires[old.id] = old
+        self._backend.disconnect(wire.id, wire.inlet)
+        return None
+
+    def note_switch(self, wire_id: int, environment: Environment) -> None:
+        """An inlet has gone over to a wire. If that was being taken back, its old source is connected anew."""
+        wire = self._wires.get(wire_id)
+        if wire is not None:
+            wire.has_switched = True
+            if wire.replaces is not None:
+                self._wires.pop(wire.replaces.id, None)
+            return
+        late = self._taken_back.pop(wire_id, None)
+        if late is not None and late.replaces is not None and self.feeds.get(late.inlet) is late.replaces:
+            del self.feeds[late.inlet]
+            self.connect(late.replaces.stream, late.inlet, environment)
+
+    def note_loss(self, wire_id: int) -> Inlet | None:
+        """The inlet that has lost its source with this wire; None if the wire was given up before."""
+        wire = self._wires.pop(wire_id, None)
+        if wire is None or self.feeds.get(wire.inlet) is not wire:
+            return None
+        del self.feeds[wire.inlet]
+        return wire.inlet
+
+    def forget_unit(self, unit: str) -> None:
+        """Give up the wires from and to a unit that is gone."""
+        for inlet, wire in list(self.feeds.items()):
+            if unit in (inlet.unit, wire.stream.unit):
+                del self.feeds[inlet]
+                self._wires.pop(wire.id, None)
+
+    def forget_inputs(self, unit: str) -> None:
+        """Give up the wires to a unit that is being stopped: that they end is no news."""
+        for inlet in [inlet for inlet in self.feeds if inlet.unit == unit]:
+            self._wires.pop(self.feeds.pop(inlet).id, None)
+
+    def settle(self) -> None:
+        """After an update: what the wires have replaced is past."""
+        self._taken_back.clear()
+        for wire in self.feeds.values():
+            wire.replaces = None
+        self._wires = {wire.id: wire for wire in self.feeds.values()}
+
+
+def wanted_feeds(environment: Environment) -> Mapping[Inlet, Stream]:
+    """The stream that is to feed each inlet, the topics' outlets too."""
+    feeds: dict[Inlet, Stream] = {}
+    for unit in environment.units:
+        for subscription in unit.subscriptions:
+            feeds[Inlet(unit.id, subscription.port)] = subscription.stream
+        for publication in unit.publications:
+            feeds[Inlet("", publication.topic)] = Stream(unit.id, publication.port)
+    return feeds
+
+
+def wanted_topics(environment: Environment) -> frozenset[str]:
+    """The topics that need an address: those of targets, and any other that a unit publishes on."""
+    published = {publication.topic for unit in environment.units for publication in unit.publications}
+    return frozenset(published | {target.topic for target in environment.targets})
+
+
+def without_unit(environment: Environment, unit_id: str) -> Environment:
+    """The environment after a unit has died: what it fed has a gap."""
+    left = tuple(
+        ComputationUnit(
+            unit.id,
+            unit.transformation,
+            tuple(s for s in unit.subscriptions if s.stream.unit != unit_id),
+            unit.publications,
+        )
+        for unit in environment.units
+        if unit.id != unit_id
+    )
+    return Environment(left, environment.library, environment.targets)
+
+
+def without_feed(environment: Environment, inlet: Inlet) -> Environment:
+    """The environment with a gap at one inlet."""
+    left = tuple(_with_gap(unit, inlet) for unit in environment.units)
+    return Environment(left, environment.library, environment.targets)
+
+
+def _with_gap(unit: ComputationUnit, inlet: Inlet) -> ComputationUnit:
+    subscriptions: tuple[Subscription, ...] = unit.subscriptions
+    publications = unit.publications
+    if inlet.is_outlet:
+        publications = tuple(p for p in publications if p.topic != inlet.port)
+    elif unit.id == inlet.unit:
+        subscriptions = tuple(s for s in subscriptions if s.port != inlet.port)
+    return ComputationUnit(unit.id, unit.transformation, subscriptions, publications)
+
+
+def _room(inlet: Inlet, environment: Environment) -> tuple[int, bool]:
+    """The queue's length and policy at an inlet; nobody outside may make a unit wait."""
+    unit = environment.unit.get(inlet.unit)
+    transformation = None if unit is None else environment.transformation.get(unit.transformation)
+    if transformation is None:
+        return OUTLET_QUEUE, False
+    return transformation.run.queue, transformation.run.blocks
+
+
+OUTLET_QUEUE = 1024
+"""How many elements may wait on their way to a topic's outlet."""

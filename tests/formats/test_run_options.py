@@ -1,0 +1,63 @@
+"""`run:` of a transformation: how its units run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from loading import load_text
+
+from cfgplan.domain import RunOptions
+from cfgplan.errors import InputError
+
+TRANSFORMATION = """format: cfgplan/1
+transformations:
+  - label: joiner
+    run: {run}
+    inputs: {{left: A, right: A}}
+    outputs: {{both: B}}
+"""
+
+
+def options(folder: Path, run: str) -> RunOptions:
+    return load_text(folder, TRANSFORMATION.format(run=run)).environment.transformation["joiner"].run
+
+
+def test_what_is_not_said_is_usual(tmp_path: Path) -> None:
+    assert options(tmp_path, "{}") == RunOptions()
+
+
+def test_everything_can_be_said(tmp_path: Path) -> None:
+    run = "{start: aligned, tolerance: 0.01, rate: 30, queue: 5, when_full: block, hang: 2.5, memory: 100, state: true}"
+    assert options(tmp_path, run) == RunOptions("aligned", 10_000, 30.0, 5, True, 2_500_000, 100, True)
+
+
+def test_a_step_can_start_on_a_named_input(tmp_path: Path) -> None:
+    assert options(tmp_path, "{start: left}").start == "left"
+
+
+@pytest.mark.parametrize(
+    ("run", "part"),
+    [
+        ("{start: lfet}", "did you mean `left`?"),
+        ("{rate: 0}", "a rate of 0 is out of range"),
+        ("{rate: fast}", "this must be a number"),
+        ("{tolerance: -1}", "negative"),
+        ("{queue: 0}", "at least 1"),
+        ("{when_full: explode}", "when_full"),
+        ("{memory: 0.5}", "whole number"),
+        ("{color: red}", "unknown key `color`"),
+        ("fast", "mapping"),
+    ],
+)
+def test_nonsense_is_refused(tmp_path: Path, run: str, part: str) -> None:
+    with pytest.raises(InputError) as refused:
+        options(tmp_path, run)
+    (fault,) = refused.value.faults
+    assert part in str(fault)
+    assert fault.line == 4
+
+
+def test_planning_does_not_look_at_it(tmp_path: Path) -> None:
+    plain, other = (load_text(tmp_path, TRANSFORMATION.format(run=run)) for run in ("{}", "{start: any}"))
+    assert plain.digest == other.digest

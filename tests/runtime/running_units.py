@@ -1,0 +1,138 @@
+"""Unit code for the tests of the runtime."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy
+from cfgplan_runtime import At
+from numpy.typing import NDArray
+
+
+def count() -> Iterator[int]:
+    """0, 1, 2, ..."""
+    number = 0
+    while True:
+        yield number
+        number += 1
+
+
+def images() -> Iterator[NDArray[numpy.uint8]]:
+    """Pictures of 460 kB whose first 8 bytes are their number."""
+    number = 0
+    while True:
+        image = numpy.zeros((480, 960), numpy.uint8)
+        image.reshape(-1)[:8] = numpy.frombuffer(number.to_bytes(8, "little"), numpy.uint8)
+        yield image
+        number += 1
+
+
+def image_number(x: NDArray[numpy.uint8]) -> int:
+    return int.from_bytes(x.reshape(-1)[:8].tobytes(), "little")
+
+
+def same(x: Any) -> Any:
+    return x
+
+
+def add(a: int, b: int) -> int:
+    return a + b
+
+
+class Slow:
+    """Takes its time."""
+
+    def __init__(self, seconds: float) -> None:
+        self.seconds = seconds
+
+    def __call__(self, x: Any) -> Any:
+        time.sleep(self.seconds)
+        return x
+
+
+class Tally:
+    """Counts its steps; the count survives a restart."""
+
+    def __init__(self) -> None:
+        self.steps = 0
+
+    def __call__(self, x: Any) -> int:  # noqa: ARG002
+        self.steps += 1
+        return self.steps
+
+    def get_state(self) -> int:
+        return self.steps
+
+    def set_state(self, state: Any) -> None:
+        self.steps = state
+
+
+class Naughty:
+    """Does at input 5 what its parameter says, else gives its input."""
+
+    def __init__(self, deed: str) -> None:
+        self.deed = deed
+        self.hoard: list[bytearray] = []
+        if deed == "fail at start":
+            raise ValueError("no such camera")
+        if deed == "die at start":
+            os._exit(3)
+        if deed == "never ready":
+            time.sleep(3600)
+
+    def __call__(self, x: int) -> Any:
+        if x % 10 != 5:
+            return x
+        match self.deed:
+            case "raise":
+                raise ValueError("five is too much")
+            case "wrong ports":
+                return {"z": 1}
+            case "not sendable":
+                return object()
+            case "print":
+                print("hello from the unit")  # noqa: T201
+                sys.stderr.write("and from its stderr\n")
+            case "exit":
+                sys.exit(4)
+            case "hard exit":
+                os._exit(5)
+            case "hang":
+                time.sleep(3600)
+            case "eat memory":
+                while True:
+                    self.hoard.append(bytearray(1 << 20))
+            case "start a child":
+                if os.fork() == 0:
+                    time.sleep(3600)
+        return x
+
+
+class TwoOutputs:
+    def __init__(self, deed: str = "") -> None:
+        self.deed = deed
+
+    def __call__(self, x: int) -> Any:
+        return {"z": 1} if self.deed == "wrong ports" else {"even": x if x % 2 == 0 else None, "double": 2 * x}
+
+
+def twice(x: int) -> Iterator[int]:
+    yield x
+    yield x
+
+
+def countdown() -> Iterator[int]:
+    """3, 2, 1, at its own pace, then no more."""
+    for number in (3, 2, 1):
+        time.sleep(0.05)
+        yield number
+
+
+def timed() -> Iterator[At]:
+    """Elements with a time of their own."""
+    for second in range(1, 1000):
+        yield At(second * 1_000_000_000, second)

@@ -1,0 +1,289 @@
+"""What goes wrong with real processes, and what does not follow from it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import psutil
+import pytest
+from cfgplan_runtime import ApplyError, Patience, StaleChangeSetError, subscribe
+from cfgplan_runtime.errors import NoSuchTopicError, UnsupportedPlatformError
+from cfgplan_runtime.events import (
+    OutletsLost,
+    RolledBack,
+    UnitDied,
+    UnitFailed,
+    UnitHung,
+    UnitPrinted,
+    UnitTooLarge,
+)
+from watching import Listener, StartRuntime, seen
+from world import eventually, source, start, unit, worker
+
+from cfgplan.domain import ChangeSet, RunOptions
+
+
+@pytest.mark.parametrize(
+    ("deed", "kind", "part"),
+    [
+        ("raise", "raised", "five is too much"),
+        ("not sendable", "can't be sent", "object"),
+        ("wrong ports", "wrong ports", "no output port 'z'"),
+    ],
+)
+def test_unit_code_that_fails_in_a_step_is_reported_and_goes_on(
+    run_units: StartRuntime, deed: str, kind: str, part: str
+) -> None:
+    naughty = worker("naughty", "TwoOutputs" if deed == "wrong ports" else "Naughty", deed=deed)
+    if deed == "wrong ports":
+        naughty = worker("naughty", "TwoOutputs", outputs=("even", "double"), deed=deed)
+    runtime = run_units(source(), naughty, worker())
+    feeds = unit("naughty.1", x="count.1/n")
+    runtime.apply(start(unit("count.1"), feeds, unit("work.1", topic="/result", x="count.1/n")))
+    listener = Listener("/result")
+    eventually(lambda: bool(seen(runtime, UnitFailed)) and len(listener.received) > 20)
+    failure = seen(runtime, UnitFailed)[0]
+    assert (failure.unit, failure.kind) == ("naughty.1", kind)
+    assert part in failure.text
+    assert failure.step > 0
+    assert seen(runtime, UnitDied) == []
+    eventually(lambda: any(o.errors and o.last_error for o in runtime.observe()))
+    runtime.close()
+    listener.join()
+    assert listener.values == list(range(listener.values[0], listener.values[0] + len(listener.values)))
+
+
+def test_the_traceback_names_the_users_line(run_units: StartRuntime) -> None:
+    runtime = run_units(source(), worker("naughty", "Naughty", deed="raise"))
+    runtime.apply(start(unit("count.1"), unit("naughty.1", x="count.1/n")))
+    eventually(lambda: bool(seen(runtime, UnitFailed)))
+    assert 'raise ValueError("five is too much")' in seen(runtime, UnitFailed)[0].text
+
+
+@pytest.mark.parametrize(("deed", "part"), [("exit", "SystemExit: 4"), ("hard exit", "exit status 5")])
+def test_a_unit_that_exits_is_reported_and_takes_nobody_with_it(run_units: StartRuntime, deed: str, part: str) -> None:
+    runtime = run_units(source(), worker("naughty", "Naughty", deed=deed), worker())
+    naughty = unit("naughty.1", x="count.1/n")
+    runtime.apply(start(unit("count.1"), naughty, unit("work.1", topic="/result", x="count.1/n")))
+    eventually(lambda: bool(seen(runtime, UnitDied)))
+    death = seen(runtime, UnitDied)[0]
+    assert death.unit == "naughty.1"
+    assert part in death.cause
+    assert [unit.id for unit in runtime.environment.units] == ["count.1", "work.1"]
+
+
+def test_what_a_unit_prints_is_an_event(run_units: StartRuntime) -> None:
+    runtime = run_units(source(), worker("naughty", "Naughty", deed="print"))
+    runtime.apply(start(unit("count.1"), unit("naughty.1", x="count.1/n")))
+    eventually(lambda: len(seen(runtime, UnitPrinted)) >= 2)
+    lines = {(event.unit, event.line) for event in seen(runtime, UnitPrinted)}
+    assert lines == {("naughty.1", "hello from the unit"), ("naughty.1", "and from its stderr")}
+
+
+def test_a_hung_unit_is_killed_after_it_has_said_where_it_is(run_units: StartRuntime) -> None:
+    run = RunOptions(hang_us=2_500_000)
+    runtime = run_units(source(), worker("naughty", "Naughty", run=run, deed="hang"))
+    runtime.apply(start(unit("count.1"), unit("naughty.1", x="count.1/n")))
+    eventually(lambda: bool(seen(runtime, UnitDied)))
+    assert [event.unit for event in seen(runtime, UnitHung)] == ["naughty.1"]
+    assert any("running_units.py" in event.line for event in seen(runtime, UnitPrinted))
+
+
+def test_a_stopped_process_is_noticed_and_killed(run_units: StartRuntime) -> None:
+    runtime = run_units(source(), worker(run=RunOptions(hang_us=2_500_000)))
+    runtime.apply(start(unit("count.1"), unit("work.1", x="count.1/n")))
+    os.kill(runtime.pid("work.1") or 0, signal.SIGSTOP)
+    eventually(lambda: bool(seen(runtime, UnitDied)))
+    assert [event.unit for event in seen(runtime, UnitHung)] == ["work.1"]
+
+
+def test_a_unit_that_eats_memory_harms_nobody_else(run_units: StartRuntime) -> None:
+    hungry = worker("naughty", "Naughty", run=RunOptions(memory_mb=200), deed="eat memory")
+    runtime = run_units(source(), hungry)
+    runtime.apply(start(unit("count.1"), unit("naughty.1", x="count.1/n")))
+    eventually(lambda: bool(seen(runtime, UnitFailed) or seen(runtime, UnitTooLarge)))
+    failures = seen(runtime, UnitFailed)
+    assert not failures or "MemoryError" in failures[0].text
+    assert runtime.environment.unit["count.1"]
+
+
+@pytest.mark.parametrize(
+    ("deed", "part"), [("fail at start", "ValueError: no such camera"), ("die at start", "exit status 3")]
+)
+def test_an_update_whose_unit_can_not_start_is_undone(run_units: StartRuntime, deed: str, part: str) -> None:
+    runtime = run_units(source(), worker(), worker("naughty", "Naughty", deed=deed))
+    runtime.apply(start(unit("count.1"), unit("work.1", topic="/result", x="count.1/n")))
+    before = runtime.environment
+    listener = Listener("/result")
+    change = ChangeSet(
+        started=(unit("naughty.1", topic="/result", x="work.2/y"), unit("work.2", x="count.1/n")), stopped=("work.1",)
+    )
+    with pytest.raises(ApplyError, match=part):
+        runtime.apply(change, basis=before)
+    assert runtime.environment == before
+    assert [event.id for event in seen(runtime, RolledBack)] != []
+    eventually(lambda: len(listener.received) > 20)
+    assert {o.unit for o in runtime.observe()} == {"count.1", "work.1"}
+    runtime.close()
+    listener.join()
+    assert listener.values == list(range(listener.values[0], listener.values[0] + len(listener.values)))
+
+
+def test_an_update_whose_unit_is_never_ready_is_undone(run_units: StartRuntime) -> None:
+    runtime = run_units(source(), worker("naughty", "Naughty", deed="never ready"))
+    runtime.apply(start(unit("count.1")))
+    with pytest.raises(ApplyError, match=r"naughty\.1 was not ready"):
+        runtime.apply(start(unit("naughty.1", x="count.1/n")), patience=Patience(start_s=0.5, stop_s=0.2))
+    assert [unit.id for unit in runtime.environment.units] == ["count.1"]
+
+
+def test_source_that_does_not_exist_is_named(run_units: StartRuntime) -> None:
+    runtime = run_units(worker(code="nowhere"))
+    with pytest.raises(ApplyError, match=r"running_units\.py has no nowhere"):
+        runtime.apply(start(unit("work.1")))
+
+
+def test_a_change_set_is_carried_out_once(run_units: StartRuntime) -> None:
+    runtime = run_units(source())
+    first = runtime.apply(start(unit("count.1")), id="one")
+    assert runtime.apply(start(unit("count.1")), id="one") == first
+    with pytest.raises(StaleChangeSetError, match="runs already"):
+        runtime.apply(start(unit("count.1")), id="two")
+
+
+def test_the_death_of_the_outlets_is_mended(run_units: StartRuntime) -> None:
+    runtime = run_units(source())
+    runtime.apply(start(unit("count.1", topic="/result", port="n")))
+    listener = Listener("/result")
+    eventually(lambda: len(listener.received) > 3)
+    os.kill(runtime.pid("") or 0, signal.SIGKILL)
+    eventually(lambda: bool(seen(runtime, OutletsLost)))
+    before = len(listener.received)
+    eventually(lambda: len(listener.received) > before + 3)
+    runtime.close()
+    listener.join()
+    assert listener.values == sorted(set(listener.values))
+
+
+def test_what_a_unit_has_started_goes_with_it(run_units: StartRuntime) -> None:
+    runtime = run_units(source(), worker("naughty", "Naughty", deed="start a child"))
+    runtime.apply(start(unit("count.1"), unit("naughty.1", topic="/result", x="count.1/n")))
+    process = psutil.Process(runtime.pid("naughty.1"))
+    eventually(lambda: bool(process.children()))
+    (child,) = process.children()[:1]
+    process.kill()
+    eventually(lambda: not child.is_running() or child.status() == psutil.STATUS_ZOMBIE)
+
+
+SUPERVISOR = """
+import sys, time
+from pathlib import Path
+sys.path.insert(0, {tests!r})
+from cfgplan_runtime import Runtime
+from world import RESULT, source, start, unit, worker
+
+if __name__ == "__main__":
+    runtime = Runtime([source(), worker("naughty", "Naughty", deed="hang")], [RESULT], folder={tests!r})
+    runtime.apply(start(unit("count.1", topic="/result", port="n"), unit("naughty.1", x="count.1/n")))
+    print("running", flush=True)
+    time.sleep(3600)
+"""
+
+
+def test_nothing_outlives_a_killed_supervisor(run_units: StartRuntime, nothing_is_left_behind: Path) -> None:
+    script = SUPERVISOR.format(tests=str(Path(__file__).parent))
+    with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE) as supervisor:
+        assert supervisor.stdout is not None
+        assert supervisor.stdout.readline() == b"running\n"
+        family = psutil.Process(supervisor.pid).children(recursive=True)
+        assert len(family) == 4
+        supervisor.kill()
+    eventually(lambda: not any(p.is_running() and p.status() != psutil.STATUS_ZOMBIE for p in family))
+    runs = nothing_is_left_behind / "cfgplan"
+    assert len(list(runs.iterdir())) == 1
+    with pytest.raises(NoSuchTopicError):
+        subscribe("/result")
+    runtime = run_units(source())
+    assert [path.name for path in runs.iterdir()] == [runtime.id]
+
+
+def test_two_runtimes_do_not_disturb_each_other(run_units: StartRuntime) -> None:
+    one, two = run_units(source()), run_units(source())
+    for runtime in (one, two):
+        runtime.apply(start(unit("count.1", topic="/result", port="n")))
+    with pytest.raises(NoSuchTopicError, match="several runs"):
+        subscribe("/result")
+    one.close()
+    listener = Listener("/result")
+    eventually(lambda: len(listener.received) > 3)
+    two.close()
+    listener.join()
+
+
+def test_only_the_user_can_reach_the_topics(run_units: StartRuntime, nothing_is_left_behind: Path) -> None:
+    runtime = run_units(source())
+    runs = nothing_is_left_behind / "cfgplan"
+    assert (runs.stat().st_mode & 0o777, (runs / runtime.id).stat().st_mode & 0o777) == (0o700, 0o700)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full, a disk that is always full")
+def test_a_full_disk_for_the_log_harms_nothing(run_units: StartRuntime) -> None:
+    runtime = run_units(source(), log="/dev/full")
+    runtime.apply(start(unit("count.1", topic="/result", port="n")))
+    listener = Listener("/result")
+    eventually(lambda: len(listener.received) > 3)
+    runtime.close()
+    listener.join()
+
+
+def test_cpu_clocks_agree_with_psutil(run_units: StartRuntime) -> None:
+    from cfgplan_runtime.cpu_clock import cpu_us, cpu_us_by_psutil
+
+    runtime = run_units(source(rate_hz=1000))
+    runtime.apply(start(unit("count.1", topic="/result", port="n")))
+    pid = runtime.pid("count.1") or 0
+    eventually(lambda: (cpu_us(pid) or 0) > 200_000)
+    by_clock, by_psutil = cpu_us(pid), cpu_us_by_psutil(pid)
+    assert by_clock is not None
+    assert by_psutil is not None
+    assert abs(by_clock - by_psutil) < 60_000
+    (observation,) = runtime.observe()
+    assert observation.labor_us > 0
+    assert observation.memory_bytes > 1_000_000
+
+
+def test_the_death_of_the_nursery_takes_all_units_and_the_next_update_starts_anew(run_units: StartRuntime) -> None:
+    runtime = run_units(source())
+    runtime.apply(start(unit("count.1", topic="/result", port="n")))
+    listener = Listener("/result")
+    eventually(lambda: len(listener.received) > 3)
+    psutil.Process(runtime.pid("count.1")).parent().kill()
+    eventually(lambda: not runtime.environment.units)
+    before = len(listener.received)
+    runtime.apply(start(unit("count.1", topic="/result", port="n")))
+    eventually(lambda: len(listener.received) > before + 3)
+    runtime.close()
+    listener.join()
+
+
+def test_windows_is_refused_with_a_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    import cfgplan_runtime
+
+    monkeypatch.setattr(sys, "platform", "win32")
+    with pytest.raises(UnsupportedPlatformError, match="needs Linux or macOS"):
+        _ = cfgplan_runtime.Runtime
+
+
+@pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="needs /proc")
+def test_no_process_of_a_run_uses_shared_memory_that_a_kill_could_leave_behind(run_units: StartRuntime) -> None:
+    runtime = run_units(source(code="images"), worker())
+    runtime.apply(start(unit("count.1"), unit("work.1", topic="/result", x="count.1/n")))
+    nursery = psutil.Process(runtime.pid("work.1")).parent()
+    assert nursery is not None
+    family = [nursery, *nursery.children()]
+    assert len(family) == 4
+    assert not [p for p in family if "/dev/shm/" in Path(f"/proc/{p.pid}/maps").read_text()]

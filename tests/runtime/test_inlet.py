@@ -1,0 +1,99 @@
+"""An inlet that changes its source: nothing lost, repeated or reordered. No process."""
+
+from __future__ import annotations
+
+from cfgplan_runtime.element import Element
+from cfgplan_runtime.inlet import Inlet
+from hypothesis import given
+from hypothesis import strategies as st
+
+
+def element(time_ns: int, number: int = 0, turn: int = 0) -> Element:
+    return Element(time_ns, turn, number, b"")
+
+
+def times(elements: list[Element]) -> list[int]:
+    return [one.time_ns for one in elements]
+
+
+@given(
+    st.integers(1, 40),
+    st.integers(0, 39),
+    st.lists(st.booleans(), min_size=80, max_size=80),
+)
+def test_a_handover_gives_each_element_once_and_in_order(length: int, joins_at: int, turns: list[bool]) -> None:
+    """Both sources give the same stream; the standby from some element on; they come interleaved in any way."""
+    inlet = Inlet(limit=100)
+    inlet.attach(1)
+    waiting = {1: list(range(length)), 2: list(range(min(joins_at, length), length))}
+    first = {1: 0, 2: min(joins_at, length)}
+    handed_on: list[Element] = []
+    is_joined = False
+    for takes_standby in turns:
+        wire = 2 if takes_standby else 1
+        if wire == 2 and not is_joined:
+            inlet.attach(2)
+            is_joined = True
+        if waiting[wire]:
+            time_ns = waiting[wire].pop(0)
+            handed_on += inlet.accept(wire, element(time_ns, time_ns - first[wire]))
+    for wire in (1, 2):
+        for time_ns in waiting[wire]:
+            handed_on += inlet.accept(wire, element(time_ns, time_ns - first[wire]))
+    assert times(handed_on) == list(range(length))
+    assert inlet.dropped == 0
+
+
+def test_the_first_source_is_active_at_once() -> None:
+    assert Inlet(limit=10).attach(1)
+
+
+def test_the_standby_takes_over_when_the_active_source_dies() -> None:
+    inlet = Inlet(limit=10)
+    inlet.attach(1)
+    inlet.accept(1, element(1))
+    inlet.attach(2)
+    assert inlet.accept(2, element(3)) == []
+    assert times(inlet.end(1)) == [3]
+    assert (inlet.active, inlet.standby) == (2, None)
+
+
+def test_an_inlet_whose_only_source_ends_is_free_for_the_next() -> None:
+    inlet = Inlet(limit=10)
+    inlet.attach(1)
+    inlet.end(1)
+    assert inlet.attach(2)
+
+
+def test_a_standby_that_is_taken_back_leaves_the_active_source() -> None:
+    inlet = Inlet(limit=10)
+    inlet.attach(1)
+    inlet.attach(2)
+    inlet.accept(2, element(5))
+    inlet.end(2)
+    assert times(inlet.accept(1, element(5, 0))) == [5]
+    assert inlet.active == 1
+
+
+def test_a_standby_far_ahead_takes_over_before_it_fills_the_memory() -> None:
+    inlet = Inlet(limit=3)
+    inlet.attach(1)
+    inlet.attach(2)
+    given_out = [inlet.accept(2, element(10 + i, i)) for i in range(4)]
+    assert list(map(times, given_out)) == [[], [], [], [10, 11, 12, 13]]
+
+
+def test_gaps_in_the_numbers_are_counted_as_drops() -> None:
+    inlet = Inlet(limit=10)
+    inlet.attach(1)
+    for time_ns, number in ((1, 0), (2, 3), (3, 4)):
+        inlet.accept(1, element(time_ns, number))
+    assert inlet.dropped == 2
+
+
+def test_elements_of_one_time_are_told_apart_by_their_turn() -> None:
+    inlet = Inlet(limit=10)
+    inlet.attach(1)
+    assert len(inlet.accept(1, element(1, 0, 0)) + inlet.accept(1, element(1, 1, 1))) == 2
+    assert inlet.accept(1, element(1, 2, 1)) == []
+    assert inlet.stale == 1

@@ -1,0 +1,127 @@
+"""`cfgplan run` and `cfgplan listen` as a user calls them."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from world import PATIENCE_S
+
+from cfgplan.cli import main
+
+ENVIRONMENT = """
+format: cfgplan/1
+horizon: 60
+transformations:
+  - label: camera
+    source: units.py:camera
+    run: {rate: 100}
+    outputs: {image: Image}
+  - label: detector
+    source: units.py:Detector
+    params: {threshold: 3}
+    inputs: {image: Image}
+    outputs: {ball: Ball}
+targets:
+  - {label: ball, topic: /result, tag: Ball}
+"""
+UNITS = """
+import numpy
+
+def camera():
+    while True:
+        yield numpy.full((4, 4), 7, numpy.uint8)
+
+class Detector:
+    def __init__(self, threshold):
+        self.threshold = threshold
+
+    def __call__(self, image):
+        if int(image.sum()) > self.threshold:
+            return {"x": 1, "pixels": image}
+"""
+
+
+@pytest.fixture
+def env(tmp_path: Path) -> Path:
+    (tmp_path / "units.py").write_text(UNITS)
+    path = tmp_path / "env.yaml"
+    path.write_text(ENVIRONMENT)
+    return path
+
+
+def cfgplan(*arguments: object) -> subprocess.Popen[str]:
+    command = [sys.executable, "-c", "import sys; from cfgplan.cli import main; sys.exit(main())"]
+    return subprocess.Popen([*command, *map(str, arguments)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
+def test_what_is_planned_runs_until_it_is_interrupted(env: Path, end: signal.Signals, capsys: Any) -> None:
+    with cfgplan("run", env, "--json", "--log", env.parent / "log") as running:
+        assert running.stdout is not None
+        begin = json.loads(running.stdout.readline())
+        assert (begin["event"], begin["units"]) == ("Running", 2)
+        assert main(["listen", "/result", "--count", "3", "--json", "--run", begin["run"], "--wait", "30s"]) == 0
+        lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+        assert [line["value"]["x"] for line in lines] == [1, 1, 1]
+        assert lines[0]["value"]["pixels"] == {"dtype": "uint8", "shape": [4, 4], "data": [[7] * 4] * 4}
+        assert main(["listen", "/result", "--count", "2"]) == 0
+        assert "<array of 4 x 4 uint8>" in capsys.readouterr().out
+        running.send_signal(end)
+        out, err = running.communicate(timeout=PATIENCE_S)
+    assert running.returncode == 0, err
+    observed = [json.loads(line) for line in out.splitlines() if '"Observed"' in line]
+    assert [line["unit"] for line in observed] == ["camera.1", "detector.1"]
+    assert all(line["labor_us"] > 0 and line["upkeep_us"] > 0 for line in observed)
+    assert "Applied" in (env.parent / "log").read_text()
+
+
+def test_a_run_ends_when_its_time_is_over(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", str(env), "--for", "500ms"]) == 0
+    out = capsys.readouterr().out
+    assert "Running 2 units" in out
+    assert "detector.1" in out
+
+
+def test_what_unit_code_prints_and_raises_is_shown(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (env.parent / "units.py").write_text(
+        UNITS.replace("        if int", "        print('looking')\n        raise ValueError('blind')\n        if int")
+    )
+    assert main(["run", str(env), "--for", "1s"]) == 0
+    out = capsys.readouterr().out
+    assert "detector.1 | looking" in out
+    assert "ValueError: blind" in out
+
+
+def test_a_unit_without_source_is_refused(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    env.write_text(ENVIRONMENT.replace("    source: units.py:camera\n", ""))
+    assert main(["run", str(env), "--for", "1s"]) == 30
+    assert "'camera' can't be started without unit code" in capsys.readouterr().err
+
+
+def test_code_that_does_not_exist_is_refused(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    env.write_text(ENVIRONMENT.replace("units.py:camera", "units.py:kamera"))
+    assert main(["run", str(env), "--for", "1s"]) == 30
+    assert "units.py has no kamera" in capsys.readouterr().err
+
+
+def test_a_target_that_can_not_be_met_starts_nothing(env: Path) -> None:
+    env.write_text(ENVIRONMENT.replace("outputs: {ball: Ball}", "outputs: {ball: Foot}"))
+    assert main(["run", str(env), "--for", "1s"]) == 10
+
+
+def test_a_topic_that_is_not_there_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["listen", "/nowhere"]) == 30
+    assert "nothing publishes topic '/nowhere'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("span", ["soon", "-1s", "3 days"])
+def test_a_span_of_time_that_is_none_is_refused(env: Path, span: str) -> None:
+    with pytest.raises(SystemExit) as refused:
+        main(["run", str(env), f"--for={span}"])
+    assert refused.value.code == 30

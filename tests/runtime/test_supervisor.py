@@ -1,0 +1,270 @@
+"""The supervisor's decisions, with units that run only in thought on a clock that is set. No process."""
+
+from __future__ import annotations
+
+import random
+from contextlib import suppress
+from typing import Any
+
+import pytest
+from cfgplan_runtime import ApplyError, Patience, SimulatedBackend, StaleChangeSetError, Supervisor
+from cfgplan_runtime.backend import Inlet
+from cfgplan_runtime.errors import NoSourceError
+from cfgplan_runtime.events import Applied, Event, InputLost, RolledBack, UnitDied, UnitHung, UnitTooLarge
+from cfgplan_runtime.simulated_backend import Behaviour
+from cfgplan_runtime.wiring import wanted_feeds
+from world import RESULT, source, start, unit, worker
+
+from cfgplan.domain import ChangeSet, ComputationUnit, Environment, RunOptions, Stream, Target, Transformation
+
+TOPIC = Inlet("", "/result")
+ONE = (unit("count.1"), unit("work.1", topic="/result", x="count.1/n"))
+
+
+class Simulation:
+    def __init__(self, *library: Transformation, **behaviours: Behaviour) -> None:
+        self.backend = SimulatedBackend(behaviours)
+        self.events: list[Event] = []
+        library = library or (source(), worker())
+        self.supervisor = Supervisor(self.backend, Environment((), library, (RESULT,)), self.events.append)
+
+    def apply(self, change_set: ChangeSet, **more: Any) -> Applied:
+        return self.supervisor.apply(change_set, **more)
+
+    def pass_time(self, seconds: float) -> None:
+        end = self.backend.now() + seconds
+        while self.backend.now() < end:
+            self.supervisor.pump(end - self.backend.now())
+
+    def asked(self, *verbs: str) -> list[tuple[str, ...]]:
+        return [call for call in self.backend.calls if call[0] in verbs]
+
+    def check(self) -> None:
+        """What the supervisor believes is what is."""
+        environment = self.supervisor.environment
+        assert set(environment.unit) == set(self.backend.units) == self.supervisor.alive
+        for inlet, stream in wanted_feeds(environment).items():
+            assert self.backend.feeding(inlet) == stream, inlet
+
+
+def swap(number: int) -> ChangeSet:
+    return ChangeSet(started=(unit(f"work.{number}", topic="/result", x="count.1/n"),), stopped=(f"work.{number - 1}",))
+
+
+def test_additions_come_before_removals() -> None:
+    simulation = Simulation()
+    simulation.apply(start(*ONE))
+    simulation.backend.calls.clear()
+    applied = simulation.apply(swap(2))
+    assert simulation.backend.calls == [
+        ("start", "work.2"),
+        ("connect", "count.1/n", "work.2/x"),
+        ("connect", "work.2/y", "/result"),
+        ("stop", "work.1"),
+    ]
+    assert applied.unswitched == 0
+    simulation.check()
+
+
+def test_units_start_side_by_side() -> None:
+    simulation = Simulation(source(), worker(), count=Behaviour(start_s=1.0), work=Behaviour(start_s=1.0))
+    applied = simulation.apply(start(*ONE))
+    assert applied.seconds["start"] == pytest.approx(1.0)
+
+
+def test_a_change_set_is_carried_out_once_by_its_id() -> None:
+    simulation = Simulation()
+    first = simulation.apply(start(*ONE), id="a")
+    assert simulation.apply(start(*ONE), id="a") == first
+    assert len(simulation.asked("start")) == 2
+
+
+@pytest.mark.parametrize(
+    ("change_set", "part"),
+    [
+        (ChangeSet(started=(ONE[0],)), "runs already"),
+        (ChangeSet(stopped=("nobody.1",)), "does not run"),
+        (ChangeSet(started=(unit("nothing.1"),)), "no transformation 'nothing'"),
+        (ChangeSet(started=(unit("work.2", x="nobody.1/n"),)), "which nothing gives"),
+        (ChangeSet(started=(unit("work.2", x="count.1/nope"),)), "which nothing gives"),
+        (ChangeSet(started=(unit("work.2", nope="count.1/n"),)), "no input 'nope'"),
+        (ChangeSet(stopped=("count.1",)), "which nothing gives"),
+    ],
+)
+def test_a_change_set_that_does_not_fit_is_refused_and_nothing_is_done(change_set: ChangeSet, part: str) -> None:
+    simulation = Simulation()
+    simulation.apply(start(*ONE))
+    before = list(simulation.backend.calls)
+    with pytest.raises(StaleChangeSetError, match=part):
+        simulation.apply(change_set)
+    assert simulation.backend.calls == before
+
+
+def test_a_change_set_for_other_units_is_stale() -> None:
+    simulation = Simulation()
+    basis = simulation.supervisor.environment
+    simulation.apply(start(*ONE))
+    with pytest.raises(StaleChangeSetError, match="planned for other"):
+        simulation.apply(swap(2), basis=basis)
+
+
+def test_a_transformation_without_source_is_refused() -> None:
+    simulation = Simulation(Transformation("count"))
+    with pytest.raises(NoSourceError, match="'count' can't be started"):
+        simulation.apply(start(ComputationUnit("count.1", "count")))
+
+
+def test_an_update_is_undone_when_a_unit_dies_at_its_start() -> None:
+    simulation = Simulation(source(), worker(), worker("bad"), bad=Behaviour(dies_at_start="no camera"))
+    simulation.apply(start(*ONE))
+    before = simulation.supervisor.environment
+    with pytest.raises(ApplyError, match=r"bad\.1 no camera"):
+        simulation.apply(
+            ChangeSet(
+                started=(unit("bad.1", topic="/result", x="work.2/y"), unit("work.2", x="count.1/n")),
+                stopped=("work.1",),
+            )
+        )
+    assert simulation.supervisor.environment == before
+    assert isinstance(simulation.events[-1], RolledBack)
+    simulation.check()
+
+
+def test_wires_that_have_switched_are_switched_back_when_a_later_step_fails() -> None:
+    simulation = Simulation(source(), worker(), worker("bad"), bad=Behaviour(quiet=True, dies_s=1.0))
+    other = Target("other", "Y", "/other")
+    simulation.apply(ChangeSet(started=(*ONE, unit("work.9", topic="/other", x="count.1/n")), added_targets=(other,)))
+    with pytest.raises(ApplyError):
+        simulation.apply(
+            ChangeSet(
+                started=(
+                    unit("work.2", topic="/result", x="count.1/n"),
+                    unit("bad.1", topic="/other", x="count.1/n"),
+                ),
+                stopped=("work.1", "work.9"),
+            )
+        )
+    assert simulation.backend.feeding(TOPIC) == Stream("work.1", "y")
+    assert ("connect", "work.1/y", "/result") in simulation.backend.calls[6:]
+    simulation.check()
+
+
+def test_a_quiet_source_takes_over_when_the_old_one_is_taken_away() -> None:
+    simulation = Simulation(source(), worker(), worker("quiet"), quiet=Behaviour(quiet=True))
+    simulation.apply(start(*ONE))
+    change_set = ChangeSet(started=(unit("quiet.1", topic="/result", x="count.1/n"),), stopped=("work.1",))
+    applied = simulation.apply(change_set, patience=Patience(switch_s=3.0))
+    assert applied.unswitched == 1
+    assert applied.seconds["rewire"] == pytest.approx(3.0)
+    simulation.check()
+
+
+def test_an_input_goes_over_to_a_quiet_source_although_the_old_one_stays() -> None:
+    simulation = Simulation(source(), source("quiet"), worker(), quiet=Behaviour(quiet=True))
+    simulation.apply(start(*ONE, unit("quiet.1")))
+    simulation.apply(ChangeSet(rewired=(unit("work.1", topic="/result", x="quiet.1/n"),)))
+    assert simulation.asked("switch") == [("switch", "work.1/x")]
+    simulation.check()
+
+
+def test_a_dead_unit_leaves_gaps() -> None:
+    simulation = Simulation()
+    simulation.apply(start(*ONE))
+    simulation.backend.fail("count.1")
+    simulation.pass_time(0.1)
+    assert [type(event) for event in simulation.events if isinstance(event, UnitDied | InputLost)] == [UnitDied]
+    (left,) = simulation.supervisor.environment.units
+    assert (left.id, left.subscriptions) == ("work.1", ())
+    simulation.apply(ChangeSet(started=(unit("count.2"),), rewired=(unit("work.1", topic="/result", x="count.2/n"),)))
+    assert simulation.backend.feeding(Inlet("work.1", "x")) == Stream("count.2", "n")
+    simulation.check()
+
+
+def test_a_unit_that_dies_during_an_update_is_missing_afterwards() -> None:
+    simulation = Simulation(source(), worker(), slow=Behaviour(), work=Behaviour(start_s=0.5))
+    simulation.apply(start(unit("count.1")))
+    simulation.backend.fail("count.1")
+    simulation.apply(start(unit("work.1", topic="/result", x="count.1/n")))
+    (left,) = simulation.supervisor.environment.units
+    assert (left.id, left.subscriptions) == ("work.1", ())
+
+
+def test_a_silent_unit_is_dumped_then_killed() -> None:
+    simulation = Simulation(source(), worker(run=RunOptions(hang_us=5_000_000)), work=Behaviour(hung=True))
+    simulation.apply(start(*ONE))
+    simulation.pass_time(4.5)
+    assert not any(isinstance(event, UnitHung) for event in simulation.events)
+    simulation.pass_time(2.0)
+    assert [event.unit for event in simulation.events if isinstance(event, UnitHung | UnitDied)] == ["work.1"] * 2
+    assert simulation.asked("dump", "kill") == [("dump", "work.1"), ("kill", "work.1")]
+
+
+@pytest.mark.parametrize(
+    "run", [RunOptions(hang_us=0, rate_hz=1), RunOptions()], ids=["allowed to be silent", "a source without a rate"]
+)
+def test_some_units_may_be_silent(run: RunOptions) -> None:
+    library = (Transformation("count", outputs=source().outputs, source="x:y", run=run),)
+    simulation = Simulation(*library, count=Behaviour(hung=True))
+    simulation.apply(start(unit("count.1")))
+    simulation.pass_time(100)
+    assert not any(isinstance(event, UnitHung) for event in simulation.events)
+
+
+def test_a_unit_that_grows_too_large_is_killed() -> None:
+    library = (source(), worker(run=RunOptions(memory_mb=100)))
+    simulation = Simulation(*library, work=Behaviour(memory_bytes=101 << 20))
+    simulation.apply(start(*ONE))
+    simulation.pass_time(1.0)
+    assert [event.unit for event in simulation.events if isinstance(event, UnitTooLarge)] == ["work.1"]
+    assert set(simulation.supervisor.environment.unit) == {"count.1"}
+
+
+def test_a_unit_that_does_not_stop_when_asked_is_killed() -> None:
+    simulation = Simulation(source(), worker(run=RunOptions(hang_us=0)), work=Behaviour(hung=True))
+    simulation.apply(start(*ONE))
+    simulation.apply(ChangeSet(stopped=("work.1",)))
+    assert simulation.asked("kill") == [("kill", "work.1")]
+    simulation.check()
+
+
+def test_labor_and_upkeep_are_observed() -> None:
+    library = (Transformation("count", outputs=source().outputs, source="x:y", labor_us=4000, upkeep_us=20_000),)
+    simulation = Simulation(*library)
+    simulation.apply(start(unit("count.1")))
+    (first,) = simulation.supervisor.observe()
+    simulation.pass_time(10)
+    (second,) = simulation.supervisor.observe()
+    assert (first.labor_us, first.upkeep_us) == (4000, None)
+    assert (second.labor_us, second.upkeep_us) == (4000, 20_000)
+
+
+def test_a_targets_topic_is_there_while_it_is_wanted() -> None:
+    simulation = Simulation()
+    simulation.apply(ChangeSet(started=(ONE[0],)))
+    assert simulation.backend.topics == {"/result"}
+    simulation.apply(ChangeSet(removed_targets=("result",)))
+    assert simulation.backend.topics == set()
+
+
+def test_any_history_of_swaps_and_deaths_leaves_what_is_believed() -> None:
+    rng = random.Random(7)
+    simulation = Simulation(source(), worker(), worker("bad"), bad=Behaviour(dies_s=0.004))
+    simulation.apply(start(*ONE))
+    number = 1
+    for _ in range(200):
+        number += 1
+        environment = simulation.supervisor.environment
+        if "count.1" not in environment.unit:
+            simulation.apply(ChangeSet(stopped=tuple(environment.unit)))
+            simulation.apply(start(*ONE))
+            number = 1
+            continue
+        workers = tuple(u for u in environment.unit if u != "count.1")
+        label = rng.choice(["work", "work", "bad"])
+        change = ChangeSet(started=(unit(f"{label}.{number}", topic="/result", x="count.1/n"),), stopped=workers)
+        if rng.random() < 0.4:
+            simulation.backend.fail(rng.choice([*workers, "count.1"]))
+        with suppress(ApplyError, StaleChangeSetError):
+            simulation.apply(change)
+        simulation.pass_time(0.05)
+        simulation.check()

@@ -1,0 +1,70 @@
+"""Small libraries and the units of them, for the tests of the runtime."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from cfgplan.domain import (
+    ChangeSet,
+    ComputationUnit,
+    InputPort,
+    OutputPort,
+    Publication,
+    RunOptions,
+    Stream,
+    Subscription,
+    Target,
+    Transformation,
+)
+
+RESULT = Target("result", "Y", "/result")
+PATIENCE_S = 60.0
+"""Far longer than anything takes on the slowest machine."""
+
+
+def source(label: str = "count", code: str = "count", *, rate_hz: float = 200) -> Transformation:
+    return Transformation(
+        label, outputs=(OutputPort("n", "N"),), source=f"running_units.py:{code}", run=RunOptions(rate_hz=rate_hz)
+    )
+
+
+def worker(
+    label: str = "work",
+    code: str = "same",
+    *,
+    inputs: tuple[str, ...] = ("x",),
+    outputs: tuple[str, ...] = ("y",),
+    run: RunOptions | None = None,
+    **params: object,
+) -> Transformation:
+    return Transformation(
+        label,
+        tuple(InputPort(name, "N") for name in inputs),
+        tuple(OutputPort(name, "Y") for name in outputs),
+        source=f"running_units.py:{code}",
+        params=params,
+        run=run or RunOptions(),
+    )
+
+
+def unit(unit_id: str, *, topic: str | None = None, port: str = "y", **feeds: str) -> ComputationUnit:
+    """A unit `label.N`; `x="count.1/n"` feeds its input x."""
+    return ComputationUnit(
+        unit_id,
+        unit_id.rpartition(".")[0],
+        tuple(Subscription(name, Stream.parse(stream)) for name, stream in feeds.items()),
+        () if topic is None else (Publication(port, topic),),
+    )
+
+
+def start(*units: ComputationUnit) -> ChangeSet:
+    return ChangeSet(started=units)
+
+
+def eventually(is_so: Callable[[], bool]) -> None:
+    """Wait until something is so; fails if it never is."""
+    deadline = time.monotonic() + PATIENCE_S
+    while not is_so():
+        assert time.monotonic() < deadline, "it never came to be"
+        time.sleep(0.01)
