@@ -35,7 +35,7 @@ def add_to(verbs: shared.Subparsers) -> None:
 
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan_runtime import subscribe
-    from cfgplan_runtime.showing import plain, readable
+    from cfgplan_runtime.streams.showing import plain, readable
 
     times: deque[float] = deque(maxlen=_RATE_OVER + 1)
     end = None if options.span is None else time.monotonic() + options.span

@@ -21,9 +21,9 @@ from cfgplan.domain import Environment
 from cfgplan.errors import InputError
 
 if TYPE_CHECKING:
-    from cfgplan_runtime.events import Event
-    from cfgplan_runtime.observation import Observation
     from cfgplan_runtime.runtime import Runtime
+    from cfgplan_runtime.supervision.events import Event
+    from cfgplan_runtime.supervision.observation import Observation
 
 _LOOK_S = 0.2
 
@@ -109,7 +109,7 @@ def _hold(runtime: Runtime, span_s: float | None, screen: Screen) -> None:
 
 
 def _show(event: Event, screen: Screen) -> None:
-    from cfgplan_runtime import events as kinds
+    from cfgplan_runtime.supervision import events as kinds
 
     match event:
         case kinds.UnitDied(unit, cause):

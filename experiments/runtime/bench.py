@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from cfgplan_runtime import Runtime, subscribe
-from cfgplan_runtime.events import UnitDied
+from cfgplan_runtime.supervision.events import UnitDied
 from measured_units import Ages, payload
 
 from cfgplan import api

@@ -22,7 +22,7 @@ from pathlib import Path
 
 import psutil
 from cfgplan_runtime import ApplyError, Received, Runtime, StaleChangeSetError, subscribe
-from cfgplan_runtime.events import OutletsLost, UnitDied
+from cfgplan_runtime.supervision.events import OutletsLost, UnitDied
 
 from cfgplan.domain import (
     ChangeSet,

@@ -13,26 +13,26 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from cfgplan_runtime.applying import Patience as Patience
+    from cfgplan_runtime.children.unit_code import At as At
     from cfgplan_runtime.errors import ApplyError as ApplyError
     from cfgplan_runtime.errors import NoSuchTopicError as NoSuchTopicError
     from cfgplan_runtime.errors import RuntimeFaultError as RuntimeFaultError
     from cfgplan_runtime.errors import StaleChangeSetError as StaleChangeSetError
     from cfgplan_runtime.runtime import Runtime as Runtime
-    from cfgplan_runtime.simulated_backend import SimulatedBackend as SimulatedBackend
-    from cfgplan_runtime.subscription import Received as Received
-    from cfgplan_runtime.subscription import subscribe as subscribe
-    from cfgplan_runtime.supervisor import Supervisor as Supervisor
-    from cfgplan_runtime.unit_code import At as At
+    from cfgplan_runtime.streams.subscription import Received as Received
+    from cfgplan_runtime.streams.subscription import subscribe as subscribe
+    from cfgplan_runtime.supervision.applying import Patience as Patience
+    from cfgplan_runtime.supervision.simulated_backend import SimulatedBackend as SimulatedBackend
+    from cfgplan_runtime.supervision.supervisor import Supervisor as Supervisor
 
 _HOMES = {
-    "applying": "Patience",
+    "supervision.applying": "Patience",
     "errors": "ApplyError NoSuchTopicError RuntimeFaultError StaleChangeSetError",
     "runtime": "Runtime",
-    "simulated_backend": "SimulatedBackend",
-    "subscription": "Received subscribe",
-    "supervisor": "Supervisor",
-    "unit_code": "At",
+    "supervision.simulated_backend": "SimulatedBackend",
+    "streams.subscription": "Received subscribe",
+    "supervision.supervisor": "Supervisor",
+    "children.unit_code": "At",
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names.split()}
 

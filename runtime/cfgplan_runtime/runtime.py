@@ -12,13 +12,13 @@ from types import TracebackType
 from typing import TypeVar
 
 from cfgplan.domain import ChangeSet, Environment, Target, Transformation
-from cfgplan_runtime.applying import Patience
 from cfgplan_runtime.errors import RuntimeFaultError
-from cfgplan_runtime.events import Applied, Event, UnitStatus
-from cfgplan_runtime.observation import Observation
-from cfgplan_runtime.process_backend import ProcessBackend
-from cfgplan_runtime.run_log import RunLog
-from cfgplan_runtime.supervisor import Supervisor
+from cfgplan_runtime.processes.process_backend import ProcessBackend
+from cfgplan_runtime.supervision.applying import Patience
+from cfgplan_runtime.supervision.events import Applied, Event, UnitStatus
+from cfgplan_runtime.supervision.observation import Observation
+from cfgplan_runtime.supervision.run_log import RunLog
+from cfgplan_runtime.supervision.supervisor import Supervisor
 
 T = TypeVar("T")
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from cfgplan_runtime.element import Element
-from cfgplan_runtime.inlet import Inlet
+from cfgplan_runtime.streams.element import Element
+from cfgplan_runtime.streams.inlet import Inlet
 from hypothesis import given
 from hypothesis import strategies as st
 

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy
 import pytest
-from cfgplan_runtime.channel import Receiver, Sender, socket_pair
-from cfgplan_runtime.element import Element, Outgoing
 from cfgplan_runtime.errors import EncodingError
-from cfgplan_runtime.payload import PayloadEncoder, decode
+from cfgplan_runtime.streams.channel import Receiver, Sender, socket_pair
+from cfgplan_runtime.streams.element import Element, Outgoing
+from cfgplan_runtime.streams.payload import PayloadEncoder, decode
 from hypothesis import given
 from hypothesis import strategies as st
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from cfgplan_runtime.element import Element
-from cfgplan_runtime.stepping import StepQueue
+from cfgplan_runtime.children.stepping import StepQueue
+from cfgplan_runtime.streams.element import Element
 
 
 def steps(

@@ -7,7 +7,7 @@ import signal
 from itertools import pairwise
 
 import pytest
-from cfgplan_runtime.events import SourceExhausted, UnitDied
+from cfgplan_runtime.supervision.events import SourceExhausted, UnitDied
 from watching import Listener, StartRuntime, seen
 from world import RESULT, eventually, source, start, unit, worker
 

@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 from cfgplan_runtime import ApplyError, Patience, SimulatedBackend, StaleChangeSetError, Supervisor
-from cfgplan_runtime.backend import Inlet
 from cfgplan_runtime.errors import NoSourceError
-from cfgplan_runtime.events import Applied, Event, InputLost, RolledBack, UnitDied, UnitHung, UnitTooLarge
-from cfgplan_runtime.simulated_backend import Behaviour
-from cfgplan_runtime.wiring import wanted_feeds
+from cfgplan_runtime.supervision.backend import Inlet
+from cfgplan_runtime.supervision.events import Applied, Event, InputLost, RolledBack, UnitDied, UnitHung, UnitTooLarge
+from cfgplan_runtime.supervision.simulated_backend import Behaviour
+from cfgplan_runtime.supervision.wiring import wanted_feeds
 from world import RESULT, source, start, unit, worker
 
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, RunOptions, Stream, Target, Transformation

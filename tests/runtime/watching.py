@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from cfgplan_runtime import Received, Runtime, subscribe
-from cfgplan_runtime.events import Event
+from cfgplan_runtime.supervision.events import Event
 from world import PATIENCE_S
 
 StartRuntime = Callable[..., Runtime]

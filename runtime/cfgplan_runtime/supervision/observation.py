@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from cfgplan_runtime.backend import Usage
-from cfgplan_runtime.events import UnitFailed, UnitStatus
-from cfgplan_runtime.messages import PortCounts
+from cfgplan_runtime.children.messages import PortCounts
+from cfgplan_runtime.supervision.backend import Usage
+from cfgplan_runtime.supervision.events import UnitFailed, UnitStatus
 
 _US_PER_S = 1_000_000
 

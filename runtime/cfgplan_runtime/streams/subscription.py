@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cfgplan_runtime.channel import Receiver
-from cfgplan_runtime.element import Element, Moment
 from cfgplan_runtime.errors import NoSuchTopicError
-from cfgplan_runtime.payload import decode
-from cfgplan_runtime.run_folder import address, base_folder, is_alive, live_runs, topics_of
+from cfgplan_runtime.streams.channel import Receiver
+from cfgplan_runtime.streams.element import Element, Moment
+from cfgplan_runtime.streams.payload import decode
+from cfgplan_runtime.streams.run_folder import address, base_folder, is_alive, live_runs, topics_of
 
 _RETRY_S = 0.02
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from cfgplan_runtime.messages import PortCounts
+from cfgplan_runtime.children.messages import PortCounts
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import msgspec
 
-from cfgplan_runtime.events import Event, UnitStatus
+from cfgplan_runtime.supervision.events import Event, UnitStatus
 
 
 class RunLog:

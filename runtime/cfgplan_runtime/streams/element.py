@@ -6,7 +6,7 @@ import struct
 from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
-from cfgplan_runtime.payload import Buffer
+from cfgplan_runtime.streams.payload import Buffer
 
 Moment: TypeAlias = "tuple[int, int]"
 """When an element is: nanoseconds, and its turn among elements of one nanosecond. Rises along a stream."""

@@ -10,25 +10,8 @@ from contextlib import suppress
 from pathlib import Path
 
 from cfgplan.domain import Stream, Transformation
-from cfgplan_runtime.backend import Inlet, Usage
-from cfgplan_runtime.channel import socket_pair
-from cfgplan_runtime.child_process import ChildProcess, cause_of_end
-from cfgplan_runtime.control import ControlConnection
-from cfgplan_runtime.cpu_clock import cpu_us, memory_bytes
-from cfgplan_runtime.events import (
-    Event,
-    InputLost,
-    OutletsLost,
-    SourceExhausted,
-    UnitDied,
-    UnitFailed,
-    UnitPrinted,
-    UnitReady,
-    UnitStatus,
-    UnitStopped,
-    WireSwitched,
-)
-from cfgplan_runtime.messages import (
+from cfgplan_runtime.children.control import ControlConnection
+from cfgplan_runtime.children.messages import (
     CloseOutlet,
     Cut,
     Exhausted,
@@ -47,9 +30,26 @@ from cfgplan_runtime.messages import (
     Trouble,
     UnitOrder,
 )
-from cfgplan_runtime.nursery_link import NurseryLink
-from cfgplan_runtime.run_folder import RunFolder
-from cfgplan_runtime.unit_order import unit_order
+from cfgplan_runtime.children.unit_order import unit_order
+from cfgplan_runtime.processes.child_process import ChildProcess, cause_of_end
+from cfgplan_runtime.processes.cpu_clock import cpu_us, memory_bytes
+from cfgplan_runtime.processes.nursery_link import NurseryLink
+from cfgplan_runtime.streams.channel import socket_pair
+from cfgplan_runtime.streams.run_folder import RunFolder
+from cfgplan_runtime.supervision.backend import Inlet, Usage
+from cfgplan_runtime.supervision.events import (
+    Event,
+    InputLost,
+    OutletsLost,
+    SourceExhausted,
+    UnitDied,
+    UnitFailed,
+    UnitPrinted,
+    UnitReady,
+    UnitStatus,
+    UnitStopped,
+    WireSwitched,
+)
 
 OUTLETS = ""
 _OUTLET_QUEUE = 1024

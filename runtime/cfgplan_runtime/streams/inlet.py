@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field
 
-from cfgplan_runtime.element import Element, Moment
+from cfgplan_runtime.streams.element import Element, Moment
 
 _BEFORE_ALL: Moment = (-(1 << 63), -1)
 

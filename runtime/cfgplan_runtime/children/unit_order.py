@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cfgplan.domain import Transformation
-from cfgplan_runtime.messages import UnitOrder
+from cfgplan_runtime.children.messages import UnitOrder
 
 
 def unit_order(

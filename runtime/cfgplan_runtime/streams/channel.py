@@ -10,8 +10,8 @@ import socket
 from collections import deque
 from collections.abc import Iterator
 
-from cfgplan_runtime.element import HEADER, LONGEST_PAYLOAD, Element, Outgoing
-from cfgplan_runtime.payload import Buffer
+from cfgplan_runtime.streams.element import HEADER, LONGEST_PAYLOAD, Element, Outgoing
+from cfgplan_runtime.streams.payload import Buffer
 
 MOST_WAITING_BYTES = 32 << 20
 """What may wait for one subscriber, whatever the queue's length."""

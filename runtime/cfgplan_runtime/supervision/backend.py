@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from cfgplan.domain import Stream, Transformation
-from cfgplan_runtime.events import Event
+from cfgplan_runtime.supervision.events import Event
 
 
 @dataclass(frozen=True, slots=True, order=True)

@@ -8,10 +8,10 @@ import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 
-from cfgplan_runtime.control import ControlConnection
-from cfgplan_runtime.messages import Fork, Forked, FromNursery, Gone, Kill, OutletOrder, UnitOrder
+from cfgplan_runtime.children.control import ControlConnection
+from cfgplan_runtime.children.messages import Fork, Forked, FromNursery, Gone, Kill, OutletOrder, UnitOrder
 
-_CODE = "import sys; from cfgplan_runtime.nursery import main; main(sys.argv[1:])"
+_CODE = "import sys; from cfgplan_runtime.processes.nursery import main; main(sys.argv[1:])"
 _PATIENCE_AT_CLOSE_S = 5.0
 
 

@@ -9,15 +9,15 @@ from collections.abc import Iterator
 
 import msgspec
 
-from cfgplan_runtime.control import ControlConnection
-from cfgplan_runtime.element import Element, Moment, Outgoing
+from cfgplan_runtime.children.control import ControlConnection
+from cfgplan_runtime.children.messages import Exhausted, Finish, PortCounts, Ready, Status, ToChild, Trouble, UnitOrder
+from cfgplan_runtime.children.ports import InputPort, OutputPort, Ports
+from cfgplan_runtime.children.stepping import Step, StepQueue
+from cfgplan_runtime.children.unit_code import Given, UnitCode
 from cfgplan_runtime.errors import EncodingError, WrongPortsError
-from cfgplan_runtime.inlet import Inlet
-from cfgplan_runtime.messages import Exhausted, Finish, PortCounts, Ready, Status, ToChild, Trouble, UnitOrder
-from cfgplan_runtime.payload import PayloadEncoder, decode
-from cfgplan_runtime.ports import InputPort, OutputPort, Ports
-from cfgplan_runtime.stepping import Step, StepQueue
-from cfgplan_runtime.unit_code import Given, UnitCode
+from cfgplan_runtime.streams.element import Element, Moment, Outgoing
+from cfgplan_runtime.streams.inlet import Inlet
+from cfgplan_runtime.streams.payload import PayloadEncoder, decode
 
 STATUS_PERIOD_S = 1.0
 _LONGEST_WORK_NS = 1_000_000

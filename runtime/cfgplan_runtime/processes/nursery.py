@@ -19,11 +19,21 @@ import sys
 import traceback
 from collections.abc import Sequence
 
-from cfgplan_runtime import death_signal
-from cfgplan_runtime.control import ControlConnection
-from cfgplan_runtime.messages import Fork, Forked, Gone, Kill, OutletOrder, ToChild, ToNursery, Trouble, UnitOrder
-from cfgplan_runtime.outlet_child import OutletChild
-from cfgplan_runtime.unit_child import UnitChild
+from cfgplan_runtime.children import death_signal
+from cfgplan_runtime.children.control import ControlConnection
+from cfgplan_runtime.children.messages import (
+    Fork,
+    Forked,
+    Gone,
+    Kill,
+    OutletOrder,
+    ToChild,
+    ToNursery,
+    Trouble,
+    UnitOrder,
+)
+from cfgplan_runtime.children.outlet_child import OutletChild
+from cfgplan_runtime.children.unit_child import UnitChild
 
 DUMP_SIGNAL = signal.SIGUSR1
 FAILED = 70

@@ -5,8 +5,8 @@ from __future__ import annotations
 import socket
 from dataclasses import dataclass, field
 
-from cfgplan_runtime.control import ControlConnection
-from cfgplan_runtime.messages import FromChild
+from cfgplan_runtime.children.control import ControlConnection
+from cfgplan_runtime.children.messages import FromChild
 
 _LONGEST_LINE = 1 << 16
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import socket
 import time
 
-from cfgplan_runtime.channel import Sender, widen
-from cfgplan_runtime.control import ControlConnection
-from cfgplan_runtime.element import Element, Outgoing
-from cfgplan_runtime.inlet import Inlet
-from cfgplan_runtime.messages import CloseOutlet, Finish, OpenOutlet, OutletOrder, Ready, Status, ToChild
-from cfgplan_runtime.ports import InputPort, OutputPort, Ports
+from cfgplan_runtime.children.control import ControlConnection
+from cfgplan_runtime.children.messages import CloseOutlet, Finish, OpenOutlet, OutletOrder, Ready, Status, ToChild
+from cfgplan_runtime.children.ports import InputPort, OutputPort, Ports
+from cfgplan_runtime.streams.channel import Sender, widen
+from cfgplan_runtime.streams.element import Element, Outgoing
+from cfgplan_runtime.streams.inlet import Inlet
 
 _STATUS_PERIOD_S = 1.0
 

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from cfgplan_runtime.element import Element, Moment
+from cfgplan_runtime.streams.element import Element, Moment
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from cfgplan.domain import Stream, Transformation
-from cfgplan_runtime.backend import Inlet, Usage
-from cfgplan_runtime.events import (
+from cfgplan_runtime.supervision.backend import Inlet, Usage
+from cfgplan_runtime.supervision.events import (
     Event,
     InputLost,
     UnitDied,

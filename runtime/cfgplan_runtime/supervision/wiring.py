@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from cfgplan.domain import ComputationUnit, Environment, Stream, Subscription
-from cfgplan_runtime.backend import Backend, Inlet
+from cfgplan_runtime.supervision.backend import Backend, Inlet
 
 
 @dataclass(slots=True, eq=False)

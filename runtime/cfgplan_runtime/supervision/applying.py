@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 from cfgplan.domain import ChangeSet, Environment
 from cfgplan.errors import InvalidValueError
 from cfgplan_runtime.errors import ApplyError, NoSourceError, StaleChangeSetError
-from cfgplan_runtime.events import Applied
-from cfgplan_runtime.wiring import Wire, wanted_feeds, wanted_topics, without_feed, without_unit
+from cfgplan_runtime.supervision.events import Applied
+from cfgplan_runtime.supervision.wiring import Wire, wanted_feeds, wanted_topics, without_feed, without_unit
 
 if TYPE_CHECKING:
-    from cfgplan_runtime.supervisor import Supervisor
+    from cfgplan_runtime.supervision.supervisor import Supervisor
 
 
 @dataclass(frozen=True, slots=True)

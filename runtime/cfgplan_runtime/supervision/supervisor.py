@@ -9,10 +9,10 @@ import uuid
 from collections.abc import Callable
 
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Transformation
-from cfgplan_runtime.applying import Applying, Patience
-from cfgplan_runtime.backend import Backend
 from cfgplan_runtime.errors import ApplyError, StaleChangeSetError
-from cfgplan_runtime.events import (
+from cfgplan_runtime.supervision.applying import Applying, Patience
+from cfgplan_runtime.supervision.backend import Backend
+from cfgplan_runtime.supervision.events import (
     Applied,
     Event,
     InputLost,
@@ -27,8 +27,8 @@ from cfgplan_runtime.events import (
     UnitTooLarge,
     WireSwitched,
 )
-from cfgplan_runtime.observation import Observation, UnitRecord
-from cfgplan_runtime.wiring import Wiring, without_feed, without_unit
+from cfgplan_runtime.supervision.observation import Observation, UnitRecord
+from cfgplan_runtime.supervision.wiring import Wiring, without_feed, without_unit
 
 HANG_S = 10.0
 """How long a unit may be silent if its transformation does not say; a source without a rate may be so for ever."""

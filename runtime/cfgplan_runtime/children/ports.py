@@ -8,11 +8,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 
-from cfgplan_runtime.channel import Receiver, Sender
-from cfgplan_runtime.control import ControlConnection
-from cfgplan_runtime.element import Element, Outgoing
-from cfgplan_runtime.inlet import Inlet
-from cfgplan_runtime.messages import (
+from cfgplan_runtime.children.control import ControlConnection
+from cfgplan_runtime.children.messages import (
     Cut,
     Feed,
     FromChild,
@@ -23,6 +20,9 @@ from cfgplan_runtime.messages import (
     SwitchNow,
     ToChild,
 )
+from cfgplan_runtime.streams.channel import Receiver, Sender
+from cfgplan_runtime.streams.element import Element, Outgoing
+from cfgplan_runtime.streams.inlet import Inlet
 
 
 @dataclass(slots=True)

@@ -1,0 +1,1 @@
+"""The backend whose units are processes of this machine."""
