@@ -1,0 +1,185 @@
+"""Best effort: where not all targets can be met, the most important ones, exactly."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from cfgplan.costs import seconds
+from cfgplan.domain import Target
+from cfgplan.planning import Plan, Planner, Problem, Status
+from cfgplan.reasons import unmet_reasons
+
+_REFUSED = (Status.INFEASIBLE, Status.TOO_EXPENSIVE)
+
+
+@dataclass(frozen=True)
+class BestEffort:
+    """The best update that some of the targets allow.
+
+    `problem` is the problem that was asked with only the targets that are met, and `plan` its plan, whose
+    `reasons` say why each of the other targets is given up. `exact` tells whether it is proven that no better
+    set of targets can be met. The plan has no change set only if it was stopped too early, or if not even the
+    pinned units can be kept at the largest cost.
+    """
+
+    plan: Plan
+    problem: Problem
+    exact: bool = True
+
+    @property
+    def unmet(self) -> tuple[str, ...]:
+        """The labels of the targets that are given up."""
+        return tuple(sorted(self.plan.reasons))
+
+
+def best_effort(problem: Problem, planner: Planner, *, time_limit_s: float | None = None) -> BestEffort:
+    """Meet as many targets of the highest priority as possible, then of the next ..., then at least cost.
+
+    A set of targets can be met if `planner` finds a plan for the problem with these targets alone; of equally
+    good sets the one with the best plan in the usual order wins (required, cost, rewired, started), then the one
+    that comes first. Where nothing but missing matches is in the way, this takes one call of the planner, on a
+    problem that changes only with the targets that can be met: a `PlannerSession` stays warm. A largest cost
+    that is too small takes a search over sets of targets, in the worst case all of them.
+    """
+    impossible = unmet_reasons(problem)
+    search = _Search(problem, [t for t in problem.environment.targets if t.label not in impossible], planner)
+    if time_limit_s is not None:
+        search.end_s = time.monotonic() + time_limit_s
+    search.run()
+    plan = replace(search.best_plan(), reasons=impossible | search.why_given_up())
+    return BestEffort(plan, problem_with(problem, search.best), search.is_exact)
+
+
+def problem_with(problem: Problem, targets: frozenset[Target]) -> Problem:
+    """The same problem with these of its targets alone."""
+    if len(targets) == len(problem.environment.targets):
+        return problem
+    return replace(problem, environment=replace(problem.environment, targets=tuple(targets)))
+
+
+class _Search:
+    """Depth first over sets of targets, the most important targets first.
+
+    More targets never make a problem possible or cheaper, as long as nothing is required: what is left of a plan
+    without the units that only the further targets need is a plan for fewer. A required transformation can turn
+    that around (a further target may use it more cheaply), so that subtrees are cut by the problem without them.
+    """
+
+    def __init__(self, problem: Problem, targets: Sequence[Target], planner: Planner) -> None:
+        self.end_s: float | None = None
+        self.is_exact = True
+        self.best: frozenset[Target] = frozenset()
+        self._problem = problem
+        self._planner = planner
+        self._targets = sorted(targets, key=lambda target: (-target.priority, target.label))
+        self._levels = sorted({target.priority for target in targets}, reverse=True)
+        self._plans: dict[frozenset[Target], Plan] = {}
+        self._freely: dict[frozenset[Target], Plan] = {}
+        self._refused: list[frozenset[Target]] = []
+        library = [replace(t, required=False) if t.required else t for t in problem.environment.library]
+        self._free = replace(problem, environment=replace(problem.environment, library=tuple(library)))
+        self._is_free = not any(t.required for t in problem.environment.library)
+
+    def run(self) -> None:
+        everything = frozenset(self._targets)
+        if self._is_met(everything):
+            self.best = everything
+        elif everything and self._is_met(frozenset()):
+            self._descend(frozenset(), self._targets)
+
+    def best_plan(self) -> Plan:
+        return self._plan(self.best)
+
+    def why_given_up(self) -> dict[str, str]:
+        """A sentence for each target that could be met by itself as far as matching goes."""
+        return {target.label: self._why(target) for target in self._targets if target not in self.best}
+
+    def _descend(self, chosen: frozenset[Target], ahead: Sequence[Target]) -> None:
+        """Look at all sets that hold the chosen, which may be met, and any of those ahead."""
+        everything = chosen.union(ahead)
+        if not self._may_be_better(chosen, everything):
+            return
+        if self._is_met(everything):
+            if self._is_better(everything):
+                self.best = everything
+            return
+        if not ahead:
+            return
+        first, rest = ahead[0], ahead[1:]
+        if self._may_be_met(chosen | {first}):
+            self._descend(chosen | {first}, rest)
+        self._descend(chosen, rest)
+
+    def _may_be_better(self, chosen: frozenset[Target], everything: frozenset[Target]) -> bool:
+        most, best = self._counts(everything), self._counts(self.best)
+        if most != best or not self._is_free:
+            return most >= best
+        return self._bound_us(chosen) <= (self._plan(self.best).cost_us or 0)
+
+    def _is_better(self, targets: frozenset[Target]) -> bool:
+        most, best = self._counts(targets), self._counts(self.best)
+        if most != best:
+            return most > best
+        return targets != self.best and self._key(targets) < self._key(self.best)
+
+    def _counts(self, targets: frozenset[Target]) -> tuple[int, ...]:
+        """How many targets there are of each priority, the highest first."""
+        count = Counter(target.priority for target in targets)
+        return tuple(count[level] for level in self._levels)
+
+    def _key(self, targets: frozenset[Target]) -> tuple[int, int, int, int]:
+        plan = self._plan(targets)
+        assert plan.change_set is not None and plan.cost_us is not None
+        changes = plan.change_set
+        return len(plan.unused_required), plan.cost_us, len(changes.rewired), len(changes.started)
+
+    def _is_met(self, targets: frozenset[Target]) -> bool:
+        return self._may_be_met(targets) and self._plan(targets).change_set is not None
+
+    def _may_be_met(self, targets: frozenset[Target]) -> bool:
+        if any(refused <= targets for refused in self._refused):
+            return False
+        if self._free_plan(targets).status in _REFUSED:
+            self._refused.append(targets)
+            return False
+        return True
+
+    def _bound_us(self, targets: frozenset[Target]) -> int:
+        return self._free_plan(targets).bound_us
+
+    def _plan(self, targets: frozenset[Target]) -> Plan:
+        if targets not in self._plans:
+            self._plans[targets] = self._ask(problem_with(self._problem, targets))
+        return self._plans[targets]
+
+    def _free_plan(self, targets: frozenset[Target]) -> Plan:
+        """The plan without regard to what is required: no plan for more targets costs less."""
+        if self._is_free:
+            return self._plan(targets)
+        if targets not in self._freely:
+            self._freely[targets] = self._ask(problem_with(self._free, targets))
+        return self._freely[targets]
+
+    def _ask(self, problem: Problem) -> Plan:
+        left_s = None if self.end_s is None else max(0.0, self.end_s - time.monotonic())
+        if left_s == 0.0:
+            self.is_exact = False
+            return Plan("", Status.UNKNOWN)
+        plan = self._planner(problem, time_limit_s=left_s)
+        self.is_exact &= plan.status in (Status.OPTIMAL, *_REFUSED)
+        return plan
+
+    def _why(self, target: Target) -> str:
+        for others, how in ((frozenset[Target](), "by itself"), (self.best, "with the targets that are met")):
+            plan = self._plan(others | {target})
+            wanted = f"target {target.label} wants {target.tag}, but {how} it"
+            if plan.status is Status.TOO_EXPENSIVE:
+                dear_us = plan.bound_us if plan.cost_us is None else plan.cost_us
+                allowed = f"{seconds(self._problem.max_cost_us or 0):f} s is allowed"
+                return f"{wanted} would cost {seconds(dear_us):f} s, and {allowed}"
+            if plan.status is Status.INFEASIBLE:
+                return f"{wanted} can't be met"
+        return f"target {target.label} wants {target.tag}, but time ran out"

@@ -1,0 +1,143 @@
+"""Best effort against the oracle asked for every set of targets.
+
+`CFGPLAN_EXAMPLES=5000 pytest tests/explaining` runs the long version.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from dataclasses import replace
+from itertools import combinations
+
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from worlds import TAGS, problems
+
+from cfgplan.domain import Environment, OutputPort, Similarity, Target, Transformation
+from cfgplan.explaining import BestEffort, best_effort
+from cfgplan.explaining.best_effort import problem_with
+from cfgplan.planners import PLANNERS
+from cfgplan.planners.cpsat import PlannerSession
+from cfgplan.planning import Plan, Problem, Status
+from cfgplan.validity import plan_violations
+
+EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "150"))
+many = settings(
+    max_examples=EXAMPLES,
+    deadline=None,
+    derandomize="CFGPLAN_EXAMPLES" not in os.environ,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
+)
+oracle, cpsat = PLANNERS["exhaustive"], PLANNERS["cpsat"]
+
+
+@st.composite
+def crowded(draw: st.DrawFn, *, special: bool) -> Problem:
+    """A problem with up to four targets of several priorities, and a largest cost that may be too small."""
+    problem = draw(problems(most=3 if special else 5, special=special))
+    count = draw(st.integers(2, 4))
+    targets = [Target(f"q{i}", draw(st.sampled_from(TAGS)), f"/{i}", draw(st.integers(0, 2))) for i in range(count)]
+    environment = replace(problem.environment, targets=tuple(targets))
+    return replace(problem, environment=environment, max_cost_us=draw(st.one_of(st.none(), st.integers(0, 25))))
+
+
+def quality(problem: Problem, plan: Plan) -> tuple[object, ...]:
+    """How good a plan of some of the targets is, the least is best."""
+    assert plan.change_set is not None
+    count = Counter(target.priority for target in problem.environment.targets)
+    unmet = tuple(-count[priority] for priority in (2, 1, 0))
+    changes = plan.change_set
+    return unmet, len(plan.unused_required), plan.cost_us, len(changes.rewired), len(changes.started)
+
+
+def best_of_all_sets(problem: Problem) -> tuple[object, ...] | None:
+    """The quality of the best set of targets that the oracle can meet."""
+    targets = problem.environment.targets
+    found = []
+    for size in range(len(targets) + 1):
+        for chosen in combinations(targets, size):
+            reduced = problem_with(problem, frozenset(chosen))
+            plan = oracle(reduced)
+            if plan.change_set is not None:
+                found.append(quality(reduced, plan))
+    return min(found, default=None)
+
+
+def agree(problem: Problem) -> None:
+    found = best_effort(problem, cpsat)
+    assert found.exact
+    assert plan_violations(found.problem, found.plan) == []
+    met = {target.label for target in found.problem.environment.targets}
+    assert met.isdisjoint(found.unmet)
+    assert met.union(found.unmet) == {target.label for target in problem.environment.targets}
+    best = best_of_all_sets(problem)
+    assert best == (None if found.plan.change_set is None else quality(found.problem, found.plan))
+
+
+@many
+@given(crowded(special=False))
+def test_no_set_of_targets_that_can_be_met_is_better_or_cheaper(problem: Problem) -> None:
+    agree(problem)
+
+
+@many
+@given(crowded(special=True))
+def test_nor_with_pinned_required_distinct_and_feedback(problem: Problem) -> None:
+    agree(problem)
+
+
+def offering(*costs: int, priorities: tuple[int, ...] = ()) -> Problem:
+    """A target and a transformation of its own for each cost."""
+    names = "abcdefgh"[: len(costs)]
+    library = [Transformation(n, (), (OutputPort("o", n),), labor_us=c) for n, c in zip(names, costs, strict=True)]
+    targets = [Target(n, n, f"/{n}", p) for n, p in zip(names, priorities or (0,) * len(names), strict=True)]
+    relation = Similarity({name: frozenset({name}) for name in (*names, "z")})
+    return Problem(Environment((), tuple(library), tuple(targets)), relation, 10)
+
+
+def met(found: BestEffort) -> str:
+    return "".join(target.label for target in found.problem.environment.targets)
+
+
+def test_one_important_target_outweighs_any_number_of_others() -> None:
+    problem = replace(offering(9, 1, 1, 1, priorities=(1, 0, 0, 0)), max_cost_us=9)
+    assert met(best_effort(problem, cpsat)) == "a"
+    assert met(best_effort(replace(problem, max_cost_us=8), cpsat)) == "bcd"
+
+
+def test_of_equally_many_targets_the_cheapest_are_met() -> None:
+    found = best_effort(replace(offering(5, 2, 3, 4), max_cost_us=8), cpsat)
+    assert met(found) == "bc"
+    assert found.plan.cost_us == 5
+
+
+def test_a_target_given_up_says_what_it_would_have_cost() -> None:
+    problem = replace(offering(5_000_000, 2_000_000, 30_000_000), max_cost_us=6_000_000)
+    reasons = best_effort(problem, cpsat).plan.reasons
+    assert reasons["a"].endswith("with the targets that are met it would cost 7 s, and 6 s is allowed")
+    assert reasons["c"].endswith("by itself it would cost 30 s, and 6 s is allowed")
+
+
+def test_what_nothing_offers_takes_down_no_other_target_and_costs_one_call_of_the_planner() -> None:
+    problem = offering(5, 2)
+    targets = (*problem.environment.targets, Target("z", "z", "/z", 9))
+    problem = replace(problem, environment=replace(problem.environment, targets=targets))
+    asked: list[Problem] = []
+    session = PlannerSession()
+
+    def planner(problem: Problem, **_: object) -> Plan:
+        asked.append(problem)
+        return session.plan(problem)
+
+    found = best_effort(problem, planner)
+    assert (met(found), found.unmet) == ("ab", ("z",))
+    assert "no output matches" in found.plan.reasons["z"]
+    assert best_effort(problem, planner) == found
+    assert len(asked) == 2
+    assert asked[0] == asked[1]
+
+
+def test_a_planner_without_time_gives_no_answer_and_no_proof() -> None:
+    found = best_effort(offering(5, 2), cpsat, time_limit_s=0)
+    assert (found.exact, found.plan.status) == (False, Status.UNKNOWN)
