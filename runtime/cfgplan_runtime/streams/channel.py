@@ -10,6 +10,7 @@ import socket
 from collections import deque
 from collections.abc import Iterator
 
+from cfgplan_runtime.streams.buffers import Buffers
 from cfgplan_runtime.streams.element import HEADER, LONGEST_PAYLOAD, Element, Outgoing
 from cfgplan_runtime.streams.payload import Buffer
 
@@ -119,29 +120,35 @@ class Receiver:
         end.setblocking(False)
         self.socket = end
         self.has_ended = False
-        self._chunk = bytearray(_CHUNK)
+        self._chunk = memoryview(bytearray(_CHUNK))
         self._pending = b""
         self._header: tuple[int, int, int, int] | None = None
-        self._payload: bytearray | None = None
+        self._payload: memoryview | None = None
         self._filled = 0
+        self._buffers = Buffers()
+        self._wanted = _CHUNK
+        """How much to read at once; after a large payload only a header, so that the next goes to its place at once."""
 
     def read(self) -> Iterator[Element]:
         """What has come, in order; `has_ended` tells whether that was all there will ever be."""
         budget = _MOST_PER_READ
         while budget > 0 and not self.has_ended:
             if self._payload is not None:
-                got = self._receive(memoryview(self._payload)[self._filled :])
+                got = self._receive(self._payload[self._filled :])
                 if got == 0:
                     return
                 self._filled += got
                 if self._filled == len(self._payload):
+                    self._wanted = HEADER.size
                     yield self._complete(self._payload)
             else:
-                got = self._receive(memoryview(self._chunk))
+                wanted = self._wanted
+                got = self._receive(self._chunk[:wanted])
                 if got == 0:
                     return
+                self._wanted = _CHUNK
                 yield from self._parse(self._pending + self._chunk[:got])
-                if got < _CHUNK and self._payload is None:
+                if got < wanted and self._payload is None:
                     return
             budget -= got
 
@@ -149,7 +156,7 @@ class Receiver:
         self.has_ended = True
         self.socket.close()
 
-    def _parse(self, data: bytes | bytearray) -> Iterator[Element]:
+    def _parse(self, data: bytes) -> Iterator[Element]:
         start = 0
         while True:
             if self._header is None:
@@ -166,14 +173,14 @@ class Receiver:
                 start += length
                 yield self._complete(payload)
             elif length > _CHUNK:
-                self._payload = bytearray(length)
+                self._payload = self._buffers.take(length)
                 self._filled = len(data) - start
                 self._payload[: self._filled] = data[start:]
                 start = len(data)
                 break
             else:
                 break
-        self._pending = bytes(data[start:])
+        self._pending = data[start:]
 
     def _complete(self, payload: Buffer) -> Element:
         assert self._header is not None

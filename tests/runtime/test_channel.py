@@ -1,0 +1,51 @@
+"""Channels: both ends of a subscription in one process."""
+
+from __future__ import annotations
+
+import numpy
+from cfgplan_runtime.streams.buffers import Buffers
+from cfgplan_runtime.streams.channel import Receiver, Sender, socket_pair
+from cfgplan_runtime.streams.element import Outgoing
+from cfgplan_runtime.streams.payload import PayloadEncoder, decode
+
+LARGE = 300_000
+
+
+def test_a_buffer_is_used_again_when_nobody_looks_at_it() -> None:
+    buffers = Buffers()
+    first = buffers.take(LARGE)
+    first[:3] = b"abc"
+    first.release()
+    assert bytes(buffers.take(LARGE)[:3]) == b"abc"
+
+
+def test_a_buffer_that_somebody_looks_at_is_left_alone() -> None:
+    buffers = Buffers()
+    views = [buffers.take(LARGE) for _ in range(100)]
+    for number, view in enumerate(views):
+        view[:] = bytes([number]) * LARGE
+    assert [view[-1] for view in views] == list(range(100))
+
+
+def test_buffers_follow_a_change_of_size() -> None:
+    buffers = Buffers()
+    assert [len(buffers.take(length)) for length in (LARGE, LARGE, 10, LARGE, 10, 10)] == [
+        *(LARGE, LARGE, 10, LARGE, 10, 10)
+    ]
+
+
+def test_a_received_array_stays_as_it_is_however_much_comes_after_it() -> None:
+    encoder = PayloadEncoder()
+    sending, receiving = socket_pair()
+    sender, receiver = Sender(sending, queue=8, blocks=True), Receiver(receiving)
+    kept = []
+    for number in range(100):
+        value = [number, numpy.full(LARGE if number % 3 else 50, number, numpy.uint8)]
+        sender.offer(Outgoing(number, 0, encoder.encode(value)))
+        while not sender.flush():
+            kept += [decode(element.payload) for element in receiver.read()]
+    sending.close()
+    while not receiver.has_ended:
+        kept += [decode(element.payload) for element in receiver.read()]
+    assert [number for number, _ in kept] == list(range(100))
+    assert all((array == number).all() for number, array in kept)
