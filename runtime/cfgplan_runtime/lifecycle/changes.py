@@ -1,0 +1,140 @@
+"""What a user, a tool or a robot may ask of a running manager."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+from cfgplan.api import World
+from cfgplan.domain import Target, Transformation
+
+
+@dataclass(frozen=True, slots=True)
+class AddTargets:
+    """Targets to be met from now on; one of a known label replaces it."""
+
+    targets: tuple[Target, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class RemoveTargets:
+    """Labels of targets that nobody wants any more, wherever they were declared."""
+
+    labels: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class AddTransformations:
+    """Transformations that may be used from now on; one of a known label replaces it."""
+
+    transformations: tuple[Transformation, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class RemoveTransformations:
+    """Labels of transformations that may not be used any more, wherever they were declared."""
+
+    labels: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Individual:
+    """An individual of the ontology: the classes it belongs to, and its relations as (property, individual).
+
+    Names are short names of the ontology, `prefix:name`, or IRIs. Templates expand over it.
+    """
+
+    name: str
+    classes: tuple[str, ...] = ()
+    relations: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class AddIndividuals:
+    """Individuals that there are from now on."""
+
+    individuals: tuple[Individual, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class RemoveIndividuals:
+    """Names of individuals that were added and are gone."""
+
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Declare:
+    """Somebody, such as a robot that registers itself, declares what an included file could: a mapping with
+    `transformations` and `targets` in the environment file's form, templates too, and its `individuals`.
+
+    Declaring again under the same `name` replaces what was declared.
+    """
+
+    name: str
+    document: Mapping[str, object] = field(default_factory=dict, hash=False)
+    individuals: tuple[Individual, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Withdraw:
+    """Take back what was declared under a name."""
+
+    name: str
+
+
+@dataclass(frozen=True)
+class ReplaceWorld:
+    """The environment file, or whatever else the world comes from, says something new."""
+
+    world: World
+    by: str
+
+
+@dataclass(frozen=True, slots=True)
+class KillUnit:
+    """End a unit at once. The review that follows may well start its like: nobody is blamed."""
+
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class LoseHost:
+    """A host is gone, with everything that ran there."""
+
+    host: str
+    cause: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class RegainHost:
+    """A host is there again."""
+
+    host: str
+
+
+@dataclass(frozen=True, slots=True)
+class ReviewNow:
+    """Optimise now, as if the horizon were reached. Back-offs are forgiven."""
+
+    by: str = "request"
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """Stop every unit, then the manager."""
+
+
+WorldChange: TypeAlias = (
+    AddTargets
+    | RemoveTargets
+    | AddTransformations
+    | RemoveTransformations
+    | AddIndividuals
+    | RemoveIndividuals
+    | Declare
+    | Withdraw
+    | ReplaceWorld
+)
+Change: TypeAlias = WorldChange | KillUnit | LoseHost | RegainHost | ReviewNow | Stop

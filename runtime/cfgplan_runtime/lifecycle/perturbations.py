@@ -1,0 +1,132 @@
+"""What ends a stable interval, as typed values (paper, section IV-C)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal, TypeAlias
+
+
+@dataclass(frozen=True, slots=True)
+class Started:
+    """The manager has begun its work: nothing runs yet, or what it was handed over."""
+
+
+@dataclass(frozen=True, slots=True)
+class UnitGone:
+    """A unit has ended unasked: it `died`, `hung` or grew `too large` and was killed, or was `killed` on request."""
+
+    unit: str
+    transformation: str
+    how: Literal["died", "hung", "too large", "killed"]
+    cause: str
+
+
+@dataclass(frozen=True, slots=True)
+class UnitKeepsFailing:
+    """A unit's code has failed in so many steps in a row that the unit is given up."""
+
+    unit: str
+    transformation: str
+    failures: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class SubscriptionLost:
+    """A living unit's input, or a topic (`unit` is None), has lost its source."""
+
+    unit: str | None
+    port: str
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """What sets two worlds apart, by label or name; `settings` names horizon and largest cost.
+
+    `replaced` are transformations that run otherwise than before (source, params, ports, host, run), so that
+    their units are replaced; of the `changed` ones only tags or flags differ; of the `repriced` only costs.
+    """
+
+    added_transformations: tuple[str, ...] = ()
+    removed_transformations: tuple[str, ...] = ()
+    replaced_transformations: tuple[str, ...] = ()
+    changed_transformations: tuple[str, ...] = ()
+    repriced_transformations: tuple[str, ...] = ()
+    added_targets: tuple[str, ...] = ()
+    removed_targets: tuple[str, ...] = ()
+    changed_targets: tuple[str, ...] = ()
+    added_individuals: tuple[str, ...] = ()
+    removed_individuals: tuple[str, ...] = ()
+    ontology: bool = False
+    settings: tuple[str, ...] = ()
+
+    def __bool__(self) -> bool:
+        return any(getattr(self, name) for name in self.__dataclass_fields__)
+
+
+@dataclass(frozen=True, slots=True)
+class WorldChanged:
+    """Transformations, targets, individuals or settings have come, gone or changed; `by` is a file or who asked."""
+
+    by: str
+    difference: Difference
+
+
+@dataclass(frozen=True, slots=True)
+class HostGone:
+    """A host has disappeared: nothing can run there."""
+
+    host: str
+    cause: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class HostBack:
+    """A host is there again."""
+
+    host: str
+
+
+@dataclass(frozen=True, slots=True)
+class HorizonReached:
+    """The time that the last update was planned for is over."""
+
+    horizon_s: int
+
+
+@dataclass(frozen=True, slots=True)
+class UpdateFailed:
+    """An update was undone or refused; `transformations` are those that could not be started."""
+
+    cause: str
+    transformations: tuple[str, ...] = ()
+    is_stale: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class MayStartAgain:
+    """The back-off of transformations that kept failing is over."""
+
+    transformations: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ReviewRequested:
+    """Somebody wants a review that optimises, as at the horizon."""
+
+    by: str = field(default="request")
+
+
+Perturbation: TypeAlias = (
+    Started
+    | UnitGone
+    | UnitKeepsFailing
+    | SubscriptionLost
+    | WorldChanged
+    | HostGone
+    | HostBack
+    | HorizonReached
+    | UpdateFailed
+    | MayStartAgain
+    | ReviewRequested
+)

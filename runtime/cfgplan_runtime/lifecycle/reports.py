@@ -1,0 +1,197 @@
+"""What a manager tells: the record of a review, a view of everything, and its events."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import TypeAlias
+
+from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Stream
+from cfgplan.errors import Fault
+from cfgplan_runtime.lifecycle.perturbations import Perturbation
+from cfgplan_runtime.supervision.events import Event
+from cfgplan_runtime.supervision.observation import Observation
+
+
+class Decision(StrEnum):
+    """How a review ended."""
+
+    APPLIED = "applied"
+    """The configuration was changed."""
+    KEPT = "kept"
+    """Nothing is better than what runs."""
+    DEFERRED = "deferred"
+    """What runs is valid and meets what can be met; something cheaper waits for the horizon."""
+    FAILED = "failed"
+    """The update was undone or refused; another review follows."""
+    UNDECIDED = "undecided"
+    """No plan was found in time, or matching was impossible; another review follows."""
+
+
+PHASES = ("detect", "match", "estimate", "plan", "judge", "apply")
+
+
+@dataclass(frozen=True)
+class Review:
+    """One review interval.
+
+    Times in seconds: `at_s` on the manager's clock when it began, `time_s` the same as time since 1970; `seconds` of
+    each of PHASES, where `detect` is from the report of the first perturbation to the beginning. Costs are over the
+    horizon, in microseconds of CPU time: `cost_before_us` of letting run what ran (gaps and all), `cost_us` of the
+    plan, its labor included. `change_set` is what was, or would be, applied. `unmet` gives the reason for each
+    target that is given up. `is_proven` tells that no plan is better.
+    """
+
+    number: int
+    at_s: float
+    time_s: float
+    perturbations: tuple[Perturbation, ...]
+    decision: Decision
+    horizon_s: int
+    cost_before_us: int
+    cost_us: int | None = None
+    bound_us: int = 0
+    is_proven: bool = False
+    change_set: ChangeSet | None = None
+    met: tuple[str, ...] = ()
+    unmet: Mapping[str, str] = field(default_factory=dict, hash=False)
+    avoided: tuple[str, ...] = ()
+    """Transformations that were left out because they keep failing or their host is gone."""
+    seconds: Mapping[str, float] = field(default_factory=dict, compare=False)
+    warnings: tuple[str, ...] = ()
+    cause: str = ""
+    """Why it failed or was undecided."""
+
+
+@dataclass(frozen=True)
+class TargetView:
+    """A target now: the stream that meets it, or the reason why none does."""
+
+    label: str
+    tag: str
+    topic: str
+    priority: int
+    stream: Stream | None = None
+    reason: str = ""
+
+    @property
+    def is_met(self) -> bool:
+        return self.stream is not None
+
+
+@dataclass(frozen=True)
+class UnitView:
+    """A unit now; `observation` is the last one, if there was any yet."""
+
+    unit: ComputationUnit
+    host: str | None = None
+    observation: Observation | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class BackingOff:
+    """A transformation that keeps failing; it is not started again for `left_s` seconds (inf: until it changes)."""
+
+    transformation: str
+    failures: int
+    left_s: float
+    cause: str
+
+
+class Phase(StrEnum):
+    """Where in its cycle a manager is."""
+
+    REVIEW = "review"
+    STABLE = "stable"
+    STOPPED = "stopped"
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """Everything there is to know at one moment; `at_s` is on the manager's clock.
+
+    `environment` holds the units that run and the library (declared costs) and targets that count now.
+    `cost_us` is what letting it run costs over the horizon, by the estimates. `horizon_left_s` is the time until
+    the horizon is reached. `reviews` are the last ones, the newest last. `faults` are those of a world file that
+    can't be used; what it said before holds.
+    """
+
+    at_s: float
+    phase: Phase
+    environment: Environment
+    targets: tuple[TargetView, ...]
+    units: tuple[UnitView, ...]
+    pending: tuple[Perturbation, ...]
+    reviews: tuple[Review, ...]
+    backing_off: tuple[BackingOff, ...]
+    lost_hosts: tuple[str, ...]
+    declared: tuple[str, ...]
+    """Names under which something was declared."""
+    horizon_s: int
+    horizon_left_s: float
+    cost_us: int
+    saving_us: int = 0
+    """What the last review would save, put off until the horizon."""
+    faults: tuple[Fault, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Perturbed:
+    """A perturbation was noticed."""
+
+    perturbation: Perturbation
+
+
+@dataclass(frozen=True, slots=True)
+class ReviewBegan:
+    """A review interval begins."""
+
+    number: int
+    perturbations: tuple[Perturbation, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Reviewed:
+    """A review interval is over."""
+
+    review: Review
+
+
+@dataclass(frozen=True, slots=True)
+class UnitEvent:
+    """Something happened to a unit; all but signs of life."""
+
+    event: Event
+
+
+@dataclass(frozen=True, slots=True)
+class Observed:
+    """Units were observed and the estimator told."""
+
+    observations: tuple[Observation, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class BackedOff:
+    """A transformation has failed again and is not started for some time."""
+
+    backing_off: BackingOff
+
+
+@dataclass(frozen=True, slots=True)
+class WorldRefused:
+    """A new state of a world file can't be used; the old one holds. No faults: it is well again."""
+
+    by: str
+    faults: tuple[Fault, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """The manager has ended, by request or by `cause`."""
+
+    cause: str = ""
+
+
+Report: TypeAlias = Perturbed | ReviewBegan | Reviewed | UnitEvent | Observed | BackedOff | WorldRefused | Ended

@@ -1,0 +1,110 @@
+"""What a manager works with: whatever runs units, whatever knows costs, and time."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from cfgplan.domain import ChangeSet, Environment, Transformation
+from cfgplan_runtime.supervision.events import Applied, Event
+from cfgplan_runtime.supervision.observation import Observation
+
+
+class Middleware(Protocol):
+    """Whatever runs units: `cfgplan_runtime.Runtime`, a simulation, or a robot's own middleware.
+
+    All methods but `listen` may be called from the manager's thread only.
+    """
+
+    @property
+    def environment(self) -> Environment:
+        """What runs now, with gaps where something is missing; its library and targets are those last applied."""
+
+    def apply(self, change_set: ChangeSet, *, basis: Environment | None = None) -> Applied:
+        """Carry out a change set as a whole or not at all; it holds the changes of library and targets too.
+
+        Raises StaleChangeSetError if what runs is not `basis` any more, ApplyError if a step failed and all was
+        undone, NoSourceError for a transformation that can't be started at all.
+        """
+
+    def observe(self) -> Sequence[Observation]:
+        """Every running unit as it is now; upkeep is over the time since the last call."""
+
+    def kill(self, unit: str) -> None:
+        """End a unit at once; the event UnitDied follows."""
+
+    def listen(self, listener: Callable[[Event], None]) -> None:
+        """Have every event told, in order, from whatever thread; `listener` returns at once."""
+
+    def stop(self) -> None:
+        """Stop every unit, letting each give what it has taken in."""
+
+
+class Estimator(Protocol):
+    """What starting and running a unit of a transformation is expected to cost.
+
+    `now_s` is on the manager's clock. All methods are called from the manager's thread.
+    """
+
+    def observe(self, observations: Sequence[Observation], now_s: float) -> None:
+        """Learn from running units; called about once a second and at the beginning of each review."""
+
+    def failed(self, transformation: str, now_s: float) -> None:
+        """Learn that a unit of a transformation could not start, died, hung or kept failing."""
+
+    def labor_us(self, transformation: Transformation, horizon_s: int) -> int:
+        """CPU time of one start, in microseconds, with what failures cost."""
+
+    def upkeep_us(self, transformation: Transformation, horizon_s: int) -> int:
+        """CPU time per second, in microseconds, as the mean over the horizon from now."""
+
+
+class Clock(Protocol):
+    """Time, and how to wait."""
+
+    def now(self) -> float:
+        """Seconds on a clock that only rises."""
+
+    def wait(self, bell: threading.Event, timeout_s: float) -> None:
+        """Return when the bell rings, or when so much time is over."""
+
+
+class SystemClock:
+    """The computer's clock."""
+
+    def now(self) -> float:
+        return time.monotonic()
+
+    def wait(self, bell: threading.Event, timeout_s: float) -> None:
+        bell.wait(timeout_s)
+
+
+class DeclaredCosts:
+    """The costs that the environment declares, whatever is observed; the estimator of last resort.
+
+    Each failure of the last `forget_s` seconds makes a start dearer by `failure_us`.
+    """
+
+    def __init__(self, *, failure_us: int = 1_000_000, forget_s: float = 600.0) -> None:
+        self._failure_us = failure_us
+        self._forget_s = forget_s
+        self._failures: dict[str, list[float]] = {}
+        self._now_s = 0.0
+
+    def observe(self, observations: Sequence[Observation], now_s: float) -> None:  # noqa: ARG002
+        self._now_s = now_s
+
+    def failed(self, transformation: str, now_s: float) -> None:
+        self._now_s = now_s
+        recent = [at for at in self._failures.get(transformation, ()) if now_s - at < self._forget_s]
+        self._failures[transformation] = [*recent, now_s]
+
+    def labor_us(self, transformation: Transformation, horizon_s: int) -> int:  # noqa: ARG002
+        failures = self._failures.get(transformation.label, ())
+        recent = sum(1 for at in failures if self._now_s - at < self._forget_s)
+        return transformation.labor_us + self._failure_us * recent
+
+    def upkeep_us(self, transformation: Transformation, horizon_s: int) -> int:  # noqa: ARG002
+        return transformation.upkeep_us
