@@ -1,0 +1,164 @@
+"""A formula made ready for progression: negations pushed to the atoms, what concerns one state made one proposition.
+
+Every temporal operator becomes an *until* or its dual, *release*: `eventually p` is `true until p`, `always p` is
+`false release p`. In Kleene's logic, as in that of two values, both sides of De Morgan's laws and of these are the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+from cfgplan_runtime.reasoning.syntax import (
+    Always,
+    And,
+    Atom,
+    Constant,
+    Eventually,
+    Formula,
+    Implies,
+    Interval,
+    Not,
+    Or,
+    Until,
+)
+from cfgplan_runtime.reasoning.truth import FALSE, TRUE, Truth, negation
+
+
+@dataclass(frozen=True, slots=True)
+class Fixed:
+    """A truth value."""
+
+    truth: Truth
+
+
+@dataclass(frozen=True, slots=True)
+class Literal:
+    """A proposition, by its number, or its negation."""
+
+    number: int
+    is_negated: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Joined:
+    """A conjunction or a disjunction of two or more."""
+
+    is_and: bool
+    parts: tuple[Step, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Operated:
+    """What the temporal operator of this number says of a state and those after it."""
+
+    number: int
+
+
+Step: TypeAlias = Fixed | Literal | Joined | Operated
+
+
+@dataclass(frozen=True, slots=True)
+class Operator:
+    """`left until right` in an interval, or else `left release right`: `right` in each state of it, up to one with `left`."""
+
+    is_until: bool
+    left: Step
+    right: Step
+    interval: Interval
+    text: str = field(compare=False)
+
+
+@dataclass(frozen=True)
+class Program:
+    """A compiled formula.
+
+    `propositions` are the parts that concern a single state: a progression is told the truth of each in that state.
+    """
+
+    text: str
+    propositions: tuple[Formula, ...]
+    operators: tuple[Operator, ...]
+    root: Step
+
+
+def compiled(formula: Formula) -> Program:
+    """Make a formula ready for progression."""
+    compiler = _Compiler()
+    root = compiler.step(formula, False)
+    return Program(str(formula), tuple(compiler.propositions), tuple(compiler.operators), root)
+
+
+def truth_of(proposition: Formula, atom: Callable[[object], Truth]) -> Truth:
+    """The truth of a proposition, which has no temporal operator, from that of its atoms' conditions."""
+    match proposition:
+        case Constant(value):
+            return TRUE if value else FALSE
+        case Atom(condition):
+            return atom(condition)
+        case Not(part):
+            return negation(truth_of(part, atom))
+        case And(left, right):
+            return min(truth_of(left, atom), truth_of(right, atom))
+        case Or(left, right):
+            return max(truth_of(left, atom), truth_of(right, atom))
+        case Implies(left, right):
+            return max(negation(truth_of(left, atom)), truth_of(right, atom))
+        case _:
+            raise TypeError(f"{proposition} is about more than one state")
+
+
+class _Compiler:
+    def __init__(self) -> None:
+        self.propositions: dict[Formula, int] = {}
+        self.operators: dict[Operator, int] = {}
+
+    def step(self, formula: Formula, negated: bool) -> Step:
+        match formula:
+            case Constant(value):
+                return Fixed(TRUE if value != negated else FALSE)
+            case Not(part):
+                return self.step(part, not negated)
+            case _ if _is_of_one_state(formula):
+                return Literal(self.propositions.setdefault(formula, len(self.propositions)), negated)
+            case And(left, right):
+                return self._joined(not negated, [(left, negated), (right, negated)])
+            case Or(left, right):
+                return self._joined(negated, [(left, negated), (right, negated)])
+            case Implies(left, right):
+                return self._joined(negated, [(left, not negated), (right, negated)])
+            case Always(part, interval):
+                return self._operated(negated, Fixed(TRUE if negated else FALSE), part, interval, negated, formula)
+            case Eventually(part, interval):
+                return self._operated(not negated, Fixed(FALSE if negated else TRUE), part, interval, negated, formula)
+            case Until(left, right, interval):
+                return self._operated(not negated, self.step(left, negated), right, interval, negated, formula)
+            case _:
+                raise TypeError(f"{formula!r} is no formula")
+
+    def _joined(self, is_and: bool, parts: Sequence[tuple[Formula, bool]]) -> Step:
+        flat: dict[Step, None] = {}
+        for part, negated in parts:
+            step = self.step(part, negated)
+            flat.update(dict.fromkeys(step.parts if isinstance(step, Joined) and step.is_and == is_and else [step]))
+        return Joined(is_and, tuple(flat)) if len(flat) > 1 else next(iter(flat))
+
+    def _operated(
+        self, is_until: bool, left: Step, right: Formula, interval: Interval, negated: bool, formula: Formula
+    ) -> Step:
+        text = f"not ({formula})" if negated else str(formula)
+        operator = Operator(is_until, left, self.step(right, negated), interval, text)
+        return Operated(self.operators.setdefault(operator, len(self.operators)))
+
+
+def _is_of_one_state(formula: Formula) -> bool:
+    match formula:
+        case Constant() | Atom():
+            return True
+        case Not(part):
+            return _is_of_one_state(part)
+        case And(left, right) | Or(left, right) | Implies(left, right):
+            return _is_of_one_state(left) and _is_of_one_state(right)
+        case _:
+            return False

@@ -1,0 +1,330 @@
+"""Progression of one formula through a stream of states, as an automaton that is built while it runs.
+
+What a state does to the obligations depends on the truth of the propositions and on which intervals have begun or ended, not
+on the times themselves. Each such step is progressed once and remembered as a transition between *situations*: an obligation, and for each
+operator in it the times at which it began, as registers. On regular and on irregular streams alike a known step is one look-up.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
+
+from cfgplan.errors import InvalidValueError
+from cfgplan_runtime.reasoning.compiling import Program, compiled
+from cfgplan_runtime.reasoning.obligations import Kind, Obligation, Store, bound
+from cfgplan_runtime.reasoning.progression import NOW, Progression
+from cfgplan_runtime.reasoning.syntax import Formula
+from cfgplan_runtime.reasoning.truth import FALSE, TRUE, VERDICT_OF, Truth, Verdict
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+MOST_REMEMBERED: Final = 200_000
+"""How many obligations and transitions are remembered before all but the present situation are forgotten."""
+_NEVER: Final = 1 << 62
+_MOST_PACKED: Final = 39
+
+
+class _Registers(NamedTuple):
+    """The moments of one operator in a situation: how many there are, and of how many of them the interval has begun."""
+
+    operator: int
+    count: int
+    begun: int
+
+
+class _Move(NamedTuple):
+    """How to make one list of moments from those before: a slice or a choice of one, and perhaps the present."""
+
+    source: int
+    first: int
+    end: int
+    chosen: tuple[int, ...] | None
+    with_now: bool
+
+
+_Transition: TypeAlias = "tuple[_Situation, tuple[_Move, ...] | None]"
+
+
+class _Situation:
+    __slots__ = ("begins", "crossing", "obligation", "quiet", "registers", "verdict")
+
+    def __init__(self, obligation: Obligation | None, registers: tuple[_Registers, ...]) -> None:
+        self.obligation = obligation
+        self.registers = registers
+        self.quiet: dict[int, _Transition] = {}
+        self.crossing: dict[tuple[int, ...], _Transition] = {}
+        is_value = obligation is not None and obligation.kind is Kind.VALUE
+        self.verdict = VERDICT_OF[obligation.value] if obligation is not None and is_value else Verdict.OPEN
+
+
+@dataclass(frozen=True, slots=True)
+class Waiting:
+    """An operator that is not decided yet. `since_ns` and `until_ns` are missing where they make no difference."""
+
+    text: str
+    since_ns: int | None
+    until_ns: int | None
+
+
+class Monitor:
+    """Follows a formula through states whose times rise; the formula is about the first of them."""
+
+    def __init__(self, formula: Formula | Program) -> None:
+        self.program = formula if isinstance(formula, Program) else compiled(formula)
+        self.states = 0
+        self.time_ns: int | None = None
+        """The time of the last state that was looked at; of a final verdict, the state that decided."""
+        self._intervals = [operator.interval for operator in self.program.operators]
+        self._store = self._new_store()
+        self._remembered = 0
+        self._situations: dict[Obligation, _Situation] = {}
+        self._situation = _Situation(None, ())
+        self._moments: list[list[int]] = []
+        self._quiet_until = _NEVER
+
+    @property
+    def verdict(self) -> Verdict:
+        """What is known by now."""
+        return self._situation.verdict
+
+    @property
+    def possible(self) -> frozenset[Verdict]:
+        """The final verdicts that are not ruled out."""
+        obligation = self._situation.obligation
+        if obligation is None:
+            return frozenset(VERDICT_OF.values())
+        low, high = bound(obligation, FALSE), bound(obligation, TRUE)
+        return frozenset(VERDICT_OF[truth] for truth in range(low, high + 1))
+
+    @property
+    def size(self) -> int:
+        """How many nodes the present obligation has."""
+        return 1 if self._situation.obligation is None else self._situation.obligation.size
+
+    @property
+    def remembered(self) -> int:
+        """How many obligations and transitions are held in memory; at most about `MOST_REMEMBERED`."""
+        return self._remembered + len(self._store)
+
+    def step(self, time_ns: int, truths: Sequence[Truth | bool]) -> Verdict:
+        """Progress through one state; `truths` has FALSE, UNKNOWN or TRUE (or a bool) for each proposition.
+
+        Does nothing once the verdict is final. Raises InvalidValueError if time does not rise.
+        """
+        code = 0
+        for truth in reversed(truths):
+            code = 3 * code + (2 * truth if truth is True or truth is False else truth)
+        return self._follow((time_ns,), (code,))
+
+    def feed(self, times_ns: npt.NDArray[np.int64], truths: npt.NDArray[np.int8 | np.bool_]) -> Verdict:
+        """Progress through many states: `times_ns` of shape (states,), `truths` of shape (states, propositions).
+
+        Stops at the state that decides. Raises InvalidValueError if time does not rise.
+        """
+        import numpy as np
+
+        count = len(self.program.propositions)
+        values = np.asarray(truths)
+        if values.shape != (len(times_ns), count):
+            raise InvalidValueError(f"truths of shape {values.shape}, but there are {count} propositions in each state")
+        if values.dtype == np.bool_:
+            values = values * np.int8(TRUE)
+        if count <= _MOST_PACKED:
+            codes = (values.astype(np.int64) @ (3 ** np.arange(count, dtype=np.int64))).tolist()
+        else:
+            codes = [sum(truth * 3**number for number, truth in enumerate(row)) for row in values.tolist()]
+        return self._follow(np.asarray(times_ns, np.int64).tolist(), codes)
+
+    def ended(self) -> Verdict:
+        """The verdict if no state comes any more: what had to happen did not, and nothing went wrong any more.
+
+        A formula of which no state was seen is open.
+        """
+        if self._situation.obligation is None:
+            return Verdict.OPEN
+        return VERDICT_OF[self._at_end(self._situation.obligation)]
+
+    def waiting(self) -> list[Waiting]:
+        """The operators that are not decided yet, the earliest first."""
+        position = {registers.operator: place for place, registers in enumerate(self._situation.registers)}
+        found: dict[Waiting, None] = {}
+        for operator, moment in sorted(_pending_of(self._situation.obligation)):
+            since = None if moment < 0 else self._moments[position[operator]][moment]
+            end = self._intervals[operator].end_ns
+            until = None if since is None or end is None else since + end
+            found[Waiting(self.program.operators[operator].text, since, until)] = None
+        return list(found)
+
+    def _follow(self, times_ns: Iterable[int], codes: Iterable[int]) -> Verdict:
+        situation, moments, quiet_until = self._situation, self._moments, self._quiet_until
+        last = -_NEVER if self.time_ns is None else self.time_ns
+        count = 0
+        try:
+            if situation.verdict is not Verdict.OPEN:
+                return situation.verdict
+            for time_ns, code in zip(times_ns, codes, strict=True):
+                if time_ns <= last:
+                    raise InvalidValueError(f"a state of time {time_ns} ns after one of {last} ns: times must rise")
+                is_quiet = time_ns < quiet_until
+                if is_quiet:
+                    transition = situation.quiet.get(code)
+                    if transition is None:
+                        transition = self._learnt(situation, moments, time_ns, code)
+                        situation.quiet[code] = transition
+                else:
+                    key = self._crossed(situation, moments, time_ns, code)
+                    transition = situation.crossing.get(key)
+                    if transition is None:
+                        transition = self._learnt(situation, moments, time_ns, code)
+                        situation.crossing[key] = transition
+                last = time_ns
+                count += 1
+                situation, moves = transition
+                if moves is not None:
+                    moments = _moved(moments, moves, time_ns)
+                if moves is not None or not is_quiet:
+                    quiet_until = self._next_crossing(situation, moments)
+                if situation.verdict is not Verdict.OPEN:
+                    break
+                if self._remembered > MOST_REMEMBERED:
+                    situation = self._forget(situation)
+            return situation.verdict
+        finally:
+            self._situation, self._moments, self._quiet_until = situation, moments, quiet_until
+            self.states += count
+            if count:
+                self.time_ns = last
+
+    def _learnt(self, situation: _Situation, moments: list[list[int]], time_ns: int, code: int) -> _Transition:
+        truths = []
+        for _ in self.program.propositions:
+            code, truth = divmod(code, 3)
+            truths.append(truth)
+        position = {registers.operator: place for place, registers in enumerate(situation.registers)}
+
+        def elapsed_ns(operator: int, moment: int) -> int:
+            return time_ns - moments[position[operator]][moment]
+
+        progression = Progression(self.program, self._store, truths, elapsed_ns)
+        before = situation.obligation
+        after = progression.of_root() if before is None else progression.of(before)
+        used: dict[int, dict[int, bool]] = {}
+        for operator, moment, is_begun in _registers_of(after):
+            used.setdefault(operator, {})[moment] = is_begun
+        chosen = {operator: sorted(used[operator]) for operator in sorted(used)}
+        new_number = {
+            operator: {moment: number for number, moment in enumerate(found)} for operator, found in chosen.items()
+        }
+        after = self._store.renamed(after, lambda operator, moment: new_number[operator][moment])
+        self._remembered += 1
+        found_situation = self._situations.get(after)
+        if found_situation is None:
+            registers = tuple(
+                _Registers(operator, len(found), sum(used[operator].values())) for operator, found in chosen.items()
+            )
+            found_situation = self._situations[after] = _Situation(after, registers)
+            self._remembered += after.size
+        if len(self._store) > MOST_REMEMBERED:
+            self._remembered += MOST_REMEMBERED
+        return found_situation, _moves(situation.registers, chosen, position)
+
+    def _crossed(self, situation: _Situation, moments: list[list[int]], time_ns: int, code: int) -> tuple[int, ...]:
+        """What makes two steps from a situation the same: of each operator, how many intervals have begun and ended."""
+        key = [code]
+        for registers, found in zip(situation.registers, moments, strict=True):
+            interval = self._intervals[registers.operator]
+            key.append(bisect_right(found, time_ns - interval.begin_ns))
+            if interval.end_ns is not None:
+                ended = bisect_right(found, time_ns - interval.end_ns)
+                key += (ended, bisect_right(found, time_ns - interval.end_ns - 1, 0, ended))
+        return tuple(key)
+
+    def _next_crossing(self, situation: _Situation, moments: list[list[int]]) -> int:
+        """The least time at which an interval begins or ends."""
+        least = _NEVER
+        for (operator, count, begun), found in zip(situation.registers, moments, strict=True):
+            interval = self._intervals[operator]
+            if interval.end_ns is not None and found[0] + interval.end_ns < least:
+                least = found[0] + interval.end_ns
+            if begun < count and found[begun] + interval.begin_ns < least:
+                least = found[begun] + interval.begin_ns
+        return least
+
+    def _forget(self, situation: _Situation) -> _Situation:
+        """Begin anew with nothing but the present situation, so that memory is bounded."""
+        self._store = self._new_store()
+        obligation = situation.obligation
+        assert obligation is not None
+        kept = _Situation(self._store.renamed(obligation, lambda _, moment: moment), situation.registers)
+        assert kept.obligation is not None
+        self._situations = {kept.obligation: kept}
+        self._remembered = kept.obligation.size
+        return kept
+
+    def _new_store(self) -> Store:
+        return Store([operator.is_until for operator in self.program.operators])
+
+    def _at_end(self, obligation: Obligation) -> Truth:
+        match obligation.kind:
+            case Kind.VALUE:
+                return obligation.value
+            case Kind.PENDING:
+                return FALSE if self.program.operators[obligation.operator].is_until else TRUE
+            case Kind.ALL:
+                return min(self._at_end(part) for part in obligation.parts)
+            case _:
+                return max(self._at_end(part) for part in obligation.parts)
+
+
+def _registers_of(obligation: Obligation) -> Iterable[tuple[int, int, bool]]:
+    """Operator, moment and whether its interval has begun, of each pending obligation that has a moment."""
+    seen: set[Obligation] = set()
+    ahead = [obligation]
+    while ahead:
+        one = ahead.pop()
+        if one not in seen:
+            seen.add(one)
+            ahead += one.parts
+            if one.kind is Kind.PENDING and one.moment >= 0:
+                yield one.operator, one.moment, one.is_begun
+
+
+def _pending_of(obligation: Obligation | None) -> set[tuple[int, int]]:
+    if obligation is None:
+        return set()
+    if obligation.kind is Kind.PENDING:
+        return {(obligation.operator, obligation.moment)}
+    return {found for part in obligation.parts for found in _pending_of(part)}
+
+
+def _moves(
+    before: tuple[_Registers, ...], chosen: dict[int, list[int]], position: dict[int, int]
+) -> tuple[_Move, ...] | None:
+    """How the moments that are still used come about; None if they are those before."""
+    moves = []
+    for operator, found in chosen.items():
+        with_now = found[-1] == NOW
+        old = found[:-1] if with_now else found
+        first, end = (old[0], old[-1] + 1) if old else (0, 0)
+        is_slice = end - first == len(old)
+        moves.append(_Move(position.get(operator, -1), first, end, None if is_slice else tuple(old), with_now))
+    same = [_Move(place, 0, registers.count, None, False) for place, registers in enumerate(before)]
+    return None if moves == same else tuple(moves)
+
+
+def _moved(moments: list[list[int]], moves: tuple[_Move, ...], time_ns: int) -> list[list[int]]:
+    after = []
+    for source, first, end, chosen, with_now in moves:
+        if chosen is not None:
+            found = [moments[source][number] for number in chosen]
+        else:
+            found = moments[source][first:end] if end else []
+        if with_now:
+            found.append(time_ns)
+        after.append(found)
+    return after

@@ -1,0 +1,256 @@
+"""What is left to be seen of a formula: hash-consed, and simplified by what holds in every distributive lattice.
+
+An obligation is a truth value, a conjunction, a disjunction, or *pending*: a temporal operator that began at an earlier state. Kleene's
+three values in the order false < unknown < true are a distributive lattice, and progressed formulas have no negation above their
+propositions, so that absorption, and replacing inside of a conjunction what another member implies, change no value.
+
+Of one operator, what began earlier ends earlier. Therefore, once their intervals have begun, an earlier *until* implies a later one, and
+a later *release* an earlier one, and a conjunction or disjunction keeps one of each: `always[0,10s] p` inside `always` is one obligation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from enum import IntEnum
+from typing import Final
+
+from cfgplan.errors import CfgplanError
+from cfgplan_runtime.reasoning.truth import FALSE, TRUE, UNKNOWN, Truth
+
+MOST_MEMBERS: Final = 50_000
+_MOST_COMPARED: Final = 24
+
+
+class TooManyObligationsError(CfgplanError):
+    """A formula whose obligations would take more memory than is reasonable."""
+
+
+class Kind(IntEnum):
+    """What an obligation is."""
+
+    VALUE = 0
+    PENDING = 1
+    ALL = 2
+    ANY = 3
+
+
+class Obligation:
+    """One node; equal ones of one store are the same object.
+
+    A pending one has the number of its operator, and which of the moments at which that operator began and still matters is its own
+    (the earliest is 0; -1 if it makes no difference). `is_begun` says whether its interval has begun.
+    """
+
+    __slots__ = ("is_begun", "kind", "moment", "operator", "parts", "serial", "size", "value")
+
+    def __init__(
+        self,
+        serial: int,
+        kind: Kind,
+        *,
+        parts: tuple[Obligation, ...] = (),
+        value: Truth = UNKNOWN,
+        operator: int = -1,
+        moment: int = -1,
+        is_begun: bool = False,
+    ) -> None:
+        self.serial = serial
+        self.kind = kind
+        self.parts = parts
+        self.value = value
+        self.operator = operator
+        self.moment = moment
+        self.is_begun = is_begun
+        self.size = 1 + sum(part.size for part in parts)
+
+
+class Store:
+    """Makes obligations of one program. `is_until` says of each operator whether it is an until or a release."""
+
+    def __init__(self, is_until: Sequence[bool]) -> None:
+        self._is_until = tuple(is_until)
+        self._pending: dict[tuple[int, int, bool], Obligation] = {}
+        self._joined: dict[tuple[int, ...], Obligation] = {}
+        self._implied: dict[tuple[int, int], bool] = {}
+        self._serial = 2
+        self.values = tuple(Obligation(value, Kind.VALUE, value=value) for value in (FALSE, UNKNOWN, TRUE))
+
+    def __len__(self) -> int:
+        """How many obligations are held, counting remembered comparisons."""
+        return len(self._pending) + len(self._joined) + len(self._implied)
+
+    def pending(self, operator: int, moment: int, is_begun: bool) -> Obligation:
+        """An operator that began at one of its moments."""
+        key = (operator, moment, is_begun)
+        found = self._pending.get(key)
+        if found is None:
+            self._serial += 1
+            found = Obligation(self._serial, Kind.PENDING, operator=operator, moment=moment, is_begun=is_begun)
+            self._pending[key] = found
+        return found
+
+    def all(self, parts: Iterable[Obligation]) -> Obligation:
+        """The conjunction."""
+        return self._join(Kind.ALL, parts)
+
+    def any(self, parts: Iterable[Obligation]) -> Obligation:
+        """The disjunction."""
+        return self._join(Kind.ANY, parts)
+
+    def renamed(self, obligation: Obligation, moment: Callable[[int, int], int]) -> Obligation:
+        """The same obligation with other moments, by operator and moment, in the same order."""
+        match obligation.kind:
+            case Kind.VALUE:
+                return self.values[obligation.value]
+            case Kind.PENDING:
+                if obligation.moment < 0:
+                    return self.pending(obligation.operator, -1, obligation.is_begun)
+                operator = obligation.operator
+                return self.pending(operator, moment(operator, obligation.moment), obligation.is_begun)
+            case _:
+                return self._node(obligation.kind, [self.renamed(part, moment) for part in obligation.parts])
+
+    def _join(self, kind: Kind, parts: Iterable[Obligation]) -> Obligation:
+        dominant = self.values[FALSE if kind is Kind.ALL else TRUE]
+        neutral = self.values[TRUE if kind is Kind.ALL else FALSE]
+        simple: dict[Obligation, None] = {}
+        nested: dict[Obligation, None] = {}
+        ahead = list(parts)
+        ahead.reverse()
+        while ahead:
+            part = ahead.pop()
+            if part is dominant:
+                return dominant
+            if part.kind is kind:
+                ahead.extend(reversed(part.parts))
+            elif part.kind is Kind.VALUE or part.kind is Kind.PENDING:
+                if part is not neutral:
+                    simple[part] = None
+            else:
+                nested[part] = None
+        chains = self._thinned(kind, simple)
+        if nested and simple:
+            reduced = [self._within(kind, part, simple, chains, {}) for part in nested]
+            if any(new is not old for new, old in zip(reduced, nested, strict=True)):
+                return self._join(kind, [*simple, *reduced])
+        if len(nested) > 1:
+            nested = self._absorbed(kind, list(nested))
+        members = [*simple, *nested]
+        if len(members) < 2:
+            return members[0] if members else neutral
+        return self._node(kind, members)
+
+    def _node(self, kind: Kind, members: list[Obligation]) -> Obligation:
+        members.sort(key=_serial)
+        key = (kind, *(member.serial for member in members))
+        found = self._joined.get(key)
+        if found is None:
+            self._serial += 1
+            found = Obligation(self._serial, kind, parts=tuple(members))
+            if found.size > MOST_MEMBERS:
+                raise TooManyObligationsError(
+                    f"more than {MOST_MEMBERS:,} obligations are open at once: shorten the intervals, nest fewer "
+                    "of them, or take fewer states a second"
+                )
+            self._joined[key] = found
+        return found
+
+    def _thinned(self, kind: Kind, simple: dict[Obligation, None]) -> dict[int, Obligation]:
+        """Keep one pending obligation of those that imply each other; gives it for each operator."""
+        kept: dict[int, Obligation] = {}
+        for part in list(simple):
+            if part.kind is Kind.PENDING and part.is_begun:
+                other = kept.get(part.operator)
+                if other is None:
+                    kept[part.operator] = part
+                    continue
+                wants_earlier = (kind is Kind.ALL) == self._is_until[part.operator]
+                if (part.moment < other.moment) == wants_earlier:
+                    kept[part.operator] = part
+                    del simple[other]
+                else:
+                    del simple[part]
+        return kept
+
+    def _within(
+        self,
+        kind: Kind,
+        part: Obligation,
+        simple: dict[Obligation, None],
+        chains: dict[int, Obligation],
+        done: dict[Obligation, Obligation],
+    ) -> Obligation:
+        """A part inside of a conjunction (disjunction) with what the simple members imply (are implied by) replaced."""
+        if part.kind is Kind.VALUE or part.kind is Kind.PENDING:
+            chain = chains.get(part.operator) if part.kind is Kind.PENDING and part.is_begun else None
+            decided = part in simple or (chain is not None and self._orders(kind, chain, part))
+            return self.values[TRUE if kind is Kind.ALL else FALSE] if decided else part
+        found = done.get(part)
+        if found is None:
+            parts = [self._within(kind, each, simple, chains, done) for each in part.parts]
+            same = all(new is old for new, old in zip(parts, part.parts, strict=True))
+            found = done[part] = part if same else self._join(part.kind, parts)
+        return found
+
+    def _orders(self, kind: Kind, member: Obligation, part: Obligation) -> bool:
+        """Whether `member` implies `part` (in a conjunction), or is implied by it (in a disjunction)."""
+        earlier = (kind is Kind.ALL) == self._is_until[part.operator]
+        return member.moment <= part.moment if earlier else member.moment >= part.moment
+
+    def _absorbed(self, kind: Kind, nested: list[Obligation]) -> dict[Obligation, None]:
+        """Members without those that another makes needless; among many, only near ones are compared."""
+        kept: dict[Obligation, None] = {}
+        for position, part in enumerate(nested):
+            others = nested if len(nested) <= _MOST_COMPARED else nested[max(0, position - 2) : position + 3]
+            if not any(self._makes_needless(kind, other, part) for other in others if other is not part):
+                kept[part] = None
+        return kept
+
+    def _makes_needless(self, kind: Kind, other: Obligation, part: Obligation) -> bool:
+        low, high = (other, part) if kind is Kind.ALL else (part, other)
+        if not self.implies(low, high):
+            return False
+        return other.serial < part.serial or not self.implies(high, low)
+
+    def implies(self, low: Obligation, high: Obligation) -> bool:
+        """Whether `low` is known to be at most as true as `high`, whatever comes."""
+        if low is high:
+            return True
+        if low.kind is Kind.VALUE and low.value != UNKNOWN:
+            return low.value == FALSE
+        if high.kind is Kind.VALUE and high.value != UNKNOWN:
+            return high.value == TRUE
+        if low.kind is Kind.PENDING and high.kind is Kind.PENDING:
+            if low.operator != high.operator or not (low.is_begun and high.is_begun):
+                return False
+            return (low.moment <= high.moment) if self._is_until[low.operator] else (low.moment >= high.moment)
+        key = (low.serial, high.serial)
+        found = self._implied.get(key)
+        if found is None:
+            if low.kind is Kind.ANY:
+                found = all(self.implies(part, high) for part in low.parts)
+            elif high.kind is Kind.ALL:
+                found = all(self.implies(low, part) for part in high.parts)
+            else:
+                found = (low.kind is Kind.ALL and any(self.implies(part, high) for part in low.parts)) or (
+                    high.kind is Kind.ANY and any(self.implies(low, part) for part in high.parts)
+                )
+            self._implied[key] = found
+        return found
+
+
+def bound(obligation: Obligation, pending: Truth) -> Truth:
+    """Its truth if every pending obligation has the truth given: FALSE gives the least possible, TRUE the greatest."""
+    match obligation.kind:
+        case Kind.VALUE:
+            return obligation.value
+        case Kind.PENDING:
+            return pending
+        case Kind.ALL:
+            return min(bound(part, pending) for part in obligation.parts)
+        case _:
+            return max(bound(part, pending) for part in obligation.parts)
+
+
+def _serial(obligation: Obligation) -> int:
+    return obligation.serial

@@ -1,0 +1,68 @@
+"""Formulas and traces for Hypothesis."""
+
+from __future__ import annotations
+
+from cfgplan_runtime.reasoning.syntax import (
+    ALL_TIME,
+    Always,
+    And,
+    Atom,
+    Constant,
+    Eventually,
+    Formula,
+    Implies,
+    Interval,
+    Not,
+    Or,
+    Until,
+)
+from direct import State
+from hypothesis import strategies as st
+
+ATOMS = ("p", "q", "r")
+
+
+def _interval(begin: int, length: int | None) -> Interval:
+    return Interval(begin, None if length is None else begin + length)
+
+
+intervals = st.one_of(
+    st.just(ALL_TIME),
+    st.builds(_interval, st.integers(0, 4), st.integers(0, 6)),
+    st.builds(_interval, st.just(0), st.integers(0, 8)),
+    st.builds(_interval, st.integers(1, 4), st.none()),
+)
+
+
+def _larger(parts: st.SearchStrategy[Formula]) -> st.SearchStrategy[Formula]:
+    return st.one_of(
+        st.builds(Not, parts),
+        *(st.builds(kind, parts, parts) for kind in (And, Or, Implies)),
+        *(st.builds(kind, parts, intervals) for kind in (Always, Eventually)),
+        st.builds(Until, parts, parts, intervals),
+    )
+
+
+atoms: st.SearchStrategy[Formula] = st.sampled_from([Atom(name) for name in ATOMS])
+formulas: st.SearchStrategy[Formula] = st.recursive(
+    st.one_of(atoms, atoms, atoms, st.builds(Constant, st.booleans())), _larger, max_leaves=7
+)
+
+
+def traces(values: st.SearchStrategy[bool | None], most: int = 12) -> st.SearchStrategy[list[State]]:
+    """Traces with one state or more, at times that rise by 1 to 5."""
+    states = st.tuples(st.integers(1, 5), st.fixed_dictionaries({name: values for name in ATOMS}))
+
+    def timed(steps: list[State]) -> list[State]:
+        time = 0
+        trace = []
+        for step, state in steps:
+            time += step
+            trace.append((time, state))
+        return trace
+
+    return st.lists(states, min_size=1, max_size=most).map(timed)
+
+
+two_values = st.booleans()
+three_values = st.sampled_from([False, True, None])
