@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from cfgplan.errors import CfgplanError
 
 
@@ -18,11 +20,25 @@ class StaleChangeSetError(RuntimeFaultError):
 
 
 class NoSourceError(RuntimeFaultError):
-    """A unit that can't be started because its transformation names no unit code; nothing was changed."""
+    """A unit that can't be started because its transformation names no unit code; nothing was changed.
+
+    `transformations` are the labels of those that it is about.
+    """
+
+    def __init__(self, message: str, transformations: Iterable[str] = ()) -> None:
+        super().__init__(message)
+        self.transformations = tuple(transformations)
 
 
 class ApplyError(RuntimeFaultError):
-    """A change set that failed half way; every step of it was undone and the old configuration runs on."""
+    """A change set that failed half way; every step of it was undone and the old configuration runs on.
+
+    `units` are the new units that did not start.
+    """
+
+    def __init__(self, message: str, units: Iterable[str] = ()) -> None:
+        super().__init__(message)
+        self.units = tuple(units)
 
 
 class EncodingError(RuntimeFaultError):
@@ -39,3 +55,11 @@ class WrongPortsError(RuntimeFaultError):
 
 class NoSuchTopicError(RuntimeFaultError):
     """Nothing that runs publishes the topic."""
+
+
+class NoSuchRunError(RuntimeFaultError):
+    """No run, or more than one, is meant."""
+
+
+class ControlError(RuntimeFaultError):
+    """A run that does not answer."""
