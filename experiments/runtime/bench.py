@@ -1,4 +1,4 @@
-"""The runtime's channels and updates against multiprocessing.Queue and ezmsg, in one run on this machine.
+"""The runtime's channels and updates against multiprocessing.Queue, ezmsg and dora-rs, in one run on this machine.
 
 python experiments/runtime/bench.py [--seconds 2] [--json FILE]
 
@@ -21,6 +21,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import psutil
 from cfgplan_runtime import Runtime, subscribe
 from cfgplan_runtime.supervision.events import UnitDied
 from measured_units import Ages, payload
@@ -137,19 +138,35 @@ def of_ezmsg(size: int, consumers: int, rate_hz: float | None, seconds: float) -
     """The same with ezmsg units in processes of their own. Raises ImportError where it is not installed."""
     import ezmsg.core  # noqa: F401
 
-    command = [sys.executable, str(HERE / "bench_ezmsg.py"), str(size), str(consumers), str(rate_hz or 0)]
+    return _of_script("bench_ezmsg.py", size, consumers, rate_hz, seconds)
+
+
+def of_dora(size: int, consumers: int, rate_hz: float | None, seconds: float) -> tuple[float, float]:
+    """The same with dora-rs nodes. Raises ImportError where it, its command or pyarrow is not installed."""
+    import dora  # noqa: F401
+    import pyarrow  # noqa: F401
+
+    if not Path(sys.executable).with_name("dora").exists():
+        raise ImportError("dora-rs-cli")
+    return _of_script("bench_dora.py", size, consumers, rate_hz, seconds)
+
+
+def _of_script(script: str, size: int, consumers: int, rate_hz: float | None, seconds: float) -> tuple[float, float]:
+    command = [sys.executable, str(HERE / script), str(size), str(consumers), str(rate_hz or 0)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True) as process:
         assert process.stdout is not None
         try:
             return _measured((json.loads(line) for line in process.stdout if line.startswith("[")), seconds)
         finally:
-            os.killpg(process.pid, signal.SIGKILL)
+            for one in [*psutil.Process(process.pid).children(recursive=True), process]:
+                one.kill()
 
 
 SYSTEMS: dict[str, Callable[[int, int, float | None, float], tuple[float, float]]] = {
     "cfgplan": of_runtime,
     "multiprocessing.Queue": of_queue,
     "ezmsg": of_ezmsg,
+    "dora-rs": of_dora,
 }
 
 
