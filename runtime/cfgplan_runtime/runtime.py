@@ -48,6 +48,7 @@ class Runtime:
         self._preload = tuple(preload)
         self._log = None if log is None else RunLog(Path(log))
         self._work: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._listeners: tuple[Callable[[Event], None], ...] = ()
         self._is_closing = False
         self._started: Future[None] = Future()
         self._thread = threading.Thread(target=self._run, name="cfgplan-supervisor", daemon=True)
@@ -79,6 +80,18 @@ class Runtime:
         """Every running unit as it is now; upkeep is over the time since the last call."""
         return self._call(self._supervisor.observe)
 
+    def listen(self, listener: Callable[[Event], None]) -> None:
+        """Have every event told, signs of life too, in order, from the supervisor's thread; it returns at once."""
+        self._listeners = (*self._listeners, listener)
+
+    def kill(self, unit: str) -> None:
+        """End a unit at once; UnitDied follows. Does nothing if it does not run."""
+        self._call(lambda: self._backend.kill(unit))
+
+    def cut(self, unit: str | None, port: str) -> None:
+        """Take away what feeds an input, or a topic (`unit` is None), as if it had been lost. Raises KeyError."""
+        self._call(lambda: self._supervisor.cut(unit, port))
+
     def pid(self, unit: str) -> int | None:
         """The process id of a unit."""
         return self._call(lambda: self._backend.pid(unit))
@@ -90,8 +103,8 @@ class Runtime:
             self.apply(ChangeSet(stopped=stopped))
 
     def close(self) -> None:
-        """End every process of the run, and remove its folder. Does nothing the second time."""
-        self._is_closing = True
+        """End every process of the run, and remove its folder, whatever is under way. Does nothing the second time."""
+        self._is_closing = self._supervisor.is_ending = True
         self._backend.wake()
         self._thread.join()
         if self._log is not None:
@@ -146,6 +159,8 @@ class Runtime:
         return future.result()
 
     def _report(self, event: Event) -> None:
+        for listener in self._listeners:
+            listener(event)
         if self._log is not None:
             self._log.write(event)
         while not isinstance(event, UnitStatus):

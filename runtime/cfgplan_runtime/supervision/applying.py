@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from cfgplan.domain import ChangeSet, Environment
 from cfgplan.errors import InvalidValueError
-from cfgplan_runtime.errors import ApplyError, NoSourceError, StaleChangeSetError
+from cfgplan_runtime.errors import ApplyError, NoSourceError, RuntimeFaultError, StaleChangeSetError
 from cfgplan_runtime.supervision.events import Applied
 from cfgplan_runtime.supervision.wiring import Wire, wanted_feeds, wanted_topics, without_feed, without_unit
 
@@ -55,7 +55,8 @@ class Applying:
         if without:
             raise NoSourceError(
                 f"{', '.join(map(repr, without))} can't be started without unit code: "
-                "add `source: package.module:Class` or `source: units.py:Class`"
+                "add `source: package.module:Class` or `source: units.py:Class`",
+                without,
             )
         for fault in self._faults():
             raise StaleChangeSetError(f"the change set does not fit what runs now: {fault}")
@@ -67,7 +68,7 @@ class Applying:
             self._timed("rewire", self._rewire)
         except _StepFailedError as error:
             self._undo()
-            raise ApplyError(f"the update was undone: {error}") from None
+            raise ApplyError(f"the update was undone: {error}", error.units) from None
         late = self._unswitched()
         for wire in late:
             if wire.replaces is not None and wire.replaces.stream.unit not in self.change_set.stopped:
@@ -112,7 +113,7 @@ class Applying:
         self._fail_if_dead(started)
         slow = [unit for unit in started if unit not in supervisor.ready]
         if slow:
-            raise _StepFailedError(f"{', '.join(slow)} was not ready within {self.patience.start_s:g} s")
+            raise _StepFailedError(f"{', '.join(slow)} was not ready within {self.patience.start_s:g} s", slow)
 
     def _rewire(self) -> None:
         wiring, started = self.supervisor.wiring, [unit.id for unit in self.change_set.started]
@@ -179,11 +180,14 @@ class Applying:
     def _fail_if_dead(self, units: list[str]) -> None:
         dead = self._dead(units)
         if dead is not None:
-            raise _StepFailedError(f"{dead} {self.supervisor.cause_of_death.get(dead, 'died')}")
+            all_dead = [unit for unit in units if unit not in self.supervisor.alive]
+            raise _StepFailedError(f"{dead} {self.supervisor.cause_of_death.get(dead, 'died')}", all_dead)
 
     def _wait(self, is_done: Callable[[], bool], patience_s: float) -> None:
         deadline = self.supervisor.backend.now() + patience_s
         while not is_done() and self.supervisor.backend.now() < deadline:
+            if self.supervisor.is_ending:
+                raise RuntimeFaultError("the runtime is closed")
             self.supervisor.pump(deadline - self.supervisor.backend.now())
 
     def _timed(self, phase: str, work: Callable[[], None]) -> None:
@@ -194,3 +198,7 @@ class Applying:
 
 class _StepFailedError(Exception):
     """A step of an update that failed, to be undone."""
+
+    def __init__(self, message: str, units: list[str]) -> None:
+        super().__init__(message)
+        self.units = units

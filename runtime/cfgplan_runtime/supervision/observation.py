@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from cfgplan_runtime.children.messages import PortCounts
 from cfgplan_runtime.supervision.backend import Usage
@@ -24,14 +24,14 @@ class Observation:
     transformation: str
     labor_us: int
     upkeep_us: int | None
-    cpu_us: int
-    memory_bytes: int
-    steps: int
-    steps_per_s: float
-    errors: int
-    last_error: str | None
-    inputs: Mapping[str, PortCounts]
-    outputs: Mapping[str, PortCounts]
+    cpu_us: int = 0
+    memory_bytes: int = 0
+    steps: int = 0
+    steps_per_s: float = 0.0
+    errors: int = 0
+    last_error: str | None = None
+    inputs: Mapping[str, PortCounts] = field(default_factory=dict)
+    outputs: Mapping[str, PortCounts] = field(default_factory=dict)
 
     @property
     def dropped(self) -> int:

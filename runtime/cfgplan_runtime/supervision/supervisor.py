@@ -11,7 +11,7 @@ from collections.abc import Callable
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Transformation
 from cfgplan_runtime.errors import ApplyError, StaleChangeSetError
 from cfgplan_runtime.supervision.applying import Applying, Patience
-from cfgplan_runtime.supervision.backend import Backend
+from cfgplan_runtime.supervision.backend import Backend, Inlet
 from cfgplan_runtime.supervision.events import (
     Applied,
     Event,
@@ -51,6 +51,8 @@ class Supervisor:
         self.ready: set[str] = set()
         self.outlets: set[str] = set()
         self.cause_of_death: dict[str, str] = {}
+        self.is_ending = False
+        """Set from any thread: an update that is under way is abandoned."""
         self._report = report
         self._applied: dict[str, Applied] = {}
         self._records: dict[str, UnitRecord] = {}
@@ -106,6 +108,14 @@ class Supervisor:
             if usage is not None:
                 observations.append(self._records[unit].observe(unit, usage, self.backend.now()))
         return tuple(observations)
+
+    def cut(self, unit: str | None, port: str) -> None:
+        """Take away what feeds an input, or a topic (`unit` is None), as if it had been lost. Raises KeyError."""
+        inlet = Inlet(unit or "", port)
+        wire = self.wiring.feeds[inlet]
+        self.wiring.disconnect(inlet)
+        self.environment = without_feed(self.environment, inlet)
+        self._report(InputLost(unit, port, wire.id))
 
     def start(self, unit: ComputationUnit, transformation: Transformation) -> None:
         """Start a unit without any wire, for an update."""
