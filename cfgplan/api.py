@@ -66,13 +66,23 @@ def load(path: str | os.PathLike[str]) -> World:
 
     Raises InputError with every fault that was found.
     """
-    from cfgplan.formats import build, read_document
+    from cfgplan.formats import read_document
 
     document = read_document(path)
     try:
         ontology = load_ontology(document.ontology_paths)
     except InputError as error:
         raise InputError((*document.faults, *error.faults)) from None
+    return world_of(document, ontology)
+
+
+def world_of(document: formats.Document, ontology: Ontology) -> World:
+    """The world that a document describes, with its templates expanded by an ontology.
+
+    Raises InputError with every fault of the document too.
+    """
+    from cfgplan.formats import build
+
     file = build(document, _OntologyVocabulary(ontology))
     return World(file.environment, ontology, file.horizon_s, file.max_cost_us, file)
 

@@ -2,7 +2,7 @@
 
 from cfgplan.formats.building import build
 from cfgplan.formats.conversion import as_xml, as_yaml
-from cfgplan.formats.document import Document, read_document
+from cfgplan.formats.document import Document, read_declared, read_document
 from cfgplan.formats.dump import dump_environment
 from cfgplan.formats.environment_file import EnvironmentFile, environment_digest
 from cfgplan.formats.places import Place
@@ -32,6 +32,7 @@ __all__ = [
     "plain_environment",
     "plain_plan",
     "plan_schema",
+    "read_declared",
     "read_document",
     "read_wsc",
     "wsc_texts",

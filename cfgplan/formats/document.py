@@ -92,8 +92,18 @@ def _read_document(main: FilePath) -> Document:
     )
 
 
+def read_declared(name: str, data: Mapping[str, Any]) -> tuple[File, list[Fault]]:
+    """What somebody declares at run-time as an included file would, with its faults. Raises InputError."""
+    source = Source(name, dict(data), lambda _path, _at_key: Spot(1, 1))
+    _, file, faults = _read_source(source, IncludedPart)
+    return file, faults
+
+
 def _read_file(path: FilePath, part: type[P]) -> tuple[P, File, list[Fault]]:
-    source = read_source(path)
+    return _read_source(read_source(path), part)
+
+
+def _read_source(source: Source, part: type[P]) -> tuple[P, File, list[Fault]]:
     data = source.data
     if not isinstance(data, dict):
         raise InputError(
