@@ -48,7 +48,7 @@ def startable(environment: Environment, givers: Givers) -> frozenset[str]:
     """
     alive = frozenset(environment.transformation)
     while True:
-        reached = _forward_closure(environment, givers, alive)
+        reached = forward_closure(environment, givers, alive)
         if reached == alive or not any(
             p.feedback for label in reached for p in environment.transformation[label].inputs
         ):
@@ -83,7 +83,7 @@ def assign_different(choices: Mapping[str, Collection[str]]) -> dict[str, str] |
     return {port: label for label, port in port_of.items()}
 
 
-def _forward_closure(environment: Environment, givers: Givers, alive: frozenset[str]) -> frozenset[str]:
+def forward_closure(environment: Environment, givers: Givers, alive: frozenset[str]) -> frozenset[str]:
     """What can be fed, from sources on; feedback inputs may be fed by anything `alive`."""
     waiting: dict[str, list[str]] = defaultdict(list)
     missing: dict[str, int] = {}
