@@ -138,13 +138,16 @@ class Applying:
         self._wait(lambda: supervisor.alive.isdisjoint(units), self.patience.kill_s)
 
     def _undo(self) -> None:
+        """Let the inputs that are to stay go back, and only then take the new units away: until then they are fed."""
         supervisor, environment = self.supervisor, self.supervisor.environment
-        back = [supervisor.wiring.take_back(wire, environment, supervisor.alive) for wire in reversed(self.wires)]
+        started = tuple(unit.id for unit in self.change_set.started)
+        staying = [wire for wire in reversed(self.wires) if wire.inlet.unit not in started]
+        back = [supervisor.wiring.take_back(wire, environment, supervisor.alive) for wire in staying]
         self.wires = [wire for wire in back if wire is not None]
         self._wait(lambda: not self._unswitched(), self.patience.switch_s)
         for wire in self._unswitched():
             supervisor.backend.switch_now(wire.inlet)
-        self._stop(tuple(unit.id for unit in self.change_set.started))
+        self._stop(started)
         self._close_outlets(set(self.opened))
         supervisor.wiring.settle()
 
