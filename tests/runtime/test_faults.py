@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -97,9 +98,11 @@ def test_a_hung_unit_is_killed_after_it_has_said_where_it_is(run_units: StartRun
 def test_a_stopped_process_is_noticed_and_killed(run_units: StartRuntime) -> None:
     runtime = run_units(source(), worker(run=RunOptions(hang_us=2_500_000)))
     runtime.apply(start(unit("count.1"), unit("work.1", x="count.1/n")))
+    eventually(lambda: any(o.unit == "work.1" and o.steps for o in runtime.observe()))
     os.kill(runtime.pid("work.1") or 0, signal.SIGSTOP)
     eventually(lambda: bool(seen(runtime, UnitDied)))
     assert [event.unit for event in seen(runtime, UnitHung)] == ["work.1"]
+    assert re.fullmatch(r"killed by SIGKILL \(in step [1-9]\d* or later\)", seen(runtime, UnitDied)[0].cause)
 
 
 def test_a_unit_that_eats_memory_harms_nobody_else(run_units: StartRuntime) -> None:
