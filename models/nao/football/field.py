@@ -26,7 +26,7 @@ SPARE_BALLS = ((0.9, 4.3), (-2.6, -4.2), (5.8, 0.6))
 
 GREEN: Colour = (88, 112, 92)
 WHITE: Colour = (225, 128, 128)
-FLOOR: Colour = (172, 112, 140)
+FLOOR: Colour = (102, 116, 142)
 WALL: Colour = (150, 132, 122)
 
 TEXELS_PER_M = 200.0
