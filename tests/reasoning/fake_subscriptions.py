@@ -40,10 +40,13 @@ class FakeSubscriptions:
     log: list[str] = field(default_factory=list)
     tell: Callable[[str], None] | None = None
 
-    def add(self, targets: Sequence[Target]) -> Mapping[str, str]:
+    def add(self, targets: Sequence[Target]) -> None:
         self.targets.update({target.label: target for target in targets})
         self.log.append(f"add {', '.join(sorted(target.tag for target in targets))}")
-        return {t.label: self.refusals[t.tag].pop(0) for t in targets if self.refusals.get(t.tag)}
+
+    def unmet(self, labels: Sequence[str]) -> Mapping[str, str]:
+        wanted = {label: self.targets[label].tag for label in labels}
+        return {label: self.refusals[tag].pop(0) for label, tag in wanted.items() if self.refusals.get(tag)}
 
     def remove(self, labels: Sequence[str]) -> None:
         self.log.append(f"remove {', '.join(sorted(self.targets.pop(label).tag for label in labels))}")

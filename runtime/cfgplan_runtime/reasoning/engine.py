@@ -23,9 +23,10 @@ from cfgplan_runtime.reasoning.monitor import Monitor, Waiting
 from cfgplan_runtime.reasoning.query import Query
 from cfgplan_runtime.reasoning.states import Synchroniser
 from cfgplan_runtime.reasoning.subscriptions import Subscriptions
-from cfgplan_runtime.reasoning.truth import Verdict
+from cfgplan_runtime.reasoning.truth import VERDICT_OF, Truth, Verdict
 
 _LOOK_S = 0.1
+_MOST_AT_ONCE = 10_000
 _OWN_CLOCK_NS = 60 * 1_000_000_000
 """Streams whose times are further from the computer's clock than this have a clock of their own."""
 
@@ -80,6 +81,10 @@ class Answer:
     delay_s: float | None = None
     waiting: Sequence[Waiting] = ()
     possible: frozenset[Verdict] = frozenset()
+    expired: Sequence[Waiting] = ()
+    """The operators whose intervals ended with the state that decided."""
+    last: Mapping[str, Verdict] = field(default_factory=dict)
+    """What was true, false or unknown in the last state."""
     missing: Mapping[str, int] = field(default_factory=dict)
     late: int = 0
     dropped: int = 0
@@ -113,6 +118,7 @@ class Engine:
         self._skew_ns = 0
         self._first_ns: int | None = None
         self._absent: tuple[str, ...] = ()
+        self._truths: Sequence[Truth] = ()
         self._dropped: dict[str, int] = {}
 
     def run(self, *, for_s: float | None = None, wait_s: float = 0.0, every_s: float = 1.0) -> Answer:
@@ -147,13 +153,12 @@ class Engine:
 
     def _set_up(self, targets: Sequence[Target], topics: Mapping[str, str], wait_s: float) -> None:
         begin = time.monotonic()
-        while targets:
-            reasons = self._subscriptions.add(targets)
-            if not reasons:
-                break
-            if time.monotonic() >= begin + wait_s:
-                raise UnmetTargetsError(reasons)
-            time.sleep(_LOOK_S)
+        if targets:
+            self._subscriptions.add(targets)
+            while reasons := self._subscriptions.unmet([target.label for target in targets]):
+                if time.monotonic() >= begin + wait_s:
+                    raise UnmetTargetsError(reasons)
+                time.sleep(_LOOK_S)
         self._report(SetUp(topics, time.monotonic() - begin))
 
     def _listen(self, name: str, topic: str) -> None:
@@ -179,16 +184,17 @@ class Engine:
         begin_ns = self._clock_ns()
         end = None if for_s is None else begin + for_s
         told = begin
-        while True:
-            now = time.monotonic()
-            if end is not None and now >= end:
-                return self._answer()
-            if now >= told + every_s:
-                told = now
-                self._tell_progress()
-            self._take(min(_LOOK_S, self._pause_s(), *([end - now] if end is not None else [])), begin_ns)
-            if self._streams is not None and self._progress(self._streams) is not Verdict.OPEN:
-                return self._answer()
+        with suppress(KeyboardInterrupt):
+            while end is None or time.monotonic() < end:
+                now = time.monotonic()
+                if now >= told + every_s:
+                    told = now
+                    self._tell_progress()
+                left = _LOOK_S if end is None else max(0.0, end - now)
+                self._take(min(_LOOK_S, self._pause_s(), left), begin_ns)
+                if self._streams is not None and self._progress(self._streams) is not Verdict.OPEN:
+                    break
+        return self._answer()
 
     def _pause_s(self) -> float:
         """How long nothing needs to be done unless a sample comes."""
@@ -200,7 +206,7 @@ class Engine:
         """Take the samples that are there, waiting for the first."""
         try:
             found = self._inbox.get(timeout=timeout_s)
-            while True:
+            for _ in range(_MOST_AT_ONCE):
                 if isinstance(found, Exception):
                     raise found
                 if isinstance(found, str):
@@ -231,7 +237,8 @@ class Engine:
             if self._first_ns is None:
                 self._first_ns = state.time_ns
             self._absent = tuple(name for name in streams.missing if name not in state.values)
-            if self.monitor.step(state.time_ns, self._evaluator.truths(state.values)) is not Verdict.OPEN:
+            self._truths = self._evaluator.truths(state.values)
+            if self.monitor.step(state.time_ns, self._truths) is not Verdict.OPEN:
                 break
         return self.monitor.verdict
 
@@ -254,6 +261,8 @@ class Engine:
             (self._now_ns() - monitor.time_ns) / 1e9 if is_final and monitor.time_ns is not None else None,
             monitor.waiting(),
             monitor.possible,
+            monitor.expired,
+            {str(each): VERDICT_OF[truth] for each, truth in zip(monitor.program.propositions, self._truths, strict=False)},
             {} if streams is None else dict(streams.missing),
             0 if streams is None else streams.late,
             sum(self._dropped.values()),

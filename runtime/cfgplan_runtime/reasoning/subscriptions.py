@@ -30,11 +30,11 @@ class Samples(Protocol):
 class Subscriptions(Protocol):
     """Sets targets up, keeps them up, and takes them down."""
 
-    def add(self, targets: Sequence[Target]) -> Mapping[str, str]:
-        """Have targets met from now on. Gives the reason for each that can't be met now, by label.
+    def add(self, targets: Sequence[Target]) -> None:
+        """Have targets met from now on; returns when that was tried. Raises InputError for a tag that can't be used."""
 
-        Raises InputError for a tag that can't be used.
-        """
+    def unmet(self, labels: Sequence[str]) -> Mapping[str, str]:
+        """The reason for each of these targets that is not met now."""
 
     def remove(self, labels: Sequence[str]) -> None:
         """Nobody wants these targets any more: units that only they needed are stopped."""
