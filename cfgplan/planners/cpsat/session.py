@@ -14,7 +14,7 @@ import numpy as np
 
 from cfgplan.costs import keep_cost_us, start_cost_us
 from cfgplan.planners.cpsat.bounds import Bound
-from cfgplan.planners.cpsat.clock import Clock
+from cfgplan.planners.cpsat.clock import Clock, OutOfTimeError
 from cfgplan.planners.cpsat.greedy import first_plan, improved, is_plan
 from cfgplan.planners.cpsat.grounding import Grounding
 from cfgplan.planners.cpsat.network import Ints, Network
@@ -51,7 +51,10 @@ class PlannerSession:
         """The optimal update. Stopped by the clock, by `stop` or by Ctrl-C it is the best one so far."""
         clock = Clock(time_limit_s, stop)
         if self._structure is None or not self._structure.serves(problem):
-            self._structure = Structure.of(problem, self._structure)
+            try:
+                self._structure = Structure.of(problem, self._structure, clock)
+            except OutOfTimeError:
+                return Plan("cpsat", Status.UNKNOWN, seconds=clock.end("closure"))
             self._rest = None
         structure, environment = self._structure, problem.environment
         if any(structure.possible.isdisjoint(structure.givers.of(target.tag)) for target in environment.targets):

@@ -7,6 +7,7 @@ from functools import cached_property
 
 from cfgplan.domain import Environment, Similarity, Transformation
 from cfgplan.planners.cpsat.bounds import Bound, Landmark, landmark_of
+from cfgplan.planners.cpsat.clock import Clock
 from cfgplan.planners.cpsat.network import Network
 from cfgplan.planners.cpsat.site import relevant
 from cfgplan.planning import Problem
@@ -27,20 +28,26 @@ class Structure:
     weights: list[int] = field(default_factory=list)
 
     @classmethod
-    def of(cls, problem: Problem, old: Structure | None) -> Structure:
+    def of(cls, problem: Problem, old: Structure | None, clock: Clock) -> Structure:
+        """What is known before any bound, as far as possible from an old one; raises OutOfTimeError."""
         environment = problem.environment
         if old is not None and old.similarity == problem.similarity and _alike(old.environment, environment):
             givers, possible = old.givers, old.possible
         else:
             givers = Givers(environment.library, problem.similarity)
+            givers.watch = clock.check
             possible = startable(environment, givers)
+        clock.check()
         labels = relevant(environment, givers, possible)
+        clock.check()
         network = Network(
             [t for t in environment.library if t.label in labels],
             [target.tag for target in environment.targets if not possible.isdisjoint(givers.of(target.tag))],
             _pinned(environment) & possible,
             givers,
+            clock.check,
         )
+        givers.watch = lambda: None
         return cls(environment, problem.similarity, _pinned(environment), givers, possible, network)
 
     @cached_property
