@@ -249,6 +249,7 @@ class Manager:
         )
 
     def _work(self) -> None:
+        self._reviewing.warm_up()
         try:
             self.run()
         except RuntimeFaultError as error:

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from importlib import import_module
 
 from cfgplan.domain import Transformation
 from cfgplan.planning import Plan, Planner, Problem, Progress
@@ -30,6 +31,10 @@ class WarmPlanner:
 
         self._session = PlannerSession()
         self.stop: threading.Event | None = None
+
+    def warm_up(self) -> None:
+        """Import the solver, which takes long, before a plan needs it."""
+        import_module("cfgplan.planners.cpsat.search")
 
     def __call__(
         self,
@@ -102,6 +107,11 @@ class Reviewing:
         self._answered += [(outcome, review) for entry in entries for outcome in entry.outcomes]
         self._tell(Reviewed(review))
         return review
+
+    def warm_up(self) -> None:
+        """Do in a thread of its own what the first difficult plan would have to wait for."""
+        if self._warm is not None:
+            threading.Thread(target=self._warm.warm_up, name="cfgplan-warm-up", daemon=True).start()
 
     def settle_outcomes(self) -> None:
         """Tell those who asked that their review is over."""

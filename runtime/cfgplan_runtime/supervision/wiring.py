@@ -109,6 +109,30 @@ def wanted_topics(environment: Environment) -> frozenset[str]:
     return frozenset(published | {target.topic for target in environment.targets})
 
 
+def starved_units(environment: Environment) -> set[str]:
+    """The units that have nothing more to give, since something before them in the wiring is missing."""
+    starved: set[str] = set()
+    grows = True
+    while grows:
+        more = {
+            unit.id for unit in environment.units if unit.id not in starved and _starves(unit, environment, starved)
+        }
+        starved |= more
+        grows = bool(more)
+    return starved
+
+
+def _starves(unit: ComputationUnit, environment: Environment, starved: set[str]) -> bool:
+    transformation = environment.transformation.get(unit.transformation)
+    if transformation is None or not transformation.inputs:
+        return False
+    fed = {port for port, stream in unit.feeds.items() if stream.unit not in starved}
+    starting = {transformation.run.start}.intersection(transformation.input)
+    if starting:
+        return fed.isdisjoint(starting)
+    return not fed if transformation.run.start == "any" else not fed.issuperset(transformation.input)
+
+
 def without_unit(environment: Environment, unit_id: str) -> Environment:
     """The environment after a unit has died: what it fed has a gap."""
     left = tuple(
