@@ -240,6 +240,8 @@ def _answer_text(answer: Answer, formula: str) -> str:
             lines += [f"  {each.text} of {_clock(each.since_ns)} had ended" for each in answer.expired[:3] if each.since_ns]
             lines += [f"  in it {text} is {verdict.value}" for text, verdict in list(answer.last.items())[:6]]
     lines += [f"  waits for {_waiting_text(each)}" for each in answer.waiting[:3] if answer.delay_s is None]
+    if answer.delay_s is None and len(answer.possible) < 3:
+        lines.append(f"  it can still become {' or '.join(sorted(answer.possible))}")
     lines += _losses(answer.missing, answer)
     return "\n".join(lines)
 

@@ -23,7 +23,7 @@ from cfgplan_runtime.reasoning.monitor import Monitor, Waiting
 from cfgplan_runtime.reasoning.query import Query
 from cfgplan_runtime.reasoning.states import Synchroniser
 from cfgplan_runtime.reasoning.subscriptions import Subscriptions
-from cfgplan_runtime.reasoning.truth import VERDICT_OF, Truth, Verdict
+from cfgplan_runtime.reasoning.truth import VERDICT_OF, Verdict
 
 _LOOK_S = 0.1
 _MOST_AT_ONCE = 10_000
@@ -32,7 +32,7 @@ _OWN_CLOCK_NS = 60 * 1_000_000_000
 
 
 class UnmetTargetsError(CfgplanError):
-    """Features that no transformation can give, with the reason for each."""
+    """Features that can't be had, with the reason for each by name."""
 
     def __init__(self, reasons: Mapping[str, str]) -> None:
         self.reasons = dict(reasons)
@@ -118,7 +118,6 @@ class Engine:
         self._skew_ns = 0
         self._first_ns: int | None = None
         self._absent: tuple[str, ...] = ()
-        self._truths: Sequence[Truth] = ()
         self._dropped: dict[str, int] = {}
 
     def run(self, *, for_s: float | None = None, wait_s: float = 0.0, every_s: float = 1.0) -> Answer:
@@ -148,16 +147,25 @@ class Engine:
         self._report(answer)
         return answer
 
+    def stop(self) -> None:
+        """Have `run` end soon, with the answer that is known by then; from any thread."""
+        self._is_over.set()
+
     def _target(self, feature: Feature, topic: str) -> Target:
-        return Target(f"query {self._name} {feature.name}", feature.tag, topic)
+        return Target(self._label(feature), feature.tag, topic)
+
+    def _label(self, feature: Feature) -> str:
+        return f"query {self._name} {feature.name}"
 
     def _set_up(self, targets: Sequence[Target], topics: Mapping[str, str], wait_s: float) -> None:
         begin = time.monotonic()
         if targets:
             self._subscriptions.add(targets)
+            names = {self._label(each): each.name for each in self._query.features}
             while reasons := self._subscriptions.unmet([target.label for target in targets]):
                 if time.monotonic() >= begin + wait_s:
-                    raise UnmetTargetsError(reasons)
+                    told = {names[label]: why.replace(f"target {label}", names[label]) for label, why in reasons.items()}
+                    raise UnmetTargetsError(told)
                 time.sleep(_LOOK_S)
         self._report(SetUp(topics, time.monotonic() - begin))
 
@@ -185,7 +193,7 @@ class Engine:
         end = None if for_s is None else begin + for_s
         told = begin
         with suppress(KeyboardInterrupt):
-            while end is None or time.monotonic() < end:
+            while (end is None or time.monotonic() < end) and not self._is_over.is_set():
                 now = time.monotonic()
                 if now >= told + every_s:
                     told = now
@@ -237,8 +245,7 @@ class Engine:
             if self._first_ns is None:
                 self._first_ns = state.time_ns
             self._absent = tuple(name for name in streams.missing if name not in state.values)
-            self._truths = self._evaluator.truths(state.values)
-            if self.monitor.step(state.time_ns, self._truths) is not Verdict.OPEN:
+            if self.monitor.step(state.time_ns, self._evaluator.truths(state.values)) is not Verdict.OPEN:
                 break
         return self.monitor.verdict
 
@@ -262,7 +269,7 @@ class Engine:
             monitor.waiting(),
             monitor.possible,
             monitor.expired,
-            {str(each): VERDICT_OF[truth] for each, truth in zip(monitor.program.propositions, self._truths, strict=False)},
+            {str(condition): VERDICT_OF[truth] for condition, truth in self._evaluator.last.items()},
             {} if streams is None else dict(streams.missing),
             0 if streams is None else streams.late,
             sum(self._dropped.values()),

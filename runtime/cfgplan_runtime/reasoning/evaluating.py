@@ -63,6 +63,8 @@ class Evaluator:
         self._regions = regions
         self._tell = tell
         self._told: set[str] = set()
+        self.last: Mapping[object, Truth] = {}
+        """The truth of each condition that mattered in the last state."""
 
     def truths(self, values: Values) -> Sequence[Truth]:
         """The truth of each proposition in a state."""
@@ -73,7 +75,9 @@ class Evaluator:
                 known[condition] = self.truth(condition, values)
             return known[condition]
 
-        return [truth_of(proposition, atom) for proposition in self._propositions]
+        found = [truth_of(proposition, atom) for proposition in self._propositions]
+        self.last = known
+        return found
 
     def truth(self, condition: Condition, values: Values) -> Truth:
         """The truth of one condition in a state."""
