@@ -39,7 +39,7 @@ from cfgplan_runtime.lifecycle.reports import BackedOff, Perturbed, Report, Unit
 from cfgplan_runtime.lifecycle.seams import Clock, Estimator, Middleware
 from cfgplan_runtime.lifecycle.warm_matching import WarmMatching
 from cfgplan_runtime.lifecycle.worlds import LivingWorld
-from cfgplan_runtime.supervision.events import Event, InputLost, UnitDied, UnitStatus
+from cfgplan_runtime.supervision.events import Event, InputLost, UnitDied, UnitStatus, UnitStopped
 
 
 class Intake:
@@ -147,6 +147,8 @@ class Intake:
             self._tell(WorldRefused(by, faults))
 
     def _take_event(self, event: Event, at_s: float) -> None:
+        if isinstance(event, UnitStopped):
+            self._answer(self.pending.waiting_for(event.unit))
         perturbation = self._noticing.perturbation(event, at_s)
         if perturbation is None:
             return
@@ -167,9 +169,15 @@ class Intake:
         situation.forget(unit)
         outcomes = self.pending.waiting_for(unit)
         if unit in self.starting:
+            self._answer(outcomes)
             self.not_started.append(gone.transformation)
         else:
             self.perturb(gone, at_s, outcomes)
+
+    def _answer(self, outcomes: Iterable[Outcome]) -> None:
+        """Tell those who asked that no review will follow."""
+        for outcome in outcomes:
+            outcome.set_result(None)
 
     def _take_request(self, request: Request, at_s: float) -> None:
         change, outcome = request.change, request.outcome

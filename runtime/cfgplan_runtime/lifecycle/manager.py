@@ -123,7 +123,7 @@ class Manager:
     @property
     def is_settled(self) -> bool:
         """Whether nothing is to be reviewed."""
-        return self._phase is not Phase.REVIEW and self._intake.inbox.is_empty and not self._intake.pending.entries
+        return self._phase is not Phase.REVIEW and self._intake.inbox.is_empty and self._intake.pending.is_empty
 
     def settle(self, timeout_s: float | None = None) -> bool:
         """Wait until nothing is to be reviewed; whether that is so."""

@@ -51,6 +51,11 @@ class Pending:
         """Somebody waits for the review that follows a unit's end."""
         self._waiting.setdefault(unit, []).append(outcome)
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing is pending, and no end of a unit is awaited."""
+        return not self.entries and not self._waiting
+
     def waiting_for(self, unit: str) -> tuple[Outcome, ...]:
         """Those who wait for a unit's end, which has come."""
         return tuple(self._waiting.pop(unit, ()))

@@ -26,7 +26,7 @@ class Behaviour:
     """How the units of a transformation behave. Times in seconds; None is never.
 
     Costs are the transformation's own. `dies_s` counts from being ready; a `quiet` unit gives no element; a `hung`
-    one gives no sign of life and does not stop when asked.
+    one gives no sign of life and does not stop when asked; every step of a `failing` one has an error.
     """
 
     start_s: float = 0.01
@@ -35,6 +35,7 @@ class Behaviour:
     stop_s: float = 0.002
     quiet: bool = False
     hung: bool = False
+    failing: bool = False
     memory_bytes: int = 10 << 20
 
 
@@ -184,7 +185,9 @@ class SimulatedBackend:
                 for wire in [wire for wire, (stream, _) in self.wires.items() if stream.unit == unit]:
                     self._end(wire)
             case UnitStatus(unit, steps) if unit in self.units:
-                self._later(self.sign_period_s, UnitStatus(unit, steps + 1, 0, {}, {}))
+                steps += 10
+                errors = steps if self.units[unit].behaviour.failing else 0
+                self._later(self.sign_period_s, UnitStatus(unit, steps, errors, {}, {}))
             case UnitReady() | UnitDied() | UnitStopped() | UnitStatus():
                 return False
         return True
