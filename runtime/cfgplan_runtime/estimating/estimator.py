@@ -80,7 +80,10 @@ class LearningEstimator:
         self._now_s = 0.0
 
     def observe(self, observations: Iterable[Observation], now_s: float) -> None:
-        """Learn from the units that run now; upkeep is what each has used since the last call."""
+        """Learn from the units that run now; upkeep is what each has used since the last call.
+
+        Where a middleware does not count a unit's CPU time (`cpu_us` is 0), its `upkeep_us` is taken.
+        """
         before, self._units, self._now_s = self._units, {}, now_s
         for seen in observations:
             last, since_s = self._units[seen.unit] = before.get(seen.unit, (seen, now_s))
@@ -90,7 +93,9 @@ class LearningEstimator:
                 self._note(seen.transformation).started(seen.labor_us, now_s)
             elif ran_s >= _SHORTEST_S:
                 self._units[seen.unit] = (seen, now_s)
-                self._note(seen.transformation).ran(since_s, now_s, (seen.cpu_us - last.cpu_us) / ran_s)
+                upkeep_us = (seen.cpu_us - last.cpu_us) / ran_s if seen.cpu_us else seen.upkeep_us
+                if upkeep_us is not None:
+                    self._note(seen.transformation).ran(since_s, now_s, upkeep_us)
 
     def failed(self, transformation: str, now_s: float) -> None:
         """Learn that a unit could not start, died, hung or kept failing; once per unit."""
