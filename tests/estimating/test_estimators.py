@@ -10,6 +10,7 @@ from cfgplan_runtime.estimating.estimator import ESTIMATORS, LearningEstimator, 
 from cfgplan_runtime.estimating.evidence import family
 from cfgplan_runtime.estimating.expecting import Origin
 from cfgplan_runtime.estimating.settings import Settings
+from cfgplan_runtime.supervision.simulated_backend import Behaviour, SimulatedBackend
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from observing import HORIZON_S, WORK, Watched, observation
@@ -219,3 +220,14 @@ def test_estimated_costs_never_add_up_to_more_than_can_be_computed(horizon_s: in
     Watched(estimator).run_once([upkeep_us], labor_us=upkeep_us)
     library = estimator.estimated([WORK, replace(WORK, label="other")], horizon_s)
     Problem(Environment(library=library), Similarity({}), horizon_s)
+
+
+def test_a_simulated_unit_uses_what_its_behaviour_says() -> None:
+    behaviour = Behaviour(start_s=0.5, labor_us=70_000, upkeep_us=lambda second: 1000 * second)
+    backend = SimulatedBackend({"work": behaviour})
+    backend.start("work.1", WORK, None)
+    while backend.now() < 2.5:
+        backend.wait(2.5 - backend.now())
+    usage = backend.usage("work.1")
+    assert usage is not None
+    assert (backend.now(), usage.cpu_us) == (2.5, 70_000 + 0 + 1000 + 1000)
