@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from cfgplan.domain import ComputationUnit, Environment
+from cfgplan.domain import ChangeSet, ComputationUnit, Environment
 from cfgplan.explaining.why_not import requiring
 from cfgplan.planning import Plan, Planner, Problem, Status
 
@@ -25,7 +25,9 @@ class Choice(StrEnum):
     DEMANDED = "demanded"
     """It is required or pinned: the plan without it would be cheaper or as good."""
     IMPOSSIBLE = "impossible"
-    """It is not used, and no plan can use it."""
+    """It is not used, and no plan can use it without leaving another required transformation unused."""
+    UNREAD = "unread"
+    """An output that nothing reads; what it would cost to read it is not asked."""
     UNDECIDED = "undecided"
     """The planner did not find out in time."""
 
@@ -65,14 +67,14 @@ def why_unit(problem: Problem, planner: Planner, plan: Plan, unit: str) -> Why:
     else:
         rest = tuple(u for u in environment.units if u.id != unit)
         other = replace(problem, environment=replace(environment, units=rest))
-    return _why(problem, planner, plan, unit, units, other if units else requiring_also(problem, label), None)
+    return _why(problem, planner, plan, unit, label, units, other if units else requiring_also(problem, label))
 
 
 def why_transformation(problem: Problem, planner: Planner, plan: Plan, label: str) -> Why:
     """Why a plan with a change set has units of a transformation, or none."""
     units = [u for u in after_update(problem, plan).units if u.transformation == label]
     other = without_transformations(problem, {label}) if units else requiring_also(problem, label)
-    return _why(problem, planner, plan, label, units, other, None)
+    return _why(problem, planner, plan, label, label, units, other)
 
 
 def why_stream(problem: Problem, planner: Planner, plan: Plan, label: str, port: str) -> Why:
@@ -83,12 +85,14 @@ def why_stream(problem: Problem, planner: Planner, plan: Plan, label: str, port:
     environment = problem.environment
     after = after_update(problem, plan)
     units = [u for u in after.units if u.transformation == label and _readers(after, [u], port)]
+    if not units:
+        return Why(f"{label}/{port}", (), (), (), Choice.UNREAD, plan)
     library = tuple(
         replace(t, outputs=tuple(p for p in t.outputs if p.name != port)) if t.label == label else t
         for t in environment.library
     )
     other = replace(problem, environment=replace(environment, library=library))
-    return _why(problem, planner, plan, f"{label}/{port}", units, other, port)
+    return _why(problem, planner, plan, f"{label}/{port}", label, units, other, port)
 
 
 def after_update(problem: Problem, plan: Plan) -> Environment:
@@ -113,13 +117,16 @@ def _why(
     planner: Planner,
     plan: Plan,
     subject: str,
+    label: str,
     units: list[ComputationUnit],
     other: Problem,
-    port: str | None,
+    port: str | None = None,
 ) -> Why:
     after = after_update(problem, plan)
     otherwise = planner(replace(other, max_cost_us=None))
-    choice = _choice(plan, otherwise, is_used=bool(units))
+    choice = _choice(plan, otherwise)
+    if not units and (set(otherwise.unused_required) - set(plan.unused_required) or label in otherwise.unused_required):
+        choice = Choice.IMPOSSIBLE
     targets, consumers = _served(after, units, port), _readers(after, units, port)
     why = Why(subject, tuple(u.id for u in units), targets, consumers, choice, otherwise)
     if otherwise.change_set is None or choice is Choice.IMPOSSIBLE:
@@ -135,21 +142,23 @@ def _why(
     )
 
 
-def _choice(plan: Plan, otherwise: Plan, *, is_used: bool) -> Choice:
+def _choice(plan: Plan, otherwise: Plan) -> Choice:
     if otherwise.status is Status.INFEASIBLE:
         return Choice.FORCED
     if otherwise.status is not Status.OPTIMAL or plan.status is not Status.OPTIMAL:
         return Choice.UNDECIDED
     assert plan.change_set is not None and otherwise.change_set is not None
     assert plan.cost_us is not None and otherwise.cost_us is not None
-    if not is_used and set(otherwise.unused_required) - set(plan.unused_required):
-        return Choice.IMPOSSIBLE
     if otherwise.cost_us != plan.cost_us:
         return Choice.CHEAPER if otherwise.cost_us > plan.cost_us else Choice.DEMANDED
-    one, two = ((len(p.change_set.rewired), len(p.change_set.started)) for p in (plan, otherwise) if p.change_set)
+    one, two = _changes(plan.change_set), _changes(otherwise.change_set)
     if one == two:
         return Choice.TIE
     return Choice.LESS_CHANGE if one < two else Choice.DEMANDED
+
+
+def _changes(changes: ChangeSet) -> tuple[int, int]:
+    return len(changes.rewired), len(changes.started)
 
 
 def _served(environment: Environment, units: Iterable[ComputationUnit], port: str | None) -> tuple[str, ...]:
