@@ -17,6 +17,8 @@ from cfgplan_runtime.streams.subscription import SubscriptionToTopic, subscribe
 OVER_S = 3.0
 """Rate and latency are over so many seconds."""
 _LOOK_S = 0.2
+_DRAIN_LOOK_S = 0.01
+_CLOSE_S = 5.0
 _MOST_STAMPS = 4096
 
 Listener = Callable[[str, Element], None]
@@ -45,6 +47,9 @@ class Flows:
         self._run = run
         self._listener = listener
         self._watches: dict[str, _Watch] = {}
+        self._left: list[_Watch] = []
+        """Those that are about to end."""
+        self._dropped = 0
         self._lock = threading.Lock()
 
     def follow(self, topics: Iterable[str]) -> None:
@@ -52,7 +57,7 @@ class Flows:
         wanted = set(topics)
         with self._lock:
             for topic in self._watches.keys() - wanted:
-                self._watches.pop(topic).close()
+                self._leave(topic)
             for topic in sorted(wanted - self._watches.keys()):
                 self._watches[topic] = _Watch(topic, self._run, self._listener)
 
@@ -65,15 +70,37 @@ class Flows:
         """The same as plain records."""
         return {topic: asdict(flow) for topic, flow in self.now().items()}
 
-    def close(self) -> None:
-        """Watch no more; returns when the last listener has."""
+    @property
+    def dropped(self) -> int:
+        """How many elements of all topics, also of those that are no longer followed, were not fetched in time."""
+        with self._lock:
+            return self._dropped + sum(watch.flow().dropped for watch in (*self._watches.values(), *self._left))
+
+    def drain(self, timeout_s: float) -> None:
+        """Wait until everything has come from topics that are gone; at most so long."""
+        deadline = time.monotonic() + timeout_s
         with self._lock:
             watches = list(self._watches.values())
-            self._watches.clear()
+        while any(watch.is_connected for watch in watches) and time.monotonic() < deadline:
+            time.sleep(_DRAIN_LOOK_S)
+
+    def close(self) -> None:
+        """Watch no more; waits until the last listener has returned, but not for one that hangs."""
+        with self._lock:
+            for topic in list(self._watches):
+                self._leave(topic)
+            watches = list(self._left)
+        deadline = time.monotonic() + _CLOSE_S
         for watch in watches:
-            watch.close()
-        for watch in watches:
-            watch.join()
+            watch.join(max(0.0, deadline - time.monotonic()))
+
+    def _leave(self, topic: str) -> None:
+        watch = self._watches.pop(topic)
+        watch.close()
+        for gone in [watch for watch in self._left if watch.has_ended]:
+            self._dropped += gone.flow().dropped
+            self._left.remove(gone)
+        self._left.append(watch)
 
 
 class _Watch:
@@ -84,6 +111,7 @@ class _Watch:
         self._run = run
         self._listener = listener
         self._is_closed = threading.Event()
+        self.is_connected = False
         self._since = time.monotonic()
         self._elements = 0
         self._dropped = 0
@@ -94,8 +122,12 @@ class _Watch:
     def close(self) -> None:
         self._is_closed.set()
 
-    def join(self) -> None:
-        self._thread.join()
+    @property
+    def has_ended(self) -> bool:
+        return not self._thread.is_alive()
+
+    def join(self, timeout_s: float) -> None:
+        self._thread.join(timeout_s)
 
     def flow(self) -> Flow:
         now = time.monotonic()
@@ -113,7 +145,9 @@ class _Watch:
     def _watch(self) -> None:
         while not self._is_closed.is_set():
             with suppress(NoSuchTopicError), subscribe(self._topic, run=self._run, timeout_s=_LOOK_S) as subscription:
+                self.is_connected = True
                 self._follow(subscription)
+            self.is_connected = False
             self._is_closed.wait(_LOOK_S)
 
     def _follow(self, subscription: SubscriptionToTopic) -> None:

@@ -33,10 +33,11 @@ def sentence(report: Report) -> str | None:
         case UnitEvent(event):
             return _event(event)
         case BackedOff(backing_off):
-            failures = f"has failed {_times(backing_off.failures)}"
+            label, cause = backing_off.transformation, short(backing_off.cause)
             if backing_off.left_s == float("inf"):
-                return f"{backing_off.transformation} {failures} and is not started again until it changes"
-            return f"{backing_off.transformation} {failures} and is not started again for {backing_off.left_s:.0f} s"
+                return f"{label} is not started until it changes: {cause}"
+            times = _times(backing_off.failures)
+            return f"{label} has failed {times} and is not started for {backing_off.left_s:.0f} s: {cause}"
         case WorldRefused(_, faults) if faults:
             return f"the environment file can't be used, what it said before holds: {faults[0]}"
         case WorldRefused():
@@ -98,8 +99,8 @@ def _decision(review: Review) -> str:
             saving = (review.cost_before_us - (review.cost_us or 0)) / 1e6
             return f"all is well; {saving:.3g} s of CPU could be saved at the horizon"
         case Decision.FAILED:
-            return f"the update failed: {_short(review.cause)}"
-    return f"no decision: {_short(review.cause)}"
+            return f"the update failed: {short(review.cause)}"
+    return f"no decision: {short(review.cause)}"
 
 
 def _changes(review: Review) -> str:
@@ -121,7 +122,7 @@ def _changes(review: Review) -> str:
 def _perturbation(perturbation: kinds.Perturbation) -> str | None:
     match perturbation:
         case kinds.UnitKeepsFailing(unit, _, failures, text):
-            return f"{unit} failed {_times(failures)} in a row and is given up: {_short(text)}"
+            return f"{unit} failed {_times(failures)} in a row and is given up: {short(text)}"
         case kinds.WorldChanged(by, difference):
             return f"the {'environment' if by == 'request' else by} changed: {_difference(difference)}"
         case kinds.HostGone(host, cause):
@@ -153,7 +154,7 @@ def _difference(difference: kinds.Difference) -> str:
 def _event(event: events.Event) -> str | None:
     match event:
         case events.UnitDied(unit, cause):
-            return f"{unit} died: {_short(cause)}"
+            return f"{unit} died: {short(cause)}"
         case events.UnitFailed(unit, kind, step, text, suppressed):
             more = f" (and {_times(suppressed)} more)" if suppressed else ""
             return f"{unit} failed in step {step} ({kind}): {text.strip()}{more}"
@@ -170,7 +171,7 @@ def _event(event: events.Event) -> str | None:
         case events.OutletsLost(cause):
             return f"the topics' addresses were lost and are made anew: {cause}"
         case events.RolledBack(_, cause):
-            return _short(cause)
+            return short(cause)
     return None
 
 
@@ -178,6 +179,10 @@ def _times(number: int) -> str:
     return "once" if number == 1 else f"{number} times"
 
 
-def _short(text: str) -> str:
+def short(text: str) -> str:
+    """A cause on one line; of a traceback only what was raised."""
+    before, mark, trace = text.partition("Traceback (most recent call last)")
+    if mark:
+        text = before + trace.strip().splitlines()[-1]
     text = " ".join(text.split())
     return text if len(text) <= _LONGEST_CAUSE else f"{text[: _LONGEST_CAUSE - 3]}..."
