@@ -45,8 +45,9 @@ class BackOffs:
         """A unit has failed after so long a life."""
         before = self._records.get(label)
         failures = 1 if before is None or lived_s >= self._rules.good_life_s else before.failures + 1
-        self._records[label] = _Record(failures, now_s + self._rules.delay_s(failures), cause)
-        if failures > 1:
+        delay_s = self._rules.delay_s(failures)
+        self._records[label] = _Record(failures, now_s + delay_s, cause)
+        if delay_s:
             self._waiting.add(label)
 
     def refuse(self, label: str, cause: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future
 
@@ -77,6 +78,8 @@ class Intake:
         """Who has asked for the end."""
         self.starting: set[str] = set()
         """Units of an update that may fail: that they die is a part of that failure."""
+        self.match_s = 0.0
+        """Wall time that matching has taken since this was last set to 0."""
         self.not_started: list[str] = []
         """The transformations of those that died."""
         self._noticing = Noticing(self.situation, policy)
@@ -227,7 +230,9 @@ class Intake:
     def _change_world(self, change: WorldChange) -> WorldChanged | None:
         living = self.living.after(change)
         before, after = self.living.world, living.world
+        start = time.perf_counter()
         self.matching.take(after)
+        self.match_s += time.perf_counter() - start
         self.living = living
         differs = difference(before, after)
         for label in (*differs.replaced_transformations, *differs.removed_transformations):

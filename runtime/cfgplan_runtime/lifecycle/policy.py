@@ -23,7 +23,7 @@ class Policy:
     reasoner: str = "auto"
     observe_every_s: float = 1.0
     gather_s: float = 0.001
-    explain_s: float = 0.05
+    explain_s: float = 0.02
     failing_steps: int = 5
     failing_s: float = 3.0
     interruptions: int = 3

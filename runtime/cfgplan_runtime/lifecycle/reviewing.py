@@ -100,7 +100,8 @@ class Reviewing:
                 break
         failed = self._act(thought)
         review = self._record(at_s, time_s, entries, thought, failed)
-        review = replace(review, seconds={"detect": detect_s, **thought.seconds})
+        review = replace(review, seconds={"detect": detect_s, "match": intake.match_s, **thought.seconds})
+        intake.match_s = 0.0
         self._follow_up(failed, optimises=optimises)
         self.optimised = failed is None and (optimises or review.decision is Decision.APPLIED)
         self.costs = thought.planned.transformation

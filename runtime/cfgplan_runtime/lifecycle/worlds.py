@@ -38,8 +38,8 @@ T = TypeVar("T")
 class LivingWorld:
     """A world and the changes that were asked for since; a value, of which `after` gives the next.
 
-    What was added wins over what the base says under the same label. What was removed stays removed until it is
-    added again or the base has it no more.
+    Of what the base and what requests say of one label the later word holds: what was added replaces what the base
+    has, what was removed stays away, both until the base says something else of it.
     """
 
     base: World
@@ -133,13 +133,22 @@ class LivingWorld:
                 _check_known("declaration", [name], self.declared)
                 return replace(self, declared=_without(self.declared, [name]))
             case ReplaceWorld(base):
+                old, new = self.base.environment, base.environment
+                targets, library = _told(old.target, new.target), _told(old.transformation, new.transformation)
                 return replace(
                     self,
                     base=base,
-                    without_targets=self.without_targets.intersection(base.environment.target),
-                    without_transformations=self.without_transformations.intersection(base.environment.transformation),
+                    targets=_without(self.targets, targets),
+                    transformations=_without(self.transformations, library),
+                    without_targets=self.without_targets - targets,
+                    without_transformations=self.without_transformations - library,
                     without_individuals=self.without_individuals.intersection(base.ontology.individuals),
                 )
+
+
+def _told(old: Mapping[str, object], new: Mapping[str, object]) -> set[str]:
+    """The labels of which the base says something else than before."""
+    return {label for label in {*old, *new} if old.get(label) != new.get(label)}
 
 
 def _changed(base: Mapping[str, T], more: Mapping[str, T], without: frozenset[str]) -> Mapping[str, T]:
