@@ -94,15 +94,15 @@ def _record(number: int, played: Played) -> dict[str, Any]:
     from cfgplan_runtime.demo import telling
 
     review, error_m = played.review, played.rms_error_m
-    changes = review.change_set
+    changes = played.changes
     return {
         "step": number,
         "title": played.step.title,
         "noticed": telling.noticed(played),
         "decision": str(review.decision),
-        "started": [] if changes is None else [unit.id for unit in changes.started],
-        "rewired": [] if changes is None else [unit.id for unit in changes.rewired],
-        "stopped": [] if changes is None else list(changes.stopped),
+        "started": [unit.id for unit in changes.started],
+        "rewired": [unit.id for unit in changes.rewired],
+        "stopped": list(changes.stopped),
         "unmet": dict(review.unmet),
         "cost_us": review.cost_us,
         "others": [{"what": other.what, "cost_us": other.cost_us} for other in played.others],

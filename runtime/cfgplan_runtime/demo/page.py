@@ -5,17 +5,16 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
-from cfgplan.domain import ChangeSet, ComputationUnit, Environment
+from cfgplan.domain import ChangeSet, Environment
 from cfgplan.drawing import picture
 from cfgplan_runtime.demo import charts, telling
 from cfgplan_runtime.demo.pictures import View, view
 from cfgplan_runtime.demo.playing import Played
 from cfgplan_runtime.demo.stage import Stage
 from cfgplan_runtime.demo.story import Kill
-from cfgplan_runtime.lifecycle.perturbations import UnitGone
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,26 +121,15 @@ def _section(number: int, played: Played, every: Sequence[Played], markup: Any) 
         "times": [(word, telling.span(took), took) for word, took in times],
         "total": telling.span(sum(took for _, took in times)),
         "before": markup(before) if before else None,
-        "after": markup(after) if after else None,
-        "is_changed": bool(played.review.change_set),
+        "after": markup(after),
+        "is_changed": bool(played.changes),
     }
 
 
-def _graphs(played: Played) -> tuple[str | None, str | None]:
-    """What ran before, with what has died in it, and the update."""
-    gone = tuple(one.unit for one in played.review.perturbations if isinstance(one, UnitGone))
-    left = _without(played.before, gone)
-    changes = played.review.change_set or ChangeSet()
-    before = _svg(played.before, ChangeSet(stopped=gone)) if played.before.units else None
-    wanted = replace(left, targets=played.after.targets)
-    return before, _svg(wanted, changes)
-
-
-def _without(environment: Environment, gone: Sequence[str]) -> Environment:
-    def left(unit: ComputationUnit) -> ComputationUnit:
-        return replace(unit, subscriptions=tuple(s for s in unit.subscriptions if s.stream.unit not in gone))
-
-    return replace(environment, units=tuple(left(unit) for unit in environment.units if unit.id not in gone))
+def _graphs(played: Played) -> tuple[str | None, str]:
+    """What ran before, with what has died in it, and the update of what was left."""
+    before = _svg(played.before, ChangeSet(stopped=played.gone)) if played.before.units else None
+    return before, _svg(played.left, played.changes)
 
 
 def _svg(environment: Environment, changes: ChangeSet) -> str:

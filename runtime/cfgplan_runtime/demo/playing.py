@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 from cfgplan import api
-from cfgplan.domain import Environment
+from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Subscription
 from cfgplan.explaining.why_not import requiring
 from cfgplan.planning import Problem, Status
 from cfgplan_runtime.demo.listening import Listener, Sample
@@ -21,7 +21,7 @@ from cfgplan_runtime.demo.story import Begin, Kill, Offer, Register, Step
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.lifecycle.manager import Manager
 from cfgplan_runtime.lifecycle.perturbations import UnitGone
-from cfgplan_runtime.lifecycle.reports import Report, Review, Reviewed
+from cfgplan_runtime.lifecycle.reports import Decision, Report, Review, Reviewed
 from cfgplan_runtime.lifecycle.seams import DeclaredCosts
 from cfgplan_runtime.runtime import Runtime
 from cfgplan_runtime.supervision.observation import Observation
@@ -69,6 +69,22 @@ class Played:
     silence: Silence | None = None
 
     @property
+    def gone(self) -> tuple[str, ...]:
+        """The units that have died."""
+        return tuple(one.unit for one in self.review.perturbations if isinstance(one, UnitGone))
+
+    @property
+    def left(self) -> Environment:
+        """What was left of what ran before when those had died, with the targets of afterwards."""
+        units = (replace(u, subscriptions=_living(u, self.gone)) for u in self.before.units if u.id not in self.gone)
+        return replace(self.before, units=tuple(units), targets=self.after.targets)
+
+    @property
+    def changes(self) -> ChangeSet:
+        """What the update has changed in what was left."""
+        return self.left.change_to(self.after.units)
+
+    @property
     def source(self) -> str | None:
         """The transformation whose positions are on the topic after the step."""
         publishing = (u for u in self.after.units if any(p.topic == TOPIC for p in u.publications))
@@ -77,8 +93,7 @@ class Played:
     @property
     def updated_ns(self) -> int:
         """When the update had been carried out."""
-        seconds = sum(took for phase, took in self.review.seconds.items() if phase != "detect")
-        return round((self.review.time_s + seconds) * 1e9)
+        return _updated_ns(self.review)
 
     @property
     def settled(self) -> tuple[Sample, ...]:
@@ -90,6 +105,15 @@ class Played:
         """The root mean square of the errors of the positions after the update."""
         squares = [sample.error_m**2 for sample in self.settled]
         return math.sqrt(sum(squares) / len(squares)) if squares else None
+
+
+def _updated_ns(review: Review) -> int:
+    seconds = sum(took for phase, took in review.seconds.items() if phase != "detect")
+    return round((review.time_s + seconds) * 1e9)
+
+
+def _living(unit: ComputationUnit, gone: Sequence[str]) -> tuple[Subscription, ...]:
+    return tuple(subscription for subscription in unit.subscriptions if subscription.stream.unit not in gone)
 
 
 def play(
@@ -139,7 +163,7 @@ class _Player:
         first = None
         if review.met:
             first = self._listener.wait_for(began_ns, LONGEST_S)
-            if first is None:
+            if first is None or self._listener.wait_for(_updated_ns(review), LONGEST_S) is None:
                 raise RuntimeFaultError(f"no position came on {TOPIC} for {LONGEST_S:.0f} s after: {step.title}")
         time.sleep(self._step_s if review.met else min(self._step_s, _NOTHING_S))
         snapshot = manager.snapshot()
@@ -167,12 +191,12 @@ class _Player:
             case Offer(name, stage):
                 review = manager.request(self._stage.offer(name, stage)).result(LONGEST_S)
             case Kill(transformation):
-                return self._kill(transformation)
+                return self._kill(transformation, manager)
         if review is None:
             raise RuntimeFaultError(f"nothing came of this step: {step.title}")
         return review
 
-    def _kill(self, transformation: str) -> Review:
+    def _kill(self, transformation: str, manager: Manager) -> Review:
         unit = next(u.id for u in self._runtime.environment.units if u.transformation == transformation)
         pid = self._runtime.pid(unit)
         if pid is None:
@@ -181,7 +205,15 @@ class _Player:
         while True:
             review = self._review()
             if any(isinstance(one, UnitGone) and one.unit == unit for one in review.perturbations):
-                return review
+                return self._last_applied(review, manager)
+
+    def _last_applied(self, review: Review, manager: Manager) -> Review:
+        """The review that has mended it: on a busy computer it may take more than one."""
+        manager.settle(LONGEST_S)
+        while not self._reviews.empty():
+            later = self._reviews.get()
+            review = later if later.decision is Decision.APPLIED else review
+        return review
 
     def _review(self) -> Review:
         try:

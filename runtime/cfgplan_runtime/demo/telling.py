@@ -61,9 +61,9 @@ def decided(played: Played) -> str:
     review = played.review
     if review.unmet:
         return next(iter(review.unmet.values()))
-    changes = review.change_set
-    if review.decision is Decision.APPLIED and changes is not None:
-        kept = len(played.before.units) - len(changes.rewired) - len(changes.stopped) - _gone(played)
+    changes = played.changes
+    if changes:
+        kept = len(played.left.units) - len(changes.rewired) - len(changes.stopped)
         counts = (
             ("started", len(changes.started)),
             ("rewired", len(changes.rewired)),
@@ -124,7 +124,3 @@ def seen(played: Played) -> str | None:
 def lost_frames(played: Played) -> int:
     """How many pictures in a row around the step gave no position."""
     return 0 if played.silence is None or not played.before.units else played.silence.lost_frames
-
-
-def _gone(played: Played) -> int:
-    return sum(isinstance(one, UnitGone) for one in played.review.perturbations)
