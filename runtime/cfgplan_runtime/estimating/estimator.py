@@ -46,6 +46,7 @@ class _Made:
 
     estimate: Estimate
     basis: tuple[object, ...]
+    horizon_s: int
     at_s: float
 
 
@@ -75,6 +76,7 @@ class LearningEstimator:
         self._expectations = Expectations(forecaster, guess, self.settings)
         self._units: dict[str, tuple[Observation, float]] = {}
         self._families: dict[str, _Family] = {}
+        self._declared: dict[str, Transformation] = {}
         self._dearest = Costs(0, 0)
         self._made: dict[str, _Made] = {}
         self._now_s = 0.0
@@ -96,6 +98,9 @@ class LearningEstimator:
                 upkeep_us = (seen.cpu_us - last.cpu_us) / ran_s if seen.cpu_us else seen.upkeep_us
                 if upkeep_us is not None:
                     self._note(seen.transformation).ran(since_s, now_s, upkeep_us)
+        # Now there is time for it; at the next perturbation there is none.
+        for label in sorted({seen.transformation for seen, _ in self._units.values()} & self._made.keys()):
+            self.estimate(self._declared[label], self._made[label].horizon_s)
 
     def failed(self, transformation: str, now_s: float) -> None:
         """Learn that a unit could not start, died, hung or kept failing; once per unit."""
@@ -132,7 +137,7 @@ class LearningEstimator:
         last = made.estimate if made and made.basis[:2] == basis[:2] else None
         relatives = () if own.is_known else self._families[family(label)].members.values()
         estimate = self._fresh(own, relatives, horizon_s, last)
-        self._made[label] = _Made(estimate, basis, self._now_s)
+        self._made[label] = _Made(estimate, basis, horizon_s, self._now_s)
         if estimate.upkeep_origin == Origin.OBSERVED:
             self._widen(estimate.labor_us, estimate.running_us)
         return estimate
@@ -142,6 +147,7 @@ class LearningEstimator:
         for label, one in evidence.items():
             self._keep(label, one)
         self._made.clear()
+        self._declared.clear()
 
     def _fresh(self, own: Evidence, relatives: Iterable[Evidence], horizon_s: int, last: Estimate | None) -> Estimate:
         labor = self._expectations.of("labor", own, relatives, self._dearest, self._now_s)
@@ -155,18 +161,24 @@ class LearningEstimator:
         # As many units as there may be must add up to what can be computed exactly.
         most_us = LARGEST_COST_US // (8 * len(self.evidence) * max(1, horizon_s))
         settled = self.settings.settled
+        # Their price rises with each failure, and falls when it has fallen by more than a Poisson process explains.
+        falls = old[2] is not None and failing < old[2]
+        failing_error = failing / max(1.0, own.failures.failures) ** 0.5 if falls else 0.0
         return Estimate(
             min(most_us, settled(old[0], labor.forecast.level, labor.forecast.error)),
             min(most_us, settled(old[1], upkeep.forecast.mean(horizon_s), upkeep.forecast.error)),
-            min(most_us, settled(old[2], failing, 0.0)),
+            min(most_us, settled(old[2], failing, failing_error)),
             labor.origin,
             upkeep.origin,
         )
 
     def _declare(self, transformation: Transformation) -> Evidence:
         """The evidence about a transformation; it begins anew when it is declared otherwise than before."""
-        says = declaration(transformation)
         own = self._evidence_of(transformation.label)
+        if self._declared.get(transformation.label) is transformation:
+            return own
+        self._declared[transformation.label] = transformation
+        says = declaration(transformation)
         if own.declared != says:
             fresh = self._nothing() if own.declared else own
             fresh.declared, fresh.labor_us, fresh.upkeep_us = says, transformation.labor_us, transformation.upkeep_us

@@ -26,7 +26,8 @@ class Evidence(msgspec.Struct):
     seen_s: Moment = 0.0
     """When something was observed last."""
     changes: int = 0
-    """Counts what was added, so that a forecast made earlier is known to be stale."""
+    """Counts samples and failures, so that a forecast made earlier is known to be stale. What becomes part of a sample
+    that is there already, within its grain, makes none stale."""
 
     @property
     def declared_costs(self) -> Costs:
@@ -57,9 +58,9 @@ class Evidence(msgspec.Struct):
         self.labor.add(self.starts, self.starts, labor_us, 1.0)
 
     def ran(self, since_s: float, now_s: float, upkeep_us: float) -> None:
-        self._note(now_s)
-        self.upkeep.add(since_s, now_s, upkeep_us, now_s - since_s)
+        self.changes += self.upkeep.add(since_s, now_s, upkeep_us, now_s - since_s)
         self.failures.ran(now_s - since_s, now_s)
+        self.seen_s = now_s
 
     def failed(self, now_s: float) -> None:
         self._note(now_s)

@@ -61,7 +61,7 @@ class Latest:
     """What was observed last goes on: no memory, and no protection from noise."""
 
     def __call__(self, samples: Sequence[Sample]) -> Forecast:
-        return Forecast(samples[-1].value, abs(samples[-1].value))
+        return Forecast(samples[-1].value, 0.0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,16 +33,20 @@ class History(msgspec.Struct):
     most: int
     samples: list[Sample] = msgspec.field(default_factory=list)
 
-    def add(self, since: float, until: float, value: float, weight: float) -> None:
-        """Add a mean over an interval; intervals come in order of their ends, those of several units side by side."""
+    def add(self, since: float, until: float, value: float, weight: float) -> bool:
+        """Add a mean over an interval; whether it makes a new sample.
+
+        Intervals come in order of their ends, those of several units side by side.
+        """
         last = self.samples[-1] if self.samples else None
         if last is not None and until - last.since <= self.grain:
             total = last.weight + weight
             last.value += (value - last.value) * weight / total
             last.weight, last.until = total, max(last.until, until)
-            return
+            return False
         self.samples.append(Sample(since, until, value, weight))
         del self.samples[: -self.most]
+        return True
 
     @property
     def is_in_order(self) -> bool:
