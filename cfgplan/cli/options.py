@@ -67,6 +67,31 @@ def add_planning(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--timeout", type=positive, metavar="S", help="stop planning after S seconds with the best plan so far"
     )
+    supposing = parser.add_argument_group("what if")
+    supposing.add_argument(
+        "--without",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="plan as if this transformation, running unit or target were gone",
+    )
+    supposing.add_argument(
+        "--with",
+        dest="also",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="plan as if the environment included this file of transformations or targets",
+    )
+    supposing.add_argument(
+        "--set",
+        dest="settings",
+        type=setting,
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="plan with another horizon, max_cost, T.labor, T.upkeep, T.pinned, T.required, or T.priority of a target",
+    )
 
 
 def load(options: argparse.Namespace, screen: Screen) -> api.World:
@@ -74,7 +99,9 @@ def load(options: argparse.Namespace, screen: Screen) -> api.World:
     from cfgplan import api
 
     with screen.phase("load"):
-        return api.load(Path(options.env))
+        world = api.load(Path(options.env), also=getattr(options, "also", ()))
+        without, settings = getattr(options, "without", ()), dict(getattr(options, "settings", ()))
+        return api.what_if(world, without=without, settings=settings) if without or settings else world
 
 
 def problem(options: argparse.Namespace, screen: Screen, world: api.World) -> Problem:
@@ -96,6 +123,21 @@ def problem(options: argparse.Namespace, screen: Screen, world: api.World) -> Pr
         horizon_s=getattr(options, "horizon", None),
         max_cost_us=getattr(options, "max_cost", None),
     )
+
+
+def setting(text: str) -> tuple[str, str]:
+    """`KEY=VALUE`, where the key may hold `=` itself."""
+    key, equals, value = text.rpartition("=")
+    if not (key and equals and value):
+        raise argparse.ArgumentTypeError(f"{text!r} is not KEY=VALUE")
+    return key.strip(), value.strip()
+
+
+def count(text: str) -> int:
+    value = _decimal(text)
+    if value != value.to_integral_value() or value < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1")
+    return int(value)
 
 
 def whole_seconds(text: str) -> int:

@@ -111,6 +111,9 @@ def _summary(problem: Problem, plan: Plan) -> Iterator[Text]:
             f"+ upkeep {cpu(plan.cost_us - labor)}. What runs now costs {cpu(now)} of upkeep."
         )
     yield verdict(problem, plan)
+    if plan.change_set is not None and plan.reasons:
+        asked = len(before.targets) + len(plan.reasons)
+        yield Text(f"Given up: {len(plan.reasons)} of {asked} targets.", style="bold yellow")
     for reason in plan.reasons.values():
         yield Text(f"  {reason}")
     for label in plan.unused_required:
