@@ -171,7 +171,7 @@ def test_a_robot_registers_itself_and_leaves(robots: Life) -> None:
 
 
 def test_an_individual_with_an_unknown_class_is_refused(robots: Life) -> None:
-    with pytest.raises(InputError, match="no class 'Robto' .did you mean 'Robot'"):
+    with pytest.raises(InputError, match=r"no class 'Robto' \(did you mean 'Robot'"):
         robots.ask(AddIndividuals((Individual("r2", ("Robto",)),)))
 
 
