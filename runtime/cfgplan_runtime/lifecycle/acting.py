@@ -65,6 +65,6 @@ class Acting:
         for unit in error.units:
             label = intake.situation.label_of(unit)
             if label is not None and label not in intake.not_started:  # it was too slow, but has not died
-                intake.blame(label, 0.0, str(error))
+                intake.blame(label, 0.0, str(error), is_costly=True)
                 intake.not_started.append(label)
         return tuple(sorted(set(intake.not_started)))
