@@ -19,12 +19,13 @@ from cfgplan.cli.screen import FORMAT_VERSION, Screen, counted
 from cfgplan.errors import Fault, InputError
 
 if TYPE_CHECKING:
-    from cfgplan.api import World
     from cfgplan_runtime.reasoning.engine import Answer, Progressed, Report
     from cfgplan_runtime.reasoning.features import Declared
     from cfgplan_runtime.reasoning.monitor import Waiting
-    from cfgplan_runtime.reasoning.query import Query
+    from cfgplan_runtime.reasoning.queries import Query
     from cfgplan_runtime.reasoning.subscriptions import Subscriptions
+
+    from cfgplan.api import World
 
 _EXITS = {"true": Exit.OK, "false": Exit.INVALID, "open": Exit.NOT_PROVEN, "unknown": Exit.NO_ANSWER}
 
@@ -36,22 +37,29 @@ def add_to(verbs: shared.Subparsers) -> None:
         "answer a temporal formula over the streams of semantic subscriptions",
         '  cfgplan query env.yaml "always (not in(ball, opponent_half) -> eventually[0,10s] in(ball, opponent_half))"\n'
         "  cfgplan query env.yaml 'eventually[0,1min] ball.x > 3' --feature ball='Position and hasSource some Ball'\n\n"
-        "exit codes: 0 true, 1 false, 20 open still, 21 unknown (values that decide were missing), 10 a feature can't be had",
+        "exit codes: 0 true, 1 false, 20 open still, 21 unknown (values were missing), 10 a feature can't be had",
     )
     parser.add_argument(
-        "env", metavar="ENV", nargs="?", help="environment file: what can be started; without it, or with --run, a run is asked"
+        "env",
+        metavar="ENV",
+        nargs="?",
+        help="environment file: what can be started; without it, or with --run, a run is asked",
     )
     parser.add_argument(
         "formula",
         metavar="FORMULA",
-        help="not, and, or, ->, always[a,b], eventually[a,b], until[a,b] over comparisons, in(point, region), RCC8 relations",
+        help="not, and, or, ->, always[a,b], eventually[a,b], until[a,b] over comparisons, in(point, region), RCC8",
     )
     parser.add_argument("--features", metavar="FILE", help="names of features and regions (features.yaml beside ENV)")
     parser.add_argument(
         "--feature", action="append", default=[], metavar="NAME=TAG", help="a name for a semantic subscription"
     )
     parser.add_argument(
-        "--region", action="append", default=[], metavar="NAME=REGION", help="such as goal='{circle: [4, 0], radius: 1}'"
+        "--region",
+        action="append",
+        default=[],
+        metavar="NAME=REGION",
+        help="such as goal='{circle: [4, 0], radius: 1}'",
     )
     parser.add_argument("--run", dest="run_id", metavar="ID", help="ask this run instead of starting units here")
     parser.add_argument("--for", dest="span", type=duration, metavar="TIME", help="stop after 30s, 5m, 1h")
@@ -93,10 +101,11 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 @contextmanager
 def _own(options: argparse.Namespace, screen: Screen, asked: Query, world: World) -> Iterator[Subscriptions]:
     """Subscriptions in a life-cycle of our own, which begins with what the query needs and nothing else."""
-    from cfgplan.domain import Environment
     from cfgplan_runtime import Runtime
     from cfgplan_runtime.lifecycle.manager import Manager
     from cfgplan_runtime.reasoning.managed import ManagedSubscriptions
+
+    from cfgplan.domain import Environment
 
     wanted = {feature.topic for feature in asked.features if feature.topic is not None}
     found = world.environment
@@ -117,7 +126,7 @@ def _read(options: argparse.Namespace, screen: Screen, known: Declared) -> Query
     """The query that the options say, over the features that are known and those that they declare."""
     from cfgplan_runtime.reasoning import features
     from cfgplan_runtime.reasoning.parsing import FILE
-    from cfgplan_runtime.reasoning.query import query
+    from cfgplan_runtime.reasoning.queries import query
     from cfgplan_runtime.reasoning.states import Timing
 
     beside = None if options.env is None else Path(options.env).with_name(features.FILE_BESIDE)
@@ -165,7 +174,9 @@ def _answered(options: argparse.Namespace, screen: Screen, asked: Query, subscri
     try:
         answer = Engine(asked, subscriptions, show).run(for_s=options.span, wait_s=options.wait)
     except UnmetTargetsError as error:
-        screen.faults([Fault(reason, mend="--wait TIME waits until it can be had") for reason in error.reasons.values()])
+        screen.faults(
+            [Fault(reason, mend="--wait TIME waits until it can be had") for reason in error.reasons.values()]
+        )
         return Exit.NO_PLAN
     return _EXITS[answer.verdict]
 
@@ -237,7 +248,9 @@ def _answer_text(answer: Answer, formula: str) -> str:
         else:
             late = f"known {1000 * answer.delay_s:.0f} ms after its time"
             lines.append(f"  decided by state {answer.states}, {span}; {late}")
-            lines += [f"  {each.text} of {_clock(each.since_ns)} had ended" for each in answer.expired[:3] if each.since_ns]
+            lines += [
+                f"  {each.text} of {_clock(each.since_ns)} had ended" for each in answer.expired[:3] if each.since_ns
+            ]
             lines += [f"  in it {text} is {verdict.value}" for text, verdict in list(answer.last.items())[:6]]
     lines += [f"  waits for {_waiting_text(each)}" for each in answer.waiting[:3] if answer.delay_s is None]
     if answer.delay_s is None and len(answer.possible) < 3:

@@ -51,7 +51,7 @@ formulas: st.SearchStrategy[Formula] = st.recursive(
 
 def traces(values: st.SearchStrategy[bool | None], most: int = 12) -> st.SearchStrategy[list[State]]:
     """Traces with one state or more, at times that rise by 1 to 5."""
-    states = st.tuples(st.integers(1, 5), st.fixed_dictionaries({name: values for name in ATOMS}))
+    states = st.tuples(st.integers(1, 5), st.fixed_dictionaries(dict.fromkeys(ATOMS, values)))
 
     def timed(steps: list[State]) -> list[State]:
         time = 0
@@ -64,5 +64,4 @@ def traces(values: st.SearchStrategy[bool | None], most: int = 12) -> st.SearchS
     return st.lists(states, min_size=1, max_size=most).map(timed)
 
 
-two_values = st.booleans()
 three_values = st.sampled_from([False, True, None])

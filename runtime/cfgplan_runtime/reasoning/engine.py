@@ -1,7 +1,8 @@
 """The stream reasoning engine of the paper's Figure 1: it answers a query over semantic subscriptions.
 
-It has the targets set up that the formula needs, synchronises their streams into states, progresses the formula through them, reports
-the answer as soon as it is final, and takes its targets down, so that units that nobody else needs are stopped.
+It has the targets set up that the formula needs, synchronises their streams into states, progresses the formula
+through them, reports the answer as soon as it is final, and takes its targets down, so that units that nobody else
+needs are stopped.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from cfgplan.errors import CfgplanError
 from cfgplan_runtime.reasoning.evaluating import Evaluator
 from cfgplan_runtime.reasoning.features import Feature
 from cfgplan_runtime.reasoning.monitor import Monitor, Waiting
-from cfgplan_runtime.reasoning.query import Query
+from cfgplan_runtime.reasoning.queries import Query
 from cfgplan_runtime.reasoning.states import Synchroniser
 from cfgplan_runtime.reasoning.subscriptions import Subscriptions
 from cfgplan_runtime.reasoning.truth import VERDICT_OF, Verdict
@@ -70,8 +71,9 @@ class Progressed:
 class Answer:
     """The answer, or that it is open still.
 
-    `time_ns` is the time of the state that decided, or of the last one; `first_ns` of the first. `delay_s` is from that time to
-    the answer on the clock. `missing` says in how many states each feature had no value; `late` how many samples came too late.
+    `time_ns` is the time of the state that decided, or of the last one; `first_ns` of the first. `delay_s` is from
+    that time to the answer on the clock. `missing` says in how many states each feature had no value; `late` how
+    many samples came too late.
     """
 
     verdict: Verdict
@@ -123,8 +125,8 @@ class Engine:
     def run(self, *, for_s: float | None = None, wait_s: float = 0.0, every_s: float = 1.0) -> Answer:
         """Answer the query, within a time if one is given; reports progress every `every_s`.
 
-        A target that can't be met now is waited for for `wait_s`, then UnmetTargetsError is raised. Targets are taken down
-        in any case.
+        A target that can't be met now is waited for for `wait_s`, then UnmetTargetsError is raised. Targets are
+        taken down in any case.
         """
         topics = {each.name: each.topic or f"/query/{self._name}/{each.name}" for each in self._query.features}
         added = [self._target(each, topics[each.name]) for each in self._query.features if each.topic is None]
@@ -164,7 +166,9 @@ class Engine:
             names = {self._label(each): each.name for each in self._query.features}
             while reasons := self._subscriptions.unmet([target.label for target in targets]):
                 if time.monotonic() >= begin + wait_s:
-                    told = {names[label]: why.replace(f"target {label}", names[label]) for label, why in reasons.items()}
+                    told = {
+                        names[label]: why.replace(f"target {label}", names[label]) for label, why in reasons.items()
+                    }
                     raise UnmetTargetsError(told)
                 time.sleep(_LOOK_S)
         self._report(SetUp(topics, time.monotonic() - begin))
@@ -252,9 +256,7 @@ class Engine:
     def _tell_progress(self) -> None:
         if self.monitor.time_ns is not None:
             monitor = self.monitor
-            told = Progressed(
-                self.monitor.time_ns, monitor.states, monitor.waiting(), monitor.possible, self._absent
-            )
+            told = Progressed(self.monitor.time_ns, monitor.states, monitor.waiting(), monitor.possible, self._absent)
             self._report(told)
 
     def _answer(self) -> Answer:

@@ -87,7 +87,9 @@ class RemoteSubscriptions:
 
     def unmet(self, labels: Sequence[str]) -> Mapping[str, str]:
         targets = {each["label"]: each for each in self._call("state")["targets"]}
-        reasons = {label: targets[label]["reason"] if label in targets else "it is unknown to the run" for label in labels}
+        reasons = {
+            label: targets[label]["reason"] if label in targets else "it is unknown to the run" for label in labels
+        }
         return {label: reason for label, reason in reasons.items() if not targets.get(label, {}).get("met")}
 
     def remove(self, labels: Sequence[str]) -> None:

@@ -1,8 +1,9 @@
 """Progression of one formula through a stream of states, as an automaton that is built while it runs.
 
-What a state does to the obligations depends on the truth of the propositions and on which intervals have begun or ended, not
-on the times themselves. Each such step is progressed once and remembered as a transition between *situations*: an obligation, and for each
-operator in it the times at which it began, as registers. On regular and on irregular streams alike a known step is one look-up.
+What a state does to the obligations depends on the truth of the propositions and on which intervals have begun or
+ended, not on the times themselves. Each such step is progressed once and remembered as a transition between
+*situations*: an obligation, and for each operator in it the times at which it began, as registers. On regular and
+on irregular streams alike a known step is one look-up.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 
 from cfgplan.errors import InvalidValueError
 from cfgplan_runtime.reasoning.compiling import Program, compiled
-from cfgplan_runtime.reasoning.obligations import Kind, Obligation, Store, bound
+from cfgplan_runtime.reasoning.obligations import Kind, Obligation, Store, TooManyObligationsError, bound
 from cfgplan_runtime.reasoning.progression import NOW, Progression
 from cfgplan_runtime.reasoning.syntax import Formula
 from cfgplan_runtime.reasoning.truth import FALSE, TRUE, VERDICT_OF, Truth, Verdict
@@ -30,10 +31,10 @@ _MOST_PACKED: Final = 39
 
 
 class _Registers(NamedTuple):
-    """The moments of one operator in a situation: how many there are, and of how many of them the interval has begun."""
+    """The moments of an operator: how many there are, and of how many the interval has begun."""
 
     operator: int
-    count: int
+    size: int
     begun: int
 
 
@@ -226,7 +227,10 @@ class Monitor:
 
         progression = Progression(self.program, self._store, truths, elapsed_ns)
         before = situation.obligation
-        after = progression.of_root() if before is None else progression.of(before)
+        try:
+            after = progression.of_root() if before is None else progression.of(before)
+        except RecursionError:
+            raise TooManyObligationsError("obligations are nested too deep: nest fewer temporal operators") from None
         used: dict[int, dict[int, bool]] = {}
         for operator, moment, is_begun in _registers_of(after):
             used.setdefault(operator, {})[moment] = is_begun
@@ -261,11 +265,11 @@ class Monitor:
     def _next_crossing(self, situation: _Situation, moments: list[list[int]]) -> int:
         """The least time at which an interval begins or ends."""
         least = _NEVER
-        for (operator, count, begun), found in zip(situation.registers, moments, strict=True):
+        for (operator, size, begun), found in zip(situation.registers, moments, strict=True):
             interval = self._intervals[operator]
             if interval.end_ns is not None and found[0] + interval.end_ns < least:
                 least = found[0] + interval.end_ns
-            if begun < count and found[begun] + interval.begin_ns < least:
+            if begun < size and found[begun] + interval.begin_ns < least:
                 least = found[begun] + interval.begin_ns
         return least
 
@@ -281,7 +285,8 @@ class Monitor:
         return kept
 
     def _new_store(self) -> Store:
-        return Store([operator.is_until for operator in self.program.operators])
+        operators = self.program.operators
+        return Store([each.is_until for each in operators], [each.interval.end_ns is None for each in operators])
 
     def _at_end(self, obligation: Obligation) -> Truth:
         match obligation.kind:
@@ -327,7 +332,7 @@ def _moves(
         first, end = (old[0], old[-1] + 1) if old else (0, 0)
         is_slice = end - first == len(old)
         moves.append(_Move(position.get(operator, -1), first, end, None if is_slice else tuple(old), with_now))
-    same = [_Move(place, 0, registers.count, None, False) for place, registers in enumerate(before)]
+    same = [_Move(place, 0, registers.size, None, False) for place, registers in enumerate(before)]
     return None if moves == same else tuple(moves)
 
 

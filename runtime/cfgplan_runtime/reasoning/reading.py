@@ -174,8 +174,10 @@ class Reader:
             case "minus":
                 return self._arithmetic(node, [(None, Literal(0.0)), ("-", self._value(parts[1]))])
             case "sum" | "product":
-                values = [(None, self._value(parts[0]))]
-                return self._arithmetic(node, values + [(str(s), self._value(v)) for s, v in zip(*_pairs(parts))])
+                first = (None, self._value(parts[0]))
+                return self._arithmetic(
+                    node, [first, *((str(s), self._value(v)) for s, v in zip(parts[1::2], parts[2::2], strict=True))]
+                )
             case "call":
                 return self._function(node)
             case _:
@@ -298,7 +300,3 @@ class Reader:
         fault = Fault(message, self._file, meta.line, meta.column, mend=mend)
         if fault not in self.faults:
             self.faults.append(fault)
-
-
-def _pairs(parts: list[Any]) -> tuple[list[Any], list[Any]]:
-    return parts[1::2], parts[2::2]
