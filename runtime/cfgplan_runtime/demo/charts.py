@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from html import escape
 
 from cfgplan_runtime.demo.listening import Sample
-from cfgplan_runtime.demo.playing import Played
+from cfgplan_runtime.demo.played import Played
 
 _NS = 1e9
 _PX_PER_M = 100

@@ -12,7 +12,7 @@ from cfgplan.domain import ChangeSet, Environment
 from cfgplan.drawing import picture
 from cfgplan_runtime.demo import charts, telling
 from cfgplan_runtime.demo.pictures import View, view
-from cfgplan_runtime.demo.playing import Played
+from cfgplan_runtime.demo.played import Played
 from cfgplan_runtime.demo.stage import Stage
 from cfgplan_runtime.demo.story import Kill
 

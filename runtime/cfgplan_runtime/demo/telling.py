@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from decimal import Decimal
 
 from cfgplan.costs import keep_cost_us
-from cfgplan_runtime.demo.playing import Played
+from cfgplan_runtime.demo.played import Played
 from cfgplan_runtime.lifecycle.perturbations import Perturbation, SubscriptionLost, UnitGone, WorldChanged
 from cfgplan_runtime.lifecycle.reports import PHASES, Decision
 
