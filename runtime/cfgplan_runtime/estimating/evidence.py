@@ -17,6 +17,7 @@ class Evidence(msgspec.Struct):
     """
 
     declared: str
+    source: str | None
     labor_us: Amount
     upkeep_us: Amount
     labor: History
