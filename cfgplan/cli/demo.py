@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Any
 from cfgplan.cli import options as shared
 from cfgplan.cli.durations import duration
 from cfgplan.cli.exits import Exit
+from cfgplan.cli.interrupts import Interrupts
 from cfgplan.cli.screen import FORMAT_VERSION, Screen
+from cfgplan.errors import InputError
 
 if TYPE_CHECKING:
     from cfgplan_runtime.demo.played import Played
@@ -43,7 +45,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
     stage = open_stage(options.world)
     out = Path(options.report)
-    api.write_file(out, b"")
+    if not out.absolute().parent.is_dir():
+        raise InputError.of("can't be written: there is no such folder", file=str(out))
     numbers = {step: number for number, step in enumerate(SECTION_V)}
 
     def begins(step: Step) -> None:
@@ -63,7 +66,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
             screen.show(_said("/result", telling.seen(played) or "Nothing comes.", "cyan"))
         screen.flush()
 
-    played = play(stage, SECTION_V, options.step, begins, answers, ends)
+    with Interrupts():
+        played = play(stage, SECTION_V, options.step, begins, answers, ends)
     with screen.phase("draw the page"):
         api.write_file(out, page(stage, played, __version__).encode())
     screen.note(f"Wrote {out}.")
