@@ -9,8 +9,8 @@ import time
 from cfgplan_runtime.reasoning.compiling import compiled
 from cfgplan_runtime.reasoning.evaluating import Evaluator
 from cfgplan_runtime.reasoning.monitor import Monitor
+from cfgplan_runtime.reasoning.naming import Vocabulary
 from cfgplan_runtime.reasoning.parsing import parse
-from cfgplan_runtime.reasoning.reading import Vocabulary
 from cfgplan_runtime.reasoning.regions import region_from
 from cfgplan_runtime.reasoning.states import Synchroniser, Timing
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import NoReturn
 
 import pytest
-from cfgplan_runtime.reasoning.engine import Answer, Engine, Noted, Report, SetUp, UnmetTargetsError
+from cfgplan_runtime.reasoning.answers import Answer, Noted, Report, SetUp, UnmetTargetsError
+from cfgplan_runtime.reasoning.engine import Engine
 from cfgplan_runtime.reasoning.features import Declared, Feature, of_options
 from cfgplan_runtime.reasoning.queries import query
 from cfgplan_runtime.reasoning.states import Timing

@@ -9,19 +9,19 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from cfgplan_runtime.reasoning.engine import Answer as Answer
+    from cfgplan_runtime.reasoning.answers import Answer as Answer
+    from cfgplan_runtime.reasoning.answers import UnmetTargetsError as UnmetTargetsError
     from cfgplan_runtime.reasoning.engine import Engine as Engine
-    from cfgplan_runtime.reasoning.engine import UnmetTargetsError as UnmetTargetsError
     from cfgplan_runtime.reasoning.evaluating import Evaluator as Evaluator
     from cfgplan_runtime.reasoning.features import Declared as Declared
     from cfgplan_runtime.reasoning.features import Feature as Feature
     from cfgplan_runtime.reasoning.managed import ManagedSubscriptions as ManagedSubscriptions
     from cfgplan_runtime.reasoning.managed import RemoteSubscriptions as RemoteSubscriptions
     from cfgplan_runtime.reasoning.monitor import Monitor as Monitor
+    from cfgplan_runtime.reasoning.naming import Vocabulary as Vocabulary
     from cfgplan_runtime.reasoning.parsing import parse as parse
     from cfgplan_runtime.reasoning.queries import Query as Query
     from cfgplan_runtime.reasoning.queries import query as query
-    from cfgplan_runtime.reasoning.reading import Vocabulary as Vocabulary
     from cfgplan_runtime.reasoning.regions import Region as Region
     from cfgplan_runtime.reasoning.regions import rcc8 as rcc8
     from cfgplan_runtime.reasoning.regions import region_from as region_from
@@ -30,14 +30,15 @@ if TYPE_CHECKING:
     from cfgplan_runtime.reasoning.truth import Verdict as Verdict
 
 _HOMES = {
-    "engine": "Answer Engine UnmetTargetsError",
+    "answers": "Answer UnmetTargetsError",
+    "engine": "Engine",
     "evaluating": "Evaluator",
     "features": "Declared Feature",
     "managed": "ManagedSubscriptions RemoteSubscriptions",
     "monitor": "Monitor",
     "parsing": "parse",
     "queries": "Query query",
-    "reading": "Vocabulary",
+    "naming": "Vocabulary",
     "regions": "Region rcc8 region_from",
     "states": "Synchroniser Timing",
     "truth": "Verdict",

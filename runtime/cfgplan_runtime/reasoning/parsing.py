@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from cfgplan.errors import Fault, InputError
 from cfgplan_runtime.reasoning.grammar import GRAMMAR
-from cfgplan_runtime.reasoning.reading import Reader, Vocabulary
+from cfgplan_runtime.reasoning.naming import Vocabulary
+from cfgplan_runtime.reasoning.reading import Reader
 from cfgplan_runtime.reasoning.syntax import Formula
 
 if TYPE_CHECKING:
