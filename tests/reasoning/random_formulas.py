@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from cfgplan_runtime.reasoning.syntax import (
     ALL_TIME,
     Always,
@@ -43,10 +45,14 @@ def _larger(parts: st.SearchStrategy[Formula]) -> st.SearchStrategy[Formula]:
     )
 
 
+def formulas_over(parts: Sequence[Formula]) -> st.SearchStrategy[Formula]:
+    """Formulas with these as their smallest parts, and constants."""
+    least = st.sampled_from(parts)
+    return st.recursive(st.one_of(least, least, least, st.builds(Constant, st.booleans())), _larger, max_leaves=7)
+
+
 atoms: st.SearchStrategy[Formula] = st.sampled_from([Atom(name) for name in ATOMS])
-formulas: st.SearchStrategy[Formula] = st.recursive(
-    st.one_of(atoms, atoms, atoms, st.builds(Constant, st.booleans())), _larger, max_leaves=7
-)
+formulas = formulas_over([Atom(name) for name in ATOMS])
 
 
 def traces(values: st.SearchStrategy[bool | None], most: int = 12) -> st.SearchStrategy[list[State]]:

@@ -10,7 +10,7 @@ from following import VERDICT, follow
 from hypothesis import given, settings
 from random_formulas import formulas, three_values, traces
 
-many = settings(max_examples=1500, deadline=None)
+many = settings(max_examples=1200, deadline=None)
 
 
 @many
