@@ -24,7 +24,7 @@ from cfgplan.validity import Violation
 
 if TYPE_CHECKING:
     from cfgplan import formats
-    from cfgplan.explaining import Alternatives, BestEffort, Why, WhyNot
+    from cfgplan.explaining import Alternatives, BestEffort, Sensitivity, Why, WhyNot
 
 PLANNER_NAMES = tuple(PLANNERS)
 REASONER_NAMES = tuple(REASONERS)
@@ -238,6 +238,21 @@ def alternatives(
         if wrong:
             raise UntruthfulPlanError(each, wrong)
     return found
+
+
+def sensitivity(
+    problem: Problem, *, upkeep_of: str | None = None, planner: str = "cpsat", time_limit_s: float | None = None
+) -> Sensitivity:
+    """For which horizons, or upkeeps of a transformation, which plan is optimal; see `cfgplan.explaining`.
+
+    The time limit is for each call of the planner.
+    """
+    from cfgplan import explaining
+
+    ask = _judged(planner, time_limit_s)
+    if upkeep_of is None:
+        return explaining.horizon_sensitivity(problem, ask)
+    return explaining.upkeep_sensitivity(problem, ask, upkeep_of)
 
 
 def best_effort(problem: Problem, *, planner: str = "cpsat", time_limit_s: float | None = None) -> BestEffort:

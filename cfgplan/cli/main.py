@@ -21,13 +21,14 @@ from cfgplan.cli import (
     match,
     query,
     run,
+    sensitivity,
     solve,
 )
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.screen import Screen
 from cfgplan.errors import CfgplanError, Fault, InputError
 
-VERBS = (check, match, solve, explain, graph, run, ctl, listen, query, demo, compare, importing, exporting)
+VERBS = (check, match, solve, explain, sensitivity, graph, run, ctl, listen, query, demo, compare, importing, exporting)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

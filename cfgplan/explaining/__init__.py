@@ -6,6 +6,7 @@ Everything is asked of a planner (`planning.Planner`), of which nothing is known
 from cfgplan.explaining.alternatives import Alternatives, alternatives
 from cfgplan.explaining.best_effort import BestEffort, best_effort
 from cfgplan.explaining.plain import plain
+from cfgplan.explaining.sensitivity import Line, Sensitivity, Span, horizon_sensitivity, upkeep_sensitivity
 from cfgplan.explaining.together import Clash, Demands, demanding
 from cfgplan.explaining.unfed import Blocked, Unfed, Unreachable, named_alone, unreachable
 from cfgplan.explaining.why_not import Unused, WhyNot, why_not
@@ -18,6 +19,9 @@ __all__ = [
     "Choice",
     "Clash",
     "Demands",
+    "Line",
+    "Sensitivity",
+    "Span",
     "Unfed",
     "Unreachable",
     "Unused",
@@ -26,9 +30,11 @@ __all__ = [
     "alternatives",
     "best_effort",
     "demanding",
+    "horizon_sensitivity",
     "named_alone",
     "plain",
     "unreachable",
+    "upkeep_sensitivity",
     "why_not",
     "why_stream",
     "why_transformation",
