@@ -127,7 +127,7 @@ def test_memory_is_bounded_on_irregular_streams() -> None:
     formula = Always(Implies(P, Eventually(And(Q, Always(R, Interval(0, 30))), Interval(20, 90))))
     monitor = Monitor(formula)
     count = 3_000
-    given_ = {"p": random.random(count) < 0.5, "q": random.random(count) < 0.3, "r": np.full(count, True)}
+    given_ = {"p": random.random(count) < 0.5, "q": random.random(count) < 0.7, "r": np.full(count, True)}
     values = np.stack([given_[str(each)] for each in monitor.program.propositions], axis=1)
     times = np.cumsum(random.integers(1, 9, count))
     sizes = []
