@@ -57,8 +57,8 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOMES = {
-    "cfgplan.api": "UntruthfulPlanError World alternatives best_effort load match match_ports plan plan_violations problem "
-    "sensitivity violations what_if why why_not world",
+    "cfgplan.api": "UntruthfulPlanError World alternatives best_effort load match match_ports plan plan_violations "
+    "problem sensitivity violations what_if why why_not world",
     "cfgplan.domain": "ChangeSet ComputationUnit Environment InputPort OutputPort Publication Similarity Stream "
     "Subscription Target Transformation",
     "cfgplan.errors": "CfgplanError Fault InputError InvalidValueError",
