@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from cfgplan.costs import keep_cost_us, start_cost_us
-from cfgplan.domain import Environment
 from cfgplan.planning import Plan, Planner, Problem, Status
 from cfgplan.reasons import Givers, startable
 
@@ -157,9 +156,7 @@ class _Ranking:
             for t in environment.library
             if t.label not in out
         )
-        return replace(
-            self._problem, environment=Environment(environment.units, library, environment.targets), max_cost_us=None
-        )
+        return replace(self._problem, environment=replace(environment, library=library), max_cost_us=None)
 
     def _runs(self, plan: Plan) -> Labels:
         assert plan.change_set is not None

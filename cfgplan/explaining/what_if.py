@@ -38,10 +38,11 @@ def without(environment: Environment, names: Collection[str]) -> Environment:
             faults.append(Fault(message, key="--without", mend=_mend(name, known)))
     if faults:
         raise InputError(faults)
-    return Environment(
-        tuple(unit for unit in environment.units if unit.id not in names),
-        tuple(t for t in environment.library if t.label not in names),
-        tuple(target for target in environment.targets if target.label not in names),
+    return replace(
+        environment,
+        units=tuple(unit for unit in environment.units if unit.id not in names),
+        library=tuple(t for t in environment.library if t.label not in names),
+        targets=tuple(target for target in environment.targets if target.label not in names),
     )
 
 
