@@ -15,6 +15,7 @@ from cfgplan.cli.exits import Exit
 from cfgplan.cli.interrupts import Interrupts
 from cfgplan.cli.run_output import Output, output_for
 from cfgplan.cli.screen import Screen, counted
+from cfgplan.errors import InputError
 
 if TYPE_CHECKING:
     from cfgplan_runtime.operating.operation import Operation, Settings
@@ -77,6 +78,9 @@ def port(text: str) -> int:
 
 
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
+    if not options.dry_run and (options.without or options.also or options.settings):
+        mend = "add --dry-run; or edit the file, or use `cfgplan ctl` while it runs"
+        raise InputError.of("--without, --with and --set are for trying out what would be planned", mend=mend)
     loaded = shared.load(options, screen)
     if loaded.environment.units:
         count = counted(len(loaded.environment.units), "running unit")

@@ -194,6 +194,14 @@ def test_a_dry_run_tells_what_it_can_not_meet(env: Path, capsys: pytest.CaptureF
     assert "goal" in out
 
 
+def test_what_if_is_for_dry_runs(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    what_if = ["--set", "horizon=60", "--no-estimates"]
+    assert main(["run", str(env), "--dry-run", *what_if]) == 0
+    assert "over the horizon of 60 s" in capsys.readouterr().out
+    assert main(["run", str(env), *what_if]) == 30
+    assert "are for trying out" in capsys.readouterr().err
+
+
 def test_units_that_the_file_says_run_are_not_believed(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
     env.write_text(ENVIRONMENT + "units:\n  - {id: camera(piff).7, transformation: camera(piff)}\n")
     assert main(["run", str(env), "--dry-run", "--no-estimates"]) == 0
