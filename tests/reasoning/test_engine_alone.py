@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NoReturn
 
 import pytest
@@ -13,6 +14,7 @@ from cfgplan_runtime.reasoning.states import Timing
 from cfgplan_runtime.reasoning.truth import Verdict
 from fake_subscriptions import FakeSubscriptions, Given, stream
 
+from cfgplan.domain import Target
 from cfgplan.errors import InputError
 
 MS = 1_000_000
@@ -103,6 +105,17 @@ def test_a_target_that_nothing_can_meet_ends_the_query_with_the_reason() -> None
 def test_a_target_can_be_waited_for() -> None:
     fake = FakeSubscriptions({"Ball": stream(at(1))}, refusals={"Ball": ["not yet", "not yet"]})
     assert answer(ask("eventually ball.x > 0", fake, wait_s=30)).verdict is Verdict.TRUE
+
+
+def test_a_target_that_is_refused_is_not_taken_down() -> None:
+    class Refusing(FakeSubscriptions):
+        def add(self, targets: Sequence[Target]) -> None:
+            raise InputError.of(f"{targets[0].tag} can't be used")
+
+    fake = Refusing({})
+    with pytest.raises(InputError, match="can't be used"):
+        ask("always ball.x > 0", fake)
+    assert fake.log == []
 
 
 def test_a_topic_that_fails_ends_the_query_and_takes_the_targets_down() -> None:

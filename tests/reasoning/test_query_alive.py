@@ -134,6 +134,25 @@ def test_a_run_of_another_process_is_asked_through_its_control_socket(
             assert units(manager) == {"camera", "robot"}
             assert main(["query", "always heat.celsius > 3", "--features", str(PITCH / "features.yaml")]) == 10
             assert "no output matches" in capsys.readouterr().err
+            assert main(["query", "always hot.x > 3", "--feature", "hot=Ball and and"]) == 30
+            assert "⊓" in capsys.readouterr().err
             with connect() as control:
                 remote = RemoteSubscriptions(control)
                 assert set(remote.declared().features) == {"robot"}
+
+
+def test_a_query_whose_run_ends_is_left_open() -> None:
+    told: list[Report] = []
+    with running() as (manager, runtime):
+        engine = Engine(
+            query("always (ball.x > 99 or eventually[0,1h] ball.x > 99)", of_file(PITCH / "features.yaml")),
+            ManagedSubscriptions(manager, runtime.id),
+            told.append,
+        )
+        found: list[Answer] = []
+        thread = threading.Thread(target=lambda: found.append(engine.run()))
+        thread.start()
+        wait_for(lambda: engine.monitor.states > 5)
+    thread.join(PATIENCE_S)
+    assert found[0].verdict is Verdict.OPEN
+    assert Noted("the stream of ball has ended") in told

@@ -13,9 +13,10 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from typing import Any
+from typing import Any, NamedTuple
 
 from cfgplan.domain import Target
+from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.reasoning.answers import Answer, Noted, Progressed, Report, SetUp, UnmetTargetsError
 from cfgplan_runtime.reasoning.evaluating import Evaluator
 from cfgplan_runtime.reasoning.features import Feature
@@ -31,8 +32,14 @@ _OWN_CLOCK_NS = 60 * 1_000_000_000
 """Streams whose times are further from the computer's clock than this have a clock of their own."""
 
 
+class _Ended(NamedTuple):
+    """A feature's stream has come to its end."""
+
+    feature: str
+
+
 class Engine:
-    """Answers one query. `report` is called from the thread that calls `run`."""
+    """Answers one query. `report` is called from the thread that calls `run`; `name` tells its targets from others'."""
 
     def __init__(
         self,
@@ -49,17 +56,19 @@ class Engine:
         self._report = report
         self._name = name or os.urandom(3).hex()
         self._clock_ns = clock_ns
-        self._inbox: queue.SimpleQueue[tuple[str, Any, int] | Exception | str] = queue.SimpleQueue()
+        self._inbox: queue.SimpleQueue[tuple[str, Any, int] | Exception | str | _Ended] = queue.SimpleQueue()
         self._is_over = threading.Event()
         self._evaluator = Evaluator(query.program, query.declared.regions, self._note)
         self._streams: Synchroniser | None = None
         self._skew_ns = 0
+        self._has_targets = False
+        self._ended: set[str] = set()
         self._first_ns: int | None = None
         self._absent: tuple[str, ...] = ()
         self._dropped: dict[str, int] = {}
 
     def run(self, *, for_s: float | None = None, wait_s: float = 0.0, every_s: float = 1.0) -> Answer:
-        """Answer the query, within a time if one is given; reports progress every `every_s`.
+        """Answer the query, within a time if one is given, or until its streams end; reports progress every `every_s`.
 
         A target that can't be met now is waited for for `wait_s`, then UnmetTargetsError is raised. Targets are
         taken down in any case.
@@ -79,8 +88,8 @@ class Engine:
             self._is_over.set()
             for thread in listeners:
                 thread.join()
-            if added:
-                self._subscriptions.remove([target.label for target in added])
+            if self._has_targets:
+                self._take_down([target.label for target in added])
         self._tell_what_is_left()
         self._report(answer)
         return answer
@@ -99,6 +108,7 @@ class Engine:
         begin = time.monotonic()
         if targets:
             self._subscriptions.add(targets)
+            self._has_targets = True
             names = {self._label(each): each.name for each in self._query.features}
             while reasons := self._subscriptions.unmet([target.label for target in targets]):
                 if time.monotonic() >= begin + wait_s:
@@ -108,6 +118,12 @@ class Engine:
                     raise UnmetTargetsError(told)
                 time.sleep(_LOOK_S)
         self._report(SetUp(topics, time.monotonic() - begin))
+
+    def _take_down(self, labels: Sequence[str]) -> None:
+        try:
+            self._subscriptions.remove(labels)
+        except RuntimeFaultError as error:
+            self._note(f"the targets could not be taken down: {error}")
 
     def _listen(self, name: str, topic: str) -> None:
         """Put what comes on a topic into the inbox (a thread of its own for each feature)."""
@@ -120,7 +136,7 @@ class Engine:
                             self._dropped[name] = getattr(samples, "dropped", 0)
                             if self._is_over.is_set():
                                 return
-                        self._inbox.put(f"the stream of {name} has ended")
+                        self._inbox.put(_Ended(name))
                         return
                     except TimeoutError:
                         continue
@@ -142,6 +158,8 @@ class Engine:
                 self._take(min(_LOOK_S, self._pause_s(), left), begin_ns)
                 if self._streams is not None and self._progress(self._streams) is not Verdict.OPEN:
                     break
+                if self._query.features and len(self._ended) == len(self._query.features):
+                    break
         return self._answer()
 
     def _pause_s(self) -> float:
@@ -159,6 +177,9 @@ class Engine:
                     raise found
                 if isinstance(found, str):
                     self._report(Noted(found))
+                elif isinstance(found, _Ended):
+                    self._ended.add(found.feature)
+                    self._report(Noted(f"the stream of {found.feature} has ended"))
                 else:
                     name, value, time_ns = found
                     if self._streams is None:
