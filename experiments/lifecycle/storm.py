@@ -4,7 +4,8 @@ python experiments/lifecycle/storm.py [--perturbations 200] [--seeds 10] [--seed
 
 Units run in thought, on a clock that jumps, or with --real as processes. With an even seed units are free to start, so
 that what runs must cost exactly what a fresh plan costs; else it must cost exactly what a planner without memory
-finds for what runs. What is met must be the same, and no rule of the judge may be broken.
+finds for what runs. What is met must be the same, no rule of the judge may be broken, and on the topics of processes
+elements must come.
 """
 
 from __future__ import annotations
@@ -13,13 +14,14 @@ import argparse
 import random
 import sys
 import tempfile
+import threading
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from cfgplan_runtime import Manager, Runtime, SimulatedRuntime
+from cfgplan_runtime import Manager, Runtime, SimulatedRuntime, subscribe
 from cfgplan_runtime.lifecycle.changes import (
     AddTargets,
     AddTransformations,
@@ -199,7 +201,18 @@ def on_processes(seed: int, perturbations: int) -> list[str]:
             _await(manager.request(ReviewNow()), PATIENCE_S)
             manager.settle(PATIENCE_S)
             print(f"seed {seed}: {dict(decisions)}")
-            return faults(manager, runtime.environment, is_free_to_start=is_free_to_start)
+            found = faults(manager, runtime.environment, is_free_to_start=is_free_to_start)
+            met = [view.topic for view in manager.snapshot().targets if view.is_met]
+            return [*found, *(f"nothing comes on {topic}" for topic in met if not _gives(topic, runtime.id))]
+
+
+def _gives(topic: str, run: str) -> bool:
+    """Whether elements come on a topic."""
+    received: list[object] = []
+    listener = threading.Thread(target=lambda: received.append(next(iter(subscribe(topic, run=run)))), daemon=True)
+    listener.start()
+    listener.join(PATIENCE_S)
+    return bool(received)
 
 
 def _await(outcome: Outcome, patience_s: float) -> None:

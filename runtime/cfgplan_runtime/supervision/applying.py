@@ -126,6 +126,8 @@ class Applying:
         wiring, started = self.supervisor.wiring, [unit.id for unit in self.change_set.started]
         wanted = wanted_feeds(self.after)
         for inlet, stream in wanted.items():
+            if not inlet.is_outlet and inlet.unit not in self.supervisor.alive:
+                continue  # it has died meanwhile
             fed = wiring.feeds.get(inlet)
             if fed is None or fed.stream != stream:
                 self.wires.append(wiring.connect(stream, inlet, self.after))

@@ -148,6 +148,8 @@ class SimulatedBackend:
 
     def connect(self, wire: int, stream: Stream, inlet: Inlet, *, queue: int, blocks: bool) -> None:  # noqa: ARG002
         self.calls.append(("connect", str(stream), str(inlet)))
+        if not inlet.is_outlet and inlet.unit not in self.units:
+            return
         self.wires[wire] = (stream, inlet)
         port = self._inputs.setdefault(inlet, _Input())
         if port.active is None:
@@ -165,7 +167,7 @@ class SimulatedBackend:
 
     def switch_now(self, inlet: Inlet) -> None:
         self.calls.append(("switch", str(inlet)))
-        port = self._inputs[inlet]
+        port = self._inputs.get(inlet, _Input())
         if port.standby is not None:
             self._later(0.0, WireSwitched(port.standby))
 
@@ -204,6 +206,8 @@ class SimulatedBackend:
                 del self.units[unit]
                 for wire in [wire for wire, (stream, _) in self.wires.items() if stream.unit == unit]:
                     self._end(wire)
+                for wire in [wire for wire, (_, inlet) in self.wires.items() if inlet.unit == unit]:
+                    self._inputs.pop(self.wires.pop(wire)[1], None)
             case UnitStatus(unit, steps) if unit in self.units:
                 steps += 10
                 errors = steps if self.units[unit].behaviour.failing else 0
@@ -222,6 +226,8 @@ class SimulatedBackend:
 
     def _end(self, wire: int) -> None:
         """A wire has no source any more: its inlet goes over to the standby, or has lost its input."""
+        if wire not in self.wires:
+            return
         inlet = self.wires[wire][1]
         port = self._inputs[inlet]
         if wire == port.standby:
