@@ -78,7 +78,9 @@ def _show_why_not(problem: Problem, why: WhyNot, screen: Screen) -> None:
     from cfgplan.cli.update_text import verdict
 
     screen.show(verdict(problem, why.plan))
-    screen.show(why_not_text(problem.environment, why))
+    text = why_not_text(problem.environment, why)
+    if text:
+        screen.show(text)
 
 
 def _names_one(options: argparse.Namespace) -> bool:
