@@ -11,10 +11,13 @@ elements must come.
 from __future__ import annotations
 
 import argparse
+import os
 import random
+import signal
 import sys
 import tempfile
 import threading
+import time
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
@@ -193,10 +196,17 @@ def on_processes(seed: int, perturbations: int) -> list[str]:
     decisions: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "storm_units.py").write_text(UNITS)
-        with Runtime(folder=folder) as runtime, Manager(world, runtime, report=_counting(decisions)) as manager:
+        costs = DeclaredCosts(failure_us=0)
+        with (
+            Runtime(folder=folder) as runtime,
+            Manager(world, runtime, estimator=costs, report=_counting(decisions)) as manager,
+        ):
             manager.settle(PATIENCE_S)
             for _ in range(perturbations):
-                _await(manager.request(storm.change(manager)), storm.randoms.choice((0.01, PATIENCE_S)))
+                if storm.randoms.random() < 0.3:
+                    _kill(runtime, storm.randoms)
+                else:
+                    _await(manager.request(storm.change(manager)), storm.randoms.choice((0.01, PATIENCE_S)))
             manager.settle(PATIENCE_S)
             _await(manager.request(ReviewNow()), PATIENCE_S)
             manager.settle(PATIENCE_S)
@@ -204,6 +214,17 @@ def on_processes(seed: int, perturbations: int) -> list[str]:
             found = faults(manager, runtime.environment, is_free_to_start=is_free_to_start)
             met = [view.topic for view in manager.snapshot().targets if view.is_met]
             return [*found, *(f"nothing comes on {topic}" for topic in met if not _gives(topic, runtime.id))]
+
+
+def _kill(runtime: Runtime, randoms: random.Random) -> None:
+    """Kill some units at about the same time."""
+    units = sorted(runtime.environment.unit)
+    for unit in randoms.sample(units, min(len(units), randoms.choice((1, 1, 2, 4)))):
+        pid = runtime.pid(unit)
+        if pid is not None:
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        time.sleep(randoms.choice((0.0, 0.0, 0.003, 0.01)))
 
 
 def _gives(topic: str, run: str) -> bool:
