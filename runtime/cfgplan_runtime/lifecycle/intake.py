@@ -82,6 +82,7 @@ class Intake:
         """Wall time that matching has taken since this was last set to 0."""
         self.not_started: list[str] = []
         """The transformations of those that died."""
+        self._turning_away = threading.Lock()
         self._noticing = Noticing(self.situation, policy)
 
     def hear(self, event: Event) -> None:
@@ -96,6 +97,7 @@ class Intake:
     def request(self, change: Change) -> Outcome:
         """Take note of a request."""
         request = Request(change, Future())
+        request.outcome.set_running_or_notify_cancel()  # who asks can't take it back
         self.inbox.put(request, self._clock.now())
         if isinstance(change, Stop):
             self.ending.set()
@@ -103,14 +105,14 @@ class Intake:
         return request.outcome
 
     def turn_away(self, error: Exception) -> None:
-        """There is no manager any more: tell all who wait."""
-        for outcome in self.stops:
-            outcome.set_result(None)
-        self.stops = []
-        self.pending.give_up(error)
-        for arrival in self.inbox.take():
-            if isinstance(arrival.item, Request):
-                arrival.item.outcome.set_exception(error)
+        """There is no manager any more: tell all who wait. For any thread."""
+        with self._turning_away:
+            self._answer(self.stops)
+            self.stops = []
+            self.pending.give_up(error)
+            for arrival in self.inbox.take():
+                if isinstance(arrival.item, Request):
+                    arrival.item.outcome.set_exception(error)
 
     def take_in(self) -> None:
         """Make perturbations of everything that has come."""

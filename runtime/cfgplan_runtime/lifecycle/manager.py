@@ -7,7 +7,6 @@ or processes of the middleware meanwhile, and what happens there is never lost: 
 from __future__ import annotations
 
 import threading
-from collections import deque
 from collections.abc import Callable, Mapping
 from math import inf
 from types import TracebackType
@@ -61,7 +60,7 @@ class Manager:
         self._reviewing = Reviewing(
             middleware, planner, self._estimator, self._clock, self._policy, self._intake, self._tell
         )
-        self._reviews: deque[Review] = deque(maxlen=self._policy.reviews_kept)
+        self._reviews: tuple[Review, ...] = ()
         self._phase = Phase.STABLE
         self._observations: Mapping[str, Observation] = {}
         self._cycle_began_s = inf
@@ -95,7 +94,7 @@ class Manager:
 
     def snapshot(self) -> Snapshot:
         """Everything there is to know now."""
-        running, world, reviews = self._middleware.environment, self.world, tuple(self._reviews)
+        running, world, reviews = self._middleware.environment, self.world, self._reviews
         now, situation = self._clock.now(), self._intake.situation
         return Snapshot(
             now,
@@ -224,7 +223,7 @@ class Manager:
             self._observe()
         review = self._reviewing.review(lambda: self._is_closing)
         if review is not None:
-            self._reviews.append(review)
+            self._reviews = (*self._reviews, review)[-self._policy.reviews_kept :]
             if self._reviewing.optimised:
                 self._cycle_began_s = self._clock.now()
         if self._observe_at_s == inf:
