@@ -59,6 +59,7 @@ _COMMANDS = (
     _Command("regain-host", "use a host again", "HOST", "its name", "regain_host", "host"),
     _Command("review", "plan now, as if the horizon were reached", method="review"),
     _Command("events", "print what happens, until the run ends"),
+    _Command("socket", "print where the run's control socket is, for other programs"),
     _Command("stop", "stop the run, letting units finish"),
 )
 
@@ -98,6 +99,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
                     return _state(control, screen)
                 case "events":
                     return _events(control, screen)
+                case "socket":
+                    return _socket(control, screen)
                 case "stop":
                     return _stop(control, screen)
                 case "add":
@@ -133,6 +136,14 @@ def _events(control: Control, screen: Screen) -> Exit:
             screen.flush()
     except KeyboardInterrupt:
         screen.note("stopped")
+    return Exit.OK
+
+
+def _socket(control: Control, screen: Screen) -> Exit:
+    if screen.json:
+        screen.show_json({"run": control.system.run, "socket": str(control.path)})
+    else:
+        screen.write(f"{control.path}\n")
     return Exit.OK
 
 

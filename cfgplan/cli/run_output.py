@@ -46,10 +46,10 @@ def output_for(screen: Screen, operation: Operation, *, plain: bool) -> Output:
 
 
 def fetched(operation: Operation, wait_s: float) -> Iterator[News]:
-    """The news that there are; waits so long at most for the first of them."""
+    """The news that there are, but not without end; waits so long at most for the first of them."""
     try:
         yield operation.news.get(timeout=wait_s) if wait_s > 0 else operation.news.get_nowait()
-        while True:
+        for _ in range(operation.news.maxsize):
             yield operation.news.get_nowait()
     except queue.Empty:
         return

@@ -192,7 +192,8 @@ class Operation:
             case Ended(cause):
                 self.failure = "" if self._is_closed_at_once else cause
                 self.begun.set()
-        self._server.publish(report_record(report))
+        if self._server.has_subscribers:
+            self._server.publish(report_record(report))
         self._show(report)
 
     def _show(self, news: News) -> None:
