@@ -26,8 +26,8 @@ from cfgplan_runtime.runtime import Runtime
 
 PRELOADED = ("numpy", "cv2")
 """What all units import: the nursery imports it once, so that a unit is there in milliseconds."""
-_AROUND_NS = 1_500_000_000
-"""How far before and after a step to look for missing positions."""
+_BEFORE_NS = 1_000_000_000
+"""How far before a step to look for its last position."""
 _NOTHING_S = 1.5
 """How long to watch that nothing comes."""
 LONGEST_S = 120.0
@@ -66,7 +66,16 @@ def play(
         finally:
             runtime.close()
             listener.close()
-    return tuple(played)
+    return _without_gaps(played, listener)
+
+
+def _without_gaps(played: Sequence[Played], listener: Listener) -> tuple[Played, ...]:
+    """Each step until the next one begins: with the positions that came when it had been told already."""
+    ends_ns = [*(step.began_ns for step in played[1:]), played[-1].ended_ns]
+    return tuple(
+        replace(step, ended_ns=end_ns, samples=listener.samples(step.began_ns, end_ns))
+        for step, end_ns in zip(played, ends_ns, strict=True)
+    )
 
 
 class _Player:
@@ -101,7 +110,7 @@ class _Player:
             samples=self._listener.samples(began_ns),
             observed=tuple(one for one in observed if one is not None),
             first=first,
-            silence=silence(self._listener.samples(began_ns - _AROUND_NS, began_ns + _AROUND_NS)),
+            silence=silence(self._listener.samples(began_ns - _BEFORE_NS), began_ns, answered.updated_ns),
         )
 
     def _act(self, step: Step, manager: Manager) -> Review:
