@@ -139,6 +139,7 @@ def main() -> None:
     import matplotlib
 
     matplotlib.use("Agg")
+    matplotlib.rcParams["svg.hashsalt"] = "cfgplan"
     from matplotlib import pyplot as plt
 
     figure, panels = plt.subplots(2, 3, figsize=(15, 8), constrained_layout=True)

@@ -193,6 +193,7 @@ def plot(outcomes: Sequence[Outcome], folder: Path) -> None:
     import matplotlib
 
     matplotlib.use("Agg")
+    matplotlib.rcParams["svg.hashsalt"] = "cfgplan"
     from matplotlib import pyplot as plt
 
     figure, (regret, churn, growth) = plt.subplots(1, 3, figsize=(18, 5), constrained_layout=True)
