@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import signal
+
+import psutil
 from cfgplan_runtime import Policy
 from cfgplan_runtime.lifecycle.back_off import BackOffRules
 from cfgplan_runtime.lifecycle.perturbations import (
@@ -92,3 +96,17 @@ def test_a_hung_unit_a_failing_one_and_one_that_cannot_start_give_way_to_others(
     assert {gone.how for gone in run_for_real.seen(UnitGone)} == {"hung"}
     assert {each.transformation for each in run_for_real.seen(UnitKeepsFailing)} == {"raising"}
     assert any("no such device" in review.cause for review in run_for_real.reviews)
+
+
+def test_a_slow_start_does_not_hold_up_a_repair(run_for_real: RealRun) -> None:
+    run_for_real.start(source(), worker())
+    me, pid = psutil.Process(), run_for_real.runtime.pid("work.1")
+    assert pid is not None
+    processes = len(me.children(recursive=True))
+    slow = worker("slow", gives="S", deed="start slowly")
+    run_for_real.write(source(), worker(), slow, targets={"/result": "Y", "/slow": "S"})
+    eventually(lambda: len(me.children(recursive=True)) > processes)
+    os.kill(pid, signal.SIGKILL)
+    run_for_real.await_result("work")
+    assert not any(view.is_met for view in run_for_real.manager.snapshot().targets if view.topic == "/slow")
+    run_for_real.await_result("slow", topic="/slow")

@@ -19,6 +19,7 @@ from cfgplan_runtime.lifecycle.changes import (
     RemoveTargets,
     RemoveTransformations,
     ReplaceWorld,
+    Restore,
     Stop,
     Withdraw,
 )
@@ -183,6 +184,16 @@ def test_what_was_removed_of_a_declaration_stays_away_until_it_is_declared_again
     robots.ask(register)
     assert set(robots.manager.world.environment.transformation) == {"camera(r1)", "camera(r2)", "film(r2)"}
     assert robots.met == {"seen", "seen2"}
+
+
+def test_what_was_removed_can_be_restored(robots: Life) -> None:
+    robots.ask(RemoveTargets(("seen",)))
+    robots.ask(RemoveTransformations(("camera(r1)",)))
+    assert robots.manager.snapshot().removed == ("camera(r1)", "seen")
+    robots.ask(Restore(("seen", "camera(r1)")))
+    assert (robots.met, robots.manager.snapshot().removed) == ({"seen"}, ())
+    with pytest.raises(InputError, match="there is no removed name 'seen'"):
+        robots.ask(Restore(("seen",)))
 
 
 def test_an_individual_that_was_declared_can_be_removed_unless_it_is_needed(robots: Life) -> None:

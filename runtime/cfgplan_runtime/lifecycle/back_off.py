@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf
 
 from cfgplan_runtime.lifecycle.reports import BackingOff
@@ -53,6 +53,11 @@ class BackOffs:
     def refuse(self, label: str, cause: str) -> None:
         """Never start a transformation again, until it changes."""
         self._note(label, _Record(1, inf, cause), waits=True)
+
+    def postpone(self, label: str, until_s: float) -> None:
+        """Leave a transformation alone for a while; nobody is to blame."""
+        before = self._records.get(label, _Record(0, until_s, "its start would hold up another update"))
+        self._note(label, replace(before, until_s=max(before.until_s, until_s)), waits=True)
 
     def forgive(self, label: str) -> None:
         """Forget the failures of a transformation."""

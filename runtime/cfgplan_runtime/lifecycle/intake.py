@@ -76,8 +76,8 @@ class Intake:
         """Set when the end is asked for."""
         self.stops: list[Outcome] = []
         """Who has asked for the end."""
-        self.starting: set[str] = set()
-        """Units of an update that may fail: that they die is a part of that failure."""
+        self.starting: frozenset[str] = frozenset()
+        """New units of the update under way. That they die is a part of its failure; what else dies can't wait."""
         self.match_s = 0.0
         """Wall time that matching has taken since this was last set to 0."""
         self.not_started: list[str] = []
@@ -91,6 +91,8 @@ class Intake:
         self.inbox.put(event, self._clock.now(), is_urgent=not is_sign)
         if isinstance(event, UnitDied | InputLost):
             self.interrupt.set()
+            if event.unit not in self.starting:
+                self._abandon()
         if not is_sign:
             self._tell(UnitEvent(event))
 
@@ -101,6 +103,7 @@ class Intake:
         self.inbox.put(request, self._clock.now())
         if isinstance(change, Stop):
             self.ending.set()
+            self._abandon()
         self.interrupt.set()
         return request.outcome
 
@@ -178,6 +181,13 @@ class Intake:
             self.not_started.append(gone.transformation)
         else:
             self.perturb(gone, at_s, outcomes)
+
+    def _abandon(self) -> None:
+        """Don't let an update that waits for slow units hold up what is more urgent, where the middleware can."""
+        if self.starting:
+            abandon = getattr(self._middleware, "abandon", None)
+            if abandon is not None:
+                abandon()
 
     def _answer(self, outcomes: Iterable[Outcome]) -> None:
         """Tell those who asked that no review will follow."""

@@ -112,6 +112,7 @@ class Manager:
             self._running_cost_us(running, world),
             saving_us(reviews),
             self._intake.faults,
+            self._intake.living.removed,
         )
 
     @property

@@ -26,6 +26,7 @@ from cfgplan_runtime.lifecycle.changes import (
     RemoveTargets,
     RemoveTransformations,
     ReplaceWorld,
+    Restore,
     Withdraw,
     WorldChange,
 )
@@ -56,6 +57,13 @@ class LivingWorld:
         changed = self._changed(change)
         changed.world  # noqa: B018  computes it, which finds its faults
         return changed
+
+    @property
+    def removed(self) -> tuple[str, ...]:
+        """What was removed and would otherwise be there, by label or name."""
+        _, said = self._said
+        gone = self.without_targets & said.target.keys() | self.without_transformations & said.transformation.keys()
+        return tuple(sorted(gone | self.without_individuals))
 
     @cached_property
     def world(self) -> World:
@@ -142,6 +150,14 @@ class LivingWorld:
             case Withdraw(name):
                 _check_known("declaration", [name], self.declared)
                 return replace(self, declared=_without(self.declared, [name]))
+            case Restore(names):
+                _check_known("removed name", names, dict.fromkeys(self.removed))
+                return replace(
+                    self,
+                    without_targets=self.without_targets.difference(names),
+                    without_transformations=self.without_transformations.difference(names),
+                    without_individuals=self.without_individuals.difference(names),
+                )
             case ReplaceWorld(base):
                 old, new = self.base.environment, base.environment
                 told, told_of_library = _told(old.target, new.target), _told(old.transformation, new.transformation)

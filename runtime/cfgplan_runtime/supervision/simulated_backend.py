@@ -20,6 +20,7 @@ from cfgplan_runtime.supervision.events import (
 )
 
 _US_PER_S = 1_000_000
+_OF_A_UNIT = (UnitReady, UnitDied, UnitStopped, UnitStatus)
 
 
 @dataclass
@@ -91,7 +92,7 @@ class SimulatedBackend:
     units: dict[str, _Unit] = field(default_factory=dict)
     wires: dict[int, tuple[Stream, Inlet]] = field(default_factory=dict)
     _now: float = 0.0
-    _due: list[tuple[float, int, Event]] = field(default_factory=list)
+    _due: list[tuple[float, int, Event, _Unit | None]] = field(default_factory=list)
     _count: int = 0
     _inputs: dict[Inlet, _Input] = field(default_factory=dict)
 
@@ -102,7 +103,9 @@ class SimulatedBackend:
         end = None if timeout_s is None else self._now + timeout_s
         while self._due and (end is None or self._due[0][0] <= end):
             self._now = max(self._now, self._due[0][0])
-            event = heapq.heappop(self._due)[2]
+            _, _, event, unit = heapq.heappop(self._due)
+            if isinstance(event, _OF_A_UNIT) and self.units.get(event.unit) is not unit:
+                continue  # it was about one that has had its id before
             if self._happens(event):
                 return [event]
         if end is not None:
@@ -193,7 +196,8 @@ class SimulatedBackend:
 
     def _later(self, delay_s: float, event: Event) -> None:
         self._count += 1
-        heapq.heappush(self._due, (self._now + delay_s, self._count, event))
+        unit = self.units.get(event.unit) if isinstance(event, _OF_A_UNIT) else None
+        heapq.heappush(self._due, (self._now + delay_s, self._count, event, unit))
 
     def _happens(self, event: Event) -> bool:
         """Let a due event take effect; whether it still can."""
