@@ -54,6 +54,7 @@ _COMMANDS = (
         "remove-transformation", "use a transformation no more", "LABEL", "its label", "remove_transformation", "label"
     ),
     _Command("remove-individual", "take an individual away", "NAME", "its name", "remove_individual", "name"),
+    _Command("restore", "take a removal back", "NAME", "the label or name that was removed", "restore", "name"),
     _Command("kill", "end a unit at once", "UNIT", "its id, such as camera.1", "kill", "unit"),
     _Command("lose-host", "do without a host", "HOST", "its name", "lose_host", "host"),
     _Command("regain-host", "use a host again", "HOST", "its name", "regain_host", "host"),

@@ -53,6 +53,8 @@ def _parts(system: RunningSystem, state: Mapping[str, Any]) -> Iterator[Renderab
         yield Text(f"Hosts that are gone: {', '.join(state['lost_hosts'])}.", style="yellow")
     if state["declared"]:
         yield Text(f"Added: {', '.join(state['declared'])}.")
+    if state["removed"]:
+        yield Text(f"Removed: {', '.join(state['removed'])}.")
     if state["reviews"]:
         yield Text()
     for review in state["reviews"][-_MOST_REVIEWS:]:

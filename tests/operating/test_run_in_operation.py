@@ -68,12 +68,15 @@ def test_a_robot_registers_itself_is_used_and_leaves_again(env: Path, capsys: py
 
 
 @pytest.mark.usefixtures("run")
-def test_targets_and_transformations_can_be_removed(capsys: pytest.CaptureFixture[str]) -> None:
+def test_targets_and_transformations_can_be_removed_and_restored(capsys: pytest.CaptureFixture[str]) -> None:
     removed = ctl(capsys, "remove-transformation", "camera(piff)", code=12)
     assert list(removed["review"]["unmet"]) == ["ball"]
     removed = ctl(capsys, "remove-target", "ball")
     assert removed["review"]["unmet"] == {}
-    assert ctl(capsys, "state")["units"] == []
+    state = ctl(capsys, "state")
+    assert (state["units"], state["removed"]) == ([], ["ball", "camera(piff)"])
+    ctl(capsys, "restore", "camera(piff)")
+    assert ctl(capsys, "restore", "ball")["review"]["met"] == ["ball"]
 
 
 @pytest.mark.usefixtures("run")

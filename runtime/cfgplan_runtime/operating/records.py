@@ -33,6 +33,7 @@ def snapshot_record(snapshot: Snapshot, flows: Mapping[str, Record] | None = Non
         "backing_off": [plain(backing_off) for backing_off in snapshot.backing_off],
         "lost_hosts": list(snapshot.lost_hosts),
         "declared": list(snapshot.declared),
+        "removed": list(snapshot.removed),
         "faults": [plain(fault) for fault in snapshot.faults],
     }
 
