@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import queue
 import sys
 from collections.abc import Iterator
@@ -38,7 +39,7 @@ def output_for(screen: Screen, operation: Operation, *, plain: bool) -> Output:
     """The output that suits where it goes."""
     if screen.json:
         return JsonLines(screen, operation)
-    if plain or not sys.stdout.isatty():
+    if plain or not sys.stdout.isatty() or os.environ.get("TERM") in (None, "", "dumb"):
         return Lines(screen, operation)
     from cfgplan.cli.live_view import LiveView
 

@@ -70,6 +70,7 @@ def test_an_operation_leaves_nothing_behind_where_it_can_not_begin(folder: Path,
     world = api.load("env.yaml")
     with pytest.raises(InputError, match="can't be written"):
         Operation(world, Path("env.yaml"), Settings(record=folder / "a.mcap", log=folder / "nowhere" / "log"))
+    assert not (folder / "a.mcap").exists()
     with pytest.raises(InputError, match="exists already"):
         Operation(world, Path("env.yaml"), Settings(record=folder / "env.yaml"))
     assert (folder / "env.yaml").read_text() == ENVIRONMENT
