@@ -269,9 +269,9 @@ def test_a_unit_that_dies_during_an_update_leads_to_another_review() -> None:
     life = Life(source(), worker(), behaviours={"count": Behaviour(dies_s=0.01), "work": Behaviour(start_s=1.0)})
     life.manager.step(0.1)
     life.runtime.backend.behaviours.clear()
-    life.settle()
+    life.pass_time(2)
     assert life.met == {"result"}
-    assert [review.decision for review in life.reviews] == [Decision.FAILED, Decision.APPLIED]
+    assert [review.decision for review in life.reviews] == [Decision.FAILED, Decision.KEPT, Decision.APPLIED]
 
 
 def test_a_planner_without_an_answer_is_asked_again_later_and_later() -> None:

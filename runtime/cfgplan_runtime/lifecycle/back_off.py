@@ -43,7 +43,10 @@ class BackOffs:
         self._waiting: frozenset[str] = frozenset()
 
     def failed(self, label: str, lived_s: float, now_s: float, cause: str, *, is_costly: bool = False) -> None:
-        """A unit has failed after so long a life. A failure that `is_costly` is not repeated at once."""
+        """A unit has failed after so long a life.
+
+        One that `is_costly`, since it took a whole update with it, is not repeated at once.
+        """
         before = self._records.get(label)
         is_new = before is None or lived_s >= self._rules.good_life_s
         failures = (0 if is_new or before is None else before.failures) + (2 if is_costly else 1)

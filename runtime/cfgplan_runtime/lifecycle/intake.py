@@ -173,7 +173,8 @@ class Intake:
     def _take_death(self, gone: UnitGone, at_s: float) -> None:
         situation, unit = self.situation, gone.unit
         if gone.how != "killed" and unit not in situation.failing:
-            self.blame(gone.transformation, at_s - situation.units[unit].since_s, gone.cause)
+            lived_s = at_s - situation.units[unit].since_s
+            self.blame(gone.transformation, lived_s, gone.cause, is_costly=unit in self.starting)
         situation.forget(unit)
         outcomes = self.pending.waiting_for(unit)
         if unit in self.starting:
