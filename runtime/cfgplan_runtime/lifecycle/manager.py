@@ -65,7 +65,7 @@ class Manager:
         self._observations: Mapping[str, Observation] = {}
         self._cycle_began_s = inf
         self._observe_at_s = inf
-        self._is_closing = False
+        self._is_busy = self._is_closing = False
         self._thread: threading.Thread | None = None
         self._quiet = threading.Condition()
         self._intake.perturb(Started(), self._clock.now())
@@ -123,7 +123,7 @@ class Manager:
     @property
     def is_settled(self) -> bool:
         """Whether nothing is to be reviewed."""
-        return self._phase is not Phase.REVIEW and self._intake.inbox.is_empty and self._intake.pending.is_empty
+        return self._intake.inbox.is_empty and not self._is_busy and self._intake.pending.is_empty
 
     def settle(self, timeout_s: float | None = None) -> bool:
         """Wait until nothing is to be reviewed; whether that is so."""
@@ -182,6 +182,7 @@ class Manager:
         intake = self._intake
         if intake.inbox.is_empty and not self._is_closing:
             self._wait(self._clock.now() + timeout_s)
+        self._is_busy = True
         self._take_in()
         now = self._clock.now()
         if self._is_closing or intake.stops:
@@ -192,6 +193,7 @@ class Manager:
             self._review()
         elif self._observe_at_s <= now:
             self._observe()
+        self._is_busy = False
         with self._quiet:
             self._quiet.notify_all()
 
