@@ -86,13 +86,9 @@ class Consumer:
             self.came.append(time.time_ns())
 
     def longest_gap(self, since_ns: int) -> tuple[int, int] | None:
-        """The ends of the longest time without an element that lasted beyond a moment; None if nothing came since."""
-        came = self.came[max(0, bisect(self.came, since_ns) - 1) :]
-        if not came or came[-1] <= since_ns:
-            return None
-        if came[0] > since_ns:
-            return since_ns, came[0]
-        return max(pairwise(came), key=lambda ends: ends[1] - ends[0])
+        """The ends of the longest time without an element after a moment; None if nothing has come since."""
+        came = [since_ns, *self.came[bisect(self.came, since_ns) :]]
+        return max(pairwise(came), key=lambda ends: ends[1] - ends[0], default=None)
 
 
 class Run:
