@@ -170,10 +170,8 @@ def _change(control: Control, screen: Screen, method: str, params: dict[str, Any
     elif review is None:
         screen.show(f"{done} That changes nothing.")
     else:
-        from cfgplan.cli.state_text import review_text
-
         screen.show(done)
-        screen.show(review_text(review))
+        screen.show(review["says"])
     return Exit.OK if review is None else _met(not reason for reason in review["unmet"].values())
 
 
