@@ -101,11 +101,17 @@ class Intake:
         request = Request(change, Future())
         request.outcome.set_running_or_notify_cancel()  # who asks can't take it back
         self.inbox.put(request, self._clock.now())
-        if isinstance(change, Stop):
-            self.ending.set()
-            self._abandon()
         self.interrupt.set()
+        if isinstance(change, Stop):
+            self.hurry()
         return request.outcome
+
+    def hurry(self) -> None:
+        """Let whatever is under way come to its end: nobody wants it any more."""
+        self.ending.set()
+        self.interrupt.set()
+        self._abandon()
+        self.inbox.bell.set()
 
     def turn_away(self, error: Exception) -> None:
         """There is no manager any more: tell all who wait. For any thread."""

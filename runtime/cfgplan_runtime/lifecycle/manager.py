@@ -151,9 +151,7 @@ class Manager:
     def close(self) -> None:
         """End after the step that is under way; units are left to the middleware."""
         self._is_closing = True
-        self._intake.ending.set()
-        self._intake.interrupt.set()
-        self._intake.inbox.bell.set()
+        self._intake.hurry()
         if self._thread is not None:
             self._thread.join()
 
