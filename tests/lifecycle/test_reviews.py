@@ -85,6 +85,16 @@ def test_a_unit_that_keeps_failing_is_given_up() -> None:
     assert (life.met, life.units) == ({"result"}, {"count.1", "dear.1"})
 
 
+def test_a_unit_is_not_judged_by_what_another_of_its_id_has_done() -> None:
+    life = started(source(), worker(), DEAR)
+    life.pass_time(10)
+    life.ask(RemoveTargets(("result",)))
+    life.runtime.backend.behaviours["work"] = Behaviour(failing=True)
+    life.ask(AddTargets((RESULT,)))
+    life.pass_time(8)
+    assert life.perturbations(UnitKeepsFailing)[0].unit == "work.1"
+
+
 def test_a_lost_subscription_is_made_anew() -> None:
     life = started()
     life.runtime.cut("work.1", "x")
