@@ -91,7 +91,9 @@ def test_a_unit_is_not_judged_by_what_another_of_its_id_has_done() -> None:
     life.ask(RemoveTargets(("result",)))
     life.runtime.backend.behaviours["work"] = Behaviour(failing=True)
     life.ask(AddTargets((RESULT,)))
-    life.pass_time(8)
+    life.pass_time(3)
+    assert life.perturbations(UnitKeepsFailing) == []
+    life.pass_time(3)
     assert life.perturbations(UnitKeepsFailing)[0].unit == "work.1"
 
 
