@@ -263,6 +263,18 @@ def test_a_perturbation_during_planning_is_part_of_the_same_review() -> None:
     assert (planner.plans, life.met) == (2, {"result", "other"})
 
 
+def test_a_bad_request_during_planning_does_not_cost_the_plan() -> None:
+    planner = Meddling()
+    life = started(planner=planner)
+
+    def ask() -> None:
+        life.manager.request(RemoveTargets(("nothing",)))
+
+    planner.deed, planner.plans = ask, 0
+    assert life.reviewed(AddTargets((Target("other", "N", "/other"),))).met == ("other", "result")
+    assert planner.plans == 2  # the first may have been stopped for it
+
+
 def test_what_happens_during_every_plan_does_not_keep_a_review_from_its_end() -> None:
     planner = Meddling()
     life = started(planner=planner)
