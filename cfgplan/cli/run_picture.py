@@ -115,7 +115,7 @@ class Picture:
         return _with_rest(table, len(ordered), room, "target")
 
     def _target(self, target: TargetView) -> Iterator[RenderableType]:
-        flow = self.flows.get(target.topic, Flow())
+        flow = self.flows.get(target.topic, Flow()) if target.is_met else Flow()
         yield Text(target.label, style="green" if target.is_met else "red")
         yield Text(target.topic)
         yield Text(f"{flow.rate_hz:.1f} Hz" if flow.elements else "", style="" if flow.rate_hz else "yellow")

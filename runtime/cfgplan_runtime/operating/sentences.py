@@ -86,7 +86,7 @@ def review_sentence(review: Review) -> str:
     parts = [f"Review {review.number}: {decision(review)}"]
     if review.unmet:
         parts += [f"{label} is not met: {reason}" for label, reason in sorted(review.unmet.items())]
-    if review.avoided:
+    elif review.avoided:
         parts.append(f"without {named(review.avoided)}, which failed or whose host is gone")
     took = {phase: seconds for phase, seconds in review.seconds.items() if seconds >= 0.0005}
     if took:
@@ -138,7 +138,7 @@ def _cause(perturbation: kinds.Perturbation) -> str:
         case kinds.UnitKeepsFailing(unit):
             return f"{unit} keeps failing"
         case kinds.SubscriptionLost(unit, port):
-            return f"{unit or 'a topic'} lost {port}"
+            return f"{unit} lost {port}" if unit else f"topic {port} lost its source"
         case kinds.WorldChanged(by):
             return f"{'request' if by == 'request' else 'the file'} changed the world"
         case kinds.HostGone(host):
@@ -215,8 +215,10 @@ def _event(event: events.Event) -> str | None:
             return f"{unit} takes {memory_bytes >> 20} MB and is killed"
         case events.UnitPrinted(unit, line):
             return f"{unit} | {line}"
+        case events.InputLost(None, topic, _):
+            return f"topic {topic} lost its source"
         case events.InputLost(unit, port, _):
-            return f"{unit or 'a topic'} lost its input {port}"
+            return f"{unit} lost its input {port}"
         case events.SourceExhausted(unit):
             return f"{unit} has no more to give"
         case events.OutletsLost(cause):
