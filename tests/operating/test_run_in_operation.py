@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import select
 import signal
 import subprocess
 from collections.abc import Iterator
@@ -120,6 +121,24 @@ def test_what_is_refused_says_where_and_why(env: Path, capsys: pytest.CaptureFix
     assert "no unit 'ghost' runs" in capsys.readouterr().err
     assert main(["ctl", "add", str(env.parent / "nowhere.yaml")]) == 30
     assert "there is no such file" in capsys.readouterr().err
+
+
+def test_what_happens_can_be_followed(run: subprocess.Popen[str], capsys: pytest.CaptureFixture[str]) -> None:
+    following = [
+        subprocess.Popen(command("ctl", "events", *more), stdout=subprocess.PIPE, text=True)
+        for more in ((), ("--json",))
+    ]
+    with following[0] as people, following[1] as program:
+        assert people.stdout is not None and program.stdout is not None
+        # Both have subscribed when they have heard of something.
+        while not select.select([people.stdout], [], [], 0)[0] or not select.select([program.stdout], [], [], 0)[0]:
+            assert ctl(capsys, "review")
+        ctl(capsys, "stop")
+        told = [json.loads(line) for line in program.stdout]
+        assert any(" Review " in line for line in people.stdout)
+    assert told[-1]["kind"] == "Ended"
+    assert {"ReviewBegan", "Reviewed", "UnitStopped"} <= {event["kind"] for event in told}
+    assert run.wait(PATIENCE_S) == 0
 
 
 def test_without_a_run_ctl_says_so(capsys: pytest.CaptureFixture[str]) -> None:

@@ -30,6 +30,7 @@ from cfgplan_runtime.operating.methods import Methods
 from cfgplan_runtime.operating.recorder import Recorder
 from cfgplan_runtime.operating.records import report_record
 from cfgplan_runtime.operating.report_log import logging_to
+from cfgplan_runtime.operating.sentences import sentence
 from cfgplan_runtime.runtime import Runtime
 from cfgplan_runtime.streams.run_folder import base_folder
 from cfgplan_runtime.supervision.run_log import RunLog
@@ -198,7 +199,7 @@ class Operation:
                 self.failure = "" if self._is_closed_at_once else cause
                 self.begun.set()
         if self._server.has_subscribers:
-            self._server.publish(report_record(report))
+            self._server.publish({**report_record(report), "says": sentence(report)})
         self._show(report)
 
     def _show(self, news: News) -> None:
