@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from cfgplan_runtime.reasoning import monitor as monitor_module
-from cfgplan_runtime.reasoning import obligations
+from cfgplan_runtime.reasoning import automaton, obligations
 from cfgplan_runtime.reasoning.monitor import Monitor
 from cfgplan_runtime.reasoning.obligations import TooManyObligationsError
 from cfgplan_runtime.reasoning.syntax import Always, And, Atom, Eventually, Formula, Implies, Interval, Not, Or, Until
@@ -116,7 +115,7 @@ def test_feeding_many_states_at_once_is_the_same_as_one_at_a_time(formula: Formu
 @given(formulas, traces(three_values, 30))
 def test_forgetting_transitions_changes_nothing(formula: Formula, trace: list[State]) -> None:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(monitor_module, "MOST_REMEMBERED", 8)
+        patch.setattr(automaton, "MOST_REMEMBERED", 8)
         monitor = Monitor(formula)
         follow(monitor, trace)
         assert monitor.ended() == VERDICT[holds(formula, trace)]
@@ -187,7 +186,7 @@ def test_obligations_without_end_are_refused_rather_than_kept(monkeypatch: pytes
 
 
 def test_moments_without_end_are_refused_rather_than_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(monitor_module, "MOST_MOMENTS", 20)
+    monkeypatch.setattr(automaton, "MOST_MOMENTS", 20)
     monitor = Monitor(Always(Implies(P, Eventually(Q, Interval(50, 60)))))
     with pytest.raises(TooManyObligationsError, match="shorten them"):
         follow(monitor, states("p " * 40))
