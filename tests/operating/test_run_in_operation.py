@@ -264,10 +264,13 @@ def test_a_recorded_run_is_read_back_with_streams_and_reviews(env: Path, tmp_pat
     assert (recorded["lost"], recorded["failure"]) == (0, None)
     numbers, topics = [], set()
     with file.open("rb") as stream:
-        for _, channel, message in make_reader(stream).iter_messages():
+        reader = make_reader(stream, validate_crcs=True)
+        (metadata,) = reader.iter_metadata()
+        for _, channel, message in reader.iter_messages():
             topics.add(channel.topic)
             if channel.topic == "/result":
                 numbers.append(json.loads(message.data)["number"])
+    assert metadata.metadata["environment"] == str(env)
     assert topics >= {"/result", "/result/image", "/cfgplan/reviews", "/cfgplan/events", "/cfgplan/log"}
     assert len(numbers) > 30
     assert numbers == [(numbers[0] + count) % 200 for count in range(len(numbers))]

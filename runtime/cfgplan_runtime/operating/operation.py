@@ -13,6 +13,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, TypeAlias
 
+from cfgplan import __version__
 from cfgplan.api import World
 from cfgplan.errors import InputError
 from cfgplan_runtime.errors import RuntimeFaultError
@@ -153,6 +154,9 @@ class Operation:
             stack.callback(log.close)
         folder = self._path if self._path.is_dir() else self._path.parent
         self.runtime = stack.enter_context(Runtime(folder=folder.resolve(), preload=settings.preload))
+        if self.recorder is not None:
+            facts = {"run": self.id, "environment": str(self._path.resolve()), "version": __version__}
+            self.recorder.recording.describe(facts)
         self._estimator = make_estimator(settings.estimator, settings.guess)
         self._load_estimates()
         self.flows = Flows(self.id, None if self.recorder is None else self.recorder.element)
