@@ -167,6 +167,14 @@ def test_editing_the_file_changes_what_runs(run: subprocess.Popen[str], env: Pat
     assert await_event(run, "WorldRefused")["faults"][0]["file"] == str(env)
 
 
+def test_a_horizon_that_was_given_holds_whatever_the_file_says(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with running(env, "--horizon", "50") as process:
+        await_event(process, "Running")
+        env.write_text(ENVIRONMENT.replace("/result", "/elsewhere").replace("600", "700"))
+        eventually(lambda: ctl(capsys, "state")["targets"][0]["topic"] == "/elsewhere")
+        assert ctl(capsys, "state")["horizon_s"] == 50
+
+
 def test_a_killed_run_takes_its_units_along_and_the_next_begins_anew(
     run: subprocess.Popen[str], env: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -180,7 +188,7 @@ def test_a_killed_run_takes_its_units_along_and_the_next_begins_anew(
         assert json.loads(capsys.readouterr().out)["value"]["robot"] == "piff"
 
 
-@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGHUP])
 def test_the_first_interrupt_lets_units_finish_and_the_second_does_not_wait(env: Path, end: signal.Signals) -> None:
     slow = (
         UNITS
