@@ -154,8 +154,8 @@ def test_what_is_left_does_not_grow_with_the_stream(formula: Formula, seed: int,
 
 def test_a_queue_that_was_short_when_a_step_was_learnt_may_be_long_the_next_time() -> None:
     formula = Always(Implies(P, Eventually(Q, Interval(10, 12))))
-    times = [0, 1, 2, 11, 12, 20, 21, 22, 23, 24, 31, 32, 36, 40]
-    trace = [(time, {"p": time in (0, 1, 2) or 20 <= time <= 24, "q": time in (11, 12, 31, 32)}) for time in times]
+    times = [0, 1, 11, 12, 20, 21, 22, 31, 36, 40]
+    trace = [(time, {"p": time in (0, 1, 20, 21, 22), "q": time in (11, 31)}) for time in times]
     monitor = Monitor(formula)
     follow(monitor, trace)
     assert (monitor.verdict, monitor.time_ns) == (Verdict.FALSE, 36)
