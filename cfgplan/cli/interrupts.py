@@ -15,18 +15,30 @@ _SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 _MOST_PATIENT = 2
 
 
-@contextmanager
-def ended_cleanly() -> Iterator[None]:
-    """SIGTERM and a closed terminal end a command by an exception, so that its folders and processes are removed."""
+class Ending:
+    """What may end a command before it is done."""
 
-    def end(number: int, _frame: FrameType | None) -> None:
+    def __init__(self) -> None:
+        self.interrupted = False
+        """Whether Ctrl-C was pressed: what is raised after that may come of it."""
+
+    def hear(self, number: int, _frame: FrameType | None) -> None:
+        if number == signal.SIGINT:
+            self.interrupted = True
+            raise KeyboardInterrupt
         raise SystemExit(128 + number)
 
-    names = _SIGNALS[1:] if current_thread() is main_thread() else ()
+
+@contextmanager
+def ended_cleanly() -> Iterator[Ending]:
+    """SIGTERM and a closed terminal end a command by an exception, so that its folders and processes are removed."""
+    ending = Ending()
+    names = _SIGNALS if current_thread() is main_thread() else ()
     signals = [getattr(signal, name) for name in names if hasattr(signal, name)]
-    before = {one: signal.signal(one, end) for one in signals if signal.getsignal(one) == signal.SIG_DFL}
+    usual = (signal.SIG_DFL, signal.default_int_handler)
+    before = {one: signal.signal(one, ending.hear) for one in signals if signal.getsignal(one) in usual}
     try:
-        yield
+        yield ending
     finally:
         for one, handler in before.items():
             signal.signal(one, handler)

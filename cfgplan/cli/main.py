@@ -27,7 +27,7 @@ from cfgplan.cli import (
     solve,
 )
 from cfgplan.cli.exits import Exit
-from cfgplan.cli.interrupts import ended_cleanly
+from cfgplan.cli.interrupts import Ending, ended_cleanly
 from cfgplan.cli.screen import Screen
 from cfgplan.errors import CfgplanError, Fault, InputError
 
@@ -39,11 +39,11 @@ VERBS = (check, match, solve, explain, sensitivity, graph, run, ctl, listen, que
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns its exit code."""
     _stand_in_for_closed_streams()
-    with ended_cleanly():
-        return _main(arguments)
+    with ended_cleanly() as ending:
+        return _main(arguments, ending)
 
 
-def _main(arguments: Sequence[str] | None) -> int:
+def _main(arguments: Sequence[str] | None, ending: Ending) -> int:
     screen, options = Screen(json=False), argparse.Namespace()
     try:
         parser = _parser()
@@ -74,6 +74,9 @@ def _main(arguments: Sequence[str] | None) -> int:
         screen.faults([Fault(f"the package {error.name} is not installed", mend=_install(error.name or ""))])
         return Exit.BAD_INPUT
     except Exception as error:
+        if ending.interrupted:  # the libraries make other errors of a Ctrl-C while they are imported
+            screen.note("interrupted")
+            return Exit.INTERRUPTED
         if os.environ.get("CFGPLAN_TRACEBACK"):
             raise
         if isinstance(error, OSError) and error.errno in _FULL and not error.filename:

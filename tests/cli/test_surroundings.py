@@ -90,6 +90,20 @@ def test_ctrl_c_ends_what_asks_for_many_plans(run: Run, monkeypatch: pytest.Monk
     assert "interrupted" in result.err
 
 
+def test_what_a_library_makes_of_ctrl_c_is_an_interruption(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """ortools that is interrupted while it is imported says `ImportError: initialization failed`."""
+
+    def interrupted(*_: Any, **__: Any) -> Any:
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        raise ImportError("initialization failed")
+
+    monkeypatch.setattr("cfgplan.api.load", interrupted)
+    result = run("solve", FUSION)
+    assert result.code == 130
+    assert "interrupted" in result.err
+
+
 def test_sigterm_lets_a_command_clear_away_what_it_has_made() -> None:
     before = signal.getsignal(signal.SIGTERM)
     with pytest.raises(SystemExit, match="143"), ended_cleanly():

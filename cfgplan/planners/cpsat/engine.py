@@ -40,11 +40,12 @@ def solve(solver: CpSolver, model: CpModel, callback: CpSolverSolutionCallback, 
             done.set()
 
     Thread(target=work, daemon=True).start()
-    while not done.is_set():
+    while not status:  # a thread that is left behind would end the process by SIGABRT
         try:
-            done.wait(0.05)
-            if clock.stop.is_set():
-                solver.stop_search()
+            while not done.wait(0.05):
+                if clock.stop.is_set():
+                    solver.stop_search()
+            break
         except KeyboardInterrupt:
             clock.stop.set()
     return status[0]
