@@ -29,18 +29,30 @@ def repeatable_solver(*, small: bool, time_limit_s: float | None) -> CpSolver:
 
 
 def solve(solver: CpSolver, model: CpModel, callback: CpSolverSolutionCallback, clock: Clock) -> CpSolverStatus:
-    """Solve in a thread, so that `stop` and Ctrl-C end it with the best solution so far."""
+    """Solve in a thread, so that `stop` and Ctrl-C end it with the best solution so far.
+
+    Raises KeyboardInterrupt if Ctrl-C comes before the thread is there. None is left behind that solves: at the end
+    of the process it would make it abort.
+    """
     status: list[CpSolverStatus] = []
-    done = Event()
+    begun, done, is_given_up = Event(), Event(), Event()
 
     def work() -> None:
+        begun.set()
         try:
-            status.append(solver.solve(model, callback))
+            if not is_given_up.is_set():
+                status.append(solver.solve(model, callback))
         finally:
             done.set()
 
-    Thread(target=work, daemon=True).start()
-    while not status:  # a thread that is left behind would end the process by SIGABRT
+    try:
+        Thread(target=work, daemon=True).start()
+    except KeyboardInterrupt:
+        clock.stop.set()
+        is_given_up.set()
+        if not begun.is_set():
+            raise
+    while True:
         try:
             while not done.wait(0.05):
                 if clock.stop.is_set():
@@ -48,6 +60,8 @@ def solve(solver: CpSolver, model: CpModel, callback: CpSolverSolutionCallback, 
             break
         except KeyboardInterrupt:
             clock.stop.set()
+    if is_given_up.is_set() and not status:
+        raise KeyboardInterrupt
     return status[0]
 
 
