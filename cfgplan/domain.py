@@ -85,7 +85,7 @@ START_MODES = ("all", "any", "aligned")
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """How the units of a transformation run; planning never looks at it.
+    """How the units of a transformation run; planning looks at `memory_mb` only, and where there are hosts only.
 
     `start` says what starts a step: `all` inputs fresh, `any` input, inputs `aligned` in time within
     `tolerance_us`, or a port's name. `rate_hz` is a source's. `queue` elements wait at each input; when full,
@@ -114,7 +114,7 @@ class Transformation:
     wherever that is possible at all (section V-C).
 
     Where an environment has hosts, units run on `host`, or on one of `hosts` if that is None, or anywhere if
-    both are empty, and take `memory_mb` megabytes there. No unit is beside one of a transformation in `conflicts`.
+    both are empty, and take `needs_mb` megabytes there. No unit is beside one of a transformation in `conflicts`.
     At least `min_instances` units run; at most `max_instances` are there, cold spares counted. A cold spare takes
     `standby_us` each second; None: it has none.
     """
@@ -132,7 +132,7 @@ class Transformation:
     params: Mapping[str, object] = field(default_factory=dict, hash=False)
     run: RunOptions = RunOptions()
     hosts: tuple[str, ...] = ()
-    memory_mb: int = 0
+    memory_mb: int | None = None
     conflicts: tuple[str, ...] = ()
     min_instances: int = 0
     max_instances: int | None = None
@@ -152,10 +152,15 @@ class Transformation:
             _refuse_duplicates(f"host of transformation {self.label!r}", list(self.hosts))
         if self.host is not None and self.hosts:
             raise InvalidValueError(f"transformation {self.label!r} has a host and a choice of hosts")
-        if self.memory_mb < 0 or (self.standby_us or 0) < 0:
+        if (self.memory_mb or 0) < 0 or (self.standby_us or 0) < 0:
             raise InvalidValueError(f"transformation {self.label!r} takes less than nothing")
         if self.min_instances < 0 or (self.max_instances is not None and self.max_instances < self.min_instances):
             raise InvalidValueError(f"transformation {self.label!r} asks for more instances than it allows")
+
+    @property
+    def needs_mb(self) -> int:
+        """The megabytes that a unit takes on its host: `memory_mb`, or else the most that it may take."""
+        return (self.run.memory_mb or 0) if self.memory_mb is None else self.memory_mb
 
     @cached_property
     def input(self) -> Mapping[str, InputPort]:

@@ -34,7 +34,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
     world = shared.load(options, screen)
     problem = shared.problem(options, screen, world)
-    found = api.violations(problem.environment, problem.similarity)
+    found = api.violations(problem.environment, problem.similarity, problem.survive)
     if screen.json:
         screen.show_json(
             {

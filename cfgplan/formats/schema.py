@@ -11,6 +11,8 @@ from pydantic_core import PydanticCustomError
 
 from cfgplan.costs import microseconds
 from cfgplan.errors import InvalidValueError
+from cfgplan.planning import MOST_INSTANCES
+from cfgplan.qualities import micro_units
 
 FORMAT = "cfgplan/1"
 LONGEST_HORIZON_S = 1_000_000_000
@@ -63,6 +65,26 @@ def _rate(value: object) -> float:
     return float(value)
 
 
+def _micro(value: object) -> int:
+    if type(value) is not int and type(value) is not Decimal:
+        raise PydanticCustomError("number_type", "a quality is a number")
+    try:
+        return micro_units(value)
+    except (InvalidValueError, DecimalException) as error:
+        message, _, mend = str(error).partition(": ")
+        text = message if isinstance(error, InvalidValueError) else "the number is too large"
+        raise PydanticCustomError("quality", "{text}", {"text": text, "mend": mend or "write a number"}) from None
+
+
+def _positive_micro(value: object) -> int:
+    micro = _micro(value)
+    if micro < 0:
+        raise PydanticCustomError(
+            "quality", "{text}", {"text": f"{value} is negative", "mend": "write a number of 0 or more"}
+        )
+    return micro
+
+
 def _finite(value: object) -> object:
     """Parameters as plain values: Decimal becomes float, which every file format can say again."""
     if type(value) is Decimal:
@@ -100,6 +122,8 @@ Seconds = Annotated[int, PlainValidator(_seconds), WithJsonSchema({"type": "numb
 Rate = Annotated[
     float, PlainValidator(_rate), WithJsonSchema({"type": "number", "exclusiveMinimum": 0, "maximum": LARGEST_RATE_HZ})
 ]
+Micro = Annotated[int, PlainValidator(_micro), WithJsonSchema({"type": "number"})]
+PositiveMicro = Annotated[int, PlainValidator(_positive_micro), WithJsonSchema({"type": "number", "minimum": 0})]
 Params = Annotated[dict[str, Any], PlainValidator(_params), WithJsonSchema({"type": ["object", "null"]})]
 
 
@@ -115,10 +139,29 @@ class InputPart(_Part):
     feedback: bool = Field(default=False, description="this input may close a cycle of the wiring")
 
 
+class ContributionPart(_Part):
+    """What an output makes of a quality attribute: exactly one of `add`, `limit`, `scale` and `set`."""
+
+    add: Micro | None = Field(default=None, description="added to the value of the inputs")
+    limit: PositiveMicro | None = Field(default=None, description="the value is no better than this")
+    scale: PositiveMicro | None = Field(default=None, description="a factor on the value of the inputs")
+    set: PositiveMicro | None = Field(default=None, description="the value, whatever the inputs are")
+    of: Literal["worst", "best", "mean", "sum"] = Field(default="worst", description="how several inputs count")
+
+
+Quality = Annotated[
+    Annotated[Micro, Tag(SHORT_FORM)] | Annotated[ContributionPart, Tag(FULL_FORM)],
+    Discriminator(_form),
+]
+
+
 class OutputPart(_Part):
-    """An output port in its long form."""
+    """An output port that says more than a tag."""
 
     tag: TagText
+    quality: dict[Name, Quality] | None = Field(default=None, description="attribute to what it makes of it")
+    rate: PositiveMicro = Field(default=0, description="elements per second, for what it costs to change hosts")
+    size: int = Field(default=0, ge=0, le=LONGEST_HORIZON_S, description="bytes of one element")
 
 
 Input = Annotated[
@@ -166,13 +209,23 @@ class TransformationPart(_Part):
         default=None, description="package.module:Class, or units.py:Class relative to this file"
     )
     kind: Name | None = Field(default=None, description="free text, the paper's type attribute")
-    host: Name | None = Field(default=None, description="where its units run")
+    host: Names | None = Field(default=None, description="where its units run: a host, or a list to choose from")
     params: Params = Field(default={}, description="the configuration its units are started with")
     labor: Cost | None = Field(default=None, description="CPU seconds of one start")
     upkeep: Cost | None = Field(default=None, description="CPU seconds that a running unit takes per second")
     pinned: bool = Field(default=False, description="running units are kept even where no target needs them")
     required: bool = Field(default=False, description="must be used wherever that is possible at all")
-    run: RunPart | None = Field(default=None, description="how its units run; planning never looks at it")
+    memory: int | None = Field(
+        default=None,
+        ge=0,
+        le=LONGEST_QUEUE,
+        description="megabytes that a unit takes on its host; run.memory if absent",
+    )
+    conflicts: list[Name] | None = Field(default=None, description="transformations that may not be there beside it")
+    min_instances: int = Field(default=0, ge=0, le=MOST_INSTANCES, description="at least so many of its units run")
+    max_instances: int | None = Field(default=None, ge=0, description="at most so many of its units are there")
+    standby: Cost | None = Field(default=None, description="CPU seconds per second of a spare that does not run")
+    run: RunPart | None = Field(default=None, description="how its units run")
     inputs: dict[PortName, Input] | None = Field(default=None, description="input ports: name to tag")
     outputs: dict[PortName, Output] | None = Field(default=None, description="output ports: name to tag")
 
@@ -188,6 +241,16 @@ class UnitPart(_Part):
     topics: dict[PortName, list[Name]] | None = Field(
         default=None, description="output port to the topics it is published on"
     )
+    host: Name | None = Field(default=None, description="where it runs, if hosts are declared")
+    standby: bool = Field(default=False, description="it is a spare that does not run")
+
+
+class WishPart(_Part):
+    """What a target asks of a quality attribute."""
+
+    at_least: PositiveMicro | None = Field(default=None, description="where higher is better: a bound")
+    at_most: PositiveMicro | None = Field(default=None, description="where lower is better: a bound")
+    weight: Cost = Field(default=0, description="CPU seconds for each unit by which the best is missed")
 
 
 class TargetPart(_Part):
@@ -197,6 +260,31 @@ class TargetPart(_Part):
     topic: Name
     tag: TagText
     priority: int = Field(default=0, ge=-LONGEST_HORIZON_S, le=LONGEST_HORIZON_S, description="larger matters more")
+    quality: dict[Name, WishPart] | None = Field(default=None, description="attribute to what is asked of it")
+    host: Name | None = Field(default=None, description="the host that the stream has to come to")
+
+
+class HostPart(_Part):
+    """A computer that units run on."""
+
+    name: Name
+    cpu: Cost | None = Field(default=None, description="CPU seconds per second that units may take; no limit if absent")
+    memory: int | None = Field(default=None, ge=0, description="megabytes that units may take; no limit if absent")
+
+
+class AttributePart(_Part):
+    """A quality attribute of streams."""
+
+    name: Name
+    better: Literal["lower", "higher"] = Field(description="which values are better")
+    rule: Literal["add", "limit", "scale", "set"] = Field(
+        default="add", description="what an output that states a number does with it"
+    )
+    unit: Name | None = Field(default=None, description="what it is measured in, free text")
+    worst: PositiveMicro | None = Field(
+        default=None, description="the worst value, and that of sources that state none"
+    )
+    best: PositiveMicro | None = Field(default=None, description="the best value, from which weights count")
 
 
 class DefaultsPart(_Part):
@@ -228,6 +316,12 @@ class EnvironmentPart(_Part):
     defaults: DefaultsPart | None = None
     include: list[Name] | None = Field(
         default=None, description="files and folders with more transformations and targets"
+    )
+    hosts: list[HostPart] | None = Field(default=None, description="where units run; if absent, nothing is placed")
+    transfer: Cost = Field(default=0, description="CPU seconds for each megabyte that goes from host to host")
+    qualities: list[AttributePart] | None = Field(default=None, description="the quality attributes of streams")
+    survive: Literal[0, 1, "units", "hosts"] = Field(
+        default=0, description="single failures to survive; 1: of hosts where hosts are declared, else of units"
     )
     transformations: list[TransformationPart] | None = None
     units: list[UnitPart] | None = None

@@ -14,12 +14,26 @@ from cfgplan.errors import InvalidValueError
 _BLANK = " \t\r\n"
 _NO_XML = re.compile("[\0-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
 
+_YAML_ONLY = {
+    "environment": ("hosts", "transfer", "qualities", "survive"),
+    "transformations": ("memory", "conflicts", "min_instances", "max_instances", "standby"),
+    "units": ("host", "standby"),
+    "targets": ("quality", "host"),
+}
+"""What the XML format does not carry; the qualities of outputs and a choice of hosts mean nothing without these."""
+
 
 def dump_xml(data: Mapping[str, Any]) -> str:
     """The XML text of plain data in the environment file's form, such as `plain_environment` gives.
 
-    Raises InvalidValueError for a name or tag with a character that XML can't say.
+    Raises InvalidValueError for a name or tag with a character that XML can't say, and for what the XML has no
+    words for: quality, hosts to choose from, instances and spares.
     """
+    for part, keys in _YAML_ONLY.items():
+        for written in [data] if part == "environment" else data.get(part) or ():
+            for key in keys:
+                if written.get(key):
+                    raise InvalidValueError(f"the XML format has no `{key}`: keep this environment in YAML")
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + "\n".join(_environment(data)) + "\n"
 
 

@@ -23,7 +23,7 @@ def placing_violations(environment: Environment) -> Iterator[Violation]:
             yield Violation(Rule.PLACED, text, unit.id)
     for host in environment.hosts:
         there = [transformation for unit, transformation in known_units(environment) if unit.host == host.name]
-        cpu_us, memory_mb = sum(t.upkeep_us for t in there), sum(t.memory_mb for t in there)
+        cpu_us, memory_mb = sum(t.upkeep_us for t in there), sum(t.needs_mb for t in there)
         if host.cpu_us is not None and cpu_us > host.cpu_us:
             text = f"the units on {host.name} take {cpu_us} us of CPU time each second, but it has {host.cpu_us} us"
             yield Violation(Rule.CAPACITY, text)
