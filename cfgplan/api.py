@@ -9,21 +9,22 @@ import json
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from tempfile import NamedTemporaryFile
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from cfgplan import validity
 from cfgplan.domain import Environment, Similarity
 from cfgplan.errors import CfgplanError, InputError
 from cfgplan.matching import REASONERS, MatchExplanation, Matching, Nearest, Ontology, load_ontology, read_owlready
 from cfgplan.planners import PLANNERS
-from cfgplan.planning import Failures, Plan, Problem, Progress
+from cfgplan.planning import Failures, Plan, Planner, Problem, Progress
 from cfgplan.validity import Violation
 
 if TYPE_CHECKING:
     from cfgplan import formats
+    from cfgplan.explaining import BestEffort, Why, WhyNot
 
 PLANNER_NAMES = tuple(PLANNERS)
 REASONER_NAMES = tuple(REASONERS)
@@ -180,6 +181,70 @@ def plan(
     if found:
         raise UntruthfulPlanError(answer, found)
     return answer
+
+
+def why_not(
+    world: World,
+    problem: Problem,
+    *,
+    planner: str = "cpsat",
+    time_limit_s: float | None = None,
+    reasoner: str = "auto",
+) -> WhyNot:
+    """Why a problem of this world has no plan, or why its plan leaves required transformations unused.
+
+    The time limit is for each call of the planner, of which it takes several.
+    """
+    from cfgplan import explaining
+
+    nearest = partial(nearest_offers, world, reasoner=reasoner)
+    return explaining.why_not(problem, _judged(planner, time_limit_s), nearest)
+
+
+Subject: TypeAlias = Literal["unit", "transformation", "stream"]
+
+
+def why(
+    problem: Problem,
+    plan: Plan,
+    kind: Subject,
+    name: str,
+    *,
+    planner: str = "cpsat",
+    time_limit_s: float | None = None,
+) -> Why:
+    """Why a plan with a change set uses a unit, a transformation or an output (transformation/port), or why not."""
+    from cfgplan import explaining
+
+    ask = _judged(planner, time_limit_s)
+    if kind == "unit":
+        return explaining.why_unit(problem, ask, plan, name)
+    if kind == "transformation":
+        return explaining.why_transformation(problem, ask, plan, name)
+    label, _, port = name.rpartition("/")
+    return explaining.why_stream(problem, ask, plan, label, port)
+
+
+def best_effort(problem: Problem, *, planner: str = "cpsat", time_limit_s: float | None = None) -> BestEffort:
+    """The best update that some of the targets allow, the most important ones; see `cfgplan.explaining`."""
+    from cfgplan import explaining
+
+    return explaining.best_effort(problem, _judged(planner, None), time_limit_s=time_limit_s)
+
+
+def _judged(planner: str, limit_s: float | None) -> Planner:
+    """A planner whose every answer is accepted by the judge."""
+
+    def judged(
+        problem: Problem,
+        *,
+        time_limit_s: float | None = None,
+        report: Callable[[Progress], None] | None = None,
+    ) -> Plan:
+        limits = [limit for limit in (limit_s, time_limit_s) if limit is not None]
+        return plan(problem, planner=planner, time_limit_s=min(limits, default=None), report=report)
+
+    return judged
 
 
 def violations(environment: Environment, similarity: Similarity, survive: Failures | None = None) -> list[Violation]:

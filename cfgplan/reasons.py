@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
 from cfgplan.domain import Environment, InputPort, Similarity, Transformation
 from cfgplan.planning import Problem
@@ -31,6 +31,8 @@ class Givers:
                 self._offering[port.tag].add(transformation.label)
         self._similarity = similarity
         self._rows: dict[str, tuple[str, ...]] = {}
+        self.watch: Callable[[], None] = lambda: None
+        """Called again and again during a closure, which it can end by an exception."""
 
     def of(self, tag: str) -> tuple[str, ...]:
         """The labels of the transformations that offer what `tag` demands, sorted."""
@@ -48,7 +50,7 @@ def startable(environment: Environment, givers: Givers) -> frozenset[str]:
     """
     alive = frozenset(environment.transformation)
     while True:
-        reached = _forward_closure(environment, givers, alive)
+        reached = forward_closure(environment, givers, alive)
         if reached == alive or not any(
             p.feedback for label in reached for p in environment.transformation[label].inputs
         ):
@@ -62,7 +64,7 @@ def distinct_groups(transformation: Transformation) -> list[list[InputPort]]:
     for port in transformation.inputs:
         if port.distinct is not None:
             groups[port.distinct].append(port)
-    return [group for _, group in sorted(groups.items()) if len(group) > 1]
+    return [group for _, group in sorted(groups.items()) if len(group) > 1] if groups else []
 
 
 def assign_different(choices: Mapping[str, Collection[str]]) -> dict[str, str] | None:
@@ -83,12 +85,13 @@ def assign_different(choices: Mapping[str, Collection[str]]) -> dict[str, str] |
     return {port: label for label, port in port_of.items()}
 
 
-def _forward_closure(environment: Environment, givers: Givers, alive: frozenset[str]) -> frozenset[str]:
+def forward_closure(environment: Environment, givers: Givers, alive: frozenset[str]) -> frozenset[str]:
     """What can be fed, from sources on; feedback inputs may be fed by anything `alive`."""
     waiting: dict[str, list[str]] = defaultdict(list)
     missing: dict[str, int] = {}
     ahead: list[str] = []
     for label in sorted(alive):
+        givers.watch()
         transformation = environment.transformation[label]
         tags = {port.tag for port in transformation.inputs if not port.feedback}
         fed_back = all(not alive.isdisjoint(givers.of(p.tag)) for p in transformation.inputs if p.feedback)
@@ -103,6 +106,7 @@ def _forward_closure(environment: Environment, givers: Givers, alive: frozenset[
     fed_tags: set[str] = set()
     while ahead:
         while ahead:
+            givers.watch()
             label = ahead.pop()
             if label in reached or not _groups_can_be_fed(environment.transformation[label], givers, reached, alive):
                 continue
@@ -127,6 +131,7 @@ def _forward_closure(environment: Environment, givers: Givers, alive: frozenset[
 def _demands_on(tags: Iterable[str], givers: Givers) -> dict[str, list[str]]:
     demanded_by: dict[str, list[str]] = defaultdict(list)
     for tag in tags:
+        givers.watch()
         for label in givers.of(tag):
             demanded_by[label].append(tag)
     return demanded_by

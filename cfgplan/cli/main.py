@@ -8,12 +8,12 @@ import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
-from cfgplan.cli import check, compare, exporting, graph, importing, listen, match, run, solve
+from cfgplan.cli import check, compare, demo, explain, exporting, graph, importing, listen, match, query, run, solve
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.screen import Screen
 from cfgplan.errors import CfgplanError, Fault, InputError
 
-VERBS = (check, match, solve, graph, run, listen, compare, importing, exporting)
+VERBS = (check, match, solve, explain, graph, run, listen, query, demo, compare, importing, exporting)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -1,169 +1,185 @@
-"""`cfgplan run`: start what the cheapest update says, as processes, and hold it."""
+"""`cfgplan run`: the life-cycle in operation: start what meets the targets, and keep it the cheapest that does."""
 
 from __future__ import annotations
 
 import argparse
-import json
-import queue
-import signal
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cfgplan.cli import options as shared
 from cfgplan.cli.durations import duration
-from cfgplan.cli.exits import OF_STATUS, Exit
-from cfgplan.cli.screen import FORMAT_VERSION, Screen, counted
-from cfgplan.domain import Environment
-from cfgplan.errors import InputError
+from cfgplan.cli.exits import Exit
+from cfgplan.cli.interrupts import Interrupts
+from cfgplan.cli.run_output import Output, output_for
+from cfgplan.cli.screen import Screen, counted
 
 if TYPE_CHECKING:
-    from cfgplan_runtime.runtime import Runtime
-    from cfgplan_runtime.supervision.events import Event
-    from cfgplan_runtime.supervision.observation import Observation
+    from cfgplan_runtime.operating.operation import Operation, Settings
 
-_LOOK_S = 0.2
+    from cfgplan.api import World
+    from cfgplan.planning import Plan, Planner, Problem
+
+_LOOK_S = 0.1
+_ESTIMATORS = ("declared", "latest", "average", "trend", "holt")
+_GUESSES = ("declared", "optimistic", "pessimistic")
+_EXAMPLE = """\
+  cfgplan run env.yaml --for 30s --record run.mcap
+  cfgplan listen /result      (in another terminal)
+  cfgplan ctl state           (likewise)
+
+Editing ENV while it runs changes what runs; what it says under `units:` does not count.
+Ctrl-C stops and lets units finish, a second one ends them at once.
+Exit codes: 0 stopped with every target met, 10 with one that was not, 30 bad input, 31 internal error,
+130 interrupted at once."""
 
 
 def add_to(verbs: shared.Subparsers) -> None:
     parser = shared.add_verb(
-        verbs,
-        "run",
-        "start what meets the targets, as processes, and hold it until Ctrl-C",
-        "  cfgplan run env.yaml --for 30s\n  cfgplan listen /result      (in another terminal)",
+        verbs, "run", "start what meets the targets, as processes, and keep it the best there is", _EXAMPLE
     )
     shared.add_environment(parser)
     parser.add_argument("--for", dest="span", type=duration, metavar="TIME", help="stop after 30s, 5m, 1h")
+    parser.add_argument("--dry-run", action="store_true", help="say what would be started, and start nothing")
+    parser.add_argument("--strict", action="store_true", help="start nothing unless every target can be met")
+    parser.add_argument("--plain", action="store_true", help="lines instead of the live view, as when piped")
     parser.add_argument("--log", metavar="FILE", help="add every event to FILE, one JSON line each")
+    parser.add_argument("--record", metavar="FILE", help="record the targets' streams and all events to FILE (MCAP)")
+    parser.add_argument(
+        "--metrics-port", type=port, metavar="N", help="serve metrics for Prometheus on 127.0.0.1:N (0: any port)"
+    )
+    parser.add_argument(
+        "--estimator", choices=_ESTIMATORS, default="trend", help="how costs are forecast from what is seen (trend)"
+    )
+    parser.add_argument(
+        "--guess",
+        choices=_GUESSES,
+        default="declared",
+        help="the cost of what was never seen: as declared, or so that it is tried, or not (declared)",
+    )
+    parser.add_argument("--estimates", metavar="FILE", help="where estimates are kept between runs (the state folder)")
+    parser.add_argument("--no-estimates", action="store_true", help="neither read nor keep estimates")
     parser.add_argument("--preload", action="append", default=[], metavar="MODULE", help="import it before units start")
     shared.add_planning(parser)
     shared.add_matching(parser)
     shared.add_json(parser)
-    parser.set_defaults(run=run)
+    # A life-cycle's planner remembers from plan to plan; one of PLANNERS is used if it is named.
+    parser.set_defaults(run=run, planner=None)
+
+
+def port(text: str) -> int:
+    if not text.isdecimal() or int(text) > 65535:
+        raise argparse.ArgumentTypeError(f"{text!r} is no port: write a number from 0 to 65535")
+    return int(text)
 
 
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
+    loaded = shared.load(options, screen)
+    if loaded.environment.units:
+        count = counted(len(loaded.environment.units), "running unit")
+        screen.note(f"The file names {count}, but a run starts from nothing: `units:` does not count.")
+    world = replace(loaded, environment=replace(loaded.environment, units=()))
+    if options.dry_run or options.strict:
+        from cfgplan.cli import dry_run
+
+        settings = _settings(options)
+        problem = shared.problem(options, screen, world)
+        with screen.phase("plan"):
+            found = dry_run.first_update(problem, settings)
+        code = dry_run.exit_of(found)
+        if options.dry_run or code is not Exit.OK:
+            dry_run.show(found, world.digest, screen)
+            return code
+    return _operate(options, world, screen)
+
+
+def _operate(options: argparse.Namespace, world: World, screen: Screen) -> Exit:
+    from cfgplan_runtime.operating.operation import Operation
+
+    with Interrupts() as interrupts:
+        with screen.phase("start"):
+            operation = Operation(world, Path(options.env), _settings(options))
+        with operation:
+            interrupts.only_count()
+            _await_first_review(operation, interrupts, screen)
+            operation.observe()
+            output = output_for(screen, operation, plain=options.plain)
+            with output:
+                _hold(operation, output, interrupts, options.span)
+        output.sum_up()
+    if interrupts.count > 1:
+        return Exit.INTERRUPTED
+    if operation.failure:
+        return Exit.INTERNAL
+    return Exit.OK if operation.all_met else Exit.NO_PLAN
+
+
+def _await_first_review(operation: Operation, interrupts: Interrupts, screen: Screen) -> None:
+    with screen.phase("plan"):
+        while not interrupts.count and not operation.begun.wait(_LOOK_S):
+            pass
+
+
+def _hold(operation: Operation, output: Output, interrupts: Interrupts, span_s: float | None) -> None:
+    """Show what happens until the time is over or somebody stops it."""
+    end = None if span_s is None else time.monotonic() + span_s
+    while not operation.wait(0) and not interrupts.count and (end is None or time.monotonic() < end):
+        output.update(_LOOK_S if end is None else max(0.0, min(_LOOK_S, end - time.monotonic())))
+    if not operation.wait(0):
+        output.note("stopping ...")
+        operation.observe()
+        operation.stop()
+        while not operation.wait(0) and interrupts.count < 2:
+            output.update(_LOOK_S)
+    if interrupts.count > 1:
+        operation.stop_at_once()
+    output.update(0.0)
+
+
+def _adjusted(options: argparse.Namespace) -> Callable[[World], World]:
+    """What the options say instead of the file, whenever it is read."""
+
+    def adjust(world: World) -> World:
+        return replace(
+            world,
+            horizon_s=world.horizon_s if options.horizon is None else options.horizon,
+            max_cost_us=world.max_cost_us if options.max_cost is None else options.max_cost,
+        )
+
+    return adjust
+
+
+def _settings(options: argparse.Namespace) -> Settings:
+    from cfgplan_runtime.estimating.keeping import default_file
+    from cfgplan_runtime.lifecycle.policy import Policy
+    from cfgplan_runtime.operating.operation import Settings
+
+    path = Path(options.env)
+    kept = default_file(path) if options.estimates is None else Path(options.estimates)
+    return Settings(
+        planner=None if options.planner is None else _planner(options.planner),
+        estimator=options.estimator,
+        guess=options.guess,
+        estimates=None if options.no_estimates else kept,
+        policy=Policy(
+            time_limit_s=options.timeout or Policy().time_limit_s,
+            match_limit_s=options.reasoner_timeout,
+            reasoner=options.reasoner,
+        ),
+        preload=options.preload,
+        log=None if options.log is None else Path(options.log),
+        record=None if options.record is None else Path(options.record),
+        metrics_port=options.metrics_port,
+        adjust=_adjusted(options),
+    )
+
+
+def _planner(name: str) -> Planner:
     from cfgplan import api
 
-    loaded = shared.load(options, screen)
-    found = loaded.environment
-    world = replace(loaded, environment=Environment((), found.library, found.targets), file=None)
-    problem = shared.problem(options, screen, world)
-    with screen.phase("plan"):
-        plan = api.plan(problem, planner=options.planner, time_limit_s=options.timeout)
-    if plan.change_set is None:
-        from cfgplan.cli.update_text import update_text
+    def plan(problem: Problem, **more: Any) -> Plan:
+        return api.plan(problem, planner=name, **more)
 
-        screen.show(update_text(problem, plan))
-        return OF_STATUS[plan.status]
-    folder = Path(options.env).resolve()
-    runtime = _started(options, world.environment, folder if folder.is_dir() else folder.parent)
-    try:
-        with _interruptible(), runtime:
-            applied = runtime.apply(plan.change_set, basis=problem.environment)
-            _say(screen, "Running", run=runtime.id, units=len(plan.change_set.started), seconds=applied.seconds)
-            _hold(runtime, options.span, screen)
-            _sum_up(runtime.observe(), screen)
-            runtime.stop()
-    except KeyboardInterrupt:
-        screen.note("stopped")
-    return Exit.OK
-
-
-def _started(options: argparse.Namespace, environment: Environment, folder: Path) -> Runtime:
-    from cfgplan_runtime import Runtime
-
-    try:
-        return Runtime(
-            environment.library, environment.targets, folder=folder, preload=options.preload, log=options.log
-        )
-    except OSError as error:
-        raise InputError.of(f"can't be written: {error.strerror}", file=options.log) from None
-
-
-@contextmanager
-def _interruptible() -> Iterator[None]:
-    """Let SIGINT and SIGTERM end a run cleanly; a solver may have left either with a handler of its own."""
-    signals = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.signal(one, signal.default_int_handler) for one in signals]
-    try:
-        yield
-    finally:
-        for one, handler in zip(signals, before, strict=True):
-            signal.signal(one, handler)
-
-
-def _hold(runtime: Runtime, span_s: float | None, screen: Screen) -> None:
-    """Show what happens until the time is over or the user interrupts."""
-    end = None if span_s is None else time.monotonic() + span_s
-    runtime.observe()
-    try:
-        while end is None or time.monotonic() < end:
-            with suppress(queue.Empty):
-                _show(runtime.events.get(timeout=_LOOK_S), screen)
-    except KeyboardInterrupt:
-        screen.note("stopping ...")
-
-
-def _show(event: Event, screen: Screen) -> None:
-    from cfgplan_runtime.supervision import events as kinds
-
-    match event:
-        case kinds.UnitDied(unit, cause):
-            _say(screen, "UnitDied", unit=unit, cause=cause)
-        case kinds.UnitFailed(unit, kind, step, text, suppressed):
-            _say(screen, "UnitFailed", unit=unit, kind=kind, step=step, text=text, suppressed=suppressed)
-        case kinds.UnitHung(unit, silent_s):
-            _say(screen, "UnitHung", unit=unit, silent_s=round(silent_s, 1))
-        case kinds.UnitTooLarge(unit, memory_bytes):
-            _say(screen, "UnitTooLarge", unit=unit, memory_mb=memory_bytes >> 20)
-        case kinds.UnitPrinted(unit, line):
-            _say(screen, "UnitPrinted", unit=unit, line=line)
-        case kinds.InputLost(unit, port, _):
-            _say(screen, "InputLost", unit=unit or "a topic", port=port)
-        case kinds.SourceExhausted(unit):
-            _say(screen, "SourceExhausted", unit=unit)
-        case kinds.OutletsLost(cause):
-            _say(screen, "OutletsLost", cause=cause)
-
-
-_SENTENCES = {
-    "Running": "Running {units_counted} as run {run}; Ctrl-C stops.",
-    "UnitDied": "{unit} died: {cause}",
-    "UnitFailed": "{unit} failed in step {step} ({kind}): {text}",
-    "UnitHung": "{unit} gave no sign of life for {silent_s} s and is killed",
-    "UnitTooLarge": "{unit} takes {memory_mb} MB and is killed",
-    "UnitPrinted": "{unit} | {line}",
-    "InputLost": "{unit} lost its input {port}",
-    "SourceExhausted": "{unit} has no more to give",
-    "OutletsLost": "the topics' addresses were lost and are made anew: {cause}",
-}
-
-
-def _say(screen: Screen, event: str, **facts: Any) -> None:
-    if screen.json:
-        screen.write(json.dumps({"format_version": FORMAT_VERSION, "event": event, **facts}) + "\n")
-    else:
-        more = {"units_counted": counted(facts["units"], "unit")} if "units" in facts else {}
-        screen.show(_SENTENCES[event].format(**facts, **more))
-
-
-def _sum_up(observations: tuple[Observation, ...], screen: Screen) -> None:
-    """What each unit did and cost."""
-    if screen.json:
-        for seen in observations:
-            facts = {"unit": seen.unit, "labor_us": seen.labor_us, "upkeep_us": seen.upkeep_us, "steps": seen.steps}
-            more = {"memory_bytes": seen.memory_bytes, "dropped": seen.dropped, "errors": seen.errors}
-            _say(screen, "Observed", **facts, **more)
-        return
-    from rich.table import Table
-
-    table = Table("unit", "labor", "upkeep", "memory", "steps", "dropped", "errors", box=None)
-    for seen in observations:
-        upkeep = "" if seen.upkeep_us is None else f"{seen.upkeep_us / 1e6:.4f} s/s"
-        counts = [str(count) for count in (seen.steps, seen.dropped, seen.errors)]
-        table.add_row(seen.unit, f"{seen.labor_us / 1e6:.3f} s", upkeep, f"{seen.memory_bytes >> 20} MB", *counts)
-    screen.show(table)
+    return plan

@@ -33,7 +33,7 @@ def _changes(problem: Problem, plan: Plan) -> Iterator[Text]:
     started = {unit.id for unit in plan.change_set.started}
     rewired = {unit.id for unit in plan.change_set.rewired}
     width = max((len(unit.id) for unit in (*before.units, *after.units)), default=0)
-    units = _with_the_stream(after)
+    units = with_the_stream(after)
     for unit in units:
         if unit.id in started:
             yield _headline("+", unit, width, before)
@@ -50,7 +50,7 @@ def _changes(problem: Problem, plan: Plan) -> Iterator[Text]:
     yield Text()
 
 
-def _with_the_stream(environment: Environment) -> list[ComputationUnit]:
+def with_the_stream(environment: Environment) -> list[ComputationUnit]:
     """The units from sources to targets, each after those that feed it, but for feedback."""
     done: dict[str, ComputationUnit] = {}
     waiting = list(environment.units)
@@ -110,14 +110,15 @@ def _summary(problem: Problem, plan: Plan) -> Iterator[Text]:
             f"Cost over the horizon of {horizon_s} s: {cpu(plan.cost_us)} of CPU = labor {cpu(labor)} "
             f"+ upkeep {cpu(plan.cost_us - labor)}. What runs now costs {cpu(now)} of upkeep."
         )
-    yield _verdict(problem, plan)
+    yield verdict(problem, plan)
     for reason in plan.reasons.values():
         yield Text(f"  {reason}")
     for label in plan.unused_required:
         yield Text(f"Required {label} is not used: no valid configuration can use it with the others.", style="yellow")
 
 
-def _verdict(problem: Problem, plan: Plan) -> Text:
+def verdict(problem: Problem, plan: Plan) -> Text:
+    """How a planner ended, in a sentence."""
     match plan.status:
         case Status.OPTIMAL if not plan.change_set:
             return Text(f"Optimal: nothing to change, proven by {plan.planner}.", style="bold green")

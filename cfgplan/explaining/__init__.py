@@ -3,6 +3,34 @@
 Everything is asked of a planner (`planning.Planner`), of which nothing is known but that it is right.
 """
 
+from cfgplan.explaining.alternatives import Alternatives, alternatives
 from cfgplan.explaining.best_effort import BestEffort, best_effort
+from cfgplan.explaining.plain import plain
+from cfgplan.explaining.together import Clash, Demands, demanding
+from cfgplan.explaining.unfed import Blocked, Unfed, Unreachable, named_alone, unreachable
+from cfgplan.explaining.why_not import Unused, WhyNot, why_not
+from cfgplan.explaining.why_this import Choice, Why, why_stream, why_transformation, why_unit
 
-__all__ = ["BestEffort", "best_effort"]
+__all__ = [
+    "Alternatives",
+    "BestEffort",
+    "Blocked",
+    "Choice",
+    "Clash",
+    "Demands",
+    "Unfed",
+    "Unreachable",
+    "Unused",
+    "Why",
+    "WhyNot",
+    "alternatives",
+    "best_effort",
+    "demanding",
+    "named_alone",
+    "plain",
+    "unreachable",
+    "why_not",
+    "why_stream",
+    "why_transformation",
+    "why_unit",
+]

@@ -9,10 +9,9 @@ from dataclasses import dataclass, replace
 
 from cfgplan.costs import seconds
 from cfgplan.domain import Target
+from cfgplan.explaining.together import REFUSED, only_targets
 from cfgplan.planning import Plan, Planner, Problem, Status
 from cfgplan.reasons import unmet_reasons
-
-_REFUSED = (Status.INFEASIBLE, Status.TOO_EXPENSIVE)
 
 
 @dataclass(frozen=True)
@@ -50,14 +49,7 @@ def best_effort(problem: Problem, planner: Planner, *, time_limit_s: float | Non
         search.end_s = time.monotonic() + time_limit_s
     search.run()
     plan = replace(search.best_plan(), reasons=impossible | search.why_given_up())
-    return BestEffort(plan, problem_with(problem, search.best), search.is_exact)
-
-
-def problem_with(problem: Problem, targets: frozenset[Target]) -> Problem:
-    """The same problem with these of its targets alone."""
-    if len(targets) == len(problem.environment.targets):
-        return problem
-    return replace(problem, environment=replace(problem.environment, targets=tuple(targets)))
+    return BestEffort(plan, only_targets(problem, {target.label for target in search.best}), search.is_exact)
 
 
 class _Search:
@@ -142,7 +134,7 @@ class _Search:
     def _may_be_met(self, targets: frozenset[Target]) -> bool:
         if any(refused <= targets for refused in self._refused):
             return False
-        if self._free_plan(targets).status in _REFUSED:
+        if self._free_plan(targets).status in REFUSED:
             self._refused.append(targets)
             return False
         return True
@@ -152,7 +144,7 @@ class _Search:
 
     def _plan(self, targets: frozenset[Target]) -> Plan:
         if targets not in self._plans:
-            self._plans[targets] = self._ask(problem_with(self._problem, targets))
+            self._plans[targets] = self._ask(only_targets(self._problem, {target.label for target in targets}))
         return self._plans[targets]
 
     def _free_plan(self, targets: frozenset[Target]) -> Plan:
@@ -160,7 +152,7 @@ class _Search:
         if self._is_free:
             return self._plan(targets)
         if targets not in self._freely:
-            self._freely[targets] = self._ask(problem_with(self._free, targets))
+            self._freely[targets] = self._ask(only_targets(self._free, {target.label for target in targets}))
         return self._freely[targets]
 
     def _ask(self, problem: Problem) -> Plan:
@@ -169,7 +161,7 @@ class _Search:
             self.is_exact = False
             return Plan("", Status.UNKNOWN)
         plan = self._planner(problem, time_limit_s=left_s)
-        self.is_exact &= plan.status in (Status.OPTIMAL, *_REFUSED)
+        self.is_exact &= plan.status in (Status.OPTIMAL, *REFUSED)
         return plan
 
     def _why(self, target: Target) -> str:

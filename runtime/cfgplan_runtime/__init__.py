@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from cfgplan_runtime.errors import NoSuchTopicError as NoSuchTopicError
     from cfgplan_runtime.errors import RuntimeFaultError as RuntimeFaultError
     from cfgplan_runtime.errors import StaleChangeSetError as StaleChangeSetError
+    from cfgplan_runtime.lifecycle.manager import Manager as Manager
+    from cfgplan_runtime.lifecycle.policy import Policy as Policy
+    from cfgplan_runtime.lifecycle.simulation import SimulatedRuntime as SimulatedRuntime
+    from cfgplan_runtime.lifecycle.watching import watch_file as watch_file
     from cfgplan_runtime.runtime import Runtime as Runtime
     from cfgplan_runtime.streams.subscription import Received as Received
     from cfgplan_runtime.streams.subscription import subscribe as subscribe
@@ -28,6 +32,10 @@ if TYPE_CHECKING:
 _HOMES = {
     "supervision.applying": "Patience",
     "errors": "ApplyError NoSuchTopicError RuntimeFaultError StaleChangeSetError",
+    "lifecycle.manager": "Manager",
+    "lifecycle.policy": "Policy",
+    "lifecycle.simulation": "SimulatedRuntime",
+    "lifecycle.watching": "watch_file",
     "runtime": "Runtime",
     "supervision.simulated_backend": "SimulatedBackend",
     "streams.subscription": "Received subscribe",

@@ -16,7 +16,7 @@ from worlds import TAGS, problems
 
 from cfgplan.domain import Environment, OutputPort, Similarity, Target, Transformation
 from cfgplan.explaining import BestEffort, best_effort
-from cfgplan.explaining.best_effort import problem_with
+from cfgplan.explaining.together import only_targets
 from cfgplan.planners import PLANNERS
 from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planning import Plan, Problem, Status
@@ -57,7 +57,7 @@ def best_of_all_sets(problem: Problem) -> tuple[object, ...] | None:
     found = []
     for size in range(len(targets) + 1):
         for chosen in combinations(targets, size):
-            reduced = problem_with(problem, frozenset(chosen))
+            reduced = only_targets(problem, {target.label for target in chosen})
             plan = oracle(reduced)
             if plan.change_set is not None:
                 found.append(quality(reduced, plan))

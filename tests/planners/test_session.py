@@ -78,6 +78,34 @@ def test_a_warm_session_is_as_good_as_a_cold_planner_through_any_changes(data: s
         problem = data.draw(changed(problem))
 
 
+@settings(
+    max_examples=EXAMPLES // 2,
+    deadline=None,
+    derandomize="CFGPLAN_EXAMPLES" not in os.environ,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
+)
+@given(st.data())
+def test_after_rest_every_failure_is_mended_as_well_as_a_cold_planner_does(data: st.DataObject) -> None:
+    session = PlannerSession()
+    problem = replace(data.draw(problems(most=8, special=data.draw(st.booleans()))), max_cost_us=None)
+    first = session.plan(problem)
+    if first.change_set is None:
+        return
+    running = replace(problem, environment=problem.environment.update(first.change_set))
+    session.plan(running)
+    for _ in range(3):
+        dead = data.draw(st.sets(st.sampled_from([unit.id for unit in running.environment.units] or [""])))
+        broken = replace(running, environment=running.environment.update(ChangeSet(stopped=tuple(dead - {""}))))
+        if data.draw(st.booleans()):
+            library = list(broken.environment.library)
+            dearer = data.draw(st.sampled_from(library))
+            library[library.index(dearer)] = replace(dearer, upkeep_us=dearer.upkeep_us + data.draw(st.integers(0, 3)))
+            broken = replace(broken, environment=replace(broken.environment, library=tuple(library)))
+        warm = session.plan(broken)
+        assert plan_violations(broken, warm) == []
+        assert quality(warm) == quality(plan(broken))
+
+
 def hard_problem(demands: int = 150) -> Problem:
     """A covering problem whose proof takes minutes: many overlapping choices at nearly the same cost."""
     draw = random.Random(7)

@@ -85,6 +85,8 @@ class Naughty:
             time.sleep(3600)
 
     def __call__(self, x: int) -> Any:
+        if self.deed == "die at first":
+            os._exit(6)
         if x % 10 != 5:
             return x
         match self.deed:

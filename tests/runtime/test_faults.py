@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import psutil
 import pytest
@@ -96,9 +98,11 @@ def test_a_hung_unit_is_killed_after_it_has_said_where_it_is(run_units: StartRun
 def test_a_stopped_process_is_noticed_and_killed(run_units: StartRuntime) -> None:
     runtime = run_units(source(), worker(run=RunOptions(hang_us=2_500_000)))
     runtime.apply(start(unit("count.1"), unit("work.1", x="count.1/n")))
+    eventually(lambda: any(o.unit == "work.1" and o.steps for o in runtime.observe()))
     os.kill(runtime.pid("work.1") or 0, signal.SIGSTOP)
     eventually(lambda: bool(seen(runtime, UnitDied)))
     assert [event.unit for event in seen(runtime, UnitHung)] == ["work.1"]
+    assert re.fullmatch(r"killed by SIGKILL \(in step [1-9]\d* or later\)", seen(runtime, UnitDied)[0].cause)
 
 
 def test_a_unit_that_eats_memory_harms_nobody_else(run_units: StartRuntime) -> None:
@@ -128,6 +132,34 @@ def test_an_update_whose_unit_can_not_start_is_undone(run_units: StartRuntime, d
     assert [event.id for event in seen(runtime, RolledBack)] != []
     eventually(lambda: len(listener.received) > 20)
     assert {o.unit for o in runtime.observe()} == {"count.1", "work.1"}
+    runtime.close()
+    listener.join()
+    assert listener.values == list(range(listener.values[0], listener.values[0] + len(listener.values)))
+
+
+def test_an_input_that_has_gone_over_goes_back_when_another_new_unit_dies(run_units: StartRuntime) -> None:
+    runtime = run_units(source(), worker(), worker("naughty", "Naughty", deed="die at first"))
+    runtime.apply(
+        start(
+            unit("count.1"),
+            unit("work.1", x="count.1/n"),
+            unit("work.2", topic="/result", x="work.1/y"),
+            unit("work.3", x="work.1/y"),
+        )
+    )
+    before = runtime.environment
+    listener = Listener("/result")
+    eventually(lambda: len(listener.received) > 3)
+    change = ChangeSet(
+        started=(unit("work.4", x="count.1/n"), unit("naughty.1", x="count.1/n")),
+        rewired=(unit("work.2", topic="/result", x="work.4/y"), unit("work.3", x="naughty.1/y")),
+        stopped=("work.1",),
+    )
+    with pytest.raises(ApplyError, match=r"naughty\.1"):
+        runtime.apply(change)
+    assert runtime.environment == before
+    received = len(listener.received)
+    eventually(lambda: len(listener.received) > received + 20)
     runtime.close()
     listener.join()
     assert listener.values == list(range(listener.values[0], listener.values[0] + len(listener.values)))
@@ -222,6 +254,56 @@ def test_two_runtimes_do_not_disturb_each_other(run_units: StartRuntime) -> None
     eventually(lambda: len(listener.received) > 3)
     two.close()
     listener.join()
+
+
+CONSUMER = """
+import cfgplan_runtime
+for received in cfgplan_runtime.subscribe("/result"):
+    print(received.value, flush=True)
+"""
+
+
+def test_a_consumer_that_is_killed_harms_nobody(run_units: StartRuntime) -> None:
+    runtime = run_units(source())
+    runtime.apply(start(unit("count.1", topic="/result", port="n")))
+    listener = Listener("/result")
+    with subprocess.Popen([sys.executable, "-c", CONSUMER], stdout=subprocess.PIPE) as consumer:
+        assert consumer.stdout is not None
+        assert int(consumer.stdout.readline()) >= 0
+        consumer.kill()
+    received = len(listener.received)
+    eventually(lambda: len(listener.received) > received + 20)
+    assert not seen(runtime, OutletsLost)
+    runtime.close()
+    listener.join()
+    assert listener.subscription.dropped == 0
+    assert listener.values == list(range(listener.values[0], listener.values[0] + len(listener.values)))
+
+
+NOBODY = 65534
+STRANGER = """
+import os, socket, sys
+os.setgroups([]); os.setgid({nobody}); os.setuid({nobody})
+try:
+    socket.socket(socket.AF_UNIX).connect(sys.argv[1])
+except PermissionError:
+    sys.exit(7)
+"""
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root can become another user to try")
+def test_another_user_can_not_connect_to_a_topic(run_units: StartRuntime, monkeypatch: pytest.MonkeyPatch) -> None:
+    with TemporaryDirectory() as base:
+        Path(base).chmod(0o755)
+        monkeypatch.setenv("XDG_RUNTIME_DIR", base)
+        runtime = run_units(source())
+        runtime.apply(start(unit("count.1", topic="/result", port="n")))
+        sockets = [path for path in Path(base, "cfgplan", runtime.id).rglob("*") if path.is_socket()]
+        assert sockets != []
+        script = STRANGER.format(nobody=NOBODY)
+        for path in sockets:
+            assert subprocess.run([sys.executable, "-c", script, path], check=False).returncode == 7
+        runtime.close()
 
 
 def test_only_the_user_can_reach_the_topics(run_units: StartRuntime, nothing_is_left_behind: Path) -> None:

@@ -98,21 +98,30 @@ def test_what_unit_code_prints_and_raises_is_shown(env: Path, capsys: pytest.Cap
     assert "ValueError: blind" in out
 
 
-def test_a_unit_without_source_is_refused(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_unit_without_source_is_told_and_not_started(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
     env.write_text(ENVIRONMENT.replace("    source: units.py:camera\n", ""))
-    assert main(["run", str(env), "--for", "1s"]) == 30
-    assert "'camera' can't be started without unit code" in capsys.readouterr().err
-
-
-def test_code_that_does_not_exist_is_refused(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    env.write_text(ENVIRONMENT.replace("units.py:camera", "units.py:kamera"))
-    assert main(["run", str(env), "--for", "1s"]) == 30
-    assert "units.py has no kamera" in capsys.readouterr().err
-
-
-def test_a_target_that_can_not_be_met_starts_nothing(env: Path) -> None:
-    env.write_text(ENVIRONMENT.replace("outputs: {ball: Ball}", "outputs: {ball: Foot}"))
     assert main(["run", str(env), "--for", "1s"]) == 10
+    assert "'camera' can't be started without unit code" in capsys.readouterr().out
+
+
+def test_code_that_does_not_exist_is_told(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    env.write_text(ENVIRONMENT.replace("units.py:camera", "units.py:kamera"))
+    assert main(["run", str(env), "--for", "1s"]) == 10
+    assert "units.py has no kamera" in capsys.readouterr().out
+
+
+def test_where_everything_must_be_met_nothing_is_started_otherwise(
+    env: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    env.write_text(ENVIRONMENT.replace("outputs: {ball: Ball}", "outputs: {ball: Foot}"))
+    assert main(["run", str(env), "--strict"]) == 10
+    assert "Running" not in capsys.readouterr().out
+
+
+def test_a_target_that_can_not_be_met_starts_nothing(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    env.write_text(ENVIRONMENT.replace("outputs: {ball: Ball}", "outputs: {ball: Foot}"))
+    assert main(["run", str(env), "--for", "200ms"]) == 10
+    assert "Running 0 units" in capsys.readouterr().out
 
 
 def test_a_topic_that_is_not_there_is_refused(capsys: pytest.CaptureFixture[str]) -> None:

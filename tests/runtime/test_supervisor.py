@@ -268,3 +268,15 @@ def test_any_history_of_swaps_and_deaths_leaves_what_is_believed() -> None:
             simulation.apply(change)
         simulation.pass_time(0.05)
         simulation.check()
+
+
+def test_an_old_source_that_has_nothing_more_to_give_is_not_waited_for() -> None:
+    simulation = Simulation(source(), worker(), worker("other"), other=Behaviour(quiet=True))
+    simulation.apply(start(*ONE))
+    simulation.backend.fail("count.1")
+    simulation.pass_time(0.1)
+    before = simulation.backend.now()
+    started = (unit("count.2"), unit("other.1", topic="/result", x="count.2/n"))
+    simulation.apply(ChangeSet(started=started, stopped=("work.1",)))
+    assert simulation.backend.now() - before < 0.1
+    simulation.check()

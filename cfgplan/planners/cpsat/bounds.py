@@ -73,8 +73,19 @@ class Bound:
         """Charge all landmarks anew: each its weight as far as that goes, then each what is left."""
         self.residual, self.value = self.cost.copy(), 0
         charged = [self.charge(one, weight) for one, weight in zip(self.landmarks, weights, strict=False)]
-        charged += [0] * (len(self.landmarks) - len(charged))
-        self.weights = [already + self.charge(one) for one, already in zip(self.landmarks, charged, strict=True)]
+        self.weights = charged + [0] * (len(self.landmarks) - len(charged))
+        self.charge_what_is_left()
+
+    def charge_what_is_left(self) -> None:
+        """Charge the landmarks that can take more as much as they can."""
+        if not all(len(landmark.members) for landmark in self.landmarks):
+            self.value = int(NEVER)
+        elif self.landmarks:
+            members = np.concatenate([landmark.members for landmark in self.landmarks])
+            ends = np.cumsum([len(landmark.members) for landmark in self.landmarks])
+            least = np.minimum.reduceat(self.residual[members], np.append(0, ends[:-1]))
+            for i in np.flatnonzero(least).tolist():
+                self.weights[i] += self.charge(self.landmarks[i])
 
     def recharge_best(self, time_limit_s: float | None) -> None:
         """Charge all landmarks anew in the best way that is found in time."""
@@ -115,9 +126,18 @@ class Bound:
         return landmark_of(core, np.array(zone))
 
     def may_be_used(self, limit: int) -> Flags:
-        """Which labels may be in a plan that costs at most `limit` (reduced-cost fixing)."""
+        """Which labels may be in a plan that costs at most `limit` (reduced-cost fixing); none if no plan does."""
         _, before = cheapest_way(self.core, self.residual)
+        if self.value + before[-1] > limit:
+            return np.zeros(self.core.goal, np.bool_)
         return np.asarray(self.value + before[:-1] + self.residual <= limit)
+
+    def at(self, cost: Ints) -> Bound:
+        """The bound at other costs, none of them lower."""
+        other = Bound(self.core, cost, list(self.landmarks), list(self.weights), self.value)
+        other.residual = self.residual + (cost - self.cost)
+        other.charge_what_is_left()
+        return other
 
     def restricted(self, keep: Flags) -> Bound:
         """The bound for plans with no labels but those flagged, by the landmarks that count."""
@@ -125,18 +145,21 @@ class Bound:
         fact = np.full(len(self.core.givers), -1)
         fact[np.searchsorted(self.core.facts, core.facts)] = np.arange(len(core.facts))
         label = np.where(keep, np.cumsum(keep) - 1, -1)
-        weights = [weight for weight in self.weights if weight]
-        landmarks = [
-            Landmark(_kept(fact, landmark.zone), _kept(label, landmark.members))
-            for landmark, weight in zip(self.landmarks, self.weights, strict=True)
-            if weight
-        ]
-        part = Bound(core, self.cost[keep], landmarks)
-        part.recharge(weights)
+        counting = [i for i, weight in enumerate(self.weights) if weight]
+        zones = _kept(fact, [self.landmarks[i].zone for i in counting])
+        members = _kept(label, [self.landmarks[i].members for i in counting])
+        landmarks = [Landmark(*pair) for pair in zip(zones, members, strict=True)]
+        part = Bound(core, self.cost[keep], landmarks, [self.weights[i] for i in counting], self.value)
+        part.residual = self.residual[keep]
+        part.charge_what_is_left()
         return part
 
 
-def _kept(number: Ints, items: Ints) -> Ints:
-    """The new numbers of the items that have one."""
-    new: Ints = number[items]
-    return new[new >= 0]
+def _kept(number: Ints, rows: list[Ints]) -> list[Ints]:
+    """The new numbers of the items that have one, row by row."""
+    if not rows:
+        return []
+    items = number[np.concatenate(rows)]
+    stays = items >= 0
+    ends = np.cumsum([len(row) for row in rows])
+    return np.split(items[stays], np.cumsum(stays)[ends - 1][:-1])

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import time
 from math import floor
 
 from cfgplan.planners.cpsat.network import Ints
+
+BUILDING_S = 3e-6
+"""What a member of a landmark takes until the engine begins."""
 
 
 def best_weights(members: list[Ints], cost: Ints, time_limit_s: float | None) -> list[int]:
@@ -12,25 +16,38 @@ def best_weights(members: list[Ints], cost: Ints, time_limit_s: float | None) ->
 
     Rounded down, so that it is exact whatever the engine's tolerance; empty if the engine fails or the time is over.
     """
-    if not members:
+    if not members or (time_limit_s is not None and sum(map(len, members)) * BUILDING_S > time_limit_s):
         return []
     from ortools.linear_solver import pywraplp  # type: ignore[import-untyped]
 
+    began = time.monotonic()
     solver = pywraplp.Solver.CreateSolver("GLOP")
     solver.SuppressOutput()
-    if time_limit_s is not None:
-        solver.SetTimeLimit(1 + int(1000 * time_limit_s))
     unit = float(max(1, cost.max()))
     weights = [solver.NumVar(0.0, float(cost[labels].min()) / unit, "") for labels in members]
-    rows: dict[int, pywraplp.Constraint] = {}
     objective = solver.Objective()
     objective.SetMaximization()
-    for weight, labels in zip(weights, members, strict=True):
+    for weight in weights:
         objective.SetCoefficient(weight, 1.0)
-        for label in labels.tolist():
-            if label not in rows:
-                rows[label] = solver.RowConstraint(-solver.infinity(), float(cost[label]) / unit, "")
-            rows[label].SetCoefficient(weight, 1.0)
+    for charging, least in _cheapest_of_alike(members, cost).items():
+        row = solver.RowConstraint(-solver.infinity(), least / unit, "")
+        for i in charging:
+            row.SetCoefficient(weights[i], 1.0)
+    if time_limit_s is not None:
+        solver.SetTimeLimit(1 + int(900 * max(0.0, time_limit_s - (time.monotonic() - began))))
     if solver.Solve() != pywraplp.Solver.OPTIMAL:
         return []
     return [max(0, floor(weight.solution_value() * unit)) for weight in weights]
+
+
+def _cheapest_of_alike(members: list[Ints], cost: Ints) -> dict[tuple[int, ...], int]:
+    """Which landmarks charge a label, and the least cost of the labels charged by just these."""
+    charging: dict[int, list[int]] = {}
+    for i, labels in enumerate(members):
+        for label in labels.tolist():
+            charging.setdefault(label, []).append(i)
+    least: dict[tuple[int, ...], int] = {}
+    for label, landmarks in charging.items():
+        alike = tuple(landmarks)
+        least[alike] = min(least.get(alike, int(cost[label])), int(cost[label]))
+    return least

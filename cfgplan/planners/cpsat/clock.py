@@ -6,6 +6,10 @@ import time
 from threading import Event
 
 
+class OutOfTimeError(Exception):
+    """The time is over before anything is known."""
+
+
 class Clock:
     """Runs from construction; over at the time limit or when somebody sets `stop`."""
 
@@ -24,6 +28,11 @@ class Clock:
 
     def is_over(self) -> bool:
         return self.stop.is_set() or self.left_s() == 0.0
+
+    def check(self) -> None:
+        """Raise OutOfTimeError after the time limit."""
+        if self.left_s() == 0.0:
+            raise OutOfTimeError
 
     def end(self, phase: str) -> dict[str, float]:
         """Note that a phase ends now; returns the seconds of all phases so far."""

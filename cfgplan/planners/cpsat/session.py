@@ -8,105 +8,27 @@ the library, the landmarks, and the last plan as a first one. The answer is as g
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from threading import Event
 
 import numpy as np
 
 from cfgplan.costs import keep_cost_us, start_cost_us
-from cfgplan.domain import Environment, Similarity, Transformation
-from cfgplan.planners.cpsat.bounds import Bound, Landmark, landmark_of
-from cfgplan.planners.cpsat.clock import Clock
+from cfgplan.planners.cpsat.bounds import Bound
+from cfgplan.planners.cpsat.clock import Clock, OutOfTimeError
 from cfgplan.planners.cpsat.greedy import first_plan, improved, is_plan
 from cfgplan.planners.cpsat.grounding import Grounding
 from cfgplan.planners.cpsat.network import Ints, Network
 from cfgplan.planners.cpsat.prepared import Prepared
-from cfgplan.planners.cpsat.site import Site, relevant
+from cfgplan.planners.cpsat.rest import Left, Rest
+from cfgplan.planners.cpsat.site import Site
 from cfgplan.planners.cpsat.standing import Stage, Standing
+from cfgplan.planners.cpsat.structure import Structure
+from cfgplan.planners.cpsat.tightening import tightened
 from cfgplan.planning import Plan, Problem, Progress, Status
-from cfgplan.reasons import Givers, startable, unmet_reasons
+from cfgplan.reasons import unmet_reasons
 
 ATTEMPTS = 30
 """How many members of the first plan are tried to be done without."""
-CHUNK = 20
-"""After so many landmarks the network is restricted to what may still be used."""
-MANY = 500
-"""With more labels than this, less gain is enough: the solver would take longer."""
-LEAST_GAIN = 0.05
-"""Landmarks are looked for as long as a chunk closes this share of the gap."""
-
-
-@dataclass
-class Structure:
-    """What depends on library, matching and targets alone, whatever runs and whatever it costs."""
-
-    environment: Environment
-    similarity: Similarity
-    pinned: frozenset[str]
-    givers: Givers
-    possible: frozenset[str]
-    network: Network
-    landmarks: list[Landmark] = field(default_factory=list)
-    weights: list[int] = field(default_factory=list)
-
-    @classmethod
-    def of(cls, problem: Problem, old: Structure | None) -> Structure:
-        environment = problem.environment
-        if old is not None and old.similarity == problem.similarity and _alike(old.environment, environment):
-            givers, possible = old.givers, old.possible
-        else:
-            givers = Givers(environment.library, problem.similarity)
-            possible = startable(environment, givers)
-        labels = relevant(environment, givers, possible)
-        network = Network(
-            [t for t in environment.library if t.label in labels],
-            [target.tag for target in environment.targets if not possible.isdisjoint(givers.of(target.tag))],
-            _pinned(environment) & possible,
-            givers,
-        )
-        return cls(environment, problem.similarity, _pinned(environment), givers, possible, network)
-
-    def remember(self, bound: Bound) -> None:
-        """Keep the landmarks that counted for the next time, as landmarks of the whole network."""
-        known = {landmark.zone.tobytes(): landmark for landmark in self.landmarks}
-        counted = [
-            (landmark.zone, weight) for landmark, weight in zip(bound.landmarks, bound.weights, strict=True) if weight
-        ]
-        zones = [bound.core.facts[zone] for zone, _ in counted]
-        self.landmarks = [known.get(zone.tobytes()) or landmark_of(self.network.core, zone) for zone in zones]
-        self.weights = [weight for _, weight in counted]
-
-    def serves(self, problem: Problem) -> bool:
-        """Whether the problem differs in nothing but running units and costs."""
-        return (
-            (self.similarity is problem.similarity or self.similarity == problem.similarity)
-            and _alike(self.environment, problem.environment)
-            and self.environment.targets == problem.environment.targets
-            and self.pinned == _pinned(problem.environment)
-        )
-
-
-def _pinned(environment: Environment) -> frozenset[str]:
-    """The labels of pinned transformations that have running units."""
-    library = environment.transformation
-    return frozenset(
-        unit.transformation
-        for unit in environment.units
-        if unit.transformation in library and library[unit.transformation].pinned
-    )
-
-
-def _alike(one: Environment, other: Environment) -> bool:
-    """Whether the libraries differ in nothing but costs."""
-    return one.library is other.library or (
-        len(one.library) == len(other.library)
-        and all(a is b or _ports(a) == _ports(b) for a, b in zip(one.library, other.library, strict=True))
-    )
-
-
-def _ports(transformation: Transformation) -> tuple[object, ...]:
-    t = transformation
-    return t.label, t.inputs, t.outputs, t.pinned, t.required
 
 
 class PlannerSession:
@@ -116,6 +38,7 @@ class PlannerSession:
         self._grounding = grounding
         self._structure: Structure | None = None
         self._last: frozenset[str] = frozenset()
+        self._rest: Rest | None = None
 
     def plan(
         self,
@@ -132,7 +55,11 @@ class PlannerSession:
             return fleet.plan(problem, time_limit_s=time_limit_s, report=report, stop=stop)
         clock = Clock(time_limit_s, stop)
         if self._structure is None or not self._structure.serves(problem):
-            self._structure = Structure.of(problem, self._structure)
+            try:
+                self._structure = Structure.of(problem, self._structure, clock)
+            except OutOfTimeError:
+                return Plan("cpsat", Status.UNKNOWN, seconds=clock.end("closure"))
+            self._rest = None
         structure, environment = self._structure, problem.environment
         if any(structure.possible.isdisjoint(structure.givers.of(target.tag)) for target in environment.targets):
             return Plan("cpsat", Status.INFEASIBLE, reasons=unmet_reasons(problem), seconds=clock.end("closure"))
@@ -153,7 +80,10 @@ class PlannerSession:
             return Plan("cpsat", Status.UNKNOWN, seconds=clock.seconds)
         if standing.best is not None:
             self._last = frozenset(unit.transformation for unit in standing.best.units)
-        return standing.plan()
+        found = standing.plan()
+        if found.status is Status.OPTIMAL and not found.change_set and not structure.has_required:
+            self._settle(problem, structure, clock)
+        return found
 
     def _prepare(self, problem: Problem, structure: Structure, clock: Clock) -> Prepared:
         """Bounds on the cost from both sides, and what may still be used between them."""
@@ -165,39 +95,62 @@ class PlannerSession:
             "demands": len(network.fact_of_tag),
             "merged demands": len(network.core.givers),
         }
-        if any(t.required for t in network.transformations):
+        if structure.has_required:
             return Prepared(network.labels, counts=counts)
         fixed_us, cost = _costs(problem, network)
-        known = {network.number[label] for label in self._last if label in network.number} | set(network.pinned)
+        plan = self._first_plan(problem, network, cost, clock)
+        left = None
+        if plan is not None and self._rest is not None:
+            left = self._rest.left(cost, plan, clock)
+        if left is None:
+            limit = int(cost.sum() if plan is None else cost[plan].sum())
+            bound = Bound(network.core, cost, list(structure.landmarks))
+            bound.recharge(structure.weights)
+            bound = tightened(bound, limit, limit, clock)
+            structure.remember(bound)
+            left = Left.by(bound, limit)
+        labels = left.labels
+        if plan is not None and left.value < int(cost[plan].sum()) and clock.is_over():
+            labels = plan
+        counts |= {"landmarks": len(left.landmarks), "left by bounds": len(labels)}
+        is_left = np.zeros(len(network.labels), np.bool_)
+        is_left[labels] = True
+        return Prepared(
+            [network.labels[i] for i in labels.tolist()],
+            None if plan is None else [network.labels[i] for i in plan.tolist()],
+            None if plan is None else int(cost[plan].sum()) + fixed_us,
+            left.value + fixed_us,
+            [[network.labels[i] for i in members[is_left[members]].tolist()] for members in left.landmarks],
+            counts,
+        )
+
+    def _first_plan(self, problem: Problem, network: Network, cost: Ints, clock: Clock) -> Ints | None:
+        """The plan at rest or the last one, mended where units died; or a new one if that no longer is one."""
+        known = set(network.pinned)
+        if self._rest is not None and self._rest.is_below(cost):
+            known |= set(self._rest.plan.tolist())
+        else:
+            known |= {network.number[label] for label in self._last if label in network.number}
         plan: set[int] | None
         if is_plan(network, known):
             running = {unit.transformation for unit in problem.environment.units}
             plan = improved(network, cost, known, {i for i in known if network.labels[i] not in running})
         else:
             plan = first_plan(network, cost, ATTEMPTS, clock.is_over)
+        return None if plan is None else np.array(sorted(plan), np.int64)
+
+    def _settle(self, problem: Problem, structure: Structure, clock: Clock) -> None:
+        """Where a proven plan changes nothing, there is time to see what will be needed when something does."""
+        network = structure.network
+        _, cost = _costs(problem, network)
+        plan = np.array(sorted({network.number[label] for label in self._last} | set(network.pinned)), np.int64)
+        if self._rest is not None and np.array_equal(self._rest.cost, cost) and np.array_equal(self._rest.plan, plan):
+            return
+        library = problem.environment.transformation
+        dearest = max((library[network.labels[i]].labor_us for i in plan.tolist()), default=0)
         bound = Bound(network.core, cost, list(structure.landmarks))
         bound.recharge(structure.weights)
-        limit = None if plan is None else int(cost[list(plan)].sum())
-        bound = _tightened(bound, limit, clock)
-        structure.remember(bound)
-        keep = bound.may_be_used(limit) if limit is not None else np.ones(bound.core.goal, np.bool_)
-        left = bound.core.labels[keep]
-        if plan is not None and limit is not None and bound.value < limit and clock.is_over():
-            left = np.array(sorted(plan), np.int64)
-        counts |= {"landmarks": len(bound.landmarks), "left by bounds": len(left)}
-        is_left = np.zeros(len(network.labels), np.bool_)
-        is_left[left] = True
-        return Prepared(
-            [network.labels[i] for i in left.tolist()],
-            None if plan is None else [network.labels[i] for i in sorted(plan)],
-            None if limit is None else limit + fixed_us,
-            bound.value + fixed_us,
-            [
-                [network.labels[i] for i in members[is_left[members]].tolist()]
-                for members in (bound.core.labels[landmark.members] for landmark in bound.landmarks)
-            ],
-            counts,
-        )
+        self._rest = Rest.of(plan, cost, int(cost[plan].sum()) + dearest, bound, clock)
 
 
 def _costs(problem: Problem, network: Network) -> tuple[int, Ints]:
@@ -217,20 +170,3 @@ def _costs(problem: Problem, network: Network) -> tuple[int, Ints]:
     fixed_us = sum(running[network.labels[i]] * int(cost[i]) for i in network.pinned)
     cost[network.pinned] = 0
     return fixed_us, cost
-
-
-def _tightened(bound: Bound, limit: int | None, clock: Clock) -> Bound:
-    """Find landmarks, and restrict the network to what may still be used, as long as that pays."""
-    enough = int(bound.cost.sum()) if limit is None else limit
-    while bound.value < enough and not clock.is_over():
-        before = bound.value
-        keep = bound.may_be_used(enough)
-        if keep.sum() < 0.8 * len(keep):
-            bound = bound.restricted(keep)
-        bound.improve(enough, CHUNK, clock.is_over)
-        if bound.value - before < LEAST_GAIN * (enough - before) * min(1.0, MANY / len(keep)):
-            bound.recharge_best(clock.left_s())
-            bound.improve(enough, CHUNK, clock.is_over)
-            if bound.value - before < LEAST_GAIN * (enough - before) * min(1.0, MANY / len(keep)):
-                break
-    return bound

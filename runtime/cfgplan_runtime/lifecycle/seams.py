@@ -84,7 +84,7 @@ class SystemClock:
 class DeclaredCosts:
     """The costs that the environment declares, whatever is observed; the estimator of last resort.
 
-    Each failure of the last `forget_s` seconds makes a start dearer by `failure_us`.
+    Each failure of the last `forget_s` seconds but the first makes a start dearer by `failure_us`.
     """
 
     def __init__(self, *, failure_us: int = 1_000_000, forget_s: float = 600.0) -> None:
@@ -104,7 +104,7 @@ class DeclaredCosts:
     def labor_us(self, transformation: Transformation, horizon_s: int) -> int:  # noqa: ARG002
         failures = self._failures.get(transformation.label, ())
         recent = sum(1 for at in failures if self._now_s - at < self._forget_s)
-        return transformation.labor_us + self._failure_us * recent
+        return transformation.labor_us + self._failure_us * max(0, recent - 1)
 
     def upkeep_us(self, transformation: Transformation, horizon_s: int) -> int:  # noqa: ARG002
         return transformation.upkeep_us

@@ -22,6 +22,8 @@ class ChildProcess:
     pid: int | None = None
     is_ready: bool = False
     is_stopping: bool = False
+    steps: int = 0
+    """How many it had begun at its last sign of life."""
     trouble: str = ""
     """What it said about its end."""
     _line: bytearray = field(default_factory=bytearray)
@@ -47,6 +49,5 @@ def cause_of_end(child: ChildProcess, status: int) -> str:
 
     if child.trouble:
         return child.trouble
-    if status < 0:
-        return f"killed by {signal.Signals(-status).name}"
-    return f"ended with exit status {status}"
+    end = f"killed by {signal.Signals(-status).name}" if status < 0 else f"ended with exit status {status}"
+    return f"{end} (in step {child.steps} or later)" if child.steps else end

@@ -271,6 +271,7 @@ class ProcessBackend:
             case Exhausted():
                 self._events.append(SourceExhausted(name))
             case Status(steps, errors, inputs, outputs, state):
+                child.steps = steps
                 self._events.append(UnitStatus(name, steps, errors, inputs, outputs, state))
 
     def _tell(self, child: ChildProcess, message: object, sockets: Sequence[socket.socket] = ()) -> None:

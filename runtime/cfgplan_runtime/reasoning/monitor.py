@@ -86,6 +86,7 @@ class Monitor:
         self._situation = _Situation(None, ())
         self._moments: list[list[int]] = []
         self._quiet_until = _NEVER
+        self._expired: list[Waiting] = []
 
     @property
     def verdict(self) -> Verdict:
@@ -150,11 +151,19 @@ class Monitor:
         return VERDICT_OF[self._at_end(self._situation.obligation)]
 
     def waiting(self) -> list[Waiting]:
-        """The operators that are not decided yet, the earliest first."""
-        position = {registers.operator: place for place, registers in enumerate(self._situation.registers)}
+        """The operators that are not decided yet."""
+        return self._waiting(self._situation, self._moments)
+
+    @property
+    def expired(self) -> list[Waiting]:
+        """The operators whose intervals had ended when the verdict became final."""
+        return self._expired
+
+    def _waiting(self, situation: _Situation, moments: list[list[int]]) -> list[Waiting]:
+        position = {registers.operator: place for place, registers in enumerate(situation.registers)}
         found: dict[Waiting, None] = {}
-        for operator, moment in sorted(_pending_of(self._situation.obligation)):
-            since = None if moment < 0 else self._moments[position[operator]][moment]
+        for operator, moment in sorted(_pending_of(situation.obligation)):
+            since = None if moment < 0 else moments[position[operator]][moment]
             end = self._intervals[operator].end_ns
             until = None if since is None or end is None else since + end
             found[Waiting(self.program.operators[operator].text, since, until)] = None
@@ -184,10 +193,15 @@ class Monitor:
                         situation.crossing[key] = transition
                 last = time_ns
                 count += 1
+                before = situation
                 situation, moves = transition
+                if situation.verdict is not Verdict.OPEN:
+                    waited = self._waiting(before, moments)
+                    self._expired = [each for each in waited if each.until_ns is not None and each.until_ns <= time_ns]
                 if moves is not None:
                     moments = _moved(moments, moves, time_ns)
-                if moves is not None or not is_quiet:
+                    quiet_until = self._next_crossing(situation, moments)
+                elif not is_quiet:
                     quiet_until = self._next_crossing(situation, moments)
                 if situation.verdict is not Verdict.OPEN:
                     break

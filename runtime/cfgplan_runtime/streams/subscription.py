@@ -45,16 +45,26 @@ class SubscriptionToTopic:
 
     def __iter__(self) -> Iterator[Received]:
         """Values as they come. Ends with the run, or raises TimeoutError if nothing comes for `timeout_s`."""
+        for element in self.elements():
+            yield Received(decode(element.payload), element.time_ns, self.topic)
+
+    def elements(self) -> Iterator[Element]:
+        """The same as elements whose values are not decoded."""
         while self._receiver is not None:
             self._wait(self._receiver)
             for element in self._receiver.read():
                 if self._is_new(element):
-                    yield Received(decode(element.payload), element.time_ns, self.topic)
+                    yield element
                 if self._receiver is None:
                     return
             if self._receiver.has_ended:
                 self._receiver.close()
                 self._reconnect()
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether more may come."""
+        return self._receiver is not None
 
     def __enter__(self) -> SubscriptionToTopic:
         return self
@@ -84,7 +94,10 @@ class SubscriptionToTopic:
 
     def _reconnect(self) -> None:
         self._receiver = None
+        since = time.monotonic()
         while is_alive(self._run) and not self._connect():
+            if self._timeout_s is not None and time.monotonic() - since > self._timeout_s:
+                raise TimeoutError(f"{self.topic} was gone for {self._timeout_s} s")
             time.sleep(_RETRY_S)
 
     def _connect(self) -> bool:

@@ -10,7 +10,14 @@ from cfgplan.domain import ChangeSet, Environment
 from cfgplan.errors import InvalidValueError
 from cfgplan_runtime.errors import ApplyError, NoSourceError, RuntimeFaultError, StaleChangeSetError
 from cfgplan_runtime.supervision.events import Applied
-from cfgplan_runtime.supervision.wiring import Wire, wanted_feeds, wanted_topics, without_feed, without_unit
+from cfgplan_runtime.supervision.wiring import (
+    Wire,
+    starved_units,
+    wanted_feeds,
+    wanted_topics,
+    without_feed,
+    without_unit,
+)
 
 if TYPE_CHECKING:
     from cfgplan_runtime.supervision.supervisor import Supervisor
@@ -122,7 +129,11 @@ class Applying:
             fed = wiring.feeds.get(inlet)
             if fed is None or fed.stream != stream:
                 self.wires.append(wiring.connect(stream, inlet, self.after))
-        self._wait(lambda: self._dead(started) is not None or not self._unswitched(), self.patience.switch_s)
+        starved = starved_units(self.supervisor.environment).intersection(self.change_set.stopped)
+        self._wait(
+            lambda: self._dead(started) is not None or all(_waits_for(wire, starved) for wire in self._unswitched()),
+            self.patience.switch_s,
+        )
         self._fail_if_dead(started)
         for inlet in [inlet for inlet in wiring.feeds if inlet not in wanted]:
             if inlet.unit not in self.change_set.stopped:
@@ -138,13 +149,16 @@ class Applying:
         self._wait(lambda: supervisor.alive.isdisjoint(units), self.patience.kill_s)
 
     def _undo(self) -> None:
+        """Let the inputs that are to stay go back, and only then take the new units away: until then they are fed."""
         supervisor, environment = self.supervisor, self.supervisor.environment
-        back = [supervisor.wiring.take_back(wire, environment, supervisor.alive) for wire in reversed(self.wires)]
+        started = tuple(unit.id for unit in self.change_set.started)
+        staying = [wire for wire in reversed(self.wires) if wire.inlet.unit not in started]
+        back = [supervisor.wiring.take_back(wire, environment, supervisor.alive) for wire in staying]
         self.wires = [wire for wire in back if wire is not None]
         self._wait(lambda: not self._unswitched(), self.patience.switch_s)
         for wire in self._unswitched():
             supervisor.backend.switch_now(wire.inlet)
-        self._stop(tuple(unit.id for unit in self.change_set.started))
+        self._stop(started)
         self._close_outlets(set(self.opened))
         supervisor.wiring.settle()
 
@@ -194,6 +208,11 @@ class Applying:
         start = self.supervisor.backend.now()
         work()
         self.seconds[phase] = self.supervisor.backend.now() - start
+
+
+def _waits_for(wire: Wire, units: set[str]) -> bool:
+    """Whether a wire has to wait for the end of what one of these units has to give."""
+    return wire.replaces is not None and wire.replaces.stream.unit in units
 
 
 class _StepFailedError(Exception):

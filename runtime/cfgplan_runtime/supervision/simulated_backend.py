@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from cfgplan.domain import Stream, Transformation
@@ -25,8 +26,10 @@ _US_PER_S = 1_000_000
 class Behaviour:
     """How the units of a transformation behave. Times in seconds; None is never.
 
-    Costs are the transformation's own. `dies_s` counts from being ready; a `quiet` unit gives no element; a `hung`
-    one gives no sign of life and does not stop when asked.
+    Costs are the transformation's own, unless `labor_us` and `upkeep_us` say otherwise: microseconds of CPU time, and
+    microseconds per second as a function of the clock, which is looked at once per second. `dies_s` counts from being
+    ready; a `quiet` unit gives no element; a `hung` one gives no sign of life and does not stop when asked; each step
+    of a `failing` one has an error.
     """
 
     start_s: float = 0.01
@@ -35,7 +38,13 @@ class Behaviour:
     stop_s: float = 0.002
     quiet: bool = False
     hung: bool = False
+    failing: bool = False
     memory_bytes: int = 10 << 20
+    labor_us: int | None = None
+    upkeep_us: Callable[[float], float] | None = None
+
+    def labor_of(self, transformation: Transformation) -> int:
+        return transformation.labor_us if self.labor_us is None else self.labor_us
 
 
 @dataclass
@@ -43,10 +52,22 @@ class _Unit:
     transformation: Transformation
     behaviour: Behaviour
     state: bytes | None
-    started_s: float
     is_ready: bool = False
     is_stopping: bool = False
     steps: int = 0
+    used_us: float = 0.0
+    used_until_s: float = 0.0
+    """Until when `used_us` counts."""
+
+    def use(self, now_s: float) -> float:
+        """CPU time since the unit was ready, in microseconds, piece by piece as the clock's seconds pass."""
+        while self.used_until_s < now_s:
+            piece_end_s = min(now_s, math.floor(self.used_until_s) + 1.0)
+            varies = self.behaviour.upkeep_us
+            upkeep_us = self.transformation.upkeep_us if varies is None else varies(math.floor(self.used_until_s))
+            self.used_us += upkeep_us * (piece_end_s - self.used_until_s)
+            self.used_until_s = piece_end_s
+        return self.used_us
 
 
 @dataclass
@@ -100,11 +121,12 @@ class SimulatedBackend:
     def start(self, unit: str, transformation: Transformation, state: bytes | None) -> None:
         self.calls.append(("start", unit))
         behaviour = self.behaviours.get(transformation.label, Behaviour())
-        self.units[unit] = _Unit(transformation, behaviour, state, self._now)
+        ready_s = self._now + behaviour.start_s
+        self.units[unit] = _Unit(transformation, behaviour, state, used_until_s=ready_s)
         if behaviour.dies_at_start is not None:
             self._later(behaviour.start_s, UnitDied(unit, behaviour.dies_at_start))
             return
-        self._later(behaviour.start_s, UnitReady(unit, transformation.labor_us))
+        self._later(behaviour.start_s, UnitReady(unit, behaviour.labor_of(transformation)))
         if behaviour.dies_s is not None:
             self._later(behaviour.start_s + behaviour.dies_s, UnitDied(unit, "died of old age"))
         if not behaviour.hung:
@@ -159,9 +181,8 @@ class SimulatedBackend:
         found = self.units.get(unit)
         if found is None:
             return None
-        costs = found.transformation
-        ran_s = max(0.0, self._now - found.started_s - found.behaviour.start_s)
-        return Usage(costs.labor_us + round(costs.upkeep_us * ran_s), found.behaviour.memory_bytes)
+        labor_us = found.behaviour.labor_of(found.transformation)
+        return Usage(labor_us + round(found.use(self._now)), found.behaviour.memory_bytes)
 
     def close(self) -> None:
         self.units.clear()
@@ -184,7 +205,9 @@ class SimulatedBackend:
                 for wire in [wire for wire, (stream, _) in self.wires.items() if stream.unit == unit]:
                     self._end(wire)
             case UnitStatus(unit, steps) if unit in self.units:
-                self._later(self.sign_period_s, UnitStatus(unit, steps + 1, 0, {}, {}))
+                steps += 10
+                errors = steps if self.units[unit].behaviour.failing else 0
+                self._later(self.sign_period_s, UnitStatus(unit, steps, errors, {}, {}))
             case UnitReady() | UnitDied() | UnitStopped() | UnitStatus():
                 return False
         return True

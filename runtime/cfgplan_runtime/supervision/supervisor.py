@@ -145,7 +145,7 @@ class Supervisor:
             case UnitStopped(unit):
                 self._bury(unit)
             case WireSwitched(wire):
-                self.wiring.note_switch(wire, self.environment)
+                self.wiring.note_switch(wire)
             case InputLost(_, _, wire):
                 inlet = self.wiring.note_loss(wire)
                 if inlet is None:

@@ -27,7 +27,6 @@ class Wiring:
         self._backend = backend
         self._last_id = 0
         self._wires: dict[int, Wire] = {}
-        self._taken_back: dict[int, Wire] = {}
         self.feeds: dict[Inlet, Wire] = {}
 
     def connect(self, stream: Stream, inlet: Inlet, environment: Environment) -> Wire:
@@ -46,33 +45,25 @@ class Wiring:
         self._backend.disconnect(wire.id, wire.inlet)
 
     def take_back(self, wire: Wire, environment: Environment, alive: set[str]) -> Wire | None:
-        """Undo `connect`; the wire that has to switch before the inlet has its old source again, if any."""
+        """Undo `connect`; the wire that has to switch before the inlet has its old source again, if any.
+
+        The old source is connected anew even if the inlet is not known to have left it: it may have done so
+        just now, and what came in between would be lost.
+        """
         old = wire.replaces
-        if old is None or old.stream.unit not in alive:
-            if self.feeds.get(wire.inlet) is wire:
-                self.disconnect(wire.inlet)
-            return None
-        if wire.has_switched:
+        if old is not None and old.stream.unit in alive:
             return self.connect(old.stream, wire.inlet, environment)
-        self._wires.pop(wire.id, None)
-        self._taken_back[wire.id] = wire
-        self.feeds[wire.inlet] = old
-        self._wires[old.id] = old
-        self._backend.disconnect(wire.id, wire.inlet)
+        if self.feeds.get(wire.inlet) is wire:
+            self.disconnect(wire.inlet)
         return None
 
-    def note_switch(self, wire_id: int, environment: Environment) -> None:
-        """An inlet has gone over to a wire. If that was being taken back, its old source is connected anew."""
+    def note_switch(self, wire_id: int) -> None:
+        """An inlet has gone over to a wire."""
         wire = self._wires.get(wire_id)
         if wire is not None:
             wire.has_switched = True
             if wire.replaces is not None:
                 self._wires.pop(wire.replaces.id, None)
-            return
-        late = self._taken_back.pop(wire_id, None)
-        if late is not None and late.replaces is not None and self.feeds.get(late.inlet) is late.replaces:
-            del self.feeds[late.inlet]
-            self.connect(late.replaces.stream, late.inlet, environment)
 
     def note_loss(self, wire_id: int) -> Inlet | None:
         """The inlet that has lost its source with this wire; None if the wire was given up before."""
@@ -96,7 +87,6 @@ class Wiring:
 
     def settle(self) -> None:
         """After an update: what the wires have replaced is past."""
-        self._taken_back.clear()
         for wire in self.feeds.values():
             wire.replaces = None
         self._wires = {wire.id: wire for wire in self.feeds.values()}
@@ -117,6 +107,30 @@ def wanted_topics(environment: Environment) -> frozenset[str]:
     """The topics that need an address: those of targets, and any other that a unit publishes on."""
     published = {publication.topic for unit in environment.units for publication in unit.publications}
     return frozenset(published | {target.topic for target in environment.targets})
+
+
+def starved_units(environment: Environment) -> set[str]:
+    """The units that have nothing more to give, since something before them in the wiring is missing."""
+    starved: set[str] = set()
+    grows = True
+    while grows:
+        more = {
+            unit.id for unit in environment.units if unit.id not in starved and _starves(unit, environment, starved)
+        }
+        starved |= more
+        grows = bool(more)
+    return starved
+
+
+def _starves(unit: ComputationUnit, environment: Environment, starved: set[str]) -> bool:
+    transformation = environment.transformation.get(unit.transformation)
+    if transformation is None or not transformation.inputs:
+        return False
+    fed = {port for port, stream in unit.feeds.items() if stream.unit not in starved}
+    starting = {transformation.run.start}.intersection(transformation.input)
+    if starting:
+        return fed.isdisjoint(starting)
+    return not fed if transformation.run.start == "any" else not fed.issuperset(transformation.input)
 
 
 def without_unit(environment: Environment, unit_id: str) -> Environment:

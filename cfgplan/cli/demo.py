@@ -1,0 +1,114 @@
+"""`cfgplan demo`: play the paper's case study on running processes, and write a page about it."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cfgplan.cli import options as shared
+from cfgplan.cli.durations import duration
+from cfgplan.cli.exits import Exit
+from cfgplan.cli.screen import FORMAT_VERSION, Screen
+
+if TYPE_CHECKING:
+    from cfgplan_runtime.demo.playing import Played
+    from cfgplan_runtime.demo.story import Step
+    from rich.text import Text
+
+
+def add_to(verbs: shared.Subparsers) -> None:
+    parser = shared.add_verb(
+        verbs,
+        "demo",
+        "play the paper's case study: two robots, one ball, a failure and a fusion",
+        "  cfgplan demo nao\n  cfgplan demo nao --step 2s --report page.html",
+    )
+    parser.add_argument("world", metavar="WORLD", nargs="?", choices=("nao",), default="nao", help="nao (the only one)")
+    parser.add_argument("--step", type=duration, default=6.0, metavar="TIME", help="watch each step so long (6s)")
+    parser.add_argument("--report", metavar="FILE", default="nao.html", help="the page to write (nao.html)")
+    shared.add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace, screen: Screen) -> Exit:
+    from cfgplan_runtime.demo.page import page
+    from cfgplan_runtime.demo.playing import play
+    from cfgplan_runtime.demo.stage import open_stage
+    from cfgplan_runtime.demo.story import SECTION_V
+
+    from cfgplan import __version__, api
+
+    stage = open_stage(options.world)
+    out = Path(options.report)
+    api.write_file(out, b"")
+    numbers = {step: number for number, step in enumerate(SECTION_V)}
+
+    def begins(step: Step) -> None:
+        if not screen.json:
+            screen.show(_headline(numbers[step], step))
+
+    def ends(played: Played) -> None:
+        if screen.json:
+            screen.write(json.dumps({"format_version": FORMAT_VERSION, **_record(numbers[played.step], played)}) + "\n")
+        else:
+            screen.show(_told(played))
+        screen.flush()
+
+    played = play(stage, SECTION_V, options.step, begins, ends)
+    with screen.phase("draw the page"):
+        api.write_file(out, page(stage, played, __version__).encode())
+    screen.note(f"Wrote {out}.")
+    return Exit.OK
+
+
+def _headline(number: int, step: Step) -> Text:
+    from rich.text import Text
+
+    line = Text(f"\n{number}  {step.title}", style="bold green")
+    line.append(f"   {step.section}\n", style="dim")
+    return line.append(f"   {step.happens}", style="default")
+
+
+def _told(played: Played) -> Text:
+    from cfgplan_runtime.demo import telling
+    from rich.text import Text
+
+    lines = [("noticed", "; ".join(telling.noticed(played)), ""), ("decided", telling.decided(played), "bold")]
+    cost = telling.cost(played)
+    if cost is not None:
+        lines.append(("cost", cost, ""))
+    lines += [("instead", other, "dim") for other in telling.others(played)]
+    lines.append(("took", ", ".join(f"{word} {telling.span(took)}" for word, took in telling.times(played)), ""))
+    seen = telling.seen(played)
+    if seen is not None:
+        lines.append(("/result", seen, "cyan"))
+    text = Text()
+    for number, (what, said, style) in enumerate(lines):
+        text.append(f"{'' if number == 0 else chr(10)}   {what:8}", style="dim").append(said, style=style)
+    return text
+
+
+def _record(number: int, played: Played) -> dict[str, Any]:
+    from cfgplan_runtime.demo import telling
+
+    review, error_m = played.review, played.rms_error_m
+    changes = played.changes
+    return {
+        "step": number,
+        "title": played.step.title,
+        "noticed": telling.noticed(played),
+        "decision": str(review.decision),
+        "started": [unit.id for unit in changes.started],
+        "rewired": [unit.id for unit in changes.rewired],
+        "stopped": list(changes.stopped),
+        "unmet": dict(review.unmet),
+        "cost_us": review.cost_us,
+        "others": [{"what": other.what, "cost_us": other.cost_us} for other in played.others],
+        "seconds": dict(review.seconds),
+        "positions": len(played.samples),
+        "lost_frames": telling.lost_frames(played),
+        "rms_error_m": None if error_m is None else round(error_m, 4),
+        "source": played.source,
+    }

@@ -1,0 +1,50 @@
+"""What `cfgplan run` would start first, without starting anything."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from cfgplan.cli.exits import OF_STATUS, Exit
+from cfgplan.cli.screen import Screen
+from cfgplan.planning import Problem
+
+if TYPE_CHECKING:
+    from cfgplan_runtime.operating.operation import Settings
+
+    from cfgplan.explaining.best_effort import BestEffort
+
+
+def first_update(problem: Problem, settings: Settings) -> BestEffort:
+    """What the first review of a run would decide, by the costs that are known by now."""
+    from cfgplan_runtime.estimating.estimator import make_estimator
+    from cfgplan_runtime.estimating.keeping import load
+
+    from cfgplan.explaining.best_effort import best_effort
+    from cfgplan.planners import PLANNERS
+
+    estimator = make_estimator(settings.estimator, settings.guess)
+    if settings.estimates is not None:
+        load(estimator, settings.estimates, time.monotonic())
+    environment = problem.environment
+    library = estimator.estimated(environment.library, problem.horizon_s)
+    estimated = replace(problem, environment=replace(environment, library=tuple(library)))
+    return best_effort(estimated, settings.planner or PLANNERS["cpsat"], time_limit_s=settings.policy.time_limit_s)
+
+
+def exit_of(found: BestEffort) -> Exit:
+    """The exit code: as of `solve`, and `NO_PLAN` if a target must be given up."""
+    return Exit.NO_PLAN if found.unmet else OF_STATUS[found.plan.status]
+
+
+def show(found: BestEffort, digest: str, screen: Screen) -> None:
+    """Print it; as JSON it is a plan file."""
+    if screen.json:
+        from cfgplan.formats import dump_plan
+
+        screen.write(dump_plan(found.plan, found.problem, digest))
+    else:
+        from cfgplan.cli.update_text import update_text
+
+        screen.show(update_text(found.problem, found.plan))

@@ -1,0 +1,116 @@
+"""`cfgplan explain`: why there is no plan, or why the plan uses what it uses."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+from cfgplan.cli import options as shared
+from cfgplan.cli.exits import OF_STATUS, Exit
+from cfgplan.cli.screen import Screen
+from cfgplan.cli.update_text import with_the_stream
+from cfgplan.errors import InputError
+
+if TYPE_CHECKING:
+    from cfgplan.api import Subject
+    from cfgplan.explaining import WhyNot
+    from cfgplan.planning import Plan, Problem
+
+
+def add_to(verbs: shared.Subparsers) -> None:
+    parser = shared.add_verb(
+        verbs,
+        "explain",
+        "say why there is no plan, or why the plan uses what it uses and what doing without would cost",
+        "  cfgplan explain models/nao/0-target-only.yaml\n"
+        "  cfgplan explain models/nao/4-fusion-available.yaml --transformation fuse_ball_pos",
+    )
+    shared.add_environment(parser)
+    subject = parser.add_mutually_exclusive_group()
+    subject.add_argument("--unit", metavar="U", help="why this unit is started, kept, rewired or stopped")
+    subject.add_argument("--transformation", metavar="T", help="why this transformation is used, or not")
+    subject.add_argument("--stream", metavar="S", help="why this output is used: unit/port or transformation/port")
+    shared.add_planning(parser)
+    shared.add_matching(parser)
+    shared.add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace, screen: Screen) -> Exit:
+    from cfgplan import api
+
+    world = shared.load(options, screen)
+    problem = shared.problem(options, screen, world)
+    chosen = {"planner": options.planner, "time_limit_s": options.timeout}
+    with screen.phase("plan"):
+        plan = api.plan(problem, **chosen)
+    if plan.change_set is None:
+        with screen.phase("explain"):
+            why = api.why_not(world, problem, reasoner=options.reasoner, **chosen)
+        _show_why_not(problem, why, screen)
+        return OF_STATUS[plan.status]
+    with screen.phase("explain"):
+        whys = [api.why(problem, plan, kind, name, **chosen) for kind, name in _subjects(options, problem, plan)]
+        unused = api.why_not(world, problem, reasoner=options.reasoner, **chosen).unused if plan.unused_required else ()
+    if screen.json:
+        from cfgplan.explaining import plain
+
+        screen.show_json({"plan": plain(plan), "why": plain(tuple(whys)), "unused": plain(unused)})
+        return OF_STATUS[plan.status]
+    from cfgplan.cli.explain_text import table_lines, unused_lines, why_text
+    from cfgplan.cli.update_text import verdict
+
+    if _names_one(options):
+        screen.show(why_text(whys[0]))
+    else:
+        screen.show("\n".join([*table_lines(whys), verdict(problem, plan).plain]))
+    for each in unused:
+        screen.show("\n".join(unused_lines(problem.environment, each)))
+    return OF_STATUS[plan.status]
+
+
+def _show_why_not(problem: Problem, why: WhyNot, screen: Screen) -> None:
+    if screen.json:
+        from cfgplan.explaining import plain
+
+        screen.show_json(plain(why))
+        return
+    from cfgplan.cli.explain_text import why_not_text
+    from cfgplan.cli.update_text import verdict
+
+    screen.show(verdict(problem, why.plan))
+    screen.show(why_not_text(problem.environment, why))
+
+
+def _names_one(options: argparse.Namespace) -> bool:
+    return any((options.unit, options.transformation, options.stream))
+
+
+def _subjects(options: argparse.Namespace, problem: Problem, plan: Plan) -> list[tuple[Subject, str]]:
+    """What is asked for, or all that the plan uses."""
+    assert plan.change_set is not None
+    environment = problem.environment
+    after = environment.update(plan.change_set)
+    if options.unit:
+        return [("unit", _known(options.unit, {*environment.unit, *after.unit}, "unit"))]
+    if options.transformation:
+        return [("transformation", _known(options.transformation, environment.transformation, "transformation"))]
+    if options.stream:
+        outputs = {f"{t.label}/{port.name}" for t in environment.library for port in t.outputs}
+        unit, _, port = options.stream.rpartition("/")
+        running = after.unit.get(unit)
+        return [("stream", _known(f"{running.transformation if running else unit}/{port}", outputs, "output"))]
+    used = dict.fromkeys(unit.transformation for unit in with_the_stream(after))
+    return [("transformation", label) for label in used]
+
+
+def _known(name: str, names: Iterable[str], what: str) -> str:
+    names = sorted(names)
+    if name in names:
+        return name
+    from difflib import get_close_matches
+
+    close = get_close_matches(name, names, n=1)
+    mend = f"did you mean {close[0]!r}?" if close else f"there are {len(names)}, such as {', '.join(names[:3])}"
+    raise InputError.of(f"there is no {what} {name!r}", mend=mend if names else None)

@@ -1,0 +1,96 @@
+"""The live view of a run in the terminal: fetches what there is, and has it drawn a few times a second."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.live import Live
+
+from cfgplan.cli.run_output import fetched, show_ledger, show_recording
+from cfgplan.cli.run_picture import Line, Picture
+from cfgplan.cli.screen import Screen, counted
+
+if TYPE_CHECKING:
+    from cfgplan_runtime.operating.operation import Operation
+
+_REFRESH_S = 0.25
+_MOST_LINES = 200
+_LINES_AFTERWARDS = 8
+
+
+class LiveView:
+    """Fills the terminal while a run is held; what matters is printed again when it is over."""
+
+    def __init__(self, screen: Screen, operation: Operation, console: Console | None = None) -> None:
+        self._screen = screen
+        self._operation = operation
+        self._live = Live(
+            console=console or Console(highlight=False, markup=False, emoji=False),
+            screen=True,
+            auto_refresh=False,
+            redirect_stdout=False,
+            redirect_stderr=False,
+        )
+        self._lines: deque[Line] = deque(maxlen=_MOST_LINES)
+        self._since_s = time.monotonic()
+        self._drawn_s = 0.0
+        self._note = ""
+        self._reviews = 0
+
+    def __enter__(self) -> LiveView:
+        self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._live.stop()
+
+    def update(self, wait_s: float) -> None:
+        from cfgplan_runtime.lifecycle.reports import Reviewed
+        from cfgplan_runtime.operating.sentences import WARNING, level, sentence
+
+        for news in fetched(self._operation, wait_s):
+            said = news if isinstance(news, str) else sentence(news)
+            self._reviews += isinstance(news, Reviewed)
+            if said is not None:
+                grade = WARNING if isinstance(news, str) else level(news)
+                self._lines += (Line(time.time(), grade, text) for text in said.splitlines())
+        if time.monotonic() - self._drawn_s >= _REFRESH_S:
+            self._draw()
+
+    def note(self, text: str) -> None:
+        self._note = text
+        self._draw()
+
+    def sum_up(self) -> None:
+        self.update(0.0)
+        took = time.strftime("%H:%M:%S", time.gmtime(time.monotonic() - self._since_s))
+        operation, screen = self._operation, self._screen
+        screen.note(
+            f"Run {operation.id} of {operation.environment} ended after {took}; {counted(self._reviews, 'review')}."
+        )
+        for line in list(self._lines)[-_LINES_AFTERWARDS:]:
+            screen.show(line.text_with_time())
+        show_ledger(operation, screen)
+        show_recording(operation, screen)
+
+    def _draw(self) -> None:
+        self._drawn_s = time.monotonic()
+        operation = self._operation
+        picture = Picture(
+            run=operation.id,
+            environment=operation.environment,
+            elapsed_s=time.monotonic() - self._since_s,
+            snapshot=operation.manager.snapshot(),
+            flows=operation.flows.now(),
+            lines=tuple(self._lines),
+            recorded=operation.recorder.recording.written if operation.recorder else None,
+            note=self._note,
+        )
+        if self._live.is_started:
+            self._live.update(picture, refresh=True)

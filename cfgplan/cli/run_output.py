@@ -1,0 +1,180 @@
+"""What `cfgplan run` shows while it runs: a live view, lines of text when piped, or JSON lines."""
+
+from __future__ import annotations
+
+import json
+import queue
+import sys
+from collections.abc import Iterator
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Protocol
+
+from cfgplan.cli.screen import FORMAT_VERSION, Screen, counted
+
+if TYPE_CHECKING:
+    from cfgplan_runtime.operating.operation import News, Operation
+
+
+class Output(Protocol):
+    """Entered while a run is held."""
+
+    def __enter__(self) -> Output: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+    def update(self, wait_s: float) -> None:
+        """Show what there is to be shown; waits so long at most for it."""
+
+    def note(self, text: str) -> None:
+        """Say something about the work."""
+
+    def sum_up(self) -> None:
+        """Say what it all came to, after the end."""
+
+
+def output_for(screen: Screen, operation: Operation, *, plain: bool) -> Output:
+    """The output that suits where it goes."""
+    if screen.json:
+        return JsonLines(screen, operation)
+    if plain or not sys.stdout.isatty():
+        return Lines(screen, operation)
+    from cfgplan.cli.live_view import LiveView
+
+    return LiveView(screen, operation)
+
+
+def fetched(operation: Operation, wait_s: float) -> Iterator[News]:
+    """The news that there are; waits so long at most for the first of them."""
+    try:
+        yield operation.news.get(timeout=wait_s) if wait_s > 0 else operation.news.get_nowait()
+        while True:
+            yield operation.news.get_nowait()
+    except queue.Empty:
+        return
+
+
+def running_text(operation: Operation) -> str:
+    """What runs, and how to steer it."""
+    count = counted(len(operation.runtime.environment.units), "unit")
+    metrics = "" if operation.metrics_port is None else f" Metrics: http://127.0.0.1:{operation.metrics_port}/metrics."
+    return f"Running {count} as run {operation.id}; Ctrl-C stops, `cfgplan ctl` steers.{metrics}"
+
+
+class Lines:
+    """A line for each thing that happens."""
+
+    def __init__(self, screen: Screen, operation: Operation) -> None:
+        self._screen = screen
+        self._operation = operation
+
+    def __enter__(self) -> Lines:
+        self._say(running_text(self._operation))
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        pass
+
+    def update(self, wait_s: float) -> None:
+        from cfgplan_runtime.operating.sentences import sentence
+
+        for news in fetched(self._operation, wait_s):
+            said = news if isinstance(news, str) else sentence(news)
+            if said is not None:
+                self._say(said)
+
+    def note(self, text: str) -> None:
+        self._screen.note(text)
+
+    def sum_up(self) -> None:
+        for news in fetched(self._operation, 0.0):
+            if isinstance(news, str):
+                self._screen.warn(news)
+        show_ledger(self._operation, self._screen)
+        show_recording(self._operation, self._screen)
+
+    def _say(self, text: str) -> None:
+        self._screen.show(text)
+        self._screen.flush()
+
+
+class JsonLines:
+    """A JSON object for each thing that happens, and one for each unit at the end."""
+
+    def __init__(self, screen: Screen, operation: Operation) -> None:
+        self._screen = screen
+        self._operation = operation
+
+    def __enter__(self) -> JsonLines:
+        operation = self._operation
+        units = len(operation.runtime.environment.units)
+        self._say("Running", run=operation.id, units=units, metrics_port=operation.metrics_port)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        pass
+
+    def update(self, wait_s: float) -> None:
+        from cfgplan_runtime.operating.records import report_record
+
+        for news in fetched(self._operation, wait_s):
+            if isinstance(news, str):
+                self._say("Warning", text=news)
+            else:
+                record = report_record(news)
+                self._say(record.pop("kind"), **record)
+
+    def note(self, text: str) -> None:
+        self._screen.note(text)
+
+    def sum_up(self) -> None:
+        self.update(0.0)
+        for entry in self._operation.ledger.entries():
+            seen = entry.seen
+            facts = {"unit": seen.unit, "labor_us": seen.labor_us, "upkeep_us": entry.upkeep_us, "steps": seen.steps}
+            more = {"memory_bytes": seen.memory_bytes, "dropped": seen.dropped, "errors": seen.errors}
+            self._say("Observed", **facts, **more)
+        recorder = self._operation.recorder
+        if recorder is not None:
+            recording = recorder.recording
+            counts = {"written": recording.written, "lost": recorder.lost, "dropped": self._operation.dropped}
+            self._say("Recorded", file=str(recording.path), failure=recording.failure, **counts)
+
+    def _say(self, event: str, **facts: Any) -> None:
+        self._screen.write(json.dumps({"format_version": FORMAT_VERSION, "event": event, **facts}) + "\n")
+        self._screen.flush()
+
+
+def show_ledger(operation: Operation, screen: Screen) -> None:
+    """What each unit did and cost."""
+    from rich.table import Table
+
+    entries = operation.ledger.entries()
+    if not entries:
+        return
+    table = Table("unit", "labor", "upkeep", "memory", "steps", "dropped", "errors", box=None)
+    for entry in entries:
+        seen = entry.seen
+        upkeep = "" if entry.upkeep_us is None else f"{entry.upkeep_us / 1e6:.4f} s/s"
+        counts = [str(count) for count in (seen.steps, seen.dropped, seen.errors)]
+        table.add_row(seen.unit, f"{seen.labor_us / 1e6:.3f} s", upkeep, f"{seen.memory_bytes >> 20} MB", *counts)
+    screen.show(table)
+
+
+def show_recording(operation: Operation, screen: Screen) -> None:
+    """What was recorded, and what was not."""
+    if operation.recorder is None:
+        return
+    recorder, recording = operation.recorder, operation.recorder.recording
+    screen.note(f"Wrote {recording.path}: {counted(recording.written, 'message')}.")
+    if recording.failure is not None:
+        lost = counted(recorder.lost, "message")
+        screen.warn(f"{recording.path} ends early: {recording.failure}; {lost} after that were not recorded")
+    elif recorder.lost or operation.dropped:
+        lost = counted(recorder.lost + operation.dropped, "message")
+        screen.warn(f"{lost} were not recorded, because the recorder was too slow")

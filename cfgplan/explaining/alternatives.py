@@ -1,0 +1,175 @@
+"""What else: the cheapest configurations that differ in what runs, in order, exactly."""
+
+from __future__ import annotations
+
+import heapq
+import time
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+from cfgplan.costs import keep_cost_us, start_cost_us
+from cfgplan.domain import Environment
+from cfgplan.planning import Plan, Planner, Problem, Status
+from cfgplan.reasons import Givers, startable
+
+Labels = frozenset[str]
+Key = tuple[int, int, int, int]
+"""Unused required transformations, cost in microseconds, rewired and started units: the order of optimality."""
+
+
+@dataclass(frozen=True)
+class Alternatives:
+    """The best `plans` of a problem, no two of which run the same set of transformations, in the order of optimality.
+
+    The first is the optimal one; each of the others is the best of all that run the same transformations. It is
+    `complete` if it was not stopped by the clock, and `has_more` if there are further configurations.
+    """
+
+    plans: tuple[Plan, ...]
+    complete: bool = True
+    has_more: bool = False
+
+
+def alternatives(problem: Problem, planner: Planner, count: int, *, time_limit_s: float | None = None) -> Alternatives:
+    """The `count` best valid configurations within the largest cost that differ in the transformations that run.
+
+    Lawler's procedure: what is left of a set of configurations without its best one is cut into parts, by what must
+    and must not run, and the part that can hold the cheapest is looked at next. None if there is no plan; the plan
+    alone if it is not proven optimal.
+    """
+    best = planner(problem, time_limit_s=time_limit_s)
+    if best.status is not Status.OPTIMAL:
+        return Alternatives((best,) if best.change_set is not None else (), best.status is not Status.UNKNOWN)
+    ranking = _Ranking(problem, planner, best)
+    end_s = None if time_limit_s is None else time.monotonic() + time_limit_s
+    found: list[Plan] = []
+    for plan in ranking.plans(end_s):
+        if plan is None:
+            return Alternatives(tuple(found) or (best,), complete=False, has_more=True)
+        if len(found) == count:
+            return Alternatives(tuple(found), has_more=True)
+        found.append(plan)
+    return Alternatives(tuple(found))
+
+
+@dataclass(frozen=True)
+class _Part:
+    """The configurations that run all of `within` and none of `without`."""
+
+    within: Labels
+    without: Labels
+
+
+class _Ranking:
+    def __init__(self, problem: Problem, planner: Planner, best: Plan) -> None:
+        self._problem = problem
+        self._planner = planner
+        self._best = best
+        environment = problem.environment
+        self._possible = startable(environment, Givers(environment.library, problem.similarity))
+        running = {unit.transformation for unit in environment.units}
+        self._kept = frozenset(t.label for t in environment.library if t.pinned and t.label in running & self._possible)
+        self._required = frozenset(t.label for t in environment.library if t.required)
+        self._cost_us = {
+            t.label: (keep_cost_us if t.label in running else start_cost_us)(t, problem.horizon_s)
+            for t in environment.library
+        }
+
+    def plans(self, end_s: float | None) -> Iterator[Plan | None]:
+        """The plans in order; None when time is over."""
+        whole = _Part(frozenset(), frozenset())
+        heap: list[tuple[Key, int, bool, list[str], list[str], _Part | Plan]] = [((0,) * 4, 0, False, [], [], whole)]
+        while heap:
+            if end_s is not None and time.monotonic() > end_s:
+                yield None
+                return
+            entry = heapq.heappop(heap)[-1]
+            if isinstance(entry, Plan):
+                yield entry
+                continue
+            cheapest = self._cheapest(entry)
+            if cheapest is None:
+                continue
+            runs = self._runs(cheapest)
+            plan = self._best_that_runs(runs)
+            if self._is_allowed(plan.cost_us or 0):
+                heapq.heappush(heap, (self._key(plan), 1, plan != self._best, sorted(runs), [], plan))
+            for part in self._rest(entry, runs):
+                least_us = max(cheapest.cost_us or 0, sum(self._cost_us[label] for label in part.within))
+                if self._is_allowed(least_us):
+                    bound = (len(self._required & part.without), least_us, 0, 0)
+                    heapq.heappush(heap, (bound, 0, False, sorted(part.within), sorted(part.without), part))
+
+    def _rest(self, part: _Part, runs: Labels) -> Iterator[_Part]:
+        """All of a part but what runs exactly this: without one of these, or with another one."""
+        within, without = part.within, part.without
+        for label in sorted(runs - within):
+            yield _Part(within, without | {label})
+            within |= {label}
+        others = self._relevant - runs - part.without
+        for label in sorted(others, key=lambda label: (-self._cost_us[label], label)):
+            yield _Part(runs | {label}, without)
+            without |= {label}
+
+    def _cheapest(self, part: _Part) -> Plan | None:
+        """The cheapest plan of a part, whatever is required and allowed; None if the part is empty."""
+        plan = self._planner(self._restricted(part.without, part.within))
+        if plan.change_set is None or plan.unused_required:
+            return None
+        after = self._problem.environment.update(plan.change_set)
+        kept = {unit.transformation for unit in after.units}
+        return plan if self._kept <= kept else None
+
+    def _best_that_runs(self, runs: Labels) -> Plan:
+        """The best plan in which just these run, besides the pinned ones."""
+        if runs == self._runs(self._best):
+            return self._best
+        others = self._problem.environment.transformation.keys() - runs - self._kept
+        plan = self._planner(self._restricted(others, runs | self._required & self._kept))
+        unused = self._required - runs - self._kept | set(plan.unused_required)
+        return replace(
+            plan,
+            status=Status.FEASIBLE,
+            bound_us=min(self._best.bound_us, plan.cost_us or 0),
+            unused_required=tuple(t.label for t in self._problem.environment.library if t.label in unused),
+        )
+
+    def _restricted(self, without: Iterable[str], required: Labels) -> Problem:
+        environment = self._problem.environment
+        out = set(without)
+        library = tuple(
+            t if t.required == (t.label in required) else replace(t, required=t.label in required)
+            for t in environment.library
+            if t.label not in out
+        )
+        return replace(
+            self._problem, environment=Environment(environment.units, library, environment.targets), max_cost_us=None
+        )
+
+    def _runs(self, plan: Plan) -> Labels:
+        assert plan.change_set is not None
+        after = self._problem.environment.update(plan.change_set)
+        return frozenset(unit.transformation for unit in after.units) - self._kept
+
+    def _key(self, plan: Plan) -> Key:
+        assert plan.change_set is not None and plan.cost_us is not None
+        changes = plan.change_set
+        return len(plan.unused_required), plan.cost_us, len(changes.rewired), len(changes.started)
+
+    def _is_allowed(self, cost_us: int) -> bool:
+        return self._problem.max_cost_us is None or cost_us <= self._problem.max_cost_us
+
+    @cached_property
+    def _relevant(self) -> Labels:
+        """What a target or a pinned unit may need, directly or through others."""
+        environment = self._problem.environment
+        givers = Givers(environment.library, self._problem.similarity)
+        ahead = [target.tag for target in environment.targets]
+        ahead += [port.tag for label in sorted(self._kept) for port in environment.transformation[label].inputs]
+        found: set[str] = set()
+        for tag in ahead:
+            new = self._possible.intersection(givers.of(tag)) - found
+            found |= new
+            ahead += [port.tag for label in sorted(new) for port in environment.transformation[label].inputs]
+        return frozenset(found) - self._kept

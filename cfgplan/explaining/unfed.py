@@ -1,0 +1,195 @@
+"""Why a target can't be met whatever it costs: the inputs that nothing can feed, as a tree."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
+
+from cfgplan.domain import Environment, InputPort, Transformation
+from cfgplan.matching import Nearest
+from cfgplan.planning import Problem
+from cfgplan.reasons import Givers, assign_different, distinct_groups, forward_closure, startable
+
+NearestOffers = Callable[[str], tuple[Nearest, ...]]
+"""The offered tags that come nearest to a demanded one."""
+
+
+@dataclass(frozen=True)
+class Unfed:
+    """A demand for `tag` that can't be fed: an input `port` of a transformation, or without one a target's.
+
+    The `givers` are the transformations that would match, all of them blocked but for those that are too few for
+    a distinct group. If there are none, `nearest` are the offered tags that come nearest.
+    """
+
+    tag: str
+    port: str | None = None
+    givers: tuple[str, ...] = ()
+    nearest: tuple[Nearest, ...] = ()
+
+
+@dataclass(frozen=True)
+class Blocked:
+    """A transformation that can't run because of its `inputs`: one that nothing can feed, or several of a group.
+
+    The `available` transformations can run and match inputs of such a distinct group, but are too few.
+    """
+
+    transformation: str
+    inputs: tuple[Unfed, ...]
+    available: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Unreachable:
+    """A minimal reason why nothing can give what `target` wants: a tree, or where support is circular a graph.
+
+    Its root is `wanted`; `blocked` holds each transformation once, depth first from the root, and the givers of an
+    input lead on. The reason names inputs. They alone still fail: with all other inputs of all transformations
+    taken away there is no plan for the target. Without any one of them there is one.
+    """
+
+    target: str
+    wanted: Unfed
+    blocked: tuple[Blocked, ...]
+
+    @property
+    def named(self) -> frozenset[tuple[str, str]]:
+        """The inputs that the reason names, as transformation and port."""
+        return frozenset(
+            (blocked.transformation, unfed.port or "") for blocked in self.blocked for unfed in blocked.inputs
+        )
+
+
+def unreachable(problem: Problem, nearest: NearestOffers | None = None) -> tuple[Unreachable, ...]:
+    """A minimal reason for each target that no wiring can reach, whatever it costs."""
+    environment = problem.environment
+    givers = Givers(environment.library, problem.similarity)
+    dead = DeadEnds(environment, givers, nearest)
+    return tuple(
+        dead.reason(target.label, target.tag)
+        for target in environment.targets
+        if dead.possible.isdisjoint(givers.of(target.tag))
+    )
+
+
+def named_alone(problem: Problem, target: str, named: Collection[tuple[str, str]]) -> Problem:
+    """The problem of one target in which the transformations have only the named inputs, as transformation and port."""
+    environment = problem.environment
+    library = tuple(
+        replace(t, inputs=tuple(port for port in t.inputs if (t.label, port.name) in named))
+        for t in environment.library
+    )
+    return replace(problem, environment=Environment((), library, (environment.target[target],)), max_cost_us=None)
+
+
+class DeadEnds:
+    """What can't run, and for each such transformation the inputs that are told as the reason.
+
+    Where a choice is, dead ends are told that end soonest at something that is missing; only what has no such
+    end is told as circular.
+    """
+
+    def __init__(self, environment: Environment, givers: Givers, nearest: NearestOffers | None) -> None:
+        self.possible = startable(environment, givers)
+        self._environment = environment
+        self._givers = givers
+        self._nearest = nearest
+        self._cause: dict[str, tuple[InputPort, ...]] = {}
+        self._find_dead_ends()
+        self._find_rings()
+
+    def reason(self, target: str, tag: str) -> Unreachable:
+        """Why nothing can give what `tag` demands."""
+        kept = self._blocked(tag, self._cause)
+        if any(len(ports) > 1 for ports in kept.values()):
+            kept = self._blocked(tag, self._minimal(tag, kept))
+        return Unreachable(
+            target,
+            self._unfed(tag, None),
+            tuple(self._told(label, ports, kept) for label, ports in kept.items()),
+        )
+
+    def _find_dead_ends(self) -> None:
+        """Round by round what fails since all that would feed it has failed, or is too little for a group."""
+        waiting = {t.label: t for t in self._environment.library if t.label not in self.possible}
+        users: dict[str, set[str]] = defaultdict(set)
+        for transformation in waiting.values():
+            for port in transformation.inputs:
+                for giver in self._givers.of(port.tag):
+                    users[giver].add(transformation.label)
+        ahead = set(waiting)
+        while ahead:
+            ends = {}
+            for label in sorted(ahead):
+                for ports in self._failures(waiting[label], self.possible, self.possible):
+                    if all(g in self.possible or g in self._cause for p in ports for g in self._givers.of(p.tag)):
+                        ends[label] = ports
+                        break
+            self._cause |= ends
+            ahead = {user for label in ends for user in users[label] if user not in self._cause}
+
+    def _find_rings(self) -> None:
+        """Stage by stage what fails in a ring: its feedback inputs may be fed by all that is still alive."""
+        alive = frozenset(self._environment.transformation) - self._cause.keys()
+        while alive != self.possible:
+            reached = forward_closure(self._environment, self._givers, alive)
+            for label in sorted(alive - reached):
+                transformation = self._environment.transformation[label]
+                self._cause[label] = next(self._failures(transformation, reached, alive))
+            alive = reached
+
+    def _failures(
+        self, transformation: Transformation, before: Collection[str], anywhere: Collection[str]
+    ) -> Iterator[tuple[InputPort, ...]]:
+        """Inputs that those `before`, or for feedback `anywhere`, can't feed: alone, or as a part of a group."""
+        feeders = {
+            port.name: [g for g in self._givers.of(port.tag) if g in (anywhere if port.feedback else before)]
+            for port in transformation.inputs
+        }
+        yield from ((port,) for port in transformation.inputs if not feeders[port.name])
+        for group in distinct_groups(transformation):
+            part = {port.name: feeders[port.name] for port in group if feeders[port.name]}
+            if assign_different(part) is None:
+                for name in list(part):
+                    rest = {port: choices for port, choices in part.items() if port != name}
+                    part = rest if assign_different(rest) is None else part
+                yield tuple(port for port in group if port.name in part)
+
+    def _blocked(self, tag: str, cause: Mapping[str, tuple[InputPort, ...]]) -> dict[str, tuple[InputPort, ...]]:
+        """What of the causes is needed to tell why nothing gives `tag`, depth first."""
+        blocked: dict[str, tuple[InputPort, ...]] = {}
+        ahead = [*reversed(self._givers.of(tag))]
+        while ahead:
+            label = ahead.pop()
+            if label in cause and label not in blocked:
+                blocked[label] = cause[label]
+                ahead += [giver for port in reversed(cause[label]) for giver in reversed(self._givers.of(port.tag))]
+        return blocked
+
+    def _minimal(self, tag: str, kept: Mapping[str, tuple[InputPort, ...]]) -> dict[str, tuple[InputPort, ...]]:
+        """Without the inputs that the reason can do without.
+
+        Only a distinct group can leave some: what is too little for it may be blocked for another reason.
+        """
+        cause = dict(kept)
+        for label, ports in kept.items():
+            for port in ports:
+                less = cause | {label: tuple(other for other in cause[label] if other != port)}
+                if startable(self._with_only(less), self._givers).isdisjoint(self._givers.of(tag)):
+                    cause = less
+        return {label: ports for label, ports in cause.items() if ports}
+
+    def _with_only(self, inputs: Mapping[str, tuple[InputPort, ...]]) -> Environment:
+        library = (replace(t, inputs=inputs.get(t.label, ())) for t in self._environment.library)
+        return Environment((), tuple(library))
+
+    def _told(self, label: str, ports: tuple[InputPort, ...], kept: Collection[str]) -> Blocked:
+        inputs = tuple(self._unfed(port.tag, port.name) for port in ports)
+        available = {giver for unfed in inputs for giver in unfed.givers if giver not in kept}
+        return Blocked(label, inputs, tuple(sorted(available)))
+
+    def _unfed(self, tag: str, port: str | None) -> Unfed:
+        givers = self._givers.of(tag)
+        return Unfed(tag, port, givers, () if givers or self._nearest is None else self._nearest(tag))

@@ -1,0 +1,186 @@
+"""Why a plan uses what it uses: what that serves, and what it would cost to do without."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+from cfgplan.domain import ChangeSet, ComputationUnit, Environment
+from cfgplan.explaining.why_not import requiring
+from cfgplan.planning import Plan, Planner, Problem, Status
+
+
+class Choice(StrEnum):
+    """How a planner came to use something, or not to."""
+
+    FORCED = "forced"
+    """There is no plan without it."""
+    CHEAPER = "cheaper"
+    """The next best plan costs more."""
+    LESS_CHANGE = "less change"
+    """The next best plan costs the same, but rewires or starts more units."""
+    TIE = "tie"
+    """The next best plan is as good."""
+    DEMANDED = "demanded"
+    """It is required or pinned: the plan without it would be cheaper or as good."""
+    IMPOSSIBLE = "impossible"
+    """It is not used, and no plan can use it without leaving another required transformation unused."""
+    UNREAD = "unread"
+    """An output that nothing reads; what it would cost to read it is not asked."""
+    UNDECIDED = "undecided"
+    """The planner did not find out in time."""
+
+
+@dataclass(frozen=True)
+class Why:
+    """Why a plan uses `subject`, or why not: a unit, the units of a transformation, or an output of them.
+
+    `units` are those concerned that run after the update; if there are none, it is not used. They serve `targets`
+    and feed `consumers` (as unit/port). `otherwise` is the next best plan: without the subject, or with it if it
+    is not used. It costs `difference_us` more, whatever the largest cost is; then it runs the transformations
+    `more`, and not those in `less`.
+    """
+
+    subject: str
+    units: tuple[str, ...]
+    targets: tuple[str, ...]
+    consumers: tuple[str, ...]
+    choice: Choice
+    otherwise: Plan
+    difference_us: int | None = None
+    more: tuple[str, ...] = ()
+    less: tuple[str, ...] = ()
+
+
+def why_unit(problem: Problem, planner: Planner, plan: Plan, unit: str) -> Why:
+    """Why a plan with a change set runs, or stops, the unit with this id.
+
+    To do without a running unit is to plan as if it had died; without a new one, as if its transformation were gone.
+    """
+    environment = problem.environment
+    after = after_update(problem, plan)
+    label = (after.unit.get(unit) or environment.unit[unit]).transformation
+    units = [u for u in after.units if u.id == unit]
+    if unit not in environment.unit:
+        other = without_transformations(problem, {label})
+    else:
+        rest = tuple(u for u in environment.units if u.id != unit)
+        other = replace(problem, environment=replace(environment, units=rest))
+    return _why(problem, planner, plan, unit, label, units, other if units else requiring_also(problem, label))
+
+
+def why_transformation(problem: Problem, planner: Planner, plan: Plan, label: str) -> Why:
+    """Why a plan with a change set has units of a transformation, or none."""
+    units = [u for u in after_update(problem, plan).units if u.transformation == label]
+    other = without_transformations(problem, {label}) if units else requiring_also(problem, label)
+    return _why(problem, planner, plan, label, label, units, other)
+
+
+def why_stream(problem: Problem, planner: Planner, plan: Plan, label: str, port: str) -> Why:
+    """Why the units of a transformation are asked for what they give on an output port, or not.
+
+    To do without is to plan as if the transformation had no such output.
+    """
+    environment = problem.environment
+    after = after_update(problem, plan)
+    units = [u for u in after.units if u.transformation == label and _readers(after, [u], port)]
+    if not units:
+        return Why(f"{label}/{port}", (), (), (), Choice.UNREAD, plan)
+    library = tuple(
+        replace(t, outputs=tuple(p for p in t.outputs if p.name != port)) if t.label == label else t
+        for t in environment.library
+    )
+    other = replace(problem, environment=replace(environment, library=library))
+    return _why(problem, planner, plan, f"{label}/{port}", label, units, other, port)
+
+
+def after_update(problem: Problem, plan: Plan) -> Environment:
+    """The environment after the update of a plan that has one."""
+    assert plan.change_set is not None
+    return problem.environment.update(plan.change_set)
+
+
+def without_transformations(problem: Problem, labels: Collection[str]) -> Problem:
+    """The problem without these transformations in the library."""
+    library = tuple(t for t in problem.environment.library if t.label not in labels)
+    return replace(problem, environment=replace(problem.environment, library=library))
+
+
+def requiring_also(problem: Problem, label: str) -> Problem:
+    """The problem with one more transformation required, whatever that costs."""
+    return requiring(problem, {label, *(t.label for t in problem.environment.library if t.required)})
+
+
+def _why(
+    problem: Problem,
+    planner: Planner,
+    plan: Plan,
+    subject: str,
+    label: str,
+    units: list[ComputationUnit],
+    other: Problem,
+    port: str | None = None,
+) -> Why:
+    after = after_update(problem, plan)
+    otherwise = planner(replace(other, max_cost_us=None))
+    choice = _choice(plan, otherwise)
+    if not units and (set(otherwise.unused_required) - set(plan.unused_required) or label in otherwise.unused_required):
+        choice = Choice.IMPOSSIBLE
+    targets, consumers = _served(after, units, port), _readers(after, units, port)
+    why = Why(subject, tuple(u.id for u in units), targets, consumers, choice, otherwise)
+    if otherwise.change_set is None or choice is Choice.IMPOSSIBLE:
+        return why
+    assert plan.cost_us is not None and otherwise.cost_us is not None
+    then = {u.transformation for u in after_update(other, otherwise).units}
+    now = {u.transformation for u in after.units}
+    return replace(
+        why,
+        difference_us=otherwise.cost_us - plan.cost_us,
+        more=tuple(sorted(then - now)),
+        less=tuple(sorted(now - then)),
+    )
+
+
+def _choice(plan: Plan, otherwise: Plan) -> Choice:
+    if otherwise.status is Status.INFEASIBLE:
+        return Choice.FORCED
+    if otherwise.status is not Status.OPTIMAL or plan.status is not Status.OPTIMAL:
+        return Choice.UNDECIDED
+    assert plan.change_set is not None and otherwise.change_set is not None
+    assert plan.cost_us is not None and otherwise.cost_us is not None
+    if otherwise.cost_us != plan.cost_us:
+        return Choice.CHEAPER if otherwise.cost_us > plan.cost_us else Choice.DEMANDED
+    one, two = _changes(plan.change_set), _changes(otherwise.change_set)
+    if one == two:
+        return Choice.TIE
+    return Choice.LESS_CHANGE if one < two else Choice.DEMANDED
+
+
+def _changes(changes: ChangeSet) -> tuple[int, int]:
+    return len(changes.rewired), len(changes.started)
+
+
+def _served(environment: Environment, units: Iterable[ComputationUnit], port: str | None) -> tuple[str, ...]:
+    """The labels of the targets that use the units, or one output of them, directly or through others."""
+    topics = {p.topic for u in units for p in u.publications if port in (None, p.port)}
+    seen: set[str] = set()
+    ahead = [reader.rpartition("/")[0] for reader in _readers(environment, units, port)]
+    while ahead:
+        unit = environment.unit[ahead.pop()]
+        if unit.id not in seen:
+            seen.add(unit.id)
+            topics.update(p.topic for p in unit.publications)
+            ahead += [reader.rpartition("/")[0] for reader in _readers(environment, [unit], None)]
+    return tuple(target.label for target in environment.targets if target.topic in topics)
+
+
+def _readers(environment: Environment, units: Iterable[ComputationUnit], port: str | None) -> tuple[str, ...]:
+    """Who subscribes to the units, or to one output of them: inputs as unit/port, and topics."""
+    ids = {unit.id for unit in units}
+    return tuple(
+        f"{user.id}/{s.port}"
+        for user in environment.units
+        for s in user.subscriptions
+        if s.stream.unit in ids and port in (None, s.stream.port)
+    )

@@ -1,0 +1,39 @@
+"""Whether a plan is the only one at its cost, asked of the solver over labels alone."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cfgplan.planners.cpsat.bounds import Bound
+from cfgplan.planners.cpsat.network import Ints
+
+LONGEST_S = 1.0
+"""Longer than this the question is not worth."""
+
+
+def is_without_rival(bound: Bound, plan: Ints, limit: int, time_limit_s: float | None) -> bool:
+    """Whether proven: all plans of the bound's core that cost at most `limit` have labels of `plan` only.
+
+    Groundedness is left out but for the landmarks, so that "no" may be wrong.
+    """
+    from ortools.sat.python.cp_model import INFEASIBLE, CpModel
+
+    from cfgplan.planners.cpsat.engine import repeatable_solver
+
+    core, model = bound.core, CpModel()
+    uses = [model.new_bool_var("") for _ in range(core.goal)]
+    offered = [model.new_bool_var("") for _ in range(len(core.givers))]
+    for fact in range(len(core.givers)):
+        first = np.setdiff1d(core.givers[fact], core.needed_by[fact]).tolist()
+        model.add_bool_or([offered[fact].negated(), *(uses[label] for label in first)])
+    for label in range(core.goal):
+        for fact in core.needs[label].tolist():
+            model.add_implication(uses[label], offered[fact])
+    for fact in core.needs[core.goal].tolist():
+        model.add_bool_or([offered[fact]])
+    for landmark in bound.landmarks:
+        model.add_bool_or([uses[label] for label in landmark.members.tolist()])
+    model.add_bool_or([uses[i] for i in np.flatnonzero(~np.isin(core.labels, plan)).tolist()])
+    model.add(sum(int(cost) * use for cost, use in zip(bound.cost, uses, strict=True)) <= limit)
+    longest_s = LONGEST_S if time_limit_s is None else min(LONGEST_S, time_limit_s)
+    return repeatable_solver(small=core.goal < 1000, time_limit_s=longest_s).solve(model) == INFEASIBLE

@@ -1,0 +1,98 @@
+"""What a session knows of a problem before it looks at what runs: closure, network, landmarks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from cfgplan.domain import Environment, Similarity, Transformation
+from cfgplan.planners.cpsat.bounds import Bound, Landmark, landmark_of
+from cfgplan.planners.cpsat.clock import Clock
+from cfgplan.planners.cpsat.network import Network
+from cfgplan.planners.cpsat.site import relevant
+from cfgplan.planning import Problem
+from cfgplan.reasons import Givers, startable
+
+
+@dataclass
+class Structure:
+    """What depends on library, matching and targets alone, whatever runs and whatever it costs."""
+
+    environment: Environment
+    similarity: Similarity
+    pinned: frozenset[str]
+    givers: Givers
+    possible: frozenset[str]
+    network: Network
+    landmarks: list[Landmark] = field(default_factory=list)
+    weights: list[int] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, problem: Problem, old: Structure | None, clock: Clock) -> Structure:
+        """What is known before any bound, as far as possible from an old one; raises OutOfTimeError."""
+        environment = problem.environment
+        if old is not None and old.similarity == problem.similarity and _alike(old.environment, environment):
+            givers, possible = old.givers, old.possible
+        else:
+            givers = Givers(environment.library, problem.similarity)
+            givers.watch = clock.check
+            possible = startable(environment, givers)
+        clock.check()
+        labels = relevant(environment, givers, possible)
+        clock.check()
+        network = Network(
+            [t for t in environment.library if t.label in labels],
+            [target.tag for target in environment.targets if not possible.isdisjoint(givers.of(target.tag))],
+            _pinned(environment) & possible,
+            givers,
+            clock.check,
+        )
+        givers.watch = lambda: None
+        return cls(environment, problem.similarity, _pinned(environment), givers, possible, network)
+
+    @cached_property
+    def has_required(self) -> bool:
+        """Whether some transformation that may be of use is required to be used."""
+        return any(t.required for t in self.network.transformations)
+
+    def remember(self, bound: Bound) -> None:
+        """Keep the landmarks that counted for the next time, as landmarks of the whole network."""
+        known = {landmark.zone.tobytes(): landmark for landmark in self.landmarks}
+        counted = [
+            (landmark.zone, weight) for landmark, weight in zip(bound.landmarks, bound.weights, strict=True) if weight
+        ]
+        zones = [bound.core.facts[zone] for zone, _ in counted]
+        self.landmarks = [known.get(zone.tobytes()) or landmark_of(self.network.core, zone) for zone in zones]
+        self.weights = [weight for _, weight in counted]
+
+    def serves(self, problem: Problem) -> bool:
+        """Whether the problem differs in nothing but running units and costs."""
+        return (
+            (self.similarity is problem.similarity or self.similarity == problem.similarity)
+            and _alike(self.environment, problem.environment)
+            and self.environment.targets == problem.environment.targets
+            and self.pinned == _pinned(problem.environment)
+        )
+
+
+def _pinned(environment: Environment) -> frozenset[str]:
+    """The labels of pinned transformations that have running units."""
+    library = environment.transformation
+    return frozenset(
+        unit.transformation
+        for unit in environment.units
+        if unit.transformation in library and library[unit.transformation].pinned
+    )
+
+
+def _alike(one: Environment, other: Environment) -> bool:
+    """Whether the libraries differ in nothing but costs."""
+    return one.library == other.library or (
+        len(one.library) == len(other.library)
+        and all(a is b or _ports(a) == _ports(b) for a, b in zip(one.library, other.library, strict=True))
+    )
+
+
+def _ports(transformation: Transformation) -> tuple[object, ...]:
+    t = transformation
+    return t.label, t.inputs, t.outputs, t.pinned, t.required

@@ -1,0 +1,238 @@
+"""Storms: one random perturbation after the other, after which what runs must be as good as a fresh optimal plan.
+
+python experiments/lifecycle/storm.py [--perturbations 200] [--seeds 10] [--seed 0] [--real]
+
+Units run in thought, on a clock that jumps, or with --real as processes. With an even seed units are free to start, so
+that what runs must cost exactly what a fresh plan costs; else it must cost exactly what a planner without memory
+finds for what runs. What is met must be the same, and no rule of the judge may be broken.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+from cfgplan_runtime import Manager, Runtime, SimulatedRuntime
+from cfgplan_runtime.lifecycle.changes import (
+    AddTargets,
+    AddTransformations,
+    Change,
+    KillUnit,
+    LoseHost,
+    RegainHost,
+    RemoveTargets,
+    RemoveTransformations,
+    ReviewNow,
+)
+from cfgplan_runtime.lifecycle.inbox import Outcome
+from cfgplan_runtime.lifecycle.reports import Reviewed
+from cfgplan_runtime.lifecycle.seams import DeclaredCosts
+
+from cfgplan import api
+from cfgplan.domain import Environment, InputPort, OutputPort, Target, Transformation
+from cfgplan.errors import InputError
+from cfgplan.explaining import best_effort
+from cfgplan.matching import Matcher
+from cfgplan.planners import PLANNERS
+from cfgplan.planning import Problem, Status
+from cfgplan.validity import Rule, violations
+
+LAYERS = "ABCD"
+HOSTS = (None, None, "near", "far")
+PATIENCE_S = 60.0
+HORIZON_S = 300
+UNITS = """
+import time
+
+def give0(seed=0):
+    while True:
+        time.sleep(0.02)
+        yield 1
+
+def give1(x0, seed=0):
+    return x0
+
+def give2(x0, x1, seed=0):
+    return x0 + x1
+"""
+
+
+def library(randoms: random.Random, *, is_free_to_start: bool) -> list[Transformation]:
+    """Sources of A, and for each further layer transformations that need one or two tags of the layer before."""
+    made = []
+    for layer, letter in enumerate(LAYERS):
+        for number in range(4):
+            width = 0 if layer == 0 else randoms.choice((1, 1, 2))
+            made.append(
+                Transformation(
+                    f"{letter.lower()}{number}",
+                    tuple(InputPort(f"x{port}", f"{LAYERS[layer - 1]}{randoms.randrange(2)}") for port in range(width)),
+                    (OutputPort("y", f"{letter}{number % 2}"),),
+                    0 if is_free_to_start else randoms.randrange(1, 1000) * 1000,
+                    randoms.randrange(1, 1000),
+                    source=f"storm_units.py:give{width}",
+                    host=randoms.choice(HOSTS),
+                )
+            )
+    return made
+
+
+def targets() -> list[Target]:
+    """One for each tag of the last two layers, some more important than others."""
+    return [
+        Target(f"{letter}{number}", f"{letter}{number}", f"/{letter}{number}", priority=number)
+        for letter in LAYERS[2:]
+        for number in range(2)
+    ]
+
+
+class Storm:
+    """Draws perturbations for a manager; what it takes away it may give back."""
+
+    def __init__(self, seed: int, known: list[Transformation], wanted: list[Target]) -> None:
+        self.randoms = random.Random(seed)
+        self._known = {transformation.label: transformation for transformation in known}
+        self._wanted = {target.label: target for target in wanted}
+
+    def change(self, manager: Manager) -> Change:
+        """A change that fits the state of the manager."""
+        world, randoms, seen = manager.world.environment, self.randoms, manager.snapshot()
+        gone = sorted(set(self._known) - set(world.transformation))
+        unwanted = sorted(set(self._wanted) - set(world.target))
+        choices: list[Change] = [ReviewNow()]
+        choices += [KillUnit(randoms.choice(seen.units).unit.id)] * 4 if seen.units else []
+        if len(world.library) > 8:
+            choices += [RemoveTransformations((randoms.choice(world.library).label,))] * 2
+        if gone:
+            choices += [AddTransformations((self._known[randoms.choice(gone)],))] * 2
+        if len(world.targets) > 1:
+            choices.append(RemoveTargets((randoms.choice(world.targets).label,)))
+        if unwanted:
+            choices.append(AddTargets((self._wanted[randoms.choice(unwanted)],)))
+        changed = randoms.choice(world.library)
+        choices.append(AddTransformations((replace(changed, upkeep_us=randoms.randrange(1, 1000)),)))
+        choices.append(AddTransformations((replace(changed, params={"seed": randoms.random()}),)))
+        lost = seen.lost_hosts
+        choices.append(RegainHost(lost[0]) if lost else LoseHost(randoms.choice(("near", "far"))))
+        return randoms.choice(choices)
+
+
+def faults(manager: Manager, running: Environment, *, is_free_to_start: bool) -> list[str]:
+    """In what way what runs is not as good as it can be, by a planner without memory and the judge."""
+    world, lost = manager.world, manager.snapshot().lost_hosts
+    possible = tuple(t for t in world.environment.library if t.host not in lost)
+    now = Environment(running.units, possible, world.environment.targets)
+    matcher = Matcher(world.ontology)
+    matcher.add(
+        offered={port.tag for t in possible for port in t.outputs},
+        demanded={port.tag for t in possible for port in t.inputs} | {target.tag for target in now.targets},
+    )
+    similarity = matcher.matching().similarity
+    problem = Problem(now, similarity, world.horizon_s)
+    again = best_effort(problem, PLANNERS["cpsat"])
+    fresh = best_effort(replace(problem, environment=replace(now, units=())), PLANNERS["cpsat"])
+    found = [
+        str(violation)
+        for violation in violations(now, similarity)
+        if not (violation.rule is Rule.MET and violation.target in fresh.unmet)
+    ]
+    if again.plan.status is not Status.OPTIMAL or again.plan.change_set:
+        found.append(f"there is something better: {again.plan}")
+    if fresh.unmet != again.unmet:
+        found.append(f"a fresh plan leaves {fresh.unmet} unmet, what runs {again.unmet}")
+    if is_free_to_start and again.plan.cost_us != fresh.plan.cost_us:
+        found.append(f"what runs costs {again.plan.cost_us} us, a fresh plan {fresh.plan.cost_us} us")
+    return found
+
+
+def in_thought(seed: int, perturbations: int) -> list[str]:
+    """A storm on a simulated backend, with crashes and cut subscriptions among the perturbations."""
+    is_free_to_start = seed % 2 == 0
+    known = library(random.Random(seed), is_free_to_start=is_free_to_start)
+    world = api.world(Environment((), tuple(known), tuple(targets())), horizon_s=HORIZON_S)
+    runtime = SimulatedRuntime()
+    decisions: Counter[str] = Counter()
+    costs = DeclaredCosts(failure_us=0)  # what crashed is to be as good as before in the end
+    manager = Manager(world, runtime, clock=runtime.clock, estimator=costs, report=_counting(decisions))
+    manager.run(1.0)
+    storm = Storm(seed, known, targets())
+    for _ in range(perturbations):
+        kind = storm.randoms.random()
+        inlets = sorted(runtime.supervisor.wiring.feeds)
+        if kind < 0.2 and runtime.environment.units:
+            runtime.backend.fail(storm.randoms.choice(runtime.environment.units).id)
+        elif kind < 0.3 and inlets:
+            inlet = storm.randoms.choice(inlets)
+            runtime.cut(inlet.unit or None, inlet.port)
+        else:
+            manager.request(storm.change(manager))
+        manager.run(storm.randoms.choice((0.0, 0.0, 0.001, 0.02, 1.0, 30.0)))
+    manager.run(2.0)
+    last = manager.request(ReviewNow())
+    manager.run(2.0)
+    last.result(timeout=0)
+    print(f"seed {seed}: {dict(decisions)}")
+    return faults(manager, runtime.environment, is_free_to_start=is_free_to_start)
+
+
+def on_processes(seed: int, perturbations: int) -> list[str]:
+    """A storm on real processes; some requests come before the last is answered."""
+    is_free_to_start = seed % 2 == 0
+    known = library(random.Random(seed), is_free_to_start=is_free_to_start)
+    world = api.world(Environment((), tuple(known), tuple(targets())), horizon_s=HORIZON_S)
+    storm = Storm(seed, known, targets())
+    decisions: Counter[str] = Counter()
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "storm_units.py").write_text(UNITS)
+        with Runtime(folder=folder) as runtime, Manager(world, runtime, report=_counting(decisions)) as manager:
+            manager.settle(PATIENCE_S)
+            for _ in range(perturbations):
+                _await(manager.request(storm.change(manager)), storm.randoms.choice((0.01, PATIENCE_S)))
+            manager.settle(PATIENCE_S)
+            _await(manager.request(ReviewNow()), PATIENCE_S)
+            manager.settle(PATIENCE_S)
+            print(f"seed {seed}: {dict(decisions)}")
+            return faults(manager, runtime.environment, is_free_to_start=is_free_to_start)
+
+
+def _await(outcome: Outcome, patience_s: float) -> None:
+    """Wait for an answer, not for ever; a request that came too late for what it was about is refused."""
+    with suppress(InputError, TimeoutError):
+        outcome.result(patience_s)
+
+
+def _counting(decisions: Counter[str]) -> Callable[[object], None]:
+    def count(report: object) -> None:
+        if isinstance(report, Reviewed):
+            decisions[report.review.decision.value] += 1
+
+    return count
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--perturbations", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=0, help="the first one")
+    parser.add_argument("--seeds", type=int, default=10, help="how many")
+    parser.add_argument("--real", action="store_true", help="run units as processes")
+    options = parser.parse_args()
+    blow = on_processes if options.real else in_thought
+    is_good = True
+    for seed in range(options.seed, options.seed + options.seeds):
+        found = blow(seed, options.perturbations)
+        for fault in found:
+            print(f"seed {seed}: {fault}")
+        is_good &= not found
+    print("as good as it can be" if is_good else "NOT as good as it can be")
+    return 0 if is_good else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

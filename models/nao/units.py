@@ -1,0 +1,121 @@
+"""The units of the case study, as `pipeline.yaml` names them; what they do is in the package `football`.
+
+Elements carry the time of their frame.
+"""
+
+from __future__ import annotations
+
+import time
+import zlib
+from collections.abc import Iterator
+from typing import TypedDict
+
+import numpy as np
+from cfgplan_runtime import At
+from football import scenario, seeing
+from football.camera import Pose
+from football.field import Bytes
+from football.locating import BallPosition, fused, located
+from football.rendering import Renderer
+from football.scenario import FrameClock
+from football.walking import Gait
+
+
+class Position(TypedDict):
+    """Where the ball is, in metres; the covariance of the error in square metres: xx, xy, yy."""
+
+    x: float
+    y: float
+    covariance: list[float]
+
+
+class BottomCam:
+    """Gives images as YUYV 4:2:2, packed: (480, 640, 2)."""
+
+    def __init__(self, robot: str) -> None:
+        self._robot = robot
+        self._gait = Gait(robot)
+        self._renderer = Renderer(zlib.crc32(robot.encode()))
+
+    def __iter__(self) -> Iterator[At | None]:
+        clock = FrameClock()
+        while True:
+            time_ns = clock.frame(time.time_ns())
+            yield None if time_ns is None else At(time_ns, self.picture(time_ns))
+
+    def picture(self, time_ns: int) -> Bytes:
+        """What the camera sees at a time."""
+        camera = self._gait.camera(scenario.pose(self._robot, time_ns))
+        return self._renderer.picture(camera, scenario.ball(time_ns))
+
+
+class Subsampler:
+    """Gives the three channels in five sizes each: 640 x 480 down to 40 x 30."""
+
+    def __call__(self, image: Bytes) -> dict[str, Bytes]:
+        channels = {"y": image[..., 0], "u": image[:, 0::2, 1], "v": image[:, 1::2, 1]}
+        return {
+            f"{name}{width}": sized
+            for name, channel in channels.items()
+            for width, sized in seeing.subsampled(np.ascontiguousarray(channel)).items()
+        }
+
+
+class Segmenter:
+    """Gives the corners of the convex hull of the green field, as pixels of the full image: (n, 2)."""
+
+    def __call__(self, y: Bytes, v: Bytes) -> seeing.Points | None:
+        return seeing.field_hull(y, v)
+
+
+class BallDetector:
+    """Gives the ball's centre and radius in pixels of the full image, {u, v, radius}; nothing where it sees none."""
+
+    def __call__(self, hull: seeing.Points, fine: Bytes, coarse: Bytes) -> dict[str, float] | None:
+        ball = seeing.find_ball(hull, fine, coarse)
+        return None if ball is None else {"u": ball.u, "v": ball.v, "radius": ball.radius}
+
+
+class SelfLocalization:
+    """Gives where the robot believes it is, {x, y, heading} in metres and radians, with the frames' times."""
+
+    def __init__(self, robot: str) -> None:
+        self._robot = robot
+        self._gait = Gait(robot)
+
+    def __iter__(self) -> Iterator[At | None]:
+        clock = FrameClock()
+        while True:
+            time_ns = clock.frame(time.time_ns())
+            yield None if time_ns is None else At(time_ns, self.pose(time_ns))
+
+    def pose(self, time_ns: int) -> dict[str, float]:
+        """What the robot believes at a time."""
+        believed = self._gait.believed(scenario.pose(self._robot, time_ns), time_ns)
+        return {"x": believed.x, "y": believed.y, "heading": believed.heading}
+
+
+class BallLocalization:
+    """Gives the ball's position on the field."""
+
+    def __call__(self, pixel: dict[str, float], pose: dict[str, float]) -> Position | None:
+        ball = located(pixel["u"], pixel["v"], Pose(pose["x"], pose["y"], pose["heading"]))
+        return None if ball is None else _as_value(ball)
+
+
+class FuseBallPos:
+    """Gives one position for two of the same moment."""
+
+    def __call__(self, first: Position, second: Position) -> Position:
+        return _as_value(fused(_from_value(first), _from_value(second)))
+
+
+def _as_value(position: BallPosition) -> Position:
+    (xx, xy), (_, yy) = position.covariance.tolist()
+    covariance = [round(entry, 7) for entry in (xx, xy, yy)]
+    return {"x": round(position.x, 4), "y": round(position.y, 4), "covariance": covariance}
+
+
+def _from_value(value: Position) -> BallPosition:
+    xx, xy, yy = value["covariance"]
+    return BallPosition(value["x"], value["y"], np.array([[xx, xy], [xy, yy]]))

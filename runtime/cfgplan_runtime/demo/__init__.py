@@ -1,0 +1,1 @@
+"""The paper's section V as a play: told in the terminal, shown on a page."""

@@ -1,0 +1,163 @@
+"""The report page of a play: one HTML file that needs nothing else."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from cfgplan.domain import ChangeSet, Environment
+from cfgplan.drawing import picture
+from cfgplan_runtime.demo import charts, telling
+from cfgplan_runtime.demo.pictures import View, view
+from cfgplan_runtime.demo.playing import Played
+from cfgplan_runtime.demo.stage import Stage
+from cfgplan_runtime.demo.story import Kill
+
+
+@dataclass(frozen=True, slots=True)
+class Bar:
+    """A plan's cost beside those of others; `share` is of the largest on the page, in percent."""
+
+    what: str
+    cost: str
+    share: float
+    more: str = ""
+    """How much dearer than what was done; empty for what was done."""
+
+    @property
+    def is_chosen(self) -> bool:
+        return not self.more
+
+
+def page(stage: Stage, played: Sequence[Played], version: str) -> str:
+    """The page as HTML."""
+    from jinja2 import Environment as Templates
+    from jinja2 import PackageLoader, select_autoescape
+    from markupsafe import Markup
+
+    templates = Templates(
+        loader=PackageLoader("cfgplan_runtime.demo", "."),
+        autoescape=select_autoescape(),
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    failure = next((step for step in played if isinstance(step.step.act, Kill)), None)
+    samples = [sample for step in played for sample in step.samples]
+    robots = _robots(stage, played)
+    values: dict[str, Any] = {
+        "version": version,
+        "date": time.strftime("%d %B %Y, %H:%M", time.localtime(played[0].began_ns / 1e9)),
+        "seconds": round((played[-1].ended_ns - played[0].began_ns) / 1e9),
+        "sources": list(charts.by_source(played)),
+        "field": Markup(charts.field_map(played, robots)),
+        "errors": Markup(charts.error_chart(played)),
+        "failure": None if failure is None else Markup(charts.failure_chart(failure, samples)),
+        "figures": _figures(played, failure),
+        "steps": [_section(number, step, played, Markup) for number, step in enumerate(played)],
+        "units": _units(played),
+        "views": _views(stage, played, robots),
+    }
+    return templates.get_template("report.html.j2").render(values)
+
+
+def _robots(stage: Stage, played: Sequence[Played]) -> list[charts.Robot]:
+    """Where the robots stood at the end, as far as they had registered."""
+    hosts = sorted({t.host for t in played[-1].after.library if t.host is not None})
+    poses = [(host, stage.code("football.scenario:pose")(host, played[-1].ended_ns)) for host in hosts]
+    return [charts.Robot(host, pose.x, pose.y, pose.heading) for host, pose in poses]
+
+
+def _views(stage: Stage, played: Sequence[Played], robots: Sequence[charts.Robot]) -> list[View]:
+    samples = [sample for step in played for sample in step.samples]
+    return [view(stage, robot.name, samples[-1].time_ns) for robot in robots] if samples else []
+
+
+def _figures(played: Sequence[Played], failure: Played | None) -> list[tuple[str, str]]:
+    """The figures at the top: each with what it is."""
+    figures = []
+    if failure is not None:
+        figures.append(
+            (telling.span((failure.updated_ns - failure.began_ns) / 1e9), "from kill -9 to a repaired pipeline")
+        )
+        lost = telling.lost_frames(failure)
+        figures.append((str(lost), "frame without a position" if lost == 1 else "frames without a position"))
+    by_source: dict[str, list[float]] = {}
+    for step in played:
+        if step.source is not None:
+            by_source.setdefault(step.source, []).extend(sample.error_m**2 for sample in step.settled)
+    for source, squares in by_source.items():
+        if squares:
+            rms = 100 * (sum(squares) / len(squares)) ** 0.5
+            figures.append((f"{rms:.1f} cm", f"off the truth (RMS) from {source}"))
+    slowest = max(step.review.seconds.get("plan", 0.0) for step in played)
+    figures.append((telling.span(slowest), "for the slowest plan, proven cheapest"))
+    return figures
+
+
+def _section(number: int, played: Played, every: Sequence[Played], markup: Any) -> dict[str, Any]:
+    largest_us = max(
+        [1, *(step.review.cost_us or 0 for step in every), *(o.cost_us for step in every for o in step.others)]
+    )
+    chosen_us = played.review.cost_us or 0
+    bars = [Bar("what was done", telling.cpu(chosen_us), 100 * chosen_us / largest_us)]
+    for other in played.others:
+        more = telling.cpu(other.cost_us - chosen_us)
+        bars.append(Bar(other.what, telling.cpu(other.cost_us), 100 * other.cost_us / largest_us, more))
+    before, after = _graphs(played)
+    times = telling.times(played)
+    return {
+        "number": number,
+        "title": played.step.title,
+        "section": played.step.section,
+        "happens": played.step.happens,
+        "noticed": telling.noticed(played),
+        "decided": telling.decided(played),
+        "cost": telling.cost(played),
+        "seen": telling.seen(played),
+        "bars": bars,
+        "times": [(word, telling.span(took), took) for word, took in times],
+        "total": telling.span(sum(took for _, took in times)),
+        "before": markup(before) if before else None,
+        "after": markup(after),
+        "is_changed": bool(played.changes),
+    }
+
+
+def _graphs(played: Played) -> tuple[str | None, str]:
+    """What ran before, with what has died in it, and the update of what was left."""
+    before = _svg(played.before, ChangeSet(stopped=played.gone)) if played.before.units else None
+    return before, _svg(played.left, played.changes)
+
+
+def _svg(environment: Environment, changes: ChangeSet) -> str:
+    """The drawing without what only a file of its own needs; ids would be there once per drawing."""
+    text = picture(environment, changes).render("svg").decode()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<text[^>]*>(?:[^<]*■[^<]*|\s*)</text>\n?", "", text)
+    text = re.sub(r"<!--.*?-->\n?|<title>.*?</title>\n?| id=\"[^\"]*\"", "", text, flags=re.S)
+    return re.sub(r'<svg width="(\d+)pt" height="\d+pt"', r'<svg class="wiring" style="max-width:\1pt"', text, count=1)
+
+
+def _units(played: Sequence[Played]) -> list[dict[str, str]]:
+    """What each unit cost at the end: as declared, and as measured."""
+    last = played[-1]
+    library = last.after.transformation
+    rows = []
+    for seen in last.observed:
+        declared = library[seen.transformation]
+        rows.append(
+            {
+                "unit": seen.unit,
+                "labor": f"{declared.labor_us / 1e6:.2f} s",
+                "labor_seen": f"{seen.labor_us / 1e6:.3f} s",
+                "upkeep": f"{declared.upkeep_us / 1e6:.2f}",
+                "upkeep_seen": "" if seen.upkeep_us is None else f"{seen.upkeep_us / 1e6:.3f}",
+                "memory": f"{seen.memory_bytes >> 20} MB",
+                "steps": f"{seen.steps:,}",
+                "dropped": f"{seen.dropped:,}",
+            }
+        )
+    return rows

@@ -1,0 +1,84 @@
+"""The steps of section V of the paper: what happens in each, and what else could have been done."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+
+@dataclass(frozen=True, slots=True)
+class Begin:
+    """Nothing but the target is there."""
+
+
+@dataclass(frozen=True, slots=True)
+class Register:
+    """A robot declares itself and its transformations."""
+
+    robot: str
+
+
+@dataclass(frozen=True, slots=True)
+class Kill:
+    """The process of a transformation's unit is killed, by signal 9."""
+
+    transformation: str
+
+
+@dataclass(frozen=True, slots=True)
+class Offer:
+    """Transformations of a stage's file become available under a name."""
+
+    name: str
+    stage: str
+
+
+Act: TypeAlias = Begin | Register | Kill | Offer
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One step: its title, where it is in the paper, what happens, and other plans worth the comparison.
+
+    `others` says what a plan would be like and which transformation it would have to use.
+    """
+
+    title: str
+    section: str
+    happens: str
+    act: Act
+    others: tuple[tuple[str, str], ...] = ()
+
+
+_PUFFS_BALL = ("Puff's ball instead of Piff's", "ball_localization(puff)")
+_FUSED = ("both, fused", "fuse_ball_pos")
+
+SECTION_V = (
+    Step("Only a target", "V-A", "Somebody wants the ball's position on topic /result. No robot is there.", Begin()),
+    Step(
+        "Piff registers",
+        "V-A",
+        "The robot Piff comes and offers what it can run: six transformations.",
+        Register("piff"),
+    ),
+    Step(
+        "The segmenter is killed",
+        "V-B",
+        "kill -9 ends the process that finds the field in Piff's images.",
+        Kill("segmenter(piff)"),
+    ),
+    Step("Puff registers", "V-C", "A second robot comes and offers the same six.", Register("puff"), (_PUFFS_BALL,)),
+    Step(
+        "A fusion is offered",
+        "V-C",
+        "There is now a transformation that makes one ball position of two.",
+        Offer("fusion", "4-fusion-available"),
+        (_PUFFS_BALL, _FUSED),
+    ),
+    Step(
+        "The fusion is required",
+        "V-C",
+        "The fusion is to be used wherever that is possible, whatever it costs.",
+        Offer("fusion", "5-fusion-required"),
+    ),
+)

@@ -1,0 +1,231 @@
+"""Labor and upkeep as learned from what was observed, in the form that planners need (paper, section IV-C)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+
+from cfgplan.costs import LARGEST_COST_US
+from cfgplan.domain import Transformation
+from cfgplan_runtime.estimating.evidence import Evidence, declaration, family
+from cfgplan_runtime.estimating.expecting import Expectations, Origin
+from cfgplan_runtime.estimating.forecasting import FORECASTERS, Forecaster, Trend
+from cfgplan_runtime.estimating.guessing import GUESSES, Costs, Guess, declared
+from cfgplan_runtime.estimating.settings import Settings
+from cfgplan_runtime.supervision.observation import Observation
+
+_SHORTEST_S = 1e-3
+"""Two looks at a unit that are nearer than this are one."""
+
+_REFRESHES = 200
+"""How many times a half-life of trust an estimate is made anew although nothing was observed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """What a unit of a transformation is expected to cost, in microseconds (upkeep and failing: per second).
+
+    `running_us` is the mean over the horizon, `failing_us` what failures are expected to cost.
+    """
+
+    labor_us: int
+    running_us: int
+    failing_us: int
+    labor_origin: Origin
+    upkeep_origin: Origin
+
+    @property
+    def upkeep_us(self) -> int:
+        return self.running_us + self.failing_us
+
+
+@dataclass(frozen=True, slots=True)
+class _Made:
+    """An estimate, and what it was made from."""
+
+    estimate: Estimate
+    basis: tuple[object, ...]
+    horizon_s: int
+    at_s: float
+
+
+@dataclass(slots=True)
+class _Family:
+    """The transformations of one template; `changes` counts what was observed of any of them."""
+
+    members: dict[str, Evidence] = field(default_factory=dict)
+    changes: int = 0
+
+
+class LearningEstimator:
+    """Learns what units of each transformation cost, and what their failures do.
+
+    Costs are clustered by label. `forecaster` is for upkeep; with None the costs are those of `guess`, and only
+    failures are learned. Times `now_s` are on any one clock that only rises.
+    """
+
+    def __init__(
+        self,
+        forecaster: Callable[[float], Forecaster] | None = Trend,
+        guess: Guess = declared,
+        settings: Settings | None = None,
+    ) -> None:
+        self.settings = settings or Settings()
+        self.evidence: dict[str, Evidence] = {}
+        self._expectations = Expectations(forecaster, guess, self.settings)
+        self._units: dict[str, tuple[Observation, float]] = {}
+        self._families: dict[str, _Family] = {}
+        self._declared: dict[str, Transformation] = {}
+        self._dearest = Costs(0, 0)
+        self._made: dict[str, _Made] = {}
+        self._now_s = 0.0
+
+    def observe(self, observations: Iterable[Observation], now_s: float) -> None:
+        """Learn from the units that run now; upkeep is what each has used since the last call.
+
+        Where a middleware does not count a unit's CPU time (`cpu_us` is 0), its `upkeep_us` is taken.
+        """
+        before, self._units, self._now_s = self._units, {}, now_s
+        for seen in observations:
+            last, since_s = self._units[seen.unit] = before.get(seen.unit, (seen, now_s))
+            ran_s = now_s - since_s
+            if last is seen or not _is_same_process(last, seen):
+                self._units[seen.unit] = (seen, now_s)
+                self._note(seen.transformation).started(seen.labor_us, now_s)
+            elif ran_s >= _SHORTEST_S:
+                self._units[seen.unit] = (seen, now_s)
+                upkeep_us = (seen.cpu_us - last.cpu_us) / ran_s if seen.cpu_us else seen.upkeep_us
+                if upkeep_us is not None:
+                    self._note(seen.transformation).ran(since_s, now_s, upkeep_us)
+        # Now there is time for it; at the next perturbation there is none.
+        for label in sorted({seen.transformation for seen, _ in self._units.values()} & self._made.keys()):
+            self.estimate(self._declared[label], self._made[label].horizon_s)
+
+    def failed(self, transformation: str, now_s: float) -> None:
+        """Learn that a unit could not start, died, hung or kept failing; once per unit."""
+        self._now_s = now_s
+        self._note(transformation).failed(now_s)
+
+    def labor_us(self, transformation: Transformation, horizon_s: int) -> int:
+        """CPU time of one start, in microseconds."""
+        return self.estimate(transformation, horizon_s).labor_us
+
+    def upkeep_us(self, transformation: Transformation, horizon_s: int) -> int:
+        """CPU time per second, in microseconds: the mean over the horizon with what failures cost, rounded half up."""
+        return self.estimate(transformation, horizon_s).upkeep_us
+
+    def estimated(self, library: Iterable[Transformation], horizon_s: int) -> tuple[Transformation, ...]:
+        """The library, given with its declared costs, with estimated ones."""
+        known = tuple(library)
+        for transformation in known:
+            self._declare(transformation)
+        return tuple(_with_costs(one, self.estimate(one, horizon_s)) for one in known)
+
+    def estimate(self, transformation: Transformation, horizon_s: int) -> Estimate:
+        """What a unit of a transformation, given with its declared costs, is expected to cost.
+
+        It stays the same until it has really moved, so that nothing is planned anew for noise.
+        """
+        own = self._declare(transformation)
+        label = transformation.label
+        counts = own.changes if own.is_known else self._families[family(label)].changes
+        basis = (own.declared, horizon_s, self._dearest, own.is_known, counts)
+        made = self._made.get(label)
+        if made and made.basis == basis and self._now_s - made.at_s < self.settings.forget_s / _REFRESHES:
+            return made.estimate
+        last = made.estimate if made and made.basis[:2] == basis[:2] else None
+        relatives = () if own.is_known else self._families[family(label)].members.values()
+        estimate = self._fresh(own, relatives, horizon_s, last)
+        self._made[label] = _Made(estimate, basis, horizon_s, self._now_s)
+        if estimate.upkeep_origin == Origin.OBSERVED:
+            self._widen(estimate.labor_us, estimate.running_us)
+        return estimate
+
+    def take_over(self, evidence: Mapping[str, Evidence]) -> None:
+        """Go on with what was learned before, its times on this estimator's clock."""
+        for label, one in evidence.items():
+            self._keep(label, one)
+        self._made.clear()
+        self._declared.clear()
+
+    def _fresh(self, own: Evidence, relatives: Iterable[Evidence], horizon_s: int, last: Estimate | None) -> Estimate:
+        labor = self._expectations.of("labor", own, relatives, self._dearest, self._now_s)
+        upkeep = self._expectations.of("upkeep", own, relatives, self._dearest, self._now_s)
+        failing = own.failures.rate(self._now_s) * (labor.forecast.level + self.settings.failure_us)
+        old = (
+            last.labor_us if last and last.labor_origin == labor.origin else None,
+            last.running_us if last and last.upkeep_origin == upkeep.origin else None,
+            last.failing_us if last and failing else None,
+        )
+        # As many units as there may be must add up to what can be computed exactly.
+        most_us = LARGEST_COST_US // (8 * len(self.evidence) * max(1, horizon_s))
+        settled = self.settings.settled
+        # Their price rises with each failure, and falls when it has fallen by more than a Poisson process explains.
+        falls = old[2] is not None and failing < old[2]
+        failing_error = failing / max(1.0, own.failures.failures) ** 0.5 if falls else 0.0
+        return Estimate(
+            min(most_us, settled(old[0], labor.forecast.level, labor.forecast.error)),
+            min(most_us, settled(old[1], upkeep.forecast.mean(horizon_s), upkeep.forecast.error)),
+            min(most_us, settled(old[2], failing, failing_error)),
+            labor.origin,
+            upkeep.origin,
+        )
+
+    def _declare(self, transformation: Transformation) -> Evidence:
+        """The evidence about a transformation; it begins anew when it is declared otherwise than before."""
+        own = self._evidence_of(transformation.label)
+        if self._declared.get(transformation.label) is transformation:
+            return own
+        self._declared[transformation.label] = transformation
+        says = declaration(transformation)
+        if own.declared != says:
+            fresh = self._nothing() if own.declared else own
+            fresh.declared, fresh.labor_us, fresh.upkeep_us = says, transformation.labor_us, transformation.upkeep_us
+            self._keep(transformation.label, fresh)
+            return fresh
+        return own
+
+    def _evidence_of(self, label: str) -> Evidence:
+        if label not in self.evidence:
+            self._keep(label, self._nothing())
+        return self.evidence[label]
+
+    def _nothing(self) -> Evidence:
+        return Evidence("", 0, 0, self.settings.labor(), self.settings.upkeep(), self.settings.failures())
+
+    def _keep(self, label: str, evidence: Evidence) -> None:
+        relatives = self._families.setdefault(family(label), _Family())
+        relatives.changes += 1
+        self.evidence[label] = relatives.members[label] = evidence
+        self._widen(evidence.labor_us, evidence.upkeep_us)
+
+    def _note(self, label: str) -> Evidence:
+        """The evidence about a transformation, to be added to."""
+        evidence = self._evidence_of(label)
+        self._families[family(label)].changes += 1
+        return evidence
+
+    def _widen(self, labor_us: float, upkeep_us: float) -> None:
+        self._dearest = Costs(max(self._dearest.labor_us, labor_us), max(self._dearest.upkeep_us, upkeep_us))
+
+
+ESTIMATORS: Mapping[str, Callable[[float], Forecaster] | None] = MappingProxyType({"declared": None, **FORECASTERS})
+"""By name: how upkeep is forecast. `declared` believes the environment file, and learns only from failures."""
+
+
+def make_estimator(name: str = "trend", guess: str = "declared", settings: Settings | None = None) -> LearningEstimator:
+    """An estimator by one of the names of ESTIMATORS and GUESSES."""
+    return LearningEstimator(ESTIMATORS[name], GUESSES[guess], settings)
+
+
+def _is_same_process(last: Observation, seen: Observation) -> bool:
+    """Whether a unit is still the one that had this name before."""
+    return (last.transformation, last.labor_us) == (seen.transformation, seen.labor_us) and seen.cpu_us >= last.cpu_us
+
+
+def _with_costs(transformation: Transformation, estimate: Estimate) -> Transformation:
+    """The very same value if its costs are as declared."""
+    if (transformation.labor_us, transformation.upkeep_us) == (estimate.labor_us, estimate.upkeep_us):
+        return transformation
+    return replace(transformation, labor_us=estimate.labor_us, upkeep_us=estimate.upkeep_us)

@@ -1,0 +1,96 @@
+"""All that was observed of the units of one transformation."""
+
+from __future__ import annotations
+
+import msgspec
+
+from cfgplan.domain import Transformation
+from cfgplan_runtime.estimating.failures import FailureHistory
+from cfgplan_runtime.estimating.guessing import Costs, Kind
+from cfgplan_runtime.estimating.history import Amount, History, Moment, Sample
+
+
+class Evidence(msgspec.Struct):
+    """What was observed under one label, and what was declared then: it counts only as long as that is declared.
+
+    Labor has one sample per start, at 1, 2, 3, ...; upkeep is over time on the estimator's clock.
+    """
+
+    declared: str
+    labor_us: Amount
+    upkeep_us: Amount
+    labor: History
+    upkeep: History
+    failures: FailureHistory
+    starts: int = 0
+    seen_s: Moment = 0.0
+    """When something was observed last."""
+    changes: int = 0
+    """Counts samples and failures, so that a forecast made earlier is known to be stale. What becomes part of a sample
+    that is there already, within its grain, makes none stale."""
+
+    @property
+    def declared_costs(self) -> Costs:
+        return Costs(self.labor_us, self.upkeep_us)
+
+    @property
+    def is_known(self) -> bool:
+        """Whether labor and upkeep were both observed."""
+        return bool(self.labor.samples and self.upkeep.samples)
+
+    @property
+    def is_empty(self) -> bool:
+        return not (self.labor.samples or self.upkeep.samples or self.failures.failures)
+
+    @property
+    def is_in_order(self) -> bool:
+        """Whether it can have come from observations; that of a file may not have."""
+        starts_fit = not self.labor.samples or self.labor.samples[-1].until <= self.starts
+        times_fit = not self.upkeep.samples or self.upkeep.samples[-1].until <= self.seen_s + 1e-3
+        return starts_fit and times_fit and self.labor.is_in_order and self.upkeep.is_in_order
+
+    def samples(self, kind: Kind) -> list[Sample]:
+        return (self.labor if kind == "labor" else self.upkeep).samples
+
+    def started(self, labor_us: float, now_s: float) -> None:
+        self._note(now_s)
+        self.starts += 1
+        self.labor.add(self.starts, self.starts, labor_us, 1.0)
+
+    def ran(self, since_s: float, now_s: float, upkeep_us: float) -> None:
+        self.changes += self.upkeep.add(since_s, now_s, upkeep_us, now_s - since_s)
+        self.failures.ran(now_s - since_s, now_s)
+        self.seen_s = now_s
+
+    def failed(self, now_s: float) -> None:
+        self._note(now_s)
+        self.failures.failed(now_s)
+
+    def moved(self, by: float) -> Evidence:
+        """The same on a clock that shows `by` more."""
+        upkeep, failures = self.upkeep.moved(by), self.failures.moved(by)
+        return msgspec.structs.replace(self, upkeep=upkeep, failures=failures, seen_s=self.seen_s + by)
+
+    def _note(self, now_s: float) -> None:
+        self.changes += 1
+        self.seen_s = now_s
+
+
+def family(label: str) -> str:
+    """What stands before the bracket: the transformations of one template, such as `segmenter(piff)`, are a family."""
+    name, bracket, _ = label.partition("(")
+    return name.strip() if bracket and name.strip() else label
+
+
+def declaration(transformation: Transformation) -> str:
+    """What makes two transformations cost the same, as a text; another text means that evidence counts no more."""
+    params = {name: transformation.params[name] for name in sorted(transformation.params)}
+    parts = (
+        transformation.source,
+        transformation.host,
+        params,
+        transformation.run.rate_hz,
+        transformation.labor_us,
+        transformation.upkeep_us,
+    )
+    return repr(parts)

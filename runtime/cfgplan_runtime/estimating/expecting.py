@@ -1,0 +1,73 @@
+"""What is expected of a transformation: from its own evidence, else its family's, else a guess."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+from cfgplan_runtime.estimating.damping import Damped
+from cfgplan_runtime.estimating.evidence import Evidence
+from cfgplan_runtime.estimating.forecasting import Average, Forecast, Forecaster
+from cfgplan_runtime.estimating.guessing import Costs, Guess, Kind
+from cfgplan_runtime.estimating.settings import Settings
+
+
+class Origin(StrEnum):
+    """Where an expectation comes from."""
+
+    GUESS = "guess"
+    FAMILY = "family"
+    OBSERVED = "observed"
+
+
+@dataclass(frozen=True, slots=True)
+class Expectation:
+    """A forecast in microseconds (upkeep: per second) and where it comes from."""
+
+    forecast: Forecast
+    origin: Origin
+
+
+class Expectations:
+    """Reads evidence. `forecaster` makes the forecaster of upkeep from its memory; None lets nothing observed count."""
+
+    def __init__(self, forecaster: Callable[[float], Forecaster] | None, guess: Guess, settings: Settings) -> None:
+        self._learns = forecaster is not None
+        self._guess = guess
+        self._settings = settings
+        self._forecasters = {
+            "labor": Damped(Average(settings.memory_starts)),
+            "upkeep": Damped((forecaster or Average)(settings.memory_s)),
+        }
+
+    def of(self, kind: Kind, own: Evidence, relatives: Iterable[Evidence], dearest: Costs, now_s: float) -> Expectation:
+        """What one quantity of a transformation is expected to be from `now_s` on."""
+        if self._learns and own.samples(kind):
+            return Expectation(self._observed(kind, own, dearest, now_s), Origin.OBSERVED)
+        known = [one for one in relatives if self._learns and one.samples(kind)]
+        if known:
+            return Expectation(Forecast(self._familiar(kind, own, known), 0.0), Origin.FAMILY)
+        return Expectation(Forecast(self._guess(own.declared_costs, dearest).of(kind), 0.0), Origin.GUESS)
+
+    def _observed(self, kind: Kind, own: Evidence, dearest: Costs, now_s: float) -> Forecast:
+        """What was observed goes on; while nothing more is, trust in it fades towards the guess, and a trend ends."""
+        forecast = self._forecasters[kind](own.samples(kind))
+        idle_s = max(0.0, now_s - own.seen_s)
+        guess = self._guess(own.declared_costs, dearest).of(kind)
+        return replace(
+            forecast,
+            level=guess + (forecast.level - guess) * 0.5 ** (idle_s / self._settings.forget_s),
+            slope=forecast.slope * 0.5 ** (idle_s / self._settings.memory_s),
+            low=min(guess, forecast.low),
+            high=max(guess, forecast.high),
+        )
+
+    def _familiar(self, kind: Kind, own: Evidence, known: Sequence[Evidence]) -> float:
+        """As much as relatives were observed to cost, in proportion to what is declared, if all declare something."""
+        levels = [self._forecasters[kind](one.samples(kind)).level for one in known]
+        declared = [one.declared_costs.of(kind) for one in known]
+        mean = sum(levels) / len(levels)
+        if own.declared_costs.of(kind) and all(declared):
+            return own.declared_costs.of(kind) * mean * len(levels) / sum(declared)
+        return mean

@@ -1,0 +1,164 @@
+"""From a history to a forecast: one forecaster per way of weighing what was observed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Protocol
+
+from cfgplan_runtime.estimating.history import Sample
+
+
+@dataclass(frozen=True, slots=True)
+class Forecast:
+    """What a quantity is expected to be: `level` now, going on with `slope` per second.
+
+    The slope fades: after `reach_s` seconds about two thirds of `slope * reach_s` has been gone, and it never comes to
+    more. The forecast stays within `low` and `high`. `error` is the standard error of the level.
+    """
+
+    level: float
+    error: float
+    slope: float = 0.0
+    reach_s: float = 1.0
+    low: float = 0.0
+    high: float = math.inf
+
+    def value(self, ahead_s: float) -> float:
+        """The expected value in so many seconds."""
+        gone = self.slope * self.reach_s * -math.expm1(-ahead_s / self.reach_s)
+        return min(max(self.level + gone, self.low), self.high)
+
+    def mean(self, horizon_s: int) -> float:
+        """The mean of `value(t)` for t = 1, ..., `horizon_s`: Definition 8's sum over its length."""
+        if horizon_s <= 0 or self.slope == 0.0:
+            return self.value(0.0)
+        free_s = self._free_s(horizon_s)
+        fading = math.exp(-1 / self.reach_s)
+        faded = fading * (1 - fading**free_s) / (1 - fading)
+        total = free_s * self.level + self.slope * self.reach_s * (free_s - faded)
+        return (total + (horizon_s - free_s) * self.value(horizon_s)) / horizon_s
+
+    def _free_s(self, horizon_s: int) -> int:
+        """For how many seconds the forecast stays off the bound that it goes towards."""
+        way = (self.low if self.slope < 0 else self.high) - self.level
+        share = way / (self.slope * self.reach_s)
+        if share >= 1:
+            return horizon_s
+        return min(horizon_s, math.floor(-self.reach_s * math.log1p(-share)))
+
+
+class Forecaster(Protocol):
+    """Reads a history, which is not empty; the coordinate of time is the samples' own."""
+
+    def __call__(self, samples: Sequence[Sample]) -> Forecast: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Latest:
+    """What was observed last goes on: no memory, and no protection from noise."""
+
+    def __call__(self, samples: Sequence[Sample]) -> Forecast:
+        return Forecast(samples[-1].value, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Average:
+    """The mean of what was observed, in which what is `memory` old counts half as much as what is new."""
+
+    memory: float
+
+    def __call__(self, samples: Sequence[Sample]) -> Forecast:
+        weights = _recent_weights(samples, self.memory)
+        level = _weighted_mean([one.value for one in samples], weights)
+        return Forecast(level, _standard_error([one.value - level for one in samples], weights, level))
+
+
+@dataclass(frozen=True, slots=True)
+class Trend:
+    """A line through what was observed (weighted least squares, weights as in `Average`).
+
+    The slope counts as far as noise can't explain it: all of it when it is many standard errors, nothing below two. A
+    trend is believed to go on for about `memory`, and at most as far again as the observations reach.
+    """
+
+    memory: float
+
+    def __call__(self, samples: Sequence[Sample]) -> Forecast:
+        flat = Average(self.memory)(samples)
+        if len(samples) < _FEWEST_FOR_A_LINE:
+            return flat
+        weights = _recent_weights(samples, self.memory)
+        middle = _weighted_mean([one.at for one in samples], weights)
+        spread = _weighted_mean([(one.at - middle) ** 2 for one in samples], weights)
+        if spread <= 0:
+            return flat
+        slope = _weighted_mean([(one.at - middle) * (one.value - flat.level) for one in samples], weights) / spread
+        left = [one.value - flat.level - slope * (one.at - middle) for one in samples]
+        error = _standard_error(left, weights, 0.0)
+        slope *= _share_beyond_noise(slope, error / math.sqrt(spread))
+        low, high = min(one.value for one in samples), max(one.value for one in samples)
+        level = min(max(flat.level + slope * (samples[-1].until - middle), low), high)
+        error = error if slope else flat.error
+        return Forecast(level, error, slope, self.memory, max(0.0, 2 * low - high), 2 * high - low)
+
+
+@dataclass(frozen=True, slots=True)
+class Holt:
+    """Double exponential smoothing: a level and a trend, each drawn towards what was observed (Holt 1957).
+
+    The level forgets twice as fast as `memory`, the trend as fast. Samples may be at any distance (Wright 1986).
+    """
+
+    memory: float
+
+    def __call__(self, samples: Sequence[Sample]) -> Forecast:
+        level, slope, before = samples[0].value, 0.0, samples[0].at
+        misses = []
+        for one in samples[1:]:
+            gap = max(one.at - before, 1e-9)
+            expected = level + slope * gap
+            misses.append(one.value - expected)
+            to_value = 1 - 0.5 ** (2 * gap / self.memory)
+            to_slope = 1 - 0.5 ** (gap / self.memory)
+            new = expected + to_value * (one.value - expected)
+            slope += to_slope * ((new - level) / gap - slope)
+            level, before = new, one.at
+        low, high = min(one.value for one in samples), max(one.value for one in samples)
+        level = min(max(level + slope * (samples[-1].until - before), low), high)
+        weights = _recent_weights(samples[1:], self.memory / 2)
+        error = _standard_error(misses, weights, level) if misses else abs(level)
+        return Forecast(level, error, slope, self.memory, max(0.0, 2 * low - high), 2 * high - low)
+
+
+FORECASTERS: Mapping[str, Callable[[float], Forecaster]] = MappingProxyType(
+    {"latest": lambda _: Latest(), "average": Average, "trend": Trend, "holt": Holt}
+)
+"""By name: what makes a forecaster of a memory, which is a half-life in seconds."""
+
+_FEWEST_FOR_A_LINE = 4
+
+
+def _recent_weights(samples: Sequence[Sample], memory: float) -> list[float]:
+    newest = samples[-1].until if samples else 0.0
+    return [one.weight * 0.5 ** ((newest - one.until) / memory) for one in samples]
+
+
+def _weighted_mean(values: Sequence[float], weights: Sequence[float]) -> float:
+    mean = math.fsum(value * weight for value, weight in zip(values, weights, strict=True)) / math.fsum(weights)
+    return min(max(mean, min(values)), max(values))
+
+
+def _standard_error(misses: Sequence[float], weights: Sequence[float], level: float) -> float:
+    """Of the weighted mean; of one sample nothing is known, so that it is the level itself."""
+    number = math.fsum(weights) ** 2 / math.fsum(weight * weight for weight in weights)
+    if number < 1.5:
+        return abs(level)
+    return math.sqrt(_weighted_mean([miss * miss for miss in misses], weights) / (number - 1))
+
+
+def _share_beyond_noise(slope: float, error: float) -> float:
+    """How much of a slope is believed, from 0 (two standard errors) towards 1."""
+    return 0.0 if slope == 0.0 else max(0.0, 1 - (2 * error / slope) ** 2)

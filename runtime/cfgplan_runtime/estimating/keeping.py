@@ -1,0 +1,102 @@
+"""What was learned is kept in one file between runs. While nothing runs, time stands still for it."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from contextlib import suppress
+from pathlib import Path
+
+import msgspec
+
+from cfgplan_runtime.errors import RuntimeFaultError
+from cfgplan_runtime.estimating.estimator import LearningEstimator
+from cfgplan_runtime.estimating.evidence import Evidence
+
+FORMAT = "cfgplan-estimates/1"
+
+
+class EstimatesError(RuntimeFaultError):
+    """What was learned could not be read or written; the run goes on without."""
+
+
+class _Kept(msgspec.Struct):
+    """The file's content; times are seconds before it was written, and so at most 0."""
+
+    format: str
+    evidence: dict[str, Evidence]
+
+
+def default_file(environment_file: Path) -> Path:
+    """Where the estimates for an environment file are kept: in `$XDG_STATE_HOME/cfgplan/estimates`.
+
+    `$XDG_STATE_HOME` is `~/.local/state` if absent. The name is the file's, and a hash of its full path.
+    """
+    given = os.environ.get("XDG_STATE_HOME")
+    folder = Path(given) if given else Path.home() / ".local" / "state"
+    path = environment_file.resolve()
+    digest = hashlib.sha256(os.fsencode(path)).hexdigest()[:12]
+    return folder / "cfgplan" / "estimates" / f"{path.stem}-{digest}.json"
+
+
+def save(estimator: LearningEstimator, path: Path, now_s: float) -> None:
+    """Write what was learned, as a whole or not at all, through to the disk. Raises EstimatesError."""
+    known = {label: one.moved(-now_s) for label, one in sorted(estimator.evidence.items()) if not one.is_empty}
+    data = msgspec.json.format(msgspec.json.encode(_Kept(FORMAT, known)), indent=1)
+    new = path.with_name(f".{path.name}.{os.getpid()}.new")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        with new.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        new.replace(path)
+        _sync_folder(path.parent)
+    except OSError as error:
+        with suppress(OSError):
+            new.unlink(missing_ok=True)
+        raise EstimatesError(f"{path}: what was learned can't be kept: {error.strerror}") from None
+
+
+def load(estimator: LearningEstimator, path: Path, now_s: float) -> None:
+    """Go on with what a file holds, if there is one.
+
+    Raises EstimatesError if it can't be used; a damaged one has then been renamed to `….damaged`, and a new one can
+    be saved.
+    """
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise EstimatesError(f"{path}: what was learned can't be read: {error.strerror}") from None
+    try:
+        kept = msgspec.json.decode(data, type=_Kept)
+        if kept.format != FORMAT:
+            raise msgspec.ValidationError(f"its format is {kept.format!r}, not {FORMAT!r}")
+        wrong = [label for label, evidence in kept.evidence.items() if not evidence.is_in_order]
+        if wrong:
+            raise msgspec.ValidationError(f"the samples of {wrong[0]!r} are out of order")
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        aside = path.with_name(f"{path.name}.damaged")
+        with suppress(OSError):
+            path.replace(aside)
+        raise EstimatesError(
+            f"{path}: damaged ({error}); it was renamed to {aside.name}, and learning begins anew"
+        ) from None
+    fresh = estimator.settings
+    for evidence in kept.evidence.values():
+        evidence.labor.take_limits(fresh.labor())
+        evidence.upkeep.take_limits(fresh.upkeep())
+        evidence.failures.forget_s = fresh.forget_s
+    estimator.take_over({label: evidence.moved(now_s) for label, evidence in kept.evidence.items()})
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make the renaming last; not every system can."""
+    with suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

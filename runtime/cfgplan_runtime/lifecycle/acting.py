@@ -1,0 +1,70 @@
+"""The acting half of a review: the middleware carries out what was decided; who is to blame if it fails."""
+
+from __future__ import annotations
+
+from cfgplan.domain import ChangeSet, Environment
+from cfgplan_runtime.errors import ApplyError, NoSourceError, StaleChangeSetError
+from cfgplan_runtime.lifecycle.configuration import Running, with_world
+from cfgplan_runtime.lifecycle.deliberation import Thought
+from cfgplan_runtime.lifecycle.intake import Intake
+from cfgplan_runtime.lifecycle.perturbations import UpdateFailed
+from cfgplan_runtime.lifecycle.reports import Decision
+from cfgplan_runtime.lifecycle.seams import Clock, Middleware
+
+
+class Acting:
+    """Carries updates out by a middleware."""
+
+    def __init__(self, middleware: Middleware, intake: Intake, clock: Clock) -> None:
+        self._middleware = middleware
+        self._intake = intake
+        self._clock = clock
+
+    def act(self, thought: Thought) -> UpdateFailed | None:
+        """Carry out what was decided; what went wrong, if anything did."""
+        if thought.change_set is None:
+            return UpdateFailed(thought.cause)
+        wanted = thought.change_set if thought.decision is Decision.APPLIED else ChangeSet()
+        change_set = with_world(wanted, self._intake.living.world.environment, self._middleware.environment)
+        if not change_set:
+            return None
+        with thought.timed("apply"):
+            return self._apply(change_set, thought.running)
+
+    def _apply(self, change_set: ChangeSet, basis: Environment) -> UpdateFailed | None:
+        units = self._intake.situation.units
+        library = self._intake.living.world.environment.transformation
+        started = {unit.id for unit in change_set.started}
+        for unit in change_set.started:
+            units[unit.id] = Running(library[unit.transformation], self._clock.now())
+        try:
+            self._middleware.apply(change_set, basis=basis)
+        except StaleChangeSetError as error:
+            failed = UpdateFailed(str(error), is_stale=True)
+        except NoSourceError as error:
+            failed = UpdateFailed(str(error), error.transformations)
+            for label in error.transformations:
+                self._intake.situation.back_offs.refuse(label, str(error))
+                self._intake.tell_back_off(label)
+        except ApplyError as error:
+            failed = UpdateFailed(str(error), self._blamed(started, error))
+        else:
+            for unit_id in change_set.stopped:
+                self._intake.situation.forget(unit_id)
+            return None
+        for unit_id in started:
+            self._intake.situation.forget(unit_id)
+        return failed
+
+    def _blamed(self, started: set[str], error: ApplyError) -> tuple[str, ...]:
+        """The transformations whose units did not start; each has been blamed for it."""
+        intake = self._intake
+        intake.starting, intake.not_started = started, []
+        intake.take_in()
+        intake.starting = set()
+        for unit in error.units:
+            label = intake.situation.label_of(unit)
+            if label is not None and label not in intake.not_started:  # it was too slow, but has not died
+                intake.blame(label, 0.0, str(error))
+                intake.not_started.append(label)
+        return tuple(sorted(set(intake.not_started)))

@@ -1,0 +1,152 @@
+"""The thinking half of a review: match, estimate, plan, judge. It changes nothing that runs."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+from cfgplan import validity
+from cfgplan.api import World
+from cfgplan.costs import keep_cost_us
+from cfgplan.domain import ChangeSet, Environment, Similarity
+from cfgplan.errors import InvalidValueError
+from cfgplan.explaining.best_effort import BestEffort, best_effort
+from cfgplan.planning import Planner, Problem, Status
+from cfgplan.validity import Rule
+from cfgplan_runtime.lifecycle.configuration import EstimatedLibrary, Situation, avoided_now, environment_to_plan
+from cfgplan_runtime.lifecycle.reports import Decision
+from cfgplan_runtime.lifecycle.seams import Estimator
+
+
+@dataclass
+class Thought:
+    """What a review has found out so far. `change_set` is over units only."""
+
+    running: Environment
+    planned: Environment
+    cost_before_us: int
+    avoided: Mapping[str, str]
+    decision: Decision = Decision.UNDECIDED
+    cause: str = ""
+    change_set: ChangeSet | None = None
+    cost_us: int | None = None
+    bound_us: int = 0
+    is_proven: bool = False
+    met: tuple[str, ...] = ()
+    unmet: Mapping[str, str] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def timed(self, phase: str) -> Iterator[None]:
+        """Count the wall time of a phase."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[phase] = self.seconds.get(phase, 0.0) + time.perf_counter() - start
+
+
+class Deliberation:
+    """Plans updates, one after the other, with a planner that may remember."""
+
+    def __init__(self, planner: Planner, estimator: Estimator, time_limit_s: float | None) -> None:
+        self._planner = planner
+        self._estimator = estimator
+        self._time_limit_s = time_limit_s
+        self._library = EstimatedLibrary()
+
+    def think(
+        self, world: World, similarity: Similarity, running: Environment, situation: Situation, *, optimises: bool
+    ) -> Thought:
+        """The best update of what runs, and whether to carry it out now.
+
+        One that only saves cost is put off, unless the review `optimises`.
+        """
+        start = time.perf_counter()
+        wanted = world.environment
+        avoided = avoided_now(wanted, running, situation)
+        horizon_s = world.horizon_s
+        costs = {t.label: self._library.estimated(t, self._estimator, horizon_s) for t in wanted.library}
+        planned = environment_to_plan(wanted, running, situation, avoided, costs)
+        cost_before_us = sum(
+            keep_cost_us(costs[u.transformation], horizon_s) for u in running.units if u.transformation in costs
+        )
+        thought = Thought(running, planned, cost_before_us, avoided)
+        thought.seconds["estimate"] = time.perf_counter() - start
+        with thought.timed("plan"):
+            try:
+                problem = Problem(planned, similarity, horizon_s, world.max_cost_us)
+                found = best_effort(problem, self._planner, time_limit_s=self._time_limit_s)
+            except InvalidValueError as error:
+                thought.cause = str(error)
+                return thought
+        with thought.timed("judge"):
+            self._judge(thought, found, similarity, optimises=optimises)
+        return thought
+
+    def _judge(self, thought: Thought, found: BestEffort, similarity: Similarity, *, optimises: bool) -> None:
+        plan = found.plan
+        thought.unmet = plan.reasons
+        if plan.change_set is None:
+            thought.cause = (
+                "no plan was found in time" if plan.status is Status.UNKNOWN else f"the plan is {plan.status}"
+            )
+            return
+        wrong = validity.plan_violations(found.problem, plan)
+        if wrong:
+            thought.cause = f"the answer of planner {plan.planner} is wrong: {'; '.join(map(str, wrong))}"
+            return
+        thought.change_set, thought.cost_us, thought.bound_us = plan.change_set, plan.cost_us, plan.bound_us
+        thought.is_proven = found.exact and plan.status is Status.OPTIMAL
+        thought.met = tuple(target.label for target in found.problem.environment.targets)
+        thought.decision = _decision(thought, plan.unused_required, similarity, optimises=optimises)
+
+
+def _decision(
+    thought: Thought, unused_required: tuple[str, ...], similarity: Similarity, *, optimises: bool
+) -> Decision:
+    assert thought.change_set is not None and thought.cost_us is not None
+    now = thought.planned
+    violations = validity.violations(now, similarity)
+    met_now = {t.label for t in now.targets} - {v.target for v in violations if v.rule is Rule.MET}
+    is_sound = all(violation.rule is Rule.MET for violation in violations)
+    before, after = _by_priority(now, met_now), _by_priority(now, set(thought.met))
+    if is_sound and before > after and not thought.is_proven:
+        return Decision.KEPT  # stopped by the clock, the planner gave up targets that are met
+    if not thought.change_set:
+        return Decision.KEPT
+    is_needed = not is_sound or before < after or _uses_more_required(thought, unused_required)
+    if is_needed:
+        return Decision.APPLIED
+    if not thought.is_proven and thought.cost_us >= thought.cost_before_us and before == after:
+        return Decision.KEPT
+    return Decision.APPLIED if optimises else Decision.DEFERRED
+
+
+def _by_priority(environment: Environment, met: set[str]) -> tuple[int, ...]:
+    """How many targets of each priority are met, the highest first."""
+    levels = sorted({target.priority for target in environment.targets}, reverse=True)
+    return tuple(sum(1 for t in environment.targets if t.priority == level and t.label in met) for level in levels)
+
+
+def _uses_more_required(thought: Thought, unused: tuple[str, ...]) -> bool:
+    required = {t.label for t in thought.planned.library if t.required}
+    if not required:
+        return False
+    used = _used(thought.planned)
+    return not (required - set(unused)) <= used
+
+
+def _used(environment: Environment) -> set[str]:
+    """The transformations of the units that serve some target, directly or through others."""
+    topics = {target.topic for target in environment.targets}
+    ahead = [unit for unit in environment.units if any(p.topic in topics for p in unit.publications)]
+    seen: set[str] = set()
+    while ahead:
+        unit = ahead.pop()
+        if unit.id not in seen:
+            seen.add(unit.id)
+            ahead += [environment.unit[s.unit] for s in unit.feeds.values() if s.unit in environment.unit]
+    return {environment.unit[unit].transformation for unit in seen}

@@ -1,0 +1,63 @@
+"""What sets two worlds apart, and which units can go on in the second."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import TypeVar
+
+from cfgplan.api import World
+from cfgplan.domain import Transformation
+from cfgplan_runtime.lifecycle.perturbations import Difference
+
+T = TypeVar("T")
+
+
+def runs_alike(one: Transformation, other: Transformation) -> bool:
+    """Whether a unit of the one is a unit of the other: the same code with the same params and ports."""
+    return one is other or _what_runs(one) == _what_runs(other)
+
+
+def difference(before: World, after: World) -> Difference:
+    """What comes, goes and changes from one world to the other."""
+    library, new_library = before.environment.transformation, after.environment.transformation
+    targets, new_targets = before.environment.target, after.environment.target
+    both = [(old, new_library[label]) for label, old in library.items() if label in new_library]
+    names, new_names = before.ontology.individuals, after.ontology.individuals
+    settings = {
+        "horizon": before.horizon_s != after.horizon_s,
+        "max_cost": before.max_cost_us != after.max_cost_us,
+    }
+    return Difference(
+        _missing(new_library, library),
+        _missing(library, new_library),
+        _labels(both, lambda old, new: not runs_alike(old, new)),
+        _labels(both, lambda old, new: runs_alike(old, new) and not _same_but_for_costs(old, new)),
+        _labels(both, lambda old, new: old != new and _same_but_for_costs(old, new)),
+        _missing(new_targets, targets),
+        _missing(targets, new_targets),
+        tuple(label for label, old in targets.items() if label in new_targets and new_targets[label] != old),
+        _missing(new_names, names),
+        _missing(names, new_names),
+        before.ontology != after.ontology,
+        tuple(name for name, differs in settings.items() if differs),
+    )
+
+
+def _missing(some: Mapping[str, T], others: Mapping[str, T]) -> tuple[str, ...]:
+    return tuple(sorted(name for name in some if name not in others))
+
+
+def _labels(
+    both: list[tuple[Transformation, Transformation]], differs: Callable[[Transformation, Transformation], bool]
+) -> tuple[str, ...]:
+    return tuple(old.label for old, new in both if old is not new and differs(old, new))
+
+
+def _what_runs(t: Transformation) -> tuple[object, ...]:
+    names = tuple(port.name for port in t.inputs), tuple(port.name for port in t.outputs)
+    return t.label, t.source, t.host, t.kind, t.params, t.run, names
+
+
+def _same_but_for_costs(old: Transformation, new: Transformation) -> bool:
+    return old == replace(new, labor_us=old.labor_us, upkeep_us=old.upkeep_us)

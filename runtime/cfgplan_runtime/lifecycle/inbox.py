@@ -1,0 +1,58 @@
+"""What has come to a manager's notice, from whatever thread, in order."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+from cfgplan_runtime.lifecycle.changes import Change
+from cfgplan_runtime.lifecycle.reports import Review
+from cfgplan_runtime.supervision.events import Event
+
+Outcome: TypeAlias = "Future[Review | None]"
+
+
+@dataclass(frozen=True)
+class Request:
+    """A change that somebody asks for, and what is to be told when the review that took it in is over."""
+
+    change: Change
+    outcome: Outcome = field(default_factory=Future, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Arrival:
+    """Something at the time at which it was noticed."""
+
+    at_s: float
+    item: Event | Request
+
+
+class Inbox:
+    """A queue with a bell that rings when something comes that can't wait."""
+
+    def __init__(self) -> None:
+        self.bell = threading.Event()
+        self._lock = threading.Lock()
+        self._arrivals: deque[Arrival] = deque()
+
+    def put(self, item: Event | Request, at_s: float, *, is_urgent: bool = True) -> None:
+        with self._lock:
+            self._arrivals.append(Arrival(at_s, item))
+            if is_urgent:
+                self.bell.set()
+
+    def take(self) -> list[Arrival]:
+        """Everything that has come; the bell is silent afterwards."""
+        with self._lock:
+            arrivals = list(self._arrivals)
+            self._arrivals.clear()
+            self.bell.clear()
+        return arrivals
+
+    @property
+    def is_empty(self) -> bool:
+        return not self._arrivals

@@ -1,0 +1,243 @@
+"""From what has come in to perturbations: events of units and requests, in the order in which they came."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future
+
+from cfgplan.api import World
+from cfgplan.errors import Fault, InputError
+from cfgplan_runtime.lifecycle.back_off import BackOffs
+from cfgplan_runtime.lifecycle.changes import (
+    Change,
+    KillUnit,
+    LoseHost,
+    RegainHost,
+    ReplaceWorld,
+    ReviewNow,
+    Stop,
+    WorldChange,
+)
+from cfgplan_runtime.lifecycle.configuration import Situation
+from cfgplan_runtime.lifecycle.differing import difference
+from cfgplan_runtime.lifecycle.inbox import Inbox, Outcome, Request
+from cfgplan_runtime.lifecycle.noticing import Noticing
+from cfgplan_runtime.lifecycle.pending import Pending
+from cfgplan_runtime.lifecycle.perturbations import (
+    HostBack,
+    HostGone,
+    MayStartAgain,
+    Perturbation,
+    ReviewRequested,
+    UnitGone,
+    UnitKeepsFailing,
+    WorldChanged,
+)
+from cfgplan_runtime.lifecycle.policy import Policy
+from cfgplan_runtime.lifecycle.reports import BackedOff, Perturbed, Report, UnitEvent, WorldRefused
+from cfgplan_runtime.lifecycle.seams import Clock, Estimator, Middleware
+from cfgplan_runtime.lifecycle.warm_matching import WarmMatching
+from cfgplan_runtime.lifecycle.worlds import LivingWorld
+from cfgplan_runtime.supervision.events import Event, InputLost, UnitDied, UnitStatus, UnitStopped
+
+
+class Intake:
+    """Knows the world that holds now, and what has happened that no review has answered yet.
+
+    `hear` and `request` are for any thread; the rest is the manager's thread's.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        middleware: Middleware,
+        estimator: Estimator,
+        clock: Clock,
+        policy: Policy,
+        tell: Callable[[Report], None],
+    ) -> None:
+        self._middleware = middleware
+        self._estimator = estimator
+        self._clock = clock
+        self._policy = policy
+        self._tell = tell
+        self.living = LivingWorld(world)
+        self.matching = WarmMatching(policy.reasoner, policy.match_limit_s)
+        self.matching.take(self.living.world)
+        self.situation = Situation(BackOffs(policy.back_off))
+        self.inbox = Inbox()
+        self.pending = Pending()
+        self.faults: tuple[Fault, ...] = ()
+        self.interrupt = threading.Event()
+        """Set when something comes that a plan in the making can't know."""
+        self.ending = threading.Event()
+        """Set when the end is asked for."""
+        self.stops: list[Outcome] = []
+        """Who has asked for the end."""
+        self.starting: set[str] = set()
+        """Units of an update that may fail: that they die is a part of that failure."""
+        self.match_s = 0.0
+        """Wall time that matching has taken since this was last set to 0."""
+        self.not_started: list[str] = []
+        """The transformations of those that died."""
+        self._noticing = Noticing(self.situation, policy)
+
+    def hear(self, event: Event) -> None:
+        """Take note of an event."""
+        is_sign = isinstance(event, UnitStatus)
+        self.inbox.put(event, self._clock.now(), is_urgent=not is_sign)
+        if isinstance(event, UnitDied | InputLost):
+            self.interrupt.set()
+        if not is_sign:
+            self._tell(UnitEvent(event))
+
+    def request(self, change: Change) -> Outcome:
+        """Take note of a request."""
+        request = Request(change, Future())
+        self.inbox.put(request, self._clock.now())
+        if isinstance(change, Stop):
+            self.ending.set()
+        self.interrupt.set()
+        return request.outcome
+
+    def turn_away(self, error: Exception) -> None:
+        """There is no manager any more: tell all who wait."""
+        for outcome in self.stops:
+            outcome.set_result(None)
+        self.stops = []
+        self.pending.give_up(error)
+        for arrival in self.inbox.take():
+            if isinstance(arrival.item, Request):
+                arrival.item.outcome.set_exception(error)
+
+    def take_in(self) -> None:
+        """Make perturbations of everything that has come."""
+        for arrival in self.inbox.take():
+            if isinstance(arrival.item, Request):
+                self._take_request(arrival.item, arrival.at_s)
+            else:
+                self._take_event(arrival.item, arrival.at_s)
+        ended = self.situation.back_offs.ended(self._clock.now())
+        if ended:
+            self.perturb(MayStartAgain(ended), self._clock.now())
+
+    def perturb(
+        self, perturbation: Perturbation, at_s: float, outcomes: Iterable[Outcome] = (), *, delay_s: float = 0.0
+    ) -> None:
+        """Let a review be due, at once or later."""
+        self.pending.add(perturbation, at_s, outcomes, due_s=at_s + delay_s)
+        self._tell(Perturbed(perturbation))
+
+    def blame(self, label: str, lived_s: float, cause: str) -> None:
+        """A unit of a transformation has failed after so long a life."""
+        now = self._clock.now()
+        self._estimator.failed(label, now)
+        self.situation.back_offs.failed(label, lived_s, now, cause)
+        self.tell_back_off(label)
+
+    def tell_back_off(self, label: str) -> None:
+        """Report how it stands with a transformation, if it is not to be started for now."""
+        backing_off = self.situation.back_offs.of(label, self._clock.now())
+        if backing_off is not None:
+            self._tell(BackedOff(backing_off))
+
+    def refuse(self, by: str, faults: tuple[Fault, ...]) -> None:
+        """Note that a new state of the world can't be used; without faults, that it is well again."""
+        if faults or self.faults:
+            self.faults = faults
+            self._tell(WorldRefused(by, faults))
+
+    def _take_event(self, event: Event, at_s: float) -> None:
+        if isinstance(event, UnitStopped):
+            self._answer(self.pending.waiting_for(event.unit))
+        perturbation = self._noticing.perturbation(event, at_s)
+        if perturbation is None:
+            return
+        if isinstance(perturbation, UnitGone):
+            self._take_death(perturbation, at_s)
+        elif isinstance(perturbation, UnitKeepsFailing):
+            unit = perturbation.unit
+            self.blame(perturbation.transformation, at_s - self.situation.units[unit].since_s, perturbation.text)
+            self.situation.failing.add(unit)
+            self.perturb(perturbation, at_s)
+        else:
+            self.perturb(perturbation, at_s, delay_s=self._policy.explain_s)
+
+    def _take_death(self, gone: UnitGone, at_s: float) -> None:
+        situation, unit = self.situation, gone.unit
+        if gone.how != "killed" and unit not in situation.failing:
+            self.blame(gone.transformation, at_s - situation.units[unit].since_s, gone.cause)
+        situation.forget(unit)
+        outcomes = self.pending.waiting_for(unit)
+        if unit in self.starting:
+            self._answer(outcomes)
+            self.not_started.append(gone.transformation)
+        else:
+            self.perturb(gone, at_s, outcomes)
+
+    def _answer(self, outcomes: Iterable[Outcome]) -> None:
+        """Tell those who asked that no review will follow."""
+        for outcome in outcomes:
+            outcome.set_result(None)
+
+    def _take_request(self, request: Request, at_s: float) -> None:
+        change, outcome = request.change, request.outcome
+        try:
+            perturbation = self._perturbation_of(change, outcome)
+        except InputError as error:
+            if isinstance(change, ReplaceWorld):
+                self.refuse(change.by, error.faults)
+            outcome.set_exception(error)
+            return
+        if perturbation is not None:
+            self.perturb(perturbation, at_s, [outcome])
+        elif not isinstance(change, Stop | KillUnit):
+            outcome.set_result(None)
+
+    def _perturbation_of(self, change: Change, outcome: Outcome) -> Perturbation | None:
+        match change:
+            case Stop():
+                self.stops.append(outcome)
+                return None
+            case KillUnit(unit):
+                self._kill(unit)
+                self.pending.wait_for(unit, outcome)
+                return None
+            case LoseHost(host, cause):
+                self.situation.lost_hosts |= {host}
+                return HostGone(host, cause)
+            case RegainHost(host):
+                if host not in self.situation.lost_hosts:
+                    raise InputError.of(f"host {host!r} is not gone")
+                self.situation.lost_hosts -= {host}
+                return HostBack(host)
+            case ReviewNow(by):
+                self.situation.back_offs.forgive_all()
+                return ReviewRequested(by)
+            case _:
+                return self._change_world(change)
+
+    def _kill(self, unit: str) -> None:
+        running = self._middleware.environment.unit
+        if unit not in running:
+            known = ", ".join(running)
+            raise InputError.of(f"no unit {unit!r} runs", mend=f"these run: {known}" if known else None)
+        self.situation.killed.add(unit)
+        self._middleware.kill(unit)
+
+    def _change_world(self, change: WorldChange) -> WorldChanged | None:
+        living = self.living.after(change)
+        before, after = self.living.world, living.world
+        start = time.perf_counter()
+        self.matching.take(after)
+        self.match_s += time.perf_counter() - start
+        self.living = living
+        differs = difference(before, after)
+        for label in (*differs.replaced_transformations, *differs.removed_transformations):
+            self.situation.back_offs.forgive(label)
+        if isinstance(change, ReplaceWorld):
+            self.refuse(change.by, ())
+        by = change.by if isinstance(change, ReplaceWorld) else type(change).__name__
+        return WorldChanged(by, differs) if differs else None

@@ -1,0 +1,33 @@
+"""What a manager may be told about how to work."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from cfgplan_runtime.lifecycle.back_off import BackOffRules
+
+
+@dataclass(frozen=True, slots=True)
+class Policy:
+    """Times in seconds.
+
+    A plan is looked for as long as `time_limit_s`; matching may take `match_limit_s`. Units are observed every
+    `observe_every_s`. What happens within `gather_s` of the first perturbation is part of the same review; a lost
+    subscription waits up to `explain_s` for the death that explains it. A unit is given up if it had `failing_steps`
+    errors over `failing_s` and no step without. `interruptions` is how often planning begins anew because of further
+    perturbations. A review that failed is repeated after `retry_s`, then twice that, up to `most_retry_s`.
+    """
+
+    time_limit_s: float | None = 10.0
+    match_limit_s: float | None = 30.0
+    reasoner: str = "auto"
+    observe_every_s: float = 1.0
+    gather_s: float = 0.001
+    explain_s: float = 0.02
+    failing_steps: int = 5
+    failing_s: float = 3.0
+    interruptions: int = 3
+    retry_s: float = 0.1
+    most_retry_s: float = 30.0
+    reviews_kept: int = 100
+    back_off: BackOffRules = field(default_factory=BackOffRules)

@@ -1,0 +1,50 @@
+"""A view of everything, from the parts that the manager replaces and never changes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from cfgplan.domain import Environment, Stream
+from cfgplan_runtime.lifecycle.configuration import Situation
+from cfgplan_runtime.lifecycle.reports import Decision, Review, TargetView, UnitView
+from cfgplan_runtime.supervision.observation import Observation
+
+
+def target_views(world: Environment, running: Environment, reviews: Sequence[Review]) -> tuple[TargetView, ...]:
+    """Each target with the stream that is published on its topic, or why there is none."""
+    streams = {
+        publication.topic: Stream(unit.id, publication.port)
+        for unit in running.units
+        for publication in unit.publications
+    }
+    reasons = reviews[-1].unmet if reviews else {}
+    return tuple(
+        TargetView(
+            target.label,
+            target.tag,
+            target.topic,
+            target.priority,
+            streams.get(target.topic),
+            "" if target.topic in streams else reasons.get(target.label, "it waits for a review"),
+        )
+        for target in world.targets
+    )
+
+
+def unit_views(
+    running: Environment, situation: Situation, observations: Mapping[str, Observation]
+) -> tuple[UnitView, ...]:
+    """Each unit that runs, with its host and what was last observed of it."""
+    units = situation.units
+    return tuple(
+        UnitView(unit, known.transformation.host if (known := units.get(unit.id)) else None, observations.get(unit.id))
+        for unit in running.units
+    )
+
+
+def saving_us(reviews: Sequence[Review]) -> int:
+    """What the last review would save and has put off."""
+    last = reviews[-1] if reviews else None
+    if last is None or last.decision is not Decision.DEFERRED or last.cost_us is None:
+        return 0
+    return max(0, last.cost_before_us - last.cost_us)

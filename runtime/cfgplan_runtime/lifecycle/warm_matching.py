@@ -1,0 +1,60 @@
+"""Matching that goes on from one world to the next: only tags and axioms that are new cost anything."""
+
+from __future__ import annotations
+
+from cfgplan.api import World
+from cfgplan.domain import Similarity
+from cfgplan.errors import InputError
+from cfgplan.matching import Matcher, Ontology
+
+
+class WarmMatching:
+    """The similarity of the tags of one world after the other.
+
+    The same object is given again as long as nothing has changed, which is what keeps a planner's session warm.
+    """
+
+    def __init__(self, reasoner: str, time_limit_s: float | None) -> None:
+        self._reasoner = reasoner
+        self._time_limit_s = time_limit_s
+        self._matcher: Matcher | None = None
+        self._offered: frozenset[str] = frozenset()
+        self._demanded: frozenset[str] = frozenset()
+        self._last: World | None = None
+        self.similarity = Similarity({})
+        self.warnings: tuple[str, ...] = ()
+
+    def take(self, world: World) -> None:
+        """Match a world from now on. Raises InputError; then the last world is matched as before."""
+        environment = world.environment
+        offered = frozenset(port.tag for t in environment.library for port in t.outputs)
+        demanded = frozenset(port.tag for t in environment.library for port in t.inputs)
+        demanded |= {target.tag for target in environment.targets}
+        is_known = (self._offered, self._demanded) == (offered, demanded)
+        if is_known and self._last is not None and self._last.ontology == world.ontology:
+            self._last = world
+            return
+        try:
+            self._match(world.ontology, offered, demanded)
+        except InputError:
+            last, self._matcher = self._last, None
+            self._offered = self._demanded = frozenset()
+            if last is not None:
+                self.take(last)
+            raise
+        self._last = world
+
+    def _match(self, ontology: Ontology, offered: frozenset[str], demanded: frozenset[str]) -> None:
+        if self._matcher is None:
+            self._matcher = Matcher(ontology, reasoner=self._reasoner)
+        matcher = self._matcher
+        gone = {"offered": self._offered - offered, "demanded": self._demanded - demanded}
+        new = {"offered": offered - self._offered, "demanded": demanded - self._demanded}
+        matcher.remove(**gone)
+        if matcher.ontology != ontology:
+            matcher.change_ontology(ontology)
+        matcher.add(**new)
+        found = matcher.matching(time_limit_s=self._time_limit_s)
+        self._offered, self._demanded, self.warnings = offered, demanded, found.warnings
+        if found.similarity != self.similarity:
+            self.similarity = found.similarity

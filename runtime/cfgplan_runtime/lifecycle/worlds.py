@@ -1,0 +1,197 @@
+"""The world as its file says it, with what was asked for since: targets, transformations, individuals."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from decimal import Decimal
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TypeVar
+
+from cfgplan import api
+from cfgplan.api import World
+from cfgplan.domain import Environment, Target, Transformation
+from cfgplan.errors import Fault, InputError, InvalidValueError
+from cfgplan.formats import Document, read_declared, read_document
+from cfgplan.formats.schema import DefaultsPart
+from cfgplan.matching import Ontology, TagError, check_tag
+from cfgplan_runtime.lifecycle.changes import (
+    AddIndividuals,
+    AddTargets,
+    AddTransformations,
+    Declare,
+    Individual,
+    RemoveIndividuals,
+    RemoveTargets,
+    RemoveTransformations,
+    ReplaceWorld,
+    Withdraw,
+    WorldChange,
+)
+from cfgplan_runtime.lifecycle.individuals import with_individuals
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class LivingWorld:
+    """A world and the changes that were asked for since; a value, of which `after` gives the next.
+
+    Of what the base and what requests say of one label the later word holds: what was added replaces what the base
+    has, what was removed stays away, both until the base says something else of it.
+    """
+
+    base: World
+    targets: Mapping[str, Target] = field(default_factory=dict)
+    transformations: Mapping[str, Transformation] = field(default_factory=dict)
+    individuals: Mapping[str, Individual] = field(default_factory=dict)
+    declared: Mapping[str, Declare] = field(default_factory=dict)
+    without_targets: frozenset[str] = frozenset()
+    without_transformations: frozenset[str] = frozenset()
+    without_individuals: frozenset[str] = frozenset()
+
+    def after(self, change: WorldChange) -> LivingWorld:
+        """The world after a change. Raises InputError if the change, or the world after it, is bad."""
+        changed = self._changed(change)
+        changed.world  # noqa: B018  computes it, which finds its faults
+        return changed
+
+    @cached_property
+    def world(self) -> World:
+        """What holds now. Raises InputError."""
+        declared = self.declared.values()
+        come = [*self.individuals.values(), *(one for each in declared for one in each.individuals)]
+        ontology = with_individuals(self.base.ontology, come, self.without_individuals)
+        environment = self.base.environment
+        if declared or ontology is not self.base.ontology:
+            environment = self._rebuilt(ontology)
+        library = _changed(
+            {t.label: t for t in environment.library}, self.transformations, self.without_transformations
+        )
+        targets = _changed({t.label: t for t in environment.targets}, self.targets, self.without_targets)
+        _check_tags(self.transformations.values(), self.targets.values(), ontology)
+        try:
+            environment = Environment((), tuple(library.values()), tuple(targets.values()))
+        except InvalidValueError as error:
+            raise InputError.of(str(error)) from None
+        return World(environment, ontology, self.base.horizon_s, self.base.max_cost_us)
+
+    @cached_property
+    def _document(self) -> Document | None:
+        """The files that the base was read from, as they are now."""
+        return None if self.base.file is None else read_document(self.base.file.path)
+
+    def _rebuilt(self, ontology: Ontology) -> Environment:
+        """The base's environment with templates expanded by another ontology, and with what was declared."""
+        parts = [read_declared(f"declared by {name}", _exact(one.document)) for name, one in self.declared.items()]
+        files, faults = [file for file, _ in parts], [fault for _, more in parts for fault in more]
+        document = self._document
+        if document is not None:
+            whole = replace(document, files=(*document.files, *files), faults=(*document.faults, *faults))
+            return api.world_of(whole, ontology).environment
+        base = self.base.environment
+        if not parts:
+            return base
+        alone = Document(Path(), self.base.horizon_s, None, DefaultsPart(), (), tuple(files), tuple(faults))
+        more = api.world_of(alone, ontology).environment
+        try:
+            return Environment((), (*base.library, *more.library), (*base.targets, *more.targets))
+        except InvalidValueError as error:
+            raise InputError.of(str(error), mend="give each a name of its own") from None
+
+    def _changed(self, change: WorldChange) -> LivingWorld:
+        world = self.world.environment
+        match change:
+            case AddTargets(targets):
+                more = {**self.targets, **{target.label: target for target in targets}}
+                return replace(self, targets=more, without_targets=self.without_targets - set(more))
+            case RemoveTargets(labels):
+                _check_known("target", labels, world.target)
+                gone = self.without_targets | set(labels)
+                return replace(self, targets=_without(self.targets, labels), without_targets=gone)
+            case AddTransformations(transformations):
+                made = {**self.transformations, **{t.label: t for t in transformations}}
+                gone = self.without_transformations - set(made)
+                return replace(self, transformations=made, without_transformations=gone)
+            case RemoveTransformations(labels):
+                _check_known("transformation", labels, world.transformation)
+                left = _without(self.transformations, labels)
+                return replace(
+                    self, transformations=left, without_transformations=self.without_transformations | set(labels)
+                )
+            case AddIndividuals(individuals):
+                come = {**self.individuals, **{one.name: one for one in individuals}}
+                return replace(self, individuals=come, without_individuals=self.without_individuals - set(come))
+            case RemoveIndividuals(names):
+                _check_known("individual", names, self.world.ontology.individuals)
+                beyond = self.without_individuals | {n for n in names if n in self.base.ontology.individuals}
+                return replace(self, individuals=_without(self.individuals, names), without_individuals=beyond)
+            case Declare(name):
+                return replace(self, declared={**self.declared, name: change})
+            case Withdraw(name):
+                _check_known("declaration", [name], self.declared)
+                return replace(self, declared=_without(self.declared, [name]))
+            case ReplaceWorld(base):
+                old, new = self.base.environment, base.environment
+                targets, library = _told(old.target, new.target), _told(old.transformation, new.transformation)
+                return replace(
+                    self,
+                    base=base,
+                    targets=_without(self.targets, targets),
+                    transformations=_without(self.transformations, library),
+                    without_targets=self.without_targets - targets,
+                    without_transformations=self.without_transformations - library,
+                    without_individuals=self.without_individuals.intersection(base.ontology.individuals),
+                )
+
+
+def _told(old: Mapping[str, object], new: Mapping[str, object]) -> set[str]:
+    """The labels of which the base says something else than before."""
+    return {label for label in {*old, *new} if old.get(label) != new.get(label)}
+
+
+def _changed(base: Mapping[str, T], more: Mapping[str, T], without: frozenset[str]) -> Mapping[str, T]:
+    return {**{label: value for label, value in base.items() if label not in without}, **more}
+
+
+def _without(known: Mapping[str, T], names: Iterable[str]) -> Mapping[str, T]:
+    gone = set(names)
+    return {name: value for name, value in known.items() if name not in gone}
+
+
+def _check_known(what: str, names: Iterable[str], known: Mapping[str, object]) -> None:
+    faults = [
+        Fault(f"there is no {what} {name!r}", mend=f"choose one of {', '.join(sorted(known)[:8])}" if known else None)
+        for name in names
+        if name not in known
+    ]
+    if faults:
+        raise InputError(faults)
+
+
+def _check_tags(transformations: Iterable[Transformation], targets: Iterable[Target], ontology: Ontology) -> None:
+    faults: list[Fault] = []
+    tagged = [(f"target {target.label!r}", target.tag) for target in targets]
+    for transformation in transformations:
+        of = f"of transformation {transformation.label!r}"
+        tagged += [(f"input {port.name} {of}", port.tag) for port in transformation.inputs]
+        tagged += [(f"output {port.name} {of}", port.tag) for port in transformation.outputs]
+    for who, tag in tagged:
+        try:
+            check_tag(tag, ontology)
+        except TagError as error:
+            faults.append(Fault(f"the tag {tag!r} of {who}: {error.message}", column=error.column, mend=error.mend))
+    if faults:
+        raise InputError(faults)
+
+
+def _exact(value: Any) -> Any:
+    """Plain values with the numbers as a YAML file's text would give them."""
+    if isinstance(value, float):
+        return Decimal(repr(value))
+    if isinstance(value, Mapping):
+        return {key: _exact(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_exact(item) for item in value]
+    return value

@@ -1,0 +1,136 @@
+"""Talking to a run through its control socket."""
+
+from __future__ import annotations
+
+import socket
+from collections import deque
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import msgspec
+
+from cfgplan_runtime.errors import ControlError, NoSuchRunError
+from cfgplan_runtime.operating.protocol import VERSION, Record, address, line, refused
+from cfgplan_runtime.streams.run_folder import base_folder, live_runs
+
+_GREETING_S = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class RunningSystem:
+    """A run that can be controlled: its id, its environment file, and the process that supervises it."""
+
+    run: str
+    environment: str
+    pid: int
+
+
+class Control:
+    """A connection to a run; a context manager."""
+
+    def __init__(self, folder: Path) -> None:
+        """Raises ControlError if nobody answers there."""
+        self._end = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._number = 0
+        self._is_subscribed = False
+        self._heard: deque[Record] = deque()
+        """Events that came while a reply was awaited."""
+        try:
+            self._end.settimeout(_GREETING_S)
+            self._end.connect(str(address(folder)))
+            self._lines = self._end.makefile("rb")
+            hello = self._next()
+        except (OSError, msgspec.DecodeError):
+            self._end.close()
+            raise ControlError(f"run {folder.name} does not answer") from None
+        if "error" in hello:
+            self.close()
+            raise ControlError(hello["error"]["message"])
+        if hello.get("cfgplan_control") != VERSION:
+            self.close()
+            raise ControlError(f"run {folder.name} speaks another version of the control protocol than {VERSION}")
+        self.system = RunningSystem(hello["run"], hello["environment"], hello["pid"])
+
+    def call(self, method: str, *, timeout_s: float | None = None, **params: Any) -> Record:
+        """Have a run do something. Raises RefusedError if it won't, ControlError if it has ended or is silent."""
+        self._number += 1
+        self._end.settimeout(timeout_s)
+        try:
+            self._end.sendall(line({"id": self._number, "method": method, "params": params}))
+            while "event" in (reply := self._next()):
+                self._heard.append(reply)
+        except TimeoutError:
+            raise ControlError(f"run {self.system.run} did not answer within {timeout_s:g} s") from None
+        except OSError:
+            raise ControlError(f"run {self.system.run} has ended") from None
+        if "error" in reply:
+            raise refused(reply["error"])
+        given: Record = reply["result"]
+        return given
+
+    def subscribe(self) -> None:
+        """Have events sent from now on, for `events`."""
+        if not self._is_subscribed:
+            self._is_subscribed = True
+            self.call("subscribe")
+
+    def events(self) -> Iterator[Record]:
+        """What happens from now on, until the run ends; `dropped` in an event counts what was missed before it."""
+        self.subscribe()
+        self._end.settimeout(None)
+        with suppress(OSError):
+            while True:
+                told = self._heard.popleft() if self._heard else self._next()
+                yield {**told["event"], **({"dropped": told["dropped"]} if "dropped" in told else {})}
+
+    def close(self) -> None:
+        """Disconnect."""
+        with suppress(AttributeError):
+            self._lines.close()
+        self._end.close()
+
+    def __enter__(self) -> Control:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _next(self) -> Record:
+        data = self._lines.readline()
+        if not data:
+            raise ConnectionResetError
+        told: Record = msgspec.json.decode(data)
+        return told
+
+
+def connect(run: str | None = None) -> Control:
+    """Connect to a run of this user on this machine; the id is needed only if there are several.
+
+    Raises NoSuchRunError, with what there is, and ControlError if the run does not answer.
+    """
+    folders = [folder for folder in live_runs(base_folder()) if address(folder).exists()]
+    found = [folder for folder in folders if run is None or folder.name == run]
+    if len(found) == 1:
+        return Control(found[0])
+    if found:
+        raise NoSuchRunError(f"several runs are live: name one by --run: {_listed(found)}")
+    if folders:
+        raise NoSuchRunError(f"no run {run!r} is live; there is {_listed(folders)}")
+    raise NoSuchRunError("no run is live: start one with `cfgplan run ENV`")
+
+
+def _listed(folders: list[Path]) -> str:
+    parts = []
+    for folder in folders:
+        try:
+            with Control(folder) as control:
+                parts.append(f"{folder.name} ({Path(control.system.environment).name}, pid {control.system.pid})")
+        except ControlError:
+            parts.append(folder.name)
+    return ", ".join(parts)

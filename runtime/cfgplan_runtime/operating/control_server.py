@@ -1,0 +1,223 @@
+"""The control socket: requests of any number of clients, each answered in a thread of its own.
+
+Nothing here touches the supervisor: a slow, silent or broken client harms only itself.
+"""
+
+from __future__ import annotations
+
+import os
+import queue
+import socket
+import threading
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from cfgplan_runtime.operating.protocol import (
+    LONGEST_LINE,
+    Record,
+    RefusedError,
+    address,
+    greeting,
+    line,
+    parse_request,
+    refusal,
+    result,
+)
+
+Method = Callable[[Mapping[str, Any]], Record]
+"""Does what a request asks for; raises RefusedError."""
+
+MOST_CLIENTS = 32
+MOST_WAITING_EVENTS = 1000
+_BACKLOG = 16
+_CHUNK = 1 << 16
+
+
+class ControlServer:
+    """Serves `methods` at the control socket of the run in `folder` until it is closed; a context manager.
+
+    `about` is told to each client as it connects. `subscribe` is a method of the server's own: `publish` sends
+    an event to whoever has called it; events that a client does not fetch are dropped, and it is told how many.
+    """
+
+    def __init__(self, folder: Path, methods: Mapping[str, Method], about: Mapping[str, Any]) -> None:
+        self._methods = methods
+        self._greeting = line(greeting(folder.name, about))
+        self._path = address(folder)
+        self._clients: set[_Client] = set()
+        self._lock = threading.Lock()
+        self._is_closed = False
+        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._listener.bind(str(self._path))
+        self._path.chmod(0o600)
+        self._listener.listen(_BACKLOG)
+        self._thread = threading.Thread(target=self._accept, name="cfgplan-control", daemon=True)
+        self._thread.start()
+
+    def publish(self, event: Record) -> None:
+        """Tell an event to all subscribers; returns at once."""
+        with self._lock:
+            clients = [client for client in self._clients if client.is_subscribed]
+        for client in clients:
+            client.publish(event)
+
+    def close(self) -> None:
+        """Disconnect everybody; requests that are being answered are abandoned."""
+        with self._lock:
+            self._is_closed = True
+            clients = list(self._clients)
+        with suppress(OSError):
+            self._listener.shutdown(socket.SHUT_RDWR)
+        self._thread.join()
+        self._listener.close()
+        self._path.unlink(missing_ok=True)
+        for client in clients:
+            client.close()
+
+    def __enter__(self) -> ControlServer:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                end, _ = self._listener.accept()
+            except OSError:
+                if self._is_closed or self._listener.fileno() == -1:
+                    return
+                # Out of descriptors, most likely: others may be given back.
+                threading.Event().wait(0.1)
+                continue
+            with self._lock:
+                welcome = len(self._clients) < MOST_CLIENTS and not self._is_closed
+                if welcome:
+                    client = _Client(end, self._methods, self._greeting, self._forget)
+                    self._clients.add(client)
+            if welcome:
+                client.start()
+            else:
+                busy = RefusedError("busy", f"{MOST_CLIENTS} clients are connected already", "close one of them")
+                with suppress(OSError):
+                    end.sendall(line(refusal(None, busy)), socket.MSG_DONTWAIT)
+                end.close()
+
+    def _forget(self, client: _Client) -> None:
+        with self._lock:
+            self._clients.discard(client)
+
+
+class _Client:
+    """One connection: a thread that answers and, once subscribed, one that tells events."""
+
+    def __init__(
+        self,
+        end: socket.socket,
+        methods: Mapping[str, Method],
+        hello: bytes,
+        forget: Callable[[_Client], None],
+    ) -> None:
+        self.is_subscribed = False
+        self._end = end
+        self._methods = methods
+        self._hello = hello
+        self._forget = forget
+        self._sending = threading.Lock()
+        self._events: queue.Queue[Record | None] = queue.Queue(MOST_WAITING_EVENTS)
+        self._dropped = 0
+        self._answerer = threading.Thread(target=self._answer, name="cfgplan-control-client", daemon=True)
+        self._teller = threading.Thread(target=self._tell, name="cfgplan-control-events", daemon=True)
+
+    def start(self) -> None:
+        self._answerer.start()
+
+    def publish(self, event: Record) -> None:
+        try:
+            self._events.put_nowait(event)
+        except queue.Full:
+            self._dropped += 1
+
+    def close(self) -> None:
+        """Disconnect; the threads end by themselves, as soon as what they do is done."""
+        with suppress(OSError):
+            self._end.shutdown(socket.SHUT_RDWR)
+
+    def _answer(self) -> None:
+        try:
+            self._send(self._hello)
+            for data in self._lines():
+                self._send(self._reply(data))
+        except OSError:
+            pass
+        finally:
+            self._forget(self)
+            self.close()
+            if self.is_subscribed:
+                self.is_subscribed = False
+                with suppress(queue.Empty):
+                    while True:
+                        self._events.get_nowait()
+                self._events.put(None)
+                self._teller.join()
+            self._end.close()
+
+    def _lines(self) -> Any:
+        pending = bytearray()
+        while chunk := self._end.recv(_CHUNK):
+            pending += chunk
+            if len(pending) > LONGEST_LINE:
+                error = RefusedError("too_long", f"a request has at most {LONGEST_LINE} bytes", "send it in parts")
+                self._send(line(refusal(None, error)))
+                return
+            if b"\n" in chunk:
+                *lines, rest = pending.split(b"\n")
+                pending = bytearray(rest)
+                for data in lines:
+                    if data.strip():
+                        yield bytes(data)
+
+    def _reply(self, data: bytes) -> bytes:
+        request_id = None
+        try:
+            request = parse_request(data)
+            request_id = request.id
+            return line(result(request_id, self._do(request.method, request.params)))
+        except RefusedError as error:
+            return line(refusal(request_id, error))
+        except Exception as error:
+            bug = RefusedError("internal", f"{type(error).__name__}: {error}", "this is a bug in cfgplan: report it")
+            return line(refusal(request_id, bug))
+
+    def _do(self, method: str, params: Mapping[str, Any]) -> Record:
+        if method == "subscribe":
+            if not self.is_subscribed:
+                self.is_subscribed = True
+                self._teller.start()
+            return {}
+        if method not in self._methods:
+            known = ", ".join(sorted([*self._methods, "subscribe"]))
+            raise RefusedError("unknown_method", f"there is no method {method!r}", f"use one of {known}")
+        return self._methods[method](params)
+
+    def _tell(self) -> None:
+        while (event := self._events.get()) is not None:
+            dropped, self._dropped = self._dropped, 0
+            try:
+                self._send(line({"event": event, **({"dropped": dropped} if dropped else {})}))
+            except OSError:
+                self.close()
+
+    def _send(self, data: bytes) -> None:
+        with self._sending:
+            self._end.sendall(data)
+
+
+def about_this_process(environment: str) -> Record:
+    """What a client is told of the run it has connected to."""
+    return {"environment": environment, "pid": os.getpid()}

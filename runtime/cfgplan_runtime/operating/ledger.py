@@ -1,0 +1,46 @@
+"""What each unit has cost over the time that it was observed."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from cfgplan_runtime.supervision.observation import Observation
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A unit as it was last seen, and its mean upkeep in microseconds of CPU time per second since it was first."""
+
+    seen: Observation
+    upkeep_us: int | None
+
+
+class Ledger:
+    """The units that were there at the last look; for any thread."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._first: dict[str, tuple[float, int]] = {}
+        self._entries: tuple[Entry, ...] = ()
+
+    def note(self, observations: Iterable[Observation], now_s: float) -> None:
+        """Units as they are now; one that is not among them has ended. None at all is no news."""
+        found = tuple(observations)
+        if not found:
+            return
+        with self._lock:
+            known = {seen.unit: self._first.get(seen.unit, (now_s, seen.cpu_us)) for seen in found}
+            # A unit that has used less than before is another one of that name.
+            self._first = {s.unit: known[s.unit] if s.cpu_us >= known[s.unit][1] else (now_s, s.cpu_us) for s in found}
+            self._entries = tuple(Entry(seen, self._upkeep_us(seen, now_s)) for seen in found)
+
+    def entries(self) -> tuple[Entry, ...]:
+        """The units of the last look, by id."""
+        with self._lock:
+            return self._entries
+
+    def _upkeep_us(self, seen: Observation, now_s: float) -> int | None:
+        since_s, cpu_us = self._first[seen.unit]
+        return round((seen.cpu_us - cpu_us) / (now_s - since_s)) if now_s > since_s else None

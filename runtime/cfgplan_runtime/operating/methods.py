@@ -1,0 +1,137 @@
+"""What can be asked of a running system, as the control protocol's methods: each a change that a manager takes in."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping
+from concurrent.futures import CancelledError, Future
+from concurrent.futures import TimeoutError as FutureTimeoutError
+from typing import Any, Protocol
+
+from cfgplan.errors import CfgplanError, InputError
+from cfgplan_runtime.lifecycle.changes import (
+    Change,
+    KillUnit,
+    LoseHost,
+    RegainHost,
+    RemoveIndividuals,
+    RemoveTargets,
+    RemoveTransformations,
+    ReviewNow,
+    Stop,
+    Withdraw,
+)
+from cfgplan_runtime.lifecycle.reports import Review, Snapshot
+from cfgplan_runtime.operating.control_server import Method
+from cfgplan_runtime.operating.declaration import declaration
+from cfgplan_runtime.operating.protocol import Record, RefusedError
+from cfgplan_runtime.operating.records import review_record, snapshot_record
+
+PATIENCE_S = 60.0
+"""How long a reply waits for the review that a change leads to."""
+
+
+class Controlled(Protocol):
+    """A manager, as its operators use it."""
+
+    def request(self, change: Change) -> Future[Review | None]: ...
+
+    def snapshot(self) -> Snapshot: ...
+
+
+class Methods:
+    """The methods of a manager by name. `flows` gives rate and latency by topic."""
+
+    def __init__(self, manager: Controlled, flows: Callable[[], Mapping[str, Record]] = dict) -> None:
+        self._manager = manager
+        self._flows = flows
+
+    def by_name(self) -> dict[str, Method]:
+        """For the control server; `runtime/CONTROL.md` says what each takes and gives."""
+        one_name: dict[str, tuple[str, Callable[[str], Change]]] = {
+            "withdraw": ("name", Withdraw),
+            "remove_target": ("label", lambda label: RemoveTargets((label,))),
+            "remove_transformation": ("label", lambda label: RemoveTransformations((label,))),
+            "remove_individual": ("name", lambda name: RemoveIndividuals((name,))),
+            "kill": ("unit", KillUnit),
+            "lose_host": ("host", lambda host: LoseHost(host, "told through the control socket")),
+            "regain_host": ("host", RegainHost),
+        }
+        return {
+            "state": self._state,
+            "add": self._add,
+            "review": self._review,
+            "stop": self._stop,
+            **{name: self._changing(key, change) for name, (key, change) in one_name.items()},
+        }
+
+    def _state(self, params: Mapping[str, Any]) -> Record:
+        _only(params)
+        return snapshot_record(self._manager.snapshot(), self._flows())
+
+    def _add(self, params: Mapping[str, Any]) -> Record:
+        _only(params, "name", "text", "wait_s")
+        name = _text(params, "name", self._free_name())
+        try:
+            declared = declaration(name, _text(params, "text"))
+        except InputError as error:
+            raise _refusal(error) from None
+        try:
+            return {"name": name, **self._ask(declared.change, params)}
+        except RefusedError as error:
+            faults = map(declared.placed, error.faults)
+            raise RefusedError(error.code, error.message, error.mend, faults) from None
+
+    def _free_name(self) -> str:
+        taken = self._manager.snapshot().declared
+        return next(name for number in itertools.count(1) if (name := f"addition-{number}") not in taken)
+
+    def _review(self, params: Mapping[str, Any]) -> Record:
+        _only(params, "wait_s")
+        return self._ask(ReviewNow("the control socket"), params)
+
+    def _stop(self, params: Mapping[str, Any]) -> Record:
+        _only(params)
+        self._manager.request(Stop())
+        return {}
+
+    def _changing(self, key: str, change: Callable[[str], Change]) -> Method:
+        def method(params: Mapping[str, Any]) -> Record:
+            _only(params, key, "wait_s")
+            return self._ask(change(_text(params, key)), params)
+
+        return method
+
+    def _ask(self, change: Change, params: Mapping[str, Any]) -> Record:
+        """Request a change, and wait for what its review decides."""
+        wait_s = params.get("wait_s", PATIENCE_S)
+        if isinstance(wait_s, bool) or not isinstance(wait_s, int | float) or wait_s < 0:
+            raise RefusedError("bad_params", "`wait_s` is no number of seconds", "write a number from 0")
+        try:
+            review = self._manager.request(change).result(wait_s)
+        except FutureTimeoutError:
+            return {"review": None, "is_waiting": True}
+        except CancelledError:
+            raise RefusedError("ended", "the run has ended") from None
+        except CfgplanError as error:
+            raise _refusal(error) from None
+        return {"review": None if review is None else review_record(review), "is_waiting": False}
+
+
+def _refusal(error: CfgplanError) -> RefusedError:
+    faults = error.faults if isinstance(error, InputError) else ()
+    return RefusedError("refused", str(error), faults[0].mend if faults else None, faults)
+
+
+def _only(params: Mapping[str, Any], *known: str) -> None:
+    for key in params:
+        if key not in known:
+            mend = f"it takes {', '.join(known)}" if known else "it takes none"
+            raise RefusedError("bad_params", f"there is no parameter `{key}`", mend)
+
+
+def _text(params: Mapping[str, Any], key: str, default: str | None = None) -> str:
+    value = params.get(key, default)
+    if not isinstance(value, str) or not value:
+        raise RefusedError("bad_params", f"`{key}` is missing or no text", f'give "{key}": "..."')
+    return value

@@ -1,0 +1,251 @@
+"""A run as the product in operation: a manager of real processes, with everything that looks at it and steers it."""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, TypeAlias
+
+from cfgplan.api import World
+from cfgplan.errors import InputError
+from cfgplan_runtime.errors import RuntimeFaultError
+from cfgplan_runtime.estimating.estimator import make_estimator
+from cfgplan_runtime.estimating.keeping import EstimatesError, load, save
+from cfgplan_runtime.lifecycle.changes import ReplaceWorld
+from cfgplan_runtime.lifecycle.manager import Manager
+from cfgplan_runtime.lifecycle.policy import Policy
+from cfgplan_runtime.lifecycle.reports import Decision, Ended, Observed, Report, Reviewed
+from cfgplan_runtime.lifecycle.watching import Watching
+from cfgplan_runtime.operating.control_server import ControlServer, about_this_process
+from cfgplan_runtime.operating.flows import Flows
+from cfgplan_runtime.operating.ledger import Ledger
+from cfgplan_runtime.operating.methods import Methods
+from cfgplan_runtime.operating.recorder import Recorder
+from cfgplan_runtime.operating.records import report_record
+from cfgplan_runtime.operating.report_log import logging_to
+from cfgplan_runtime.runtime import Runtime
+from cfgplan_runtime.streams.run_folder import base_folder
+from cfgplan_runtime.supervision.run_log import RunLog
+
+if TYPE_CHECKING:
+    from cfgplan.planning import Planner
+
+MOST_WAITING = 10_000
+KEEP_ESTIMATES_S = 10.0
+"""What was learned is brought to the disk so often at most, and at the end."""
+_DRAIN_S = 2.0
+
+News: TypeAlias = "Report | str"
+"""What is to be shown: a report, or a warning."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How a run is operated; paths that are None are not written. `estimates` is kept from run to run.
+
+    `adjust` is applied to the world whenever it is read, such as for another horizon than the file's.
+    """
+
+    planner: Planner | None = None
+    estimator: str = "trend"
+    guess: str = "declared"
+    estimates: Path | None = None
+    policy: Policy = field(default_factory=Policy)
+    preload: Sequence[str] = ()
+    log: Path | None = None
+    record: Path | None = None
+    metrics_port: int | None = None
+    adjust: Callable[[World], World] = lambda world: world
+
+
+class Operation:
+    """A run from its start to its end; a context manager that leaves nothing behind.
+
+    `path` is the environment file, which is watched, and what unit code is relative to; what it says of running units
+    does not count: a run starts from nothing. `news` is what happens, to be shown; what nobody fetches is thrown away,
+    oldest first. Raises InputError for a world or a file that can't be used.
+    """
+
+    def __init__(self, world: World, path: Path, settings: Settings = Settings()) -> None:
+        self.news: queue.Queue[News] = queue.Queue(MOST_WAITING)
+        self.recorder: Recorder | None = None
+        self.metrics_port: int | None = None
+        self.ledger = Ledger()
+        self.all_met = False
+        """Whether the last review that decided something has met every target."""
+        self.failure = ""
+        """Why the manager has ended unasked."""
+        self.begun = threading.Event()
+        """Set when the first review is over."""
+        self._settings = settings
+        self._path = path
+        self._is_closed_at_once = False
+        self._kept_s = time.monotonic()
+        with ExitStack() as stack:
+            self._start(stack, settings.adjust(world))
+            self._stack = stack.pop_all()
+
+    @property
+    def id(self) -> str:
+        """The run's id."""
+        return self.runtime.id
+
+    @property
+    def environment(self) -> str:
+        """The environment file's name."""
+        return self._path.name
+
+    @property
+    def dropped(self) -> int:
+        """How many elements were dropped because this process did not fetch them in time."""
+        return self.flows.dropped
+
+    def observe(self) -> None:
+        """Have the ledger note how units stand now. Does nothing after the end."""
+        with contextlib.suppress(RuntimeFaultError):
+            self.ledger.note(self.runtime.observe(), time.monotonic())
+
+    def stop(self) -> None:
+        """Stop: units give what they have taken in, and files are finished. Returns at once; `wait` waits."""
+        threading.Thread(target=self.manager.stop, name="cfgplan-stopping", daemon=True).start()
+
+    def stop_at_once(self) -> None:
+        """End every process now."""
+        self._is_closed_at_once = True
+        self.runtime.close()
+
+    def wait(self, timeout_s: float | None = None) -> bool:
+        """Wait for the end of the manager, for whatever reason; whether it has come."""
+        return self.manager.wait(timeout_s)
+
+    def close(self) -> None:
+        """Stop, unless that was done, and leave nothing behind."""
+        self._stack.close()
+
+    def __enter__(self) -> Operation:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _start(self, stack: ExitStack, world: World) -> None:
+        settings = self._settings
+        if settings.record is not None:
+            self.recorder = Recorder(settings.record)
+            stack.callback(self._finish_recording, self.recorder)
+        log = None if settings.log is None else _open_log(settings.log)
+        if log is not None:
+            stack.callback(log.close)
+        folder = self._path if self._path.is_dir() else self._path.parent
+        self.runtime = stack.enter_context(Runtime(folder=folder.resolve(), preload=settings.preload))
+        self._estimator = make_estimator(settings.estimator, settings.guess)
+        self._load_estimates()
+        self.flows = Flows(self.id, None if self.recorder is None else self.recorder.element)
+        stack.callback(self.flows.close)
+        self.manager = Manager(
+            world,
+            self.runtime,
+            planner=settings.planner,
+            estimator=self._estimator,
+            policy=settings.policy,
+        )
+        if log is not None:
+            self.manager.listen(logging_to(log))
+        if self.recorder is not None:
+            self.manager.listen(self.recorder.report)
+        methods = Methods(self.manager, self.flows.records).by_name()
+        self._server = ControlServer(base_folder() / self.id, methods, about_this_process(str(self._path.resolve())))
+        stack.callback(self._server.close)
+        if settings.metrics_port is not None:
+            self._serve_metrics(stack, settings.metrics_port)
+        self.manager.listen(self._hear)
+        self.manager.start()
+        stack.callback(self._stop_manager)
+        watching = Watching(self._path, self._take_world, self.manager.refuse)
+        watching.start()
+        stack.callback(watching.close)
+
+    def _take_world(self, world: World, by: str) -> None:
+        self.manager.request(ReplaceWorld(self._settings.adjust(world), by))
+
+    def _hear(self, report: Report) -> None:
+        match report:
+            case Reviewed(review):
+                self.flows.follow(target.topic for target in self.manager.world.environment.targets)
+                if review.decision not in (Decision.FAILED, Decision.UNDECIDED):
+                    self.all_met = not review.unmet
+                self.begun.set()
+                if time.monotonic() - self._kept_s >= KEEP_ESTIMATES_S:
+                    self._keep_estimates()
+            case Observed(observations):
+                self.ledger.note(observations, time.monotonic())
+                return
+            case Ended(cause):
+                self.failure = "" if self._is_closed_at_once else cause
+                self.begun.set()
+        self._server.publish(report_record(report))
+        self._show(report)
+
+    def _show(self, news: News) -> None:
+        while True:
+            try:
+                self.news.put_nowait(news)
+                return
+            except queue.Full:
+                with contextlib.suppress(queue.Empty):
+                    self.news.get_nowait()
+
+    def _serve_metrics(self, stack: ExitStack, port: int) -> None:
+        try:
+            from cfgplan_runtime.operating.metrics import Metrics, serve
+        except ModuleNotFoundError:
+            mend = "pip install 'cfgplan[metrics]'"
+            raise InputError.of("metrics need the package prometheus-client", mend=mend) from None
+        metrics = Metrics(self.manager.snapshot, self.flows.now)
+        self.manager.listen(metrics.listen)
+        server = serve(port, metrics)
+        self.metrics_port = server.port
+        stack.callback(server.close)
+
+    def _load_estimates(self) -> None:
+        if self._settings.estimates is not None:
+            try:
+                load(self._estimator, self._settings.estimates, time.monotonic())
+            except EstimatesError as error:
+                self._show(str(error))
+
+    def _keep_estimates(self) -> None:
+        self._kept_s = time.monotonic()
+        if self._settings.estimates is not None:
+            try:
+                save(self._estimator, self._settings.estimates, time.monotonic())
+            except EstimatesError as error:
+                self._show(str(error))
+
+    def _stop_manager(self) -> None:
+        if self._is_closed_at_once:
+            self.manager.close()
+        else:
+            self.manager.stop()
+            self.flows.drain(_DRAIN_S)
+        self._keep_estimates()
+
+    def _finish_recording(self, recorder: Recorder) -> None:
+        if not recorder.close():
+            self._show(f"{recorder.recording.path}: the disk does not answer; the recording has no proper end")
+
+
+def _open_log(path: Path) -> RunLog:
+    try:
+        return RunLog(path)
+    except OSError as error:
+        raise InputError.of(f"can't be written: {error.strerror}", file=str(path)) from None

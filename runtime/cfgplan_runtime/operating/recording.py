@@ -1,0 +1,160 @@
+"""A recording: what comes on the targets' topics, and every event and review, in an MCAP file.
+
+Reference: the MCAP specification, https://mcap.dev/spec.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+import msgspec
+
+from cfgplan.errors import InputError
+from cfgplan_runtime.operating.messages import Message
+
+MOST_SCHEMAS = 8
+"""So many forms of a topic's elements have a schema of their own; what is of yet another form is just an object."""
+_CHUNK_BYTES = 1 << 20
+_LAST_RECORDS = 16
+
+
+class Recording:
+    """An MCAP file that is being written; all methods may be called from any thread.
+
+    If the disk is full or fails, the recording ends there as a whole file, `failure` says why, and what comes
+    after is counted in `lost`. Nobody else is troubled.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Raises InputError if the file exists, or can't be made."""
+        from mcap.writer import Writer
+
+        try:
+            self._output = _Output(path)
+        except FileExistsError:
+            mend = "name another, or remove it"
+            raise InputError.of("the file exists already", file=str(path), mend=mend) from None
+        except OSError as error:
+            raise InputError.of(f"can't be written: {error.strerror}", file=str(path)) from None
+        self.path = path
+        self.written = 0
+        self.lost = 0
+        self.failure: str | None = None
+        self._waiting = 0
+        self._lock = threading.Lock()
+        self._is_closed = False
+        self._channels: dict[tuple[str, bytes], int] = {}
+        self._forms: dict[str, int] = {}
+        self._writer = Writer(self._output, chunk_size=_CHUNK_BYTES)  # type: ignore[arg-type]
+        self._do(lambda: self._writer.start(profile="", library="cfgplan"))
+
+    def write(self, message: Message, time_ns: int) -> None:
+        """Record a message that was made at `time_ns` since the epoch."""
+        data = msgspec.json.encode(message.body)
+        with self._lock:
+            if self._is_closed or self.failure is not None:
+                self.lost += 1
+                return
+            before = self._output.tell()
+            self._waiting += 1
+            self._do(lambda: self._add(message, data, time_ns))
+            if self._output.tell() != before:
+                self._reach_disk()
+
+    def flush(self) -> None:
+        """Bring everything to the disk that is not there yet, so that a crash loses nothing of it."""
+        with self._lock:
+            if not self._is_closed and self.failure is None:
+                self._do(self._writer.flush)
+                self._reach_disk()
+
+    def close(self) -> None:
+        """Finish the file. Does nothing the second time."""
+        with self._lock:
+            if self._is_closed:
+                return
+            if self.failure is None:
+                self._do(self._writer.finish)
+                self._reach_disk()
+            self._is_closed = True
+            self._output.close()
+
+    def _add(self, message: Message, data: bytes, time_ns: int) -> None:
+        stamp = max(0, time_ns)
+        self._writer.add_message(self._channel(message), log_time=stamp, publish_time=stamp, data=data)
+
+    def _channel(self, message: Message) -> int:
+        name, schema = message.schema_name, msgspec.json.encode(message.schema)
+        channel = self._channels.get((message.topic, schema))
+        if channel is not None:
+            return channel
+        forms = self._forms.get(message.topic, 0)
+        if forms >= MOST_SCHEMAS:
+            schema = b'{"type":"object"}'
+        if (message.topic, schema) not in self._channels:
+            self._forms[message.topic] = forms + 1
+            schema_id = self._writer.register_schema(name, "jsonschema", schema)
+            self._channels[message.topic, schema] = self._writer.register_channel(message.topic, "json", schema_id)
+        return self._channels[message.topic, schema]
+
+    def _reach_disk(self) -> None:
+        """What waited in memory is in the file now."""
+        self.written += self._waiting
+        self._waiting = 0
+
+    def _do(self, work: Callable[[], object]) -> None:
+        try:
+            work()
+        except OSError as error:
+            self.failure = error.strerror or str(error)
+            self.lost += self._waiting
+            self._waiting = 0
+            self._output.end_early()
+
+
+class _Output:
+    """A file that is written by whole records, and can be ended after any of them."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("xb", buffering=0)
+        self._ends: deque[int] = deque(maxlen=_LAST_RECORDS)
+
+    def write(self, data: bytes) -> int:
+        rest = memoryview(data)
+        while rest:
+            rest = rest[self._file.write(rest) :]
+        self._ends.append(self._file.tell())
+        return len(data)
+
+    def tell(self) -> int:
+        return self._file.tell()
+
+    def flush(self) -> None:
+        os.fsync(self._file.fileno())
+
+    def end_early(self) -> None:
+        """Cut the file after the last whole records that leave room for its end; it has no index then."""
+        from mcap.data_stream import RecordBuilder
+        from mcap.records import DataEnd, Footer
+        from mcap.writer import MCAP0_MAGIC
+
+        end = RecordBuilder()
+        DataEnd(0).write(end)
+        Footer(summary_start=0, summary_offset_start=0, summary_crc=0).write(end)
+        tail: bytes = end.end() + MCAP0_MAGIC  # type: ignore[no-untyped-call]
+        while self._ends:
+            with suppress(OSError):
+                where = self._ends.pop()
+                self._file.truncate(where)
+                self._file.seek(where)
+                if self._file.write(tail) == len(tail):
+                    return
+
+    def close(self) -> None:
+        with suppress(OSError):
+            self._file.close()

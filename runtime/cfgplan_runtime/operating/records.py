@@ -1,0 +1,138 @@
+"""What happens and what there is, as plain records: for the control socket, JSON lines and recordings.
+
+Times are in seconds, costs in microseconds of CPU time, and names say so. Everything that is a
+`kind` is the name of a type in `cfgplan_runtime.lifecycle` or `cfgplan_runtime.supervision.events`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from typing import Any
+
+from cfgplan.domain import ChangeSet, ComputationUnit, Stream
+from cfgplan_runtime.lifecycle.reports import Report, Review, Reviewed, Snapshot, TargetView, UnitEvent, UnitView
+from cfgplan_runtime.operating.protocol import Record
+
+
+def snapshot_record(snapshot: Snapshot, flows: Mapping[str, Record] | None = None) -> Record:
+    """The state of a run; `flows` has rate and latency by topic, where they are measured."""
+    return {
+        "phase": snapshot.phase.value,
+        "horizon_s": snapshot.horizon_s,
+        "horizon_left_s": _number(snapshot.horizon_left_s),
+        "cost_us": snapshot.cost_us,
+        "saving_us": snapshot.saving_us,
+        "targets": [_target(target, (flows or {}).get(target.topic)) for target in snapshot.targets],
+        "units": [_unit(unit) for unit in snapshot.units],
+        "transformations": [transformation.label for transformation in snapshot.environment.library],
+        "pending": [plain(perturbation) for perturbation in snapshot.pending],
+        "reviews": [review_record(review) for review in snapshot.reviews],
+        "backing_off": [plain(backing_off) for backing_off in snapshot.backing_off],
+        "lost_hosts": list(snapshot.lost_hosts),
+        "declared": list(snapshot.declared),
+        "faults": [plain(fault) for fault in snapshot.faults],
+    }
+
+
+def review_record(review: Review) -> Record:
+    """A review; of its change set the ids of units and the wiring of those that start or are rewired."""
+    record = {field.name: plain(getattr(review, field.name)) for field in fields(review)}
+    record["change_set"] = None if review.change_set is None else change_record(review.change_set)
+    return record
+
+
+def change_record(changes: ChangeSet) -> Record:
+    """A change set as the plan file says it."""
+    return {
+        "started": [_wired(unit) for unit in changes.started],
+        "rewired": [_wired(unit) for unit in changes.rewired],
+        "stopped": list(changes.stopped),
+    }
+
+
+def report_record(report: Report) -> Record:
+    """A report as an event: its `kind`, and what it says."""
+    match report:
+        case UnitEvent(event):
+            return {"kind": type(event).__name__, **_fields(event)}
+        case Reviewed(review):
+            return {"kind": "Reviewed", **review_record(review)}
+    return {"kind": type(report).__name__, **_fields(report)}
+
+
+def plain(value: Any) -> Any:
+    """A value of the life-cycle as JSON can say it; what is infinite or unknown is null."""
+    match value:
+        case Enum():
+            return value.value
+        case bool() | int() | str() | None:
+            return value
+        case float():
+            return _number(value)
+        case Stream():
+            return str(value)
+        case bytes():
+            return len(value)
+        case ChangeSet():
+            return change_record(value)
+        case Mapping():
+            return {str(key): plain(item) for key, item in value.items()}
+        case list() | tuple() | set() | frozenset():
+            return [plain(item) for item in value]
+    if is_dataclass(value) and not isinstance(value, type):
+        # Faults and observations are known by their place; where a value may be one of several, its type is told.
+        return {"kind": type(value).__name__, **_fields(value)}
+    return str(value)
+
+
+def _fields(value: Any) -> Record:
+    return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _target(target: TargetView, flow: Record | None) -> Record:
+    record = {
+        "label": target.label,
+        "topic": target.topic,
+        "tag": target.tag,
+        "priority": target.priority,
+        "met": target.is_met,
+        "stream": None if target.stream is None else str(target.stream),
+        "reason": target.reason,
+    }
+    return {**record, **(flow or {})}
+
+
+def _unit(view: UnitView) -> Record:
+    record = {**_wired(view.unit), "host": view.host}
+    seen = view.observation
+    if seen is not None:
+        record |= {
+            "labor_us": seen.labor_us,
+            "upkeep_us": seen.upkeep_us,
+            "memory_bytes": seen.memory_bytes,
+            "steps": seen.steps,
+            "steps_per_s": round(seen.steps_per_s, 3),
+            "errors": seen.errors,
+            "last_error": seen.last_error,
+            "dropped": seen.dropped,
+        }
+    return record
+
+
+def _wired(unit: ComputationUnit) -> Record:
+    record: Record = {
+        "id": unit.id,
+        "transformation": unit.transformation,
+        "inputs": {port: str(stream) for port, stream in unit.feeds.items()},
+    }
+    topics: dict[str, list[str]] = {}
+    for publication in unit.publications:
+        topics.setdefault(publication.port, []).append(publication.topic)
+    return {**record, "topics": topics}

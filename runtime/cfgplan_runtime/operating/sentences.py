@@ -1,0 +1,188 @@
+"""What happens, in words for people: one line each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from cfgplan_runtime.lifecycle import perturbations as kinds
+from cfgplan_runtime.lifecycle.reports import (
+    BackedOff,
+    Decision,
+    Ended,
+    Perturbed,
+    Report,
+    Review,
+    Reviewed,
+    UnitEvent,
+    WorldRefused,
+)
+from cfgplan_runtime.supervision import events
+
+INFORMATION, WARNING, ERROR = 2, 3, 4
+_MOST_NAMED = 4
+_LONGEST_CAUSE = 300
+
+
+def sentence(report: Report) -> str | None:
+    """What a report says; None for what people need not hear of."""
+    match report:
+        case Perturbed(perturbation):
+            return _perturbation(perturbation)
+        case Reviewed(review):
+            return review_sentence(review)
+        case UnitEvent(event):
+            return _event(event)
+        case BackedOff(backing_off):
+            label, cause = backing_off.transformation, short(backing_off.cause)
+            if backing_off.left_s == float("inf"):
+                return f"{label} is not started until it changes: {cause}"
+            times = _times(backing_off.failures)
+            return f"{label} has failed {times} and is not started for {backing_off.left_s:.0f} s: {cause}"
+        case WorldRefused(_, faults) if faults:
+            return f"the environment file can't be used, what it said before holds: {faults[0]}"
+        case WorldRefused():
+            return "the environment file is well again"
+        case Ended(cause) if cause:
+            return f"the manager has ended: {cause}"
+    return None
+
+
+def level(report: Report) -> int:
+    """How bad it is: INFORMATION, WARNING or ERROR."""
+    match report:
+        case UnitEvent(events.UnitDied() | events.UnitHung() | events.UnitTooLarge() | events.OutletsLost()):
+            return ERROR
+        case UnitEvent(events.UnitFailed() | events.InputLost() | events.RolledBack()) | BackedOff():
+            return WARNING
+        case WorldRefused(_, faults) if faults:
+            return WARNING
+        case Ended(cause) if cause:
+            return ERROR
+        case Reviewed(review) if review.unmet or review.decision in (Decision.FAILED, Decision.UNDECIDED):
+            return WARNING
+    return INFORMATION
+
+
+def review_sentence(review: Review) -> str:
+    """What a review decided, why and how long it took."""
+    parts = [f"Review {review.number}: {_decision(review)}"]
+    if review.unmet:
+        parts += [f"{label} is not met: {reason}" for label, reason in sorted(review.unmet.items())]
+    if review.avoided:
+        parts.append(f"without {named(review.avoided)}")
+    took = {phase: seconds for phase, seconds in review.seconds.items() if seconds >= 0.0005}
+    if took:
+        total = sum(took.values())
+        parts.append(f"{milliseconds(total)} ({', '.join(f'{phase} {milliseconds(s)}' for phase, s in took.items())})")
+    return "; ".join(parts)
+
+
+def milliseconds(seconds: float) -> str:
+    """A short time: `12 ms`, `1.25 s`."""
+    return f"{seconds:.2f} s" if seconds >= 1 else f"{seconds * 1e3:.0f} ms"
+
+
+def named(names: Iterable[str]) -> str:
+    """Some names, and how many more there are."""
+    some = list(names)
+    more = len(some) - _MOST_NAMED
+    return ", ".join(some[:_MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
+
+
+def _decision(review: Review) -> str:
+    match review.decision:
+        case Decision.APPLIED:
+            return _changes(review)
+        case Decision.KEPT:
+            return "nothing to change"
+        case Decision.DEFERRED:
+            saving = (review.cost_before_us - (review.cost_us or 0)) / 1e6
+            return f"all is well; {saving:.3g} s of CPU could be saved at the horizon"
+        case Decision.FAILED:
+            return f"the update failed: {short(review.cause)}"
+    return f"no decision: {short(review.cause)}"
+
+
+def _changes(review: Review) -> str:
+    changes = review.change_set
+    if changes is None:
+        return "applied"
+    parts = [
+        f"{verb} {named(names)}"
+        for verb, names in (
+            ("started", [unit.id for unit in changes.started]),
+            ("rewired", [unit.id for unit in changes.rewired]),
+            ("stopped", changes.stopped),
+        )
+        if names
+    ]
+    return ", ".join(parts) or "nothing to change"
+
+
+def _perturbation(perturbation: kinds.Perturbation) -> str | None:
+    match perturbation:
+        case kinds.UnitKeepsFailing(unit, _, failures, text):
+            return f"{unit} failed {_times(failures)} in a row and is given up: {short(text)}"
+        case kinds.WorldChanged(by, difference):
+            return f"the {'environment' if by == 'request' else by} changed: {_difference(difference)}"
+        case kinds.HostGone(host, cause):
+            return f"host {host} is gone{f': {cause}' if cause else ''}"
+        case kinds.HostBack(host):
+            return f"host {host} is back"
+        case kinds.HorizonReached(horizon_s):
+            return f"the horizon of {horizon_s} s is reached"
+        case kinds.MayStartAgain(transformations):
+            return f"{named(transformations)} may start again"
+        case kinds.ReviewRequested(by):
+            return f"a review was asked for by {by}"
+    # The others are told by the unit's event, or by the review.
+    return None
+
+
+def _difference(difference: kinds.Difference) -> str:
+    parts = []
+    for name in difference.__dataclass_fields__:
+        value = getattr(difference, name)
+        verb, _, noun = name.partition("_")
+        if isinstance(value, tuple) and value:
+            parts.append(f"{verb} {noun.replace('_', ' ')} {named(value)}" if noun else f"{verb} {named(value)}")
+        elif value:
+            parts.append(name)
+    return "; ".join(parts)
+
+
+def _event(event: events.Event) -> str | None:
+    match event:
+        case events.UnitDied(unit, cause):
+            return f"{unit} died: {short(cause)}"
+        case events.UnitFailed(unit, kind, step, text, suppressed):
+            more = f" (and {_times(suppressed)} more)" if suppressed else ""
+            return f"{unit} failed in step {step} ({kind}): {text.strip()}{more}"
+        case events.UnitHung(unit, silent_s):
+            return f"{unit} gave no sign of life for {silent_s:.1f} s and is killed"
+        case events.UnitTooLarge(unit, memory_bytes):
+            return f"{unit} takes {memory_bytes >> 20} MB and is killed"
+        case events.UnitPrinted(unit, line):
+            return f"{unit} | {line}"
+        case events.InputLost(unit, port, _):
+            return f"{unit or 'a topic'} lost its input {port}"
+        case events.SourceExhausted(unit):
+            return f"{unit} has no more to give"
+        case events.OutletsLost(cause):
+            return f"the topics' addresses were lost and are made anew: {cause}"
+        case events.RolledBack(_, cause):
+            return short(cause)
+    return None
+
+
+def _times(number: int) -> str:
+    return "once" if number == 1 else f"{number} times"
+
+
+def short(text: str) -> str:
+    """A cause on one line; of a traceback only what was raised."""
+    before, mark, trace = text.partition("Traceback (most recent call last)")
+    if mark:
+        text = before + trace.strip().splitlines()[-1]
+    text = " ".join(text.split())
+    return text if len(text) <= _LONGEST_CAUSE else f"{text[: _LONGEST_CAUSE - 3]}..."

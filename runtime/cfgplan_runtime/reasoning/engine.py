@@ -1,0 +1,286 @@
+"""The stream reasoning engine of the paper's Figure 1: it answers a query over semantic subscriptions.
+
+It has the targets set up that the formula needs, synchronises their streams into states, progresses the formula through them, reports
+the answer as soon as it is final, and takes its targets down, so that units that nobody else needs are stopped.
+"""
+
+from __future__ import annotations
+
+import os
+import queue
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+from cfgplan.domain import Target
+from cfgplan.errors import CfgplanError
+from cfgplan_runtime.reasoning.evaluating import Evaluator
+from cfgplan_runtime.reasoning.features import Feature
+from cfgplan_runtime.reasoning.monitor import Monitor, Waiting
+from cfgplan_runtime.reasoning.query import Query
+from cfgplan_runtime.reasoning.states import Synchroniser
+from cfgplan_runtime.reasoning.subscriptions import Subscriptions
+from cfgplan_runtime.reasoning.truth import VERDICT_OF, Verdict
+
+_LOOK_S = 0.1
+_MOST_AT_ONCE = 10_000
+_OWN_CLOCK_NS = 60 * 1_000_000_000
+"""Streams whose times are further from the computer's clock than this have a clock of their own."""
+
+
+class UnmetTargetsError(CfgplanError):
+    """Features that can't be had, with the reason for each by name."""
+
+    def __init__(self, reasons: Mapping[str, str]) -> None:
+        self.reasons = dict(reasons)
+        super().__init__("; ".join(reasons.values()))
+
+
+@dataclass(frozen=True, slots=True)
+class SetUp:
+    """The subscriptions are there; `topics` by feature."""
+
+    topics: Mapping[str, str]
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Noted:
+    """Something that concerns the answer: a unit died, a value has no such field."""
+
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Progressed:
+    """Where the query is: the time of the last state, what it waits for, and which answers are still possible."""
+
+    time_ns: int
+    states: int
+    waiting: Sequence[Waiting]
+    possible: frozenset[Verdict]
+    missing: Sequence[str]
+    """The features without a value in the last state."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The answer, or that it is open still.
+
+    `time_ns` is the time of the state that decided, or of the last one; `first_ns` of the first. `delay_s` is from that time to
+    the answer on the clock. `missing` says in how many states each feature had no value; `late` how many samples came too late.
+    """
+
+    verdict: Verdict
+    states: int
+    first_ns: int | None = None
+    time_ns: int | None = None
+    delay_s: float | None = None
+    waiting: Sequence[Waiting] = ()
+    possible: frozenset[Verdict] = frozenset()
+    expired: Sequence[Waiting] = ()
+    """The operators whose intervals ended with the state that decided."""
+    last: Mapping[str, Verdict] = field(default_factory=dict)
+    """What was true, false or unknown in the last state."""
+    missing: Mapping[str, int] = field(default_factory=dict)
+    late: int = 0
+    dropped: int = 0
+
+
+Report: TypeAlias = SetUp | Noted | Progressed | Answer
+
+
+class Engine:
+    """Answers one query. `report` is called from the thread that calls `run`."""
+
+    def __init__(
+        self,
+        query: Query,
+        subscriptions: Subscriptions,
+        report: Callable[[Report], None],
+        *,
+        name: str | None = None,
+        clock_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
+        self.monitor = Monitor(query.program)
+        self._query = query
+        self._subscriptions = subscriptions
+        self._report = report
+        self._name = name or os.urandom(3).hex()
+        self._clock_ns = clock_ns
+        self._inbox: queue.SimpleQueue[tuple[str, Any, int] | Exception | str] = queue.SimpleQueue()
+        self._is_over = threading.Event()
+        self._evaluator = Evaluator(query.program, query.declared.regions, self._note)
+        self._streams: Synchroniser | None = None
+        self._skew_ns = 0
+        self._first_ns: int | None = None
+        self._absent: tuple[str, ...] = ()
+        self._dropped: dict[str, int] = {}
+
+    def run(self, *, for_s: float | None = None, wait_s: float = 0.0, every_s: float = 1.0) -> Answer:
+        """Answer the query, within a time if one is given; reports progress every `every_s`.
+
+        A target that can't be met now is waited for for `wait_s`, then UnmetTargetsError is raised. Targets are taken down
+        in any case.
+        """
+        topics = {each.name: each.topic or f"/query/{self._name}/{each.name}" for each in self._query.features}
+        added = [self._target(each, topics[each.name]) for each in self._query.features if each.topic is None]
+        listeners: list[threading.Thread] = []
+        self._subscriptions.listen(self._note)
+        try:
+            self._set_up(added, topics, wait_s)
+            for name, topic in topics.items():
+                thread = threading.Thread(target=self._listen, args=(name, topic), name=f"query-{name}", daemon=True)
+                thread.start()
+                listeners.append(thread)
+            answer = self._follow(for_s, every_s)
+        finally:
+            self._is_over.set()
+            for thread in listeners:
+                thread.join()
+            if added:
+                self._subscriptions.remove([target.label for target in added])
+        self._tell_what_is_left()
+        self._report(answer)
+        return answer
+
+    def stop(self) -> None:
+        """Have `run` end soon, with the answer that is known by then; from any thread."""
+        self._is_over.set()
+
+    def _target(self, feature: Feature, topic: str) -> Target:
+        return Target(self._label(feature), feature.tag, topic)
+
+    def _label(self, feature: Feature) -> str:
+        return f"query {self._name} {feature.name}"
+
+    def _set_up(self, targets: Sequence[Target], topics: Mapping[str, str], wait_s: float) -> None:
+        begin = time.monotonic()
+        if targets:
+            self._subscriptions.add(targets)
+            names = {self._label(each): each.name for each in self._query.features}
+            while reasons := self._subscriptions.unmet([target.label for target in targets]):
+                if time.monotonic() >= begin + wait_s:
+                    told = {names[label]: why.replace(f"target {label}", names[label]) for label, why in reasons.items()}
+                    raise UnmetTargetsError(told)
+                time.sleep(_LOOK_S)
+        self._report(SetUp(topics, time.monotonic() - begin))
+
+    def _listen(self, name: str, topic: str) -> None:
+        """Put what comes on a topic into the inbox (a thread of its own for each feature)."""
+        try:
+            with self._subscriptions.samples(topic, self._query.timing.patience_ns / 1e9) as samples:
+                while not self._is_over.is_set():
+                    try:
+                        for sample in samples:
+                            self._inbox.put((name, sample.value, sample.time_ns))
+                            self._dropped[name] = getattr(samples, "dropped", 0)
+                            if self._is_over.is_set():
+                                return
+                        self._inbox.put(f"the stream of {name} has ended")
+                        return
+                    except TimeoutError:
+                        continue
+        except Exception as error:
+            self._inbox.put(error)
+
+    def _follow(self, for_s: float | None, every_s: float) -> Answer:
+        begin = time.monotonic()
+        begin_ns = self._clock_ns()
+        end = None if for_s is None else begin + for_s
+        told = begin
+        with suppress(KeyboardInterrupt):
+            while (end is None or time.monotonic() < end) and not self._is_over.is_set():
+                now = time.monotonic()
+                if now >= told + every_s:
+                    told = now
+                    self._tell_progress()
+                left = _LOOK_S if end is None else max(0.0, end - now)
+                self._take(min(_LOOK_S, self._pause_s(), left), begin_ns)
+                if self._streams is not None and self._progress(self._streams) is not Verdict.OPEN:
+                    break
+        return self._answer()
+
+    def _pause_s(self) -> float:
+        """How long nothing needs to be done unless a sample comes."""
+        if self._streams is None:
+            return _LOOK_S
+        return max(0.0, (self._streams.due_ns() - self._now_ns()) / 1e9)
+
+    def _take(self, timeout_s: float, begin_ns: int) -> None:
+        """Take the samples that are there, waiting for the first."""
+        try:
+            found = self._inbox.get(timeout=timeout_s)
+            for _ in range(_MOST_AT_ONCE):
+                if isinstance(found, Exception):
+                    raise found
+                if isinstance(found, str):
+                    self._report(Noted(found))
+                else:
+                    name, value, time_ns = found
+                    if self._streams is None:
+                        self._begin(begin_ns, time_ns)
+                    assert self._streams is not None
+                    self._streams.push(name, time_ns, value)
+                found = self._inbox.get_nowait()
+        except queue.Empty:
+            if self._streams is None and self._clock_ns() > begin_ns + self._query.timing.patience_ns:
+                self._begin(begin_ns, self._clock_ns())
+
+    def _begin(self, begin_ns: int, time_ns: int) -> None:
+        """The first sample tells which clock the streams go by."""
+        apart = time_ns - self._clock_ns()
+        self._skew_ns = apart if abs(apart) > _OWN_CLOCK_NS else 0
+        holds = {each.name: each.hold_ns for each in self._query.features}
+        self._streams = Synchroniser(holds, self._query.timing, begin_ns=begin_ns + self._skew_ns)
+
+    def _now_ns(self) -> int:
+        return self._clock_ns() + self._skew_ns
+
+    def _progress(self, streams: Synchroniser) -> Verdict:
+        for state in streams.ready(self._now_ns()):
+            if self._first_ns is None:
+                self._first_ns = state.time_ns
+            self._absent = tuple(name for name in streams.missing if name not in state.values)
+            if self.monitor.step(state.time_ns, self._evaluator.truths(state.values)) is not Verdict.OPEN:
+                break
+        return self.monitor.verdict
+
+    def _tell_progress(self) -> None:
+        if self.monitor.time_ns is not None:
+            monitor = self.monitor
+            told = Progressed(
+                self.monitor.time_ns, monitor.states, monitor.waiting(), monitor.possible, self._absent
+            )
+            self._report(told)
+
+    def _answer(self) -> Answer:
+        monitor, streams = self.monitor, self._streams
+        is_final = monitor.verdict is not Verdict.OPEN and monitor.time_ns is not None
+        return Answer(
+            monitor.verdict,
+            monitor.states,
+            self._first_ns,
+            monitor.time_ns,
+            (self._now_ns() - monitor.time_ns) / 1e9 if is_final and monitor.time_ns is not None else None,
+            monitor.waiting(),
+            monitor.possible,
+            monitor.expired,
+            {str(condition): VERDICT_OF[truth] for condition, truth in self._evaluator.last.items()},
+            {} if streams is None else dict(streams.missing),
+            0 if streams is None else streams.late,
+            sum(self._dropped.values()),
+        )
+
+    def _tell_what_is_left(self) -> None:
+        with suppress(queue.Empty):
+            while True:
+                found = self._inbox.get_nowait()
+                if isinstance(found, str):
+                    self._report(Noted(found))
+
+    def _note(self, text: str) -> None:
+        self._inbox.put(text)

@@ -1,0 +1,138 @@
+"""Subscriptions that the manager of this process sets up, and those of another process, through its control socket."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Protocol
+
+from cfgplan.domain import ChangeSet, Target
+from cfgplan.errors import Fault, InputError
+from cfgplan_runtime.lifecycle.changes import AddTargets, Change, RemoveTargets
+from cfgplan_runtime.lifecycle.reports import Decision, Report, Review, Reviewed, Snapshot, UnitEvent
+from cfgplan_runtime.reasoning.features import Declared, Feature
+from cfgplan_runtime.streams.subscription import SubscriptionToTopic, subscribe
+from cfgplan_runtime.supervision.events import UnitDied, UnitFailed, UnitHung
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
+
+    from cfgplan_runtime.operating.control_client import Control
+
+_PATIENCE_S = 60.0
+_LOOK_S = 0.2
+_SETTLE_S = 5.0
+
+
+class Managing(Protocol):
+    """A manager, as a query uses it."""
+
+    def request(self, change: Change) -> Future[Review | None]: ...
+
+    def snapshot(self) -> Snapshot: ...
+
+    def settle(self, timeout_s: float | None = None) -> bool: ...
+
+    def listen(self, listener: Callable[[Report], None]) -> None: ...
+
+
+class ManagedSubscriptions:
+    """Subscriptions that a manager in this process sets up, whose runtime is `run`."""
+
+    def __init__(self, manager: Managing, run: str) -> None:
+        self._manager = manager
+        self._run = run
+
+    def add(self, targets: Sequence[Target]) -> None:
+        self._manager.request(AddTargets(tuple(targets))).result(_PATIENCE_S)
+        if self.unmet([target.label for target in targets]):
+            self._manager.settle(_SETTLE_S)
+
+    def unmet(self, labels: Sequence[str]) -> Mapping[str, str]:
+        targets = self._manager.snapshot().targets
+        return {each.label: each.reason for each in targets if each.label in labels and not each.is_met}
+
+    def remove(self, labels: Sequence[str]) -> None:
+        self._manager.request(RemoveTargets(tuple(labels))).result(_PATIENCE_S)
+
+    def samples(self, topic: str, wait_s: float) -> SubscriptionToTopic:
+        return subscribe(topic, run=self._run, wait_s=wait_s, timeout_s=_LOOK_S)
+
+    def listen(self, tell: Callable[[str], None]) -> None:
+        def hear(report: Report) -> None:
+            text = _told(report)
+            if text:
+                tell(text)
+
+        self._manager.listen(hear)
+
+
+class RemoteSubscriptions:
+    """Subscriptions that a run of another process sets up."""
+
+    def __init__(self, control: Control) -> None:
+        self._control = control
+        self._names: dict[str, str] = {}
+
+    def declared(self) -> Declared:
+        """The targets that the run has, as features."""
+        targets = self._control.call("state", timeout_s=_PATIENCE_S)["targets"]
+        return Declared({each["label"]: Feature(each["label"], each["tag"], each["topic"]) for each in targets})
+
+    def add(self, targets: Sequence[Target]) -> None:
+        name = targets[0].label.rpartition(" ")[0]
+        self._names.update(dict.fromkeys((target.label for target in targets), name))
+        document = [{"label": each.label, "topic": each.topic, "tag": each.tag} for each in targets]
+        self._call("add", name=name, text=json.dumps({"targets": document}))
+
+    def unmet(self, labels: Sequence[str]) -> Mapping[str, str]:
+        targets = {each["label"]: each for each in self._call("state")["targets"]}
+        reasons = {label: targets[label]["reason"] if label in targets else "it is unknown to the run" for label in labels}
+        return {label: reason for label, reason in reasons.items() if not targets.get(label, {}).get("met")}
+
+    def remove(self, labels: Sequence[str]) -> None:
+        for name in {self._names.pop(label) for label in labels if label in self._names}:
+            self._call("withdraw", name=name)
+
+    def samples(self, topic: str, wait_s: float) -> SubscriptionToTopic:
+        return subscribe(topic, run=self._control.system.run, wait_s=wait_s, timeout_s=_LOOK_S)
+
+    def listen(self, tell: Callable[[str], None]) -> None:
+        """What happens in another process is its operator's to watch."""
+
+    def _call(self, method: str, **params: Any) -> Any:
+        from cfgplan_runtime.operating.protocol import RefusedError
+
+        try:
+            return self._control.call(method, timeout_s=2 * _PATIENCE_S, **params)
+        except RefusedError as error:
+            raise InputError(error.faults or [Fault(error.message, mend=error.mend)]) from None
+
+
+def _told(report: Report) -> str | None:
+    match report:
+        case UnitEvent(UnitDied(unit, cause)):
+            return f"{unit} died: {cause}"
+        case UnitEvent(UnitHung(unit)):
+            return f"{unit} hangs"
+        case UnitEvent(UnitFailed(unit, kind, _, text)):
+            return f"{unit} failed ({kind}): {text.strip().splitlines()[-1] if text.strip() else ''}"
+        case Reviewed(review) if review.decision is Decision.APPLIED and review.change_set is not None:
+            return _update_text(review.change_set, sum(review.seconds.values())) or None
+        case Reviewed(review) if review.decision is Decision.FAILED:
+            return f"an update failed: {review.cause}"
+        case _:
+            return None
+
+
+def _update_text(change_set: ChangeSet, seconds: float) -> str:
+    parts = [
+        f"{verb} {', '.join(names)}"
+        for verb, names in (
+            ("started", [unit.id for unit in change_set.started]),
+            ("rewired", [unit.id for unit in change_set.rewired]),
+            ("stopped", list(change_set.stopped)),
+        )
+        if names
+    ]
+    return f"{'; '.join(parts)} ({1000 * seconds:.0f} ms)" if parts else ""

@@ -1,0 +1,87 @@
+"""Formulas as people write them: text to tree, and every mistake with its column and a hint.
+
+`always (not in(ball, opponent_half) -> eventually[0,10s] in(ball, opponent_half))`, or with the signs ¬ ∧ ∨ → □ ◇ 𝒰.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+from cfgplan.errors import Fault, InputError
+from cfgplan_runtime.reasoning.grammar import GRAMMAR
+from cfgplan_runtime.reasoning.reading import Reader, Vocabulary
+from cfgplan_runtime.reasoning.syntax import Formula
+
+if TYPE_CHECKING:
+    from lark import Lark
+
+LONGEST_FORMULA = 10_000
+FILE = "formula"
+"""What stands for a file's name in the faults of a formula."""
+_FIRST_OF_A_PART = {"NAME", "NOT", "NUMBER"}
+
+
+def parse(text: str, vocabulary: Vocabulary) -> Formula:
+    """Read a formula over the features and regions of a vocabulary. Raises InputError with all faults that were found."""
+    from lark import UnexpectedInput
+
+    if len(text) > LONGEST_FORMULA:
+        raise InputError([Fault(f"the formula is longer than {LONGEST_FORMULA:,} characters", FILE)])
+    try:
+        tree = _parser().parse(text)
+    except UnexpectedInput as error:
+        raise InputError([_syntax_fault(error, text)]) from None
+    reader = Reader(vocabulary, FILE)
+    formula = reader.formula(tree)
+    if reader.faults:
+        raise InputError(reader.faults)
+    return formula
+
+
+@cache
+def _parser() -> Lark:
+    from lark import Lark
+
+    return Lark(GRAMMAR, parser="lalr", propagate_positions=True)
+
+
+def _syntax_fault(error: Any, text: str) -> Fault:
+    from lark import UnexpectedCharacters
+
+    expected = set(getattr(error, "allowed", None) or getattr(error, "expected", None) or ())
+    token = getattr(error, "token", None)
+    if isinstance(error, UnexpectedCharacters):
+        found, line, column = repr(text[error.pos_in_stream]), error.line, error.column
+    elif token is None or token.type == "$END":
+        found, line, column = "", text.count("\n") + 1, len(text.rpartition("\n")[2]) + 1
+    else:
+        found, line, column = repr(str(token)), token.line, token.column
+    if not text.strip():
+        return Fault("the formula is empty", FILE, 1, 1, mend="write one, such as `always ball.x > 0`")
+    message = f"{found} can't stand here" if found else "the formula ends too early"
+    return Fault(message, FILE, line, column, mend=_hint(expected, found, text))
+
+
+def _hint(expected: set[str], found: str, text: str) -> str:
+    if "INFINITE" in expected:
+        return "an interval begins at 0 or later, and its bounds are numbers: [0, 10s]"
+    if "UNIT" in expected and "COMMA" in expected and "RPAR" not in expected:
+        return "an interval has two bounds: [0, 10s]"
+    if "UNIT" in expected or {"RSQB", "RPAR"} <= expected and "OR" not in expected:
+        return "close the interval: [0, 10s]; units are ms, s, min and h"
+    if expected == {"COMMA"}:
+        return "an interval has two bounds: [0, 10s]"
+    if expected >= _FIRST_OF_A_PART:
+        return "here a part of the formula is missing, such as `ball.x > 0` or `in(ball, region)`"
+    if {"NUMBER", "NAME"} <= expected:
+        return "here a value is missing: a feature's field, a number or a text in quotes"
+    if expected == {"INDEX"}:
+        return "a position in a list is a number that counts from 0: `ball.corners[0]`"
+    if not found or text.count("(") > text.count(")"):
+        return "close the parenthesis"
+    if found == "')'":
+        return "it closes a parenthesis that was not opened"
+    if found in ("'&'", "'|'", "'!'", "'~'", "'&&'", "'||'"):
+        return "write `and`, `or`, `not`"
+    return "two parts are joined by `and`, `or`, `->` or `until`"

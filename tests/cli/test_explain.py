@@ -1,0 +1,64 @@
+"""`cfgplan explain` as a user and as a script see it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from command import MODELS, Run
+
+NAO = MODELS / "nao"
+RING = MODELS / "counterexamples" / "ring-without-source.yaml"
+BROKEN = """
+transformations:
+  - {label: camera, outputs: {image: Image and hasSource some Front}}
+  - {label: detector, inputs: {image: Image and hasSource some Back}, outputs: {ball: Ball}}
+targets: [{label: ball, topic: /ball, tag: Ball}]
+"""
+
+
+def test_it_tells_the_input_that_nothing_feeds_and_what_comes_nearest(run: Run, write: Callable[[str], Path]) -> None:
+    result = run("explain", write(BROKEN))
+    assert result.code == 10
+    assert "target ball wants Ball, but what would give it can't run\n  detector: input image wants Image" in result.out
+    assert "nearest: camera/image gives Image and hasSource some Front: lacks ∃hasSource.Back" in result.out
+
+
+def test_support_that_is_only_circular_is_told_as_such(run: Run) -> None:
+    result = run("explain", RING)
+    assert "left: is fed only by itself, see above" in result.out
+    document = run("explain", RING, "--json").document
+    assert [each["transformation"] for each in document["unreachable"][0]["blocked"]] == ["left", "right"]
+
+
+def test_a_requirement_that_is_too_dear_is_named_with_both_costs(run: Run) -> None:
+    result = run("explain", NAO / "5-fusion-required.yaml", "--max-cost", "20")
+    assert result.code == 11
+    assert "target ball with required fuse_ball_pos: the cheapest plan for these alone costs" in result.out
+    assert "39.9 s, and 20 s is allowed" in result.out
+
+
+def test_without_a_subject_it_says_for_each_unit_what_it_serves_and_what_doing_without_costs(run: Run) -> None:
+    result = run("explain", NAO / "3-puff-registered.yaml")
+    assert "segmenter(piff).1          for ball  without it 1.95 s more" in result.out
+
+
+def test_what_is_not_used_says_what_it_would_cost(run: Run) -> None:
+    result = run("explain", NAO / "4-fusion-available.yaml", "--transformation", "fuse_ball_pos")
+    assert "Not used because the next best plan, with it, costs 21.3 s more." in result.out
+    document = run("explain", NAO / "4-fusion-available.yaml", "--transformation", "fuse_ball_pos", "--json").document
+    assert document["why"][0]["difference_us"] == 21_300_000
+
+
+def test_units_and_streams_can_be_asked_for(run: Run) -> None:
+    result = run("explain", NAO / "2-segmenter-lost.yaml", "--unit", "segmenter(piff).1")
+    assert "serves target ball, feeds ball_detector(piff).1/hull" in result.out
+    assert "Forced" in result.out
+    result = run("explain", NAO / "2-segmenter-lost.yaml", "--stream", "segmenter(piff).1/hull")
+    assert result.out.startswith("segmenter(piff)/hull runs as segmenter(piff).1, serves target ball")
+
+
+def test_an_unknown_subject_is_bad_input_with_the_nearest_name(run: Run) -> None:
+    result = run("explain", NAO / "2-segmenter-lost.yaml", "--unit", "segmentor(piff).1")
+    assert result.code == 30
+    assert "did you mean 'segmenter(piff).1'?" in result.err

@@ -1,0 +1,114 @@
+"""Reasons why demands can't be met together: minimal, by property against the planner and the oracle."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+
+from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import strategies as st
+from worlds import problems
+
+from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Target, Transformation
+from cfgplan.explaining.together import REFUSED, demanding, only_targets
+from cfgplan.explaining.why_not import WhyNot, requiring, why_not
+from cfgplan.planners import PLANNERS
+from cfgplan.planning import Plan, Problem, Status
+
+EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "80"))
+many = settings(
+    max_examples=EXAMPLES,
+    deadline=None,
+    derandomize="CFGPLAN_EXAMPLES" not in os.environ,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much],
+)
+cpsat = PLANNERS["cpsat"]
+
+
+def oracle(problem: Problem) -> Plan:
+    """The exhaustive planner where it is quick; else the exact one, which is held against it elsewhere."""
+    size = len(problem.environment.units) + len(problem.environment.library)
+    return PLANNERS["exhaustive" if size < 5 else "cpsat"](problem)
+
+
+@many
+@given(problems(most=4), st.integers(0, 12))
+def test_a_clash_is_minimal_and_there_is_one_for_each_plan_that_fails_though_all_is_in_reach(
+    problem: Problem, max_cost_us: int
+) -> None:
+    problem = replace(problem, max_cost_us=max_cost_us)
+    found = why_not(problem, cpsat)
+    assume(found.plan.change_set is None)
+    reachable = {t.label for t in problem.environment.targets} - {reason.target for reason in found.unreachable}
+    problem = only_targets(problem, reachable)
+    assert (found.clash is None) == (oracle(problem).change_set is not None or not reachable)
+    assume(found.clash)
+    assert found.clash is not None
+    alone = oracle(demanding(problem, found.clash.demands))
+    assert alone.status in REFUSED
+    assert alone.cost_us == found.clash.cost_us
+    for each in found.clash.demands.each(problem.environment):
+        assert oracle(demanding(problem, found.clash.demands.without(each))).status is Status.OPTIMAL
+
+
+@many
+@given(problems(most=5))
+def test_what_excludes_a_required_transformation_is_minimal(problem: Problem) -> None:
+    found = why_not(problem, cpsat)
+    assume(found.unused)
+    for unused in found.unused:
+        label, others = unused.transformation, set(unused.excluded_by)
+        assert oracle(requiring(problem, {label, *others})).unused_required
+        for other in others:
+            assert not oracle(requiring(problem, {label, *others} - {other})).unused_required
+
+
+def world(library: list[Transformation], *targets: str, max_cost_us: int | None = None) -> Problem:
+    relation = Similarity({tag: frozenset({tag}) for tag in "ABCD"})
+    wanted = tuple(Target(tag.lower(), tag, f"/{tag}") for tag in targets)
+    return Problem(Environment((), tuple(library), wanted), relation, 1, max_cost_us)
+
+
+def make(label: str, needs: str, gives: str, cost_us: int = 0, *, required: bool = False) -> Transformation:
+    inputs = tuple(InputPort(f"in{i}", tag) for i, tag in enumerate(needs))
+    outputs = tuple(OutputPort(f"out{i}", tag) for i, tag in enumerate(gives))
+    return Transformation(label, inputs, outputs, labor_us=cost_us, required=required)
+
+
+def explained(*library: Transformation, targets: str = "A", max_cost_us: int | None = None) -> WhyNot:
+    return why_not(world(list(library), *targets, max_cost_us=max_cost_us), cpsat)
+
+
+def test_targets_that_are_too_dear_together_are_named_without_the_others() -> None:
+    found = explained(make("x", "", "A", 4), make("y", "", "B", 5), make("z", "", "C", 1), targets="ABC", max_cost_us=8)
+    assert found.clash is not None
+    assert found.clash.demands.targets == {"a", "b"}
+    assert (found.clash.cost_us, found.clash.max_cost_us) == (9, 8)
+
+
+def test_a_requirement_that_makes_it_too_dear_is_named() -> None:
+    library = make("x", "", "A", 4), make("y", "", "A", 50, required=True)
+    found = explained(*library, max_cost_us=8)
+    assert found.clash is not None
+    assert (found.clash.demands.targets, found.clash.demands.required) == ({"a"}, {"y"})
+
+
+def test_a_required_transformation_that_can_not_run_says_why() -> None:
+    (unused,) = explained(make("x", "", "A"), make("y", "C", "A", required=True)).unused
+    assert unused.blocked is not None
+    assert unused.blocked.named == {("y", "in0")}
+
+
+def test_a_required_transformation_that_leads_nowhere_is_excluded_by_none() -> None:
+    (unused,) = explained(make("x", "", "A"), make("y", "", "C", required=True)).unused
+    assert (unused.blocked, unused.excluded_by) == (None, ())
+
+
+def test_required_transformations_that_exclude_each_other_are_named() -> None:
+    library = make("x", "", "A", 1, required=True), make("y", "", "A", 2, required=True)
+    (unused,) = explained(*library).unused
+    assert (unused.transformation, unused.excluded_by) == ("y", ("x",))
+
+
+def test_where_there_is_a_plan_there_is_nothing_to_explain() -> None:
+    assert explained(make("x", "", "A")) == WhyNot(cpsat(world([make("x", "", "A")], "A")))

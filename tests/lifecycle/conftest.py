@@ -1,0 +1,28 @@
+"""Runs on real processes, and a check that none leaves anything behind."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+from real_run import RealRun
+
+
+@pytest.fixture
+def run_for_real(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[RealRun]:
+    """An environment file that is watched, a manager, a runtime of processes, and a listener to /result."""
+    base = tmp_path / "run"
+    base.mkdir()
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(base))
+    me = psutil.Process()
+    before = set(me.children(recursive=True))
+    run = RealRun(tmp_path)
+    try:
+        yield run
+    finally:
+        run.close()
+    left = [child for child in set(me.children(recursive=True)) - before if child.status() != psutil.STATUS_ZOMBIE]
+    assert left == [], "processes"
+    assert list((base / "cfgplan").rglob("*")) == []

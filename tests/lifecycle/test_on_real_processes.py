@@ -1,0 +1,94 @@
+"""The life-cycle on real processes, judged by what comes out on the topics."""
+
+from __future__ import annotations
+
+from cfgplan_runtime import Policy
+from cfgplan_runtime.lifecycle.back_off import BackOffRules
+from cfgplan_runtime.lifecycle.perturbations import (
+    HorizonReached,
+    SubscriptionLost,
+    UnitGone,
+    UnitKeepsFailing,
+    WorldChanged,
+)
+from cfgplan_runtime.lifecycle.reports import Decision
+from real_run import RealRun, eventually, source, worker
+
+CHAIN = (source(), worker("first", gives="Z"), worker("last", needs="Z"))
+
+
+def test_the_stream_goes_on_after_the_death_of_each_unit(run_for_real: RealRun) -> None:
+    run_for_real.start(*CHAIN)
+    for number, unit in enumerate(sorted(run_for_real.runtime.environment.unit), 1):
+        run_for_real.kill(unit)
+        eventually(lambda number=number: len(run_for_real.seen(UnitGone)) == number)  # type: ignore[misc]
+        assert run_for_real.manager.settle(60)
+        run_for_real.await_result("last")
+    assert [gone.how for gone in run_for_real.seen(UnitGone)] == ["died"] * 3
+    assert Decision.FAILED not in {review.decision for review in run_for_real.reviews}
+
+
+def test_the_stream_goes_on_after_a_subscription_is_removed(run_for_real: RealRun) -> None:
+    run_for_real.start(*CHAIN)
+    for unit, port in ((None, "/result"), ("last.1", "x"), ("first.1", "x")):
+        lost = len(run_for_real.seen(SubscriptionLost))
+        run_for_real.runtime.cut(unit, port)
+        eventually(lambda lost=lost: len(run_for_real.seen(SubscriptionLost)) > lost)  # type: ignore[misc]
+        assert run_for_real.manager.settle(60)
+        run_for_real.await_result("last")
+    assert sorted(run_for_real.runtime.environment.unit) == ["count.1", "first.1", "last.1"]
+
+
+def test_a_cheaper_transformation_takes_over_at_the_horizon_and_not_before(run_for_real: RealRun) -> None:
+    run_for_real.start(source(), worker(), horizon=4)
+    run_for_real.write(source(), worker(), worker("cheap", upkeep=0.0, labor=0.01), horizon=4)
+    eventually(lambda: len(run_for_real.seen(WorldChanged)) > 0)
+    run_for_real.await_result("cheap")
+    switched_at = run_for_real.givers().index("cheap")
+    assert set(run_for_real.givers()[:switched_at]) == {"work"}
+    assert set(run_for_real.givers()[switched_at:]) == {"cheap"}
+    (review,) = [
+        review for review in run_for_real.reviews if review.change_set and review.decision is Decision.APPLIED
+    ][1:]
+    assert any(isinstance(perturbation, HorizonReached) for perturbation in review.perturbations)
+    numbers = [received.value[1] for received in run_for_real.listener().received]
+    assert numbers == list(range(numbers[0], numbers[0] + len(numbers))), "the switch loses and repeats nothing"
+
+
+def test_a_transformation_in_use_can_be_removed(run_for_real: RealRun) -> None:
+    run_for_real.start(source(), worker(), worker("spare", upkeep=0.5))
+    assert set(run_for_real.givers()) == {"work"}
+    run_for_real.write(source(), worker("spare", upkeep=0.5))
+    run_for_real.await_result("spare")
+    assert set(run_for_real.runtime.environment.unit) == {"count.1", "spare.1"}
+
+
+def test_an_impossible_target_and_a_broken_file_leave_the_others_alone(run_for_real: RealRun) -> None:
+    run_for_real.start(source(), worker())
+    run_for_real.write(source(), worker(), targets={"/result": "Y", "/other": "Impossible"})
+    eventually(lambda: any("other" in review.unmet for review in run_for_real.reviews))
+    good = run_for_real.file.read_text()
+    run_for_real.write_text(good.replace("Impossible", "Impossible and"))
+    eventually(lambda: len(run_for_real.refused) == 1)
+    (fault,) = run_for_real.manager.snapshot().faults
+    assert (fault.file, fault.line is None) == (str(run_for_real.file), False)
+    run_for_real.write_text(good.replace("Impossible", "N"))
+    eventually(lambda: run_for_real.manager.snapshot().faults == ())
+    eventually(lambda: all(view.is_met for view in run_for_real.manager.snapshot().targets))
+    run_for_real.await_result("work")
+    numbers = [received.value[1] for received in run_for_real.listener().received]
+    assert numbers == list(range(numbers[0], numbers[0] + len(numbers))), "/result was never touched"
+
+
+def test_a_hung_unit_a_failing_one_and_one_that_cannot_start_give_way_to_others(run_for_real: RealRun) -> None:
+    impatient = Policy(failing_s=0.5, failing_steps=3, back_off=BackOffRules(first_s=600))
+    bad = [
+        worker("hanging", deed="hang", upkeep=0.001, run={"hang": 0.5}),
+        worker("raising", deed="raise", upkeep=0.002),
+        worker("dying", deed="die at start", upkeep=0.003),
+    ]
+    run_for_real.start(source(), worker(upkeep=0.004), *bad, policy=impatient)
+    run_for_real.await_result("work")
+    assert {gone.how for gone in run_for_real.seen(UnitGone)} == {"hung"}
+    assert {each.transformation for each in run_for_real.seen(UnitKeepsFailing)} == {"raising"}
+    assert any("no such device" in review.cause for review in run_for_real.reviews)

@@ -1,0 +1,122 @@
+"""`cfgplan demo nao` as a user calls it, in a short version, and the page that it writes."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+from cfgplan_runtime.demo import stage as stages
+
+from cfgplan.cli import main
+
+
+@pytest.fixture
+def nothing_is_left_behind(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    base = tmp_path_factory.mktemp("run")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(base))
+    children = set(psutil.Process().children(recursive=True))
+    yield
+    left = set(psutil.Process().children(recursive=True)) - children
+    assert [child for child in left if child.status() != psutil.STATUS_ZOMBIE] == []
+    assert list((base / "cfgplan").rglob("*")) == []
+
+
+class Page(HTMLParser):
+    """What a page consists of, and whether each element is closed."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.links: list[str] = []
+        self.open: list[str] = []
+        self.text = ""
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.links += [value or "" for name, value in attrs if name in ("src", "href", "xlink:href")]
+        if tag not in ("meta", "br", "img", "input", "link"):
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.handle_starttag(tag, attrs)
+        if self.open and self.open[-1] == tag:
+            self.open.pop()
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+@pytest.mark.usefixtures("nothing_is_left_behind")
+def test_the_story_of_section_five_happens_and_is_put_on_a_page(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "page.html"
+    assert main(["demo", "nao", "--step", "1s", "--report", str(out), "--json"]) == 0
+    steps: list[dict[str, Any]] = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+
+    alone, registered, killed, joined, offered, required = steps
+    assert alone["unmet"].keys() == {"ball"}
+    assert alone["positions"] == 0
+    assert (registered["cost_us"], len(registered["started"])) == (20_550_000, 6)
+    assert (killed["cost_us"], killed["started"]) == (18_950_000, ["segmenter(piff).1"])
+    assert killed["rewired"] == ["ball_detector(piff).1"]
+    for unchanged in (joined, offered):
+        assert (unchanged["decision"], unchanged["cost_us"]) == ("kept", 18_600_000)
+        assert unchanged["started"] == unchanged["rewired"] == unchanged["stopped"] == []
+    assert [other["cost_us"] for other in joined["others"]] == [20_550_000]
+    assert [other["cost_us"] for other in offered["others"]] == [20_550_000, 39_900_000]
+    assert (required["cost_us"], len(required["started"])) == (39_900_000, 7)
+    assert required["source"] == "fuse_ball_pos"
+    assert all(step["source"] == "ball_localization(piff)" for step in (registered, killed, joined, offered))
+    assert all(step["positions"] > 0 and step["rms_error_m"] < 0.4 for step in steps[1:])
+
+    page = Page()
+    page.feed(out.read_text(encoding="utf-8"))
+    assert page.open == []
+    assert page.tags.count("section") == 6
+    assert page.tags.count("svg") >= 3 + 8
+    assert page.tags.count("img") == 2
+    assert all(link.startswith("data:") for link in page.links)
+    for said in ("Two robots, one ball", "The segmenter is killed", "39.90 s, 21.30 s more", "killed by SIGKILL"):
+        assert said in page.text
+
+
+def test_without_opencv_the_extra_is_named(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    found = importlib.util.find_spec
+    monkeypatch.setattr(stages, "find_spec", lambda name: None if name == "cv2" else found(name))
+    assert main(["demo", "nao"]) == 30
+    err = capsys.readouterr().err
+    assert "the demo needs OpenCV" in err
+    assert "pip install 'cfgplan[demo]'" in err
+
+
+def test_an_installation_without_the_world_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(stages, "_PLACES", (tmp_path,))
+    assert main(["demo", "nao"]) == 30
+    assert "the world 'nao' is neither in the installed package" in capsys.readouterr().err
+
+
+def test_a_page_that_can_not_be_written_is_refused_before_anything_starts(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["demo", "nao", "--report", str(tmp_path / "nowhere" / "page.html")]) == 30
+    assert "nowhere" in capsys.readouterr().err
+
+
+def test_what_a_robot_declares_is_the_pipeline_in_its_name() -> None:
+    declared = stages.open_stage("nao").robot("piff")
+    assert [one.name for one in declared.individuals] == ["piff"]
+    transformations: Any = declared.document["transformations"]
+    assert len(transformations) == 6
+    assert "${NAO}" not in str(transformations)

@@ -1,0 +1,150 @@
+"""Metrics, scraped as Prometheus does."""
+
+from __future__ import annotations
+
+import socket
+import sys
+import urllib.request
+from collections.abc import Iterator
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+from cfgplan_runtime.children.messages import PortCounts
+from cfgplan_runtime.errors import RuntimeFaultError
+from cfgplan_runtime.lifecycle.perturbations import HorizonReached, UnitGone
+from cfgplan_runtime.lifecycle.reports import Decision, Perturbed, Reviewed, Snapshot, UnitEvent, UnitView
+from cfgplan_runtime.operating.flows import Flow
+from cfgplan_runtime.operating.metrics import Metrics, MetricsServer, serve
+from cfgplan_runtime.supervision.events import UnitDied
+from fake_manager import DETECTOR, REVIEW, SNAPSHOT, observation
+from prometheus_client.parser import text_string_to_metric_families
+
+PORTS = {"image": PortCounts(elements=90, dropped=4, waiting=7)}
+SEEN = replace(observation("detector.1"), inputs=PORTS, outputs={"ball": PortCounts(elements=80)})
+UNIT = {"unit": "detector.1", "transformation": "detector", "host": "nao1"}
+
+
+class Scraped:
+    def __init__(self) -> None:
+        self.snapshot = replace(SNAPSHOT, units=(UnitView(DETECTOR, "nao1", SEEN),))
+        self.metrics = Metrics(self._look, lambda: {"/result": Flow(rate_hz=29.5, latency_ms=12.0, elements=300)})
+        self.server: MetricsServer = serve(0, self.metrics)
+
+    def _look(self) -> Snapshot:
+        return self.snapshot
+
+    def __call__(self, name: str, **labels: str) -> float | None:
+        """The value of one sample at this moment."""
+        address = f"http://127.0.0.1:{self.server.port}/metrics"
+        with urllib.request.urlopen(address, timeout=60) as answer:
+            text = answer.read().decode()
+        for family in text_string_to_metric_families(text):
+            for sample in family.samples:
+                if sample.name == f"cfgplan_{name}" and sample.labels == labels:
+                    return float(sample.value)
+        return None
+
+
+@pytest.fixture
+def scrape() -> Iterator[Scraped]:
+    scraped = Scraped()
+    yield scraped
+    scraped.server.close()
+
+
+def test_perturbations_are_counted_by_kind(scrape: Scraped) -> None:
+    for _ in range(3):
+        scrape.metrics.listen(Perturbed(HorizonReached(60)))
+    scrape.metrics.listen(Perturbed(UnitGone("detector.1", "detector", "hung", "silent")))
+    assert scrape("perturbations_total", kind="HorizonReached") == 3
+    assert scrape("perturbations_total", kind="UnitGone") == 1
+    assert scrape("unit_failures_total", transformation="detector", how="hung") == 1
+
+
+def test_reviews_are_counted_and_their_phases_timed(scrape: Scraped) -> None:
+    scrape.metrics.listen(Reviewed(REVIEW))
+    scrape.metrics.listen(Reviewed(replace(REVIEW, decision=Decision.DEFERRED, seconds={"plan": 0.5})))
+    assert scrape("reviews_total", decision="applied") == 1
+    assert scrape("reviews_total", decision="deferred") == 1
+    assert scrape("review_phase_seconds_count", phase="plan") == 2
+    assert scrape("review_phase_seconds_sum", phase="plan") == pytest.approx(0.502)
+    assert scrape("review_phase_seconds_bucket", phase="plan", le="0.1") == 1
+    assert scrape("unit_changes_total", change="started") == 1, "what is deferred changes nothing"
+
+
+def test_events_are_counted_by_name(scrape: Scraped) -> None:
+    scrape.metrics.listen(UnitEvent(UnitDied("detector.1", "killed by SIGKILL")))
+    assert scrape("events_total", event="UnitDied") == 1
+
+
+def test_a_unit_shows_what_it_uses_in_seconds_and_bytes(scrape: Scraped) -> None:
+    assert scrape("unit_cpu_seconds_total", **UNIT) == 0.9
+    assert scrape("unit_upkeep_cpu_ratio", **UNIT) == 0.02
+    assert scrape("unit_labor_cpu_seconds", **UNIT) == 0.3
+    assert scrape("unit_memory_bytes", **UNIT) == 25 << 20
+    assert scrape("unit_steps_total", **UNIT) == 100
+
+
+def test_a_units_ports_show_elements_drops_and_queue(scrape: Scraped) -> None:
+    assert scrape("unit_input_elements_total", **UNIT, port="image") == 90
+    assert scrape("unit_input_dropped_elements_total", **UNIT, port="image") == 4
+    assert scrape("unit_input_waiting_elements", **UNIT, port="image") == 7
+    assert scrape("unit_output_elements_total", **UNIT, port="ball") == 80
+
+
+def test_a_target_shows_whether_it_is_met_its_rate_and_latency(scrape: Scraped) -> None:
+    assert scrape("target_met", target="ball", topic="/result") == 1
+    assert scrape("target_met", target="goal", topic="/goal") == 0
+    assert scrape("target_rate_hertz", target="ball", topic="/result") == 29.5
+    assert scrape("target_latency_seconds", target="ball", topic="/result") == 0.012
+    assert scrape("target_elements_total", target="ball", topic="/result") == 300
+    assert scrape("target_rate_hertz", target="goal", topic="/goal") is None
+
+
+def test_the_configuration_shows_its_cost_and_horizon(scrape: Scraped) -> None:
+    assert scrape("cost_cpu_seconds") == 2.0
+    assert scrape("horizon_seconds") == 60
+    assert scrape("units") == 1
+    assert scrape("transformation_held_out_seconds", transformation="segmenter") == 4
+
+
+def test_a_unit_that_has_ended_is_not_shown_any_more(scrape: Scraped) -> None:
+    scrape.snapshot = replace(SNAPSHOT, units=())
+    assert scrape("unit_steps_total", **UNIT) is None
+    assert scrape("units") == 0
+
+
+def test_every_metric_is_described(scrape: Scraped) -> None:
+    text = (Path(__file__).parents[2] / "runtime" / "EVENTS.md").read_text()
+    families = list(scrape.metrics.registry.collect())
+    names = [f"{one.name}_total" if one.type == "counter" else one.name for one in families]
+    assert [name for name in names if f"`{name.removeprefix('cfgplan_')}`" not in text] == []
+
+
+def test_metrics_are_served_on_loopback_only(scrape: Scraped) -> None:
+    with socket.create_connection(("127.0.0.1", scrape.server.port), timeout=60) as connection:
+        assert connection.getpeername()[0] == "127.0.0.1"
+    assert scrape.server.address == "127.0.0.1"
+
+
+def test_a_port_in_use_is_told(scrape: Scraped) -> None:
+    with pytest.raises(RuntimeFaultError, match="give another port"):
+        serve(scrape.server.port, Metrics())
+
+
+def test_a_closed_server_gives_its_port_back() -> None:
+    server = serve(0, Metrics())
+    port = server.port
+    server.close()
+    again = serve(port, Metrics())
+    again.close()
+
+
+def test_without_the_extra_it_is_told_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    name = "cfgplan_runtime.operating.metrics"
+    monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "prometheus_client", None)
+    with pytest.raises(RuntimeFaultError, match=r"pip install 'cfgplan\[metrics\]'"):
+        import_module(name)

@@ -1,0 +1,89 @@
+"""A manager's structured log, and that its description describes it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, get_args
+
+import pytest
+from cfgplan_runtime.lifecycle.perturbations import HorizonReached, Perturbation
+from cfgplan_runtime.lifecycle.reports import (
+    BackedOff,
+    Ended,
+    Observed,
+    Perturbed,
+    Report,
+    ReviewBegan,
+    Reviewed,
+    UnitEvent,
+    WorldRefused,
+)
+from cfgplan_runtime.operating.report_log import logging_to
+from cfgplan_runtime.supervision.events import Event, UnitDied, UnitStatus
+from cfgplan_runtime.supervision.run_log import RunLog
+from fake_manager import REVIEW, SNAPSHOT, observation
+
+from cfgplan.errors import Fault
+
+DESCRIPTION = Path(__file__).parents[2] / "runtime" / "EVENTS.md"
+REPORTS: tuple[Report, ...] = (
+    Perturbed(HorizonReached(60)),
+    ReviewBegan(1, (HorizonReached(60),)),
+    Reviewed(REVIEW),
+    UnitEvent(UnitDied("detector.1", "killed by SIGKILL")),
+    Observed((observation("detector.1"),)),
+    BackedOff(SNAPSHOT.backing_off[0]),
+    WorldRefused("env.yaml", (Fault("no such class", file="env.yaml"),)),
+    Ended(),
+)
+
+
+@pytest.fixture
+def lines(tmp_path: Path) -> list[dict[str, Any]]:
+    log = RunLog(tmp_path / "log.jsonl")
+    write = logging_to(log)
+    for report in REPORTS:
+        write(report)
+    log.close()
+    return [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
+
+
+def test_every_report_but_observations_is_one_line(lines: list[dict[str, Any]]) -> None:
+    assert [line["event"] for line in lines] == [
+        "Perturbed",
+        "ReviewBegan",
+        "Reviewed",
+        "UnitDied",
+        "BackedOff",
+        "WorldRefused",
+        "Ended",
+    ]
+    assert all(line["time"] > 1.6e9 for line in lines)
+
+
+def test_a_reviews_line_says_what_perturbed_what_was_decided_and_what_it_cost(lines: list[dict[str, Any]]) -> None:
+    review = next(line for line in lines if line["event"] == "Reviewed")
+    assert review["decision"] == "applied"
+    assert [one["kind"] for one in review["perturbations"]] == ["UnitGone", "ReviewRequested"]
+    assert (review["cost_before_us"], review["cost_us"]) == (1_000_000, 2_000_000)
+    assert review["seconds"] == {"detect": 0.001, "plan": 0.002, "apply": 0.01}
+    assert review["change_set"]["started"][0]["id"] == "detector.1"
+    assert review["unmet"] == {"goal": "nothing gives Goal"}
+
+
+def test_every_event_and_every_field_is_described(lines: list[dict[str, Any]]) -> None:
+    text = DESCRIPTION.read_text()
+    names = {kind.__name__ for union in (Report, Event, Perturbation) for kind in get_args(union)}
+    names -= {Observed.__name__, UnitEvent.__name__, UnitStatus.__name__}
+    names |= {field for line in lines for field in line}
+    names |= {field for kind in get_args(Event) + get_args(Perturbation) for field in kind.__dataclass_fields__}
+    names -= set(UnitStatus.__dataclass_fields__) - {"unit"}
+    assert [name for name in sorted(names) if f"`{name}`" not in text] == []
+
+
+def test_a_log_that_can_take_no_more_loses_lines_and_nothing_else(tmp_path: Path) -> None:
+    log = RunLog(tmp_path / "log.jsonl")
+    log.close()
+    logging_to(log)(Ended())
+    assert log.lost == 1

@@ -1,0 +1,122 @@
+"""The engine with streams that are lists: set-up, answers, what is missing, and taking down."""
+
+from __future__ import annotations
+
+import pytest
+from cfgplan_runtime.reasoning.engine import Answer, Engine, Noted, Report, SetUp, UnmetTargetsError
+from cfgplan_runtime.reasoning.features import Declared, Feature, of_options
+from cfgplan_runtime.reasoning.query import query
+from cfgplan_runtime.reasoning.states import Timing
+from cfgplan_runtime.reasoning.truth import Verdict
+from fake_subscriptions import FakeSubscriptions, Given, stream
+
+from cfgplan.errors import InputError
+
+MS = 1_000_000
+REGIONS = of_options([], ["right={box: [0, -3, 4, 3]}"]).regions
+WORLD = Declared({"ball": Feature("ball", "Ball"), "robot": Feature("robot", "Robot", "/robot")}, REGIONS)
+
+
+def at(x: float) -> dict[str, float]:
+    return {"x": x, "y": 0.0}
+
+
+def ask(text: str, fake: FakeSubscriptions, for_s: float = 60, wait_s: float = 0, **timing: int) -> list[Report]:
+    told: list[Report] = []
+    engine = Engine(query(text, WORLD, Timing(**timing)), fake, told.append, name="q")
+    engine.run(for_s=for_s, wait_s=wait_s)
+    return told
+
+
+def answer(told: list[Report]) -> Answer:
+    assert isinstance(told[-1], Answer)
+    return told[-1]
+
+
+def test_an_answer_comes_with_the_state_that_decides_and_takes_the_targets_down() -> None:
+    fake = FakeSubscriptions({"Ball": stream(*(at(x) for x in (1, 2, -1, 3)))})
+    told = ask("always in(ball, right)", fake)
+    found = answer(told)
+    assert (found.verdict, found.time_ns, found.states) == (Verdict.FALSE, 200 * MS, 3)
+    assert fake.log == ["add Ball", "remove Ball"]
+    assert isinstance(told[0], SetUp)
+    assert told[0].topics == {"ball": "/query/q/ball"}
+
+
+def test_only_the_features_that_the_formula_names_are_subscribed_to() -> None:
+    fake = FakeSubscriptions({"/robot": stream({"ok": True})})
+    assert answer(ask("eventually robot.ok", fake)).verdict is Verdict.TRUE
+    assert fake.log == []
+
+
+def test_two_streams_are_compared_in_states_of_one_time() -> None:
+    balls = stream(at(1), at(2), at(3), at(4), at(4))
+    robots = stream(at(9), at(9), at(4), at(9), at(9), begin_ms=50)
+    fake = FakeSubscriptions({"Ball": balls, "/robot": robots})
+    found = answer(ask("eventually distance(ball, robot) < 1.5", fake))
+    assert (found.verdict, found.time_ns) == (Verdict.TRUE, 250 * MS)
+
+
+def test_a_stream_that_falls_silent_makes_the_answer_unknown_not_true() -> None:
+    fake = FakeSubscriptions({"Ball": stream(at(1), at(1), at(1))})
+    found = answer(ask("always[0,600ms] in(ball, right)", fake, hold_ns=150 * MS))
+    assert found.verdict is Verdict.UNKNOWN
+    assert found.missing == {"ball": pytest.approx(2, abs=2)}
+
+
+def test_what_is_seen_after_a_silence_still_decides() -> None:
+    late = [*stream(at(-1), at(-1)), *stream(at(1), begin_ms=500)]
+    found = answer(ask("eventually[0,600ms] in(ball, right)", FakeSubscriptions({"Ball": late}), hold_ns=150 * MS))
+    assert (found.verdict, found.time_ns) == (Verdict.TRUE, 500 * MS)
+
+
+def test_a_field_that_is_not_there_is_told_once_and_makes_it_unknown() -> None:
+    fake = FakeSubscriptions({"Ball": stream(*[at(1)] * 5)})
+    told = ask("always[0,300ms] ball.z > 0", fake)
+    assert answer(told).verdict is Verdict.UNKNOWN
+    notes = [one.text for one in told if isinstance(one, Noted)]
+    assert notes == ["ball.z > 0 is unknown where ball has no field `z`; it has x, y"]
+
+
+def test_an_answer_that_is_open_when_the_time_is_over_says_what_it_waits_for() -> None:
+    now = stream(at(-1))
+    found = answer(ask("always (not in(ball, right) -> eventually[0,99s] in(ball, right))", FakeSubscriptions({"Ball": now}), 0.4))
+    assert (found.verdict, found.delay_s) == (Verdict.OPEN, None)
+    assert ("eventually[0s, 99s] in(ball, right)", 0, 99_000 * MS) in [
+        (each.text, each.since_ns, each.until_ns) for each in found.waiting
+    ]
+
+
+def test_a_target_that_nothing_can_meet_ends_the_query_with_the_reason() -> None:
+    fake = FakeSubscriptions({"Ball": []}, refusals={"Ball": ["no output matches"] * 99})
+    with pytest.raises(UnmetTargetsError, match="no output matches"):
+        ask("always ball.x > 0", fake)
+    assert fake.log[-1] == "remove Ball"
+    assert fake.targets == {}
+
+
+def test_a_target_can_be_waited_for() -> None:
+    fake = FakeSubscriptions({"Ball": stream(at(1))}, refusals={"Ball": ["not yet", "not yet"]})
+    assert answer(ask("eventually ball.x > 0", fake, wait_s=30)).verdict is Verdict.TRUE
+
+
+def test_a_topic_that_fails_ends_the_query_and_takes_the_targets_down() -> None:
+    class Broken(FakeSubscriptions):
+        def samples(self, topic: str, wait_s: float):  # type: ignore[no-untyped-def]
+            raise InputError.of(f"{topic} is gone")
+
+    fake = Broken({})
+    with pytest.raises(InputError, match="is gone"):
+        ask("always ball.x > 0", fake)
+    assert fake.log == ["add Ball", "remove Ball"]
+
+
+def test_a_stream_on_the_computers_clock_is_answered_with_its_delay() -> None:
+    import time
+
+    now = time.time_ns()
+    fake = FakeSubscriptions({"Ball": [Given(now - 50 * MS, at(1)), Given(now, at(-1))]})
+    found = answer(ask("always in(ball, right)", fake))
+    assert (found.verdict, found.time_ns) == (Verdict.FALSE, now)
+    assert found.delay_s is not None
+    assert 0 <= found.delay_s < 50

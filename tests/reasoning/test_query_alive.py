@@ -1,0 +1,138 @@
+"""Queries over running units: set up by the life-cycle, answered, taken down."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cfgplan_runtime import Runtime
+from cfgplan_runtime.lifecycle.changes import KillUnit
+from cfgplan_runtime.lifecycle.manager import Manager
+from cfgplan_runtime.operating.control_client import connect
+from cfgplan_runtime.operating.control_server import ControlServer
+from cfgplan_runtime.operating.methods import Methods
+from cfgplan_runtime.reasoning.engine import Answer, Engine, Noted, Report
+from cfgplan_runtime.reasoning.features import of_file, of_targets
+from cfgplan_runtime.reasoning.managed import ManagedSubscriptions, RemoteSubscriptions
+from cfgplan_runtime.reasoning.query import query
+from cfgplan_runtime.reasoning.truth import Verdict
+
+import cfgplan
+from cfgplan.cli import main
+
+PITCH = Path(__file__).parent / "pitch"
+WORLD = PITCH / "world.yaml"
+PATIENCE_S = 60
+OFF_SIDE = "always (not in(ball, opponent_half) -> eventually[0,{0}] in(ball, opponent_half))"
+
+pytestmark = pytest.mark.usefixtures("runs")
+
+
+def ask(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, list[dict[str, Any]]]:
+    code = main(["query", str(WORLD), *arguments, "--json"])
+    return code, [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+
+
+def wait_for(what: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while not what():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+@contextmanager
+def running() -> Iterator[tuple[Manager, Runtime]]:
+    """A run with the target /robot and nothing else."""
+    with Runtime(folder=PITCH) as runtime, Manager(cfgplan.load(WORLD), runtime) as manager:
+        assert manager.settle(PATIENCE_S)
+        yield manager, runtime
+
+
+def units(manager: Manager) -> set[str]:
+    return {unit.transformation for unit in manager.snapshot().environment.units}
+
+
+def test_a_rule_that_is_broken_is_answered_with_false_and_the_units_are_stopped(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    code, told = ask(capsys, OFF_SIDE.format("100ms"), "--for", "60s", "--hold", "30s")
+    assert code == 1
+    assert told[0]["event"] == "SetUp"
+    answer = told[-1]
+    assert (answer["event"], answer["verdict"]) == ("Answer", "false")
+    (expired,) = answer["expired"]
+    assert expired["until_ns"] <= answer["time_ns"] <= expired["until_ns"] + 2_000_000_000
+    notes = [line["text"] for line in told if line["event"] == "Noted"]
+    assert any(text.startswith("stopped camera.1, localizer.1") for text in notes)
+
+
+def test_what_becomes_true_is_answered_at_once(capsys: pytest.CaptureFixture[str]) -> None:
+    formula = "eventually[0,1h] (in(ball, opponent_half) and robot.seen and tpp(robot.hull, field))"
+    code, told = ask(capsys, formula)
+    assert (code, told[-1]["verdict"]) == (0, "true")
+
+
+def test_a_query_that_is_open_when_its_time_is_over_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    code, told = ask(capsys, OFF_SIDE.format("1h"), "--for", "700ms")
+    assert (code, told[-1]["verdict"]) == (20, "open")
+
+
+def test_a_feature_that_nothing_gives_is_refused_with_the_reason(capsys: pytest.CaptureFixture[str]) -> None:
+    code = main(["query", str(WORLD), "always heat.celsius > 3"])
+    assert code == 10
+    assert "heat wants Temperature, but no output matches" in capsys.readouterr().err
+
+
+def test_a_target_of_a_run_is_used_as_it_is_and_units_that_only_the_query_needs_are_stopped() -> None:
+    with running() as (manager, runtime):
+        before = units(manager)
+        told: list[Report] = []
+        declared = of_targets(manager.world.environment).with_more(of_file(PITCH / "features.yaml"))
+        asked = query("eventually (robot.seen and in(ball, opponent_half))", declared)
+        answer = Engine(asked, ManagedSubscriptions(manager, runtime.id), told.append).run(for_s=PATIENCE_S)
+        assert answer.verdict is Verdict.TRUE
+        assert before == {"camera", "robot"}
+        assert units(manager) == before
+
+
+def test_a_query_survives_the_death_of_a_unit() -> None:
+    with running() as (manager, runtime):
+        told: list[Report] = []
+        asked = query(OFF_SIDE.format("1h"), of_file(PITCH / "features.yaml"))
+        engine = Engine(asked, ManagedSubscriptions(manager, runtime.id), told.append)
+        found: list[Answer] = []
+        thread = threading.Thread(target=lambda: found.append(engine.run(every_s=0.05)))
+        thread.start()
+        wait_for(lambda: engine.monitor.states > 20)
+        manager.request(KillUnit("localizer.1"))
+        wait_for(lambda: any(isinstance(one, Noted) and "localizer.1 died" in one.text for one in told))
+        states = engine.monitor.states
+        wait_for(lambda: any(isinstance(one, Noted) and "started localizer" in one.text for one in told[1:]))
+        wait_for(lambda: engine.monitor.states > states + 50)
+        engine.stop()
+        thread.join(PATIENCE_S)
+        assert found[0].verdict is Verdict.OPEN
+
+
+def test_a_run_of_another_process_is_asked_through_its_control_socket(
+    runs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with running() as (manager, runtime):
+        methods = Methods(manager).by_name()
+        with ControlServer(runs / "cfgplan" / runtime.id, methods, {"environment": str(WORLD), "pid": 1}):
+            formula = "eventually (robot.seen and in(ball, opponent_half))"
+            code = main(["query", formula, "--json", "--features", str(PITCH / "features.yaml")])
+            answer = json.loads(capsys.readouterr().out.splitlines()[-1])
+            assert (code, answer["verdict"]) == (0, "true")
+            assert units(manager) == {"camera", "robot"}
+            assert main(["query", "always heat.celsius > 3", "--features", str(PITCH / "features.yaml")]) == 10
+            assert "no output matches" in capsys.readouterr().err
+            with connect() as control:
+                remote = RemoteSubscriptions(control)
+                assert set(remote.declared().features) == {"robot"}
