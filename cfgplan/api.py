@@ -141,15 +141,15 @@ def problem(
     *,
     horizon_s: int | None = None,
     max_cost_us: int | None = None,
-    survive: Failures | None = None,
+    survive: Failures | Literal[0] | None = None,
 ) -> Problem:
-    """The planning problem of a matched world; what is given here wins over the file."""
+    """The planning problem of a matched world; what is given here wins over the file (0: survive no failure)."""
     return Problem(
         world.environment,
         similarity,
         world.horizon_s if horizon_s is None else horizon_s,
         world.max_cost_us if max_cost_us is None else max_cost_us,
-        world.survive if survive is None else survive,
+        world.survive if survive is None else (survive or None),
     )
 
 
@@ -158,7 +158,7 @@ def match(
     *,
     horizon_s: int | None = None,
     max_cost_us: int | None = None,
-    survive: Failures | None = None,
+    survive: Failures | Literal[0] | None = None,
 ) -> Problem:
     """Match a world's tags and state its planning problem."""
     similarity = match_ports(world).similarity

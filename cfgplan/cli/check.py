@@ -22,6 +22,7 @@ def add_to(verbs: shared.Subparsers) -> None:
         "  cfgplan check models/nao/2-segmenter-lost.yaml",
     )
     shared.add_environment(parser)
+    shared.add_survive(parser)
     shared.add_matching(parser)
     shared.add_json(parser)
     parser.set_defaults(run=run)

@@ -21,6 +21,8 @@ def why_not_text(environment: Environment, why: WhyNot) -> Text:
         lines += [Text(line) for line in unreachable_lines(environment, reason, f"target {reason.target} wants")]
     if why.clash is not None:
         lines.append(Text(clash_line(why.clash)))
+        told = {reason.target for reason in why.unreachable}
+        lines += [Text(f"  {reason}") for label, reason in why.plan.reasons.items() if label not in told]
     for unused in why.unused:
         lines += [Text(line) for line in unused_lines(environment, unused)]
     return Text("\n").join(lines)

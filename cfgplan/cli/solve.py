@@ -21,6 +21,7 @@ def add_to(verbs: shared.Subparsers) -> None:
     )
     shared.add_environment(parser)
     shared.add_planning(parser)
+    shared.add_survive(parser)
     shared.add_matching(parser)
     parser.add_argument("--out", metavar="FILE", help="write the plan to FILE (JSON)")
     parser.add_argument(

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from cfgplan.costs import keep_cost_us, start_cost_us
-from cfgplan.domain import Environment
-from cfgplan.planning import Plan, Planner, Problem, Status
+from cfgplan.errors import InputError
+from cfgplan.planning import Notion, Plan, Planner, Problem, Status
 from cfgplan.reasons import Givers, startable
 
 Labels = frozenset[str]
@@ -38,6 +38,10 @@ def alternatives(problem: Problem, planner: Planner, count: int, *, time_limit_s
     and must not run, and the part that can hold the cheapest is looked at next. None if there is no plan; the plan
     alone if it is not proven optimal.
     """
+    unknown = problem.notions & {Notion.INSTANCES, Notion.SURVIVAL}
+    if unknown:
+        asked = " and ".join(sorted(unknown))
+        raise InputError.of(f"alternatives are not known with {asked}", mend="ask for the plan alone")
     best = planner(problem, time_limit_s=time_limit_s)
     if best.status is not Status.OPTIMAL:
         return Alternatives((best,) if best.change_set is not None else (), best.status is not Status.UNKNOWN)
@@ -143,9 +147,7 @@ class _Ranking:
             for t in environment.library
             if t.label not in out
         )
-        return replace(
-            self._problem, environment=Environment(environment.units, library, environment.targets), max_cost_us=None
-        )
+        return replace(self._problem, environment=replace(environment, library=library), max_cost_us=None)
 
     def _runs(self, plan: Plan) -> Labels:
         assert plan.change_set is not None

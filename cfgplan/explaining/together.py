@@ -84,7 +84,7 @@ def demanding(problem: Problem, demands: Demands) -> Problem:
         for t in environment.library
     )
     targets = tuple(target for target in environment.targets if target.label in demands.targets)
-    return replace(problem, environment=Environment(environment.units, library, targets))
+    return replace(problem, environment=replace(environment, library=library, targets=targets))
 
 
 def _cheapest_us(plan: Plan) -> int | None:

@@ -71,7 +71,9 @@ def transformations(
                 rule = draw(st.sampled_from(Rule))
                 value = draw(FACTORS if rule is Rule.SCALE else VALUES)
                 stated.append(Contribution(attribute.name, rule, value, draw(st.sampled_from(Over))))
-        rate, size = (draw(st.sampled_from([0, MICRO, 2_500_000])), draw(st.sampled_from([0, 1, 3]))) if hosts else (0, 0)
+        rate, size = (
+            (draw(st.sampled_from([0, MICRO, 2_500_000])), draw(st.sampled_from([0, 1, 3]))) if hosts else (0, 0)
+        )
         outputs.append(OutputPort(port.name, port.tag, tuple(stated), rate, size))
     changes: dict[str, object] = {"outputs": tuple(outputs)}
     if hosts:
