@@ -24,7 +24,7 @@ from cfgplan.validity import Violation
 
 if TYPE_CHECKING:
     from cfgplan import formats
-    from cfgplan.explaining import BestEffort, Why, WhyNot
+    from cfgplan.explaining import BestEffort, Front, Why, WhyNot
 
 PLANNER_NAMES = tuple(PLANNERS)
 REASONER_NAMES = tuple(REASONERS)
@@ -223,6 +223,15 @@ def why(
         return explaining.why_transformation(problem, ask, plan, name)
     label, _, port = name.rpartition("/")
     return explaining.why_stream(problem, ask, plan, label, port)
+
+
+def front(
+    problem: Problem, target: str, attribute: str, *, planner: str = "cpsat", time_limit_s: float | None = None
+) -> Front:
+    """What better quality of a target's stream costs; see `cfgplan.explaining`."""
+    from cfgplan import explaining
+
+    return explaining.front(problem, _judged(planner, None), target, attribute, time_limit_s=time_limit_s)
 
 
 def best_effort(problem: Problem, *, planner: str = "cpsat", time_limit_s: float | None = None) -> BestEffort:

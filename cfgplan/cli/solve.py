@@ -7,6 +7,7 @@ from pathlib import Path
 
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import OF_STATUS, Exit
+from cfgplan.cli.front import add_front, show_front
 from cfgplan.cli.screen import Screen
 from cfgplan.planning import Status
 
@@ -22,6 +23,7 @@ def add_to(verbs: shared.Subparsers) -> None:
     shared.add_environment(parser)
     shared.add_planning(parser)
     shared.add_survive(parser)
+    add_front(parser)
     shared.add_matching(parser)
     parser.add_argument("--out", metavar="FILE", help="write the plan to FILE (JSON)")
     parser.add_argument(
@@ -40,6 +42,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
     world = shared.load(options, screen)
     problem = shared.problem(options, screen, world)
+    if options.front is not None:
+        return show_front(options, screen, problem)
     report = shared.progress_report(screen) if options.progress else None
     with screen.phase("plan"):
         plan = api.plan(problem, planner=options.planner, time_limit_s=options.timeout, report=report)

@@ -5,6 +5,7 @@ Everything is asked of a planner (`planning.Planner`), of which nothing is known
 
 from cfgplan.explaining.alternatives import Alternatives, alternatives
 from cfgplan.explaining.best_effort import BestEffort, best_effort
+from cfgplan.explaining.front import Front, FrontPoint, front
 from cfgplan.explaining.plain import plain
 from cfgplan.explaining.together import Clash, Demands, demanding
 from cfgplan.explaining.unfed import Blocked, Unfed, Unreachable, named_alone, unreachable
@@ -18,6 +19,8 @@ __all__ = [
     "Choice",
     "Clash",
     "Demands",
+    "Front",
+    "FrontPoint",
     "Unfed",
     "Unreachable",
     "Unused",
@@ -26,6 +29,7 @@ __all__ = [
     "alternatives",
     "best_effort",
     "demanding",
+    "front",
     "named_alone",
     "plain",
     "unreachable",
