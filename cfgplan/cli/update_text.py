@@ -101,8 +101,10 @@ def _summary(problem: Problem, plan: Plan) -> Iterator[Text]:
     if plan.change_set is not None:
         changes = plan.change_set
         kept = len(before.units) - len(changes.stopped) - len(changes.rewired)
+        spares = sum(unit.standby for unit in changes.started)
+        ready = f"{spares} to make ready, " if spares else ""
         yield Text(
-            f"Update: {len(changes.started)} to start, {len(changes.rewired)} to rewire, "
+            f"Update: {len(changes.started) - spares} to start, {ready}{len(changes.rewired)} to rewire, "
             f"{len(changes.stopped)} to stop, {kept} kept as they are.",
             style="bold",
         )

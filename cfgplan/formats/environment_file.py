@@ -117,10 +117,11 @@ def _beyond_the_paper(environment: Environment, survive: Failures | None) -> lis
         [[a.name, a.better, a.worst, a.best] for a in environment.qualities],
         [[t.label, t.hosts, t.needs_mb] for t in environment.library if placed and (t.hosts or t.needs_mb)],
         [
-            [t.label, t.conflicts, t.min_instances, t.max_instances, t.standby_us]
+            [t.label, t.conflicts, t.min_instances, t.max_instances]
             for t in environment.library
-            if t.conflicts or t.min_instances or t.max_instances is not None or t.standby_us is not None
+            if t.conflicts or t.min_instances or t.max_instances is not None
         ],
+        [[t.label, t.standby_us] for t in environment.library if survive is not None and t.standby_us is not None],
         [
             [
                 t.label,

@@ -79,8 +79,13 @@ class Fleet:
     def contributions(
         self, source: Source, path: Path, written: Mapping[str, int | ContributionPart]
     ) -> tuple[Contribution, ...]:
-        """What an output makes of the attributes; `path` is that of the mapping."""
-        found = []
+        """What an output makes of the attributes; `path` is that of the mapping.
+
+        Where no attributes are declared nobody asks, so that a library may say more than an environment wants.
+        """
+        found: list[Contribution] = []
+        if not self.attributes and not self._left_out.any_of("qualities"):
+            return ()
         for name, part in written.items():
             attribute = self._attribute(source, (*path, name), name)
             if attribute is None:
