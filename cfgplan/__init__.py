@@ -16,13 +16,19 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from cfgplan.api import UntruthfulPlanError as UntruthfulPlanError
     from cfgplan.api import World as World
+    from cfgplan.api import alternatives as alternatives
+    from cfgplan.api import best_effort as best_effort
     from cfgplan.api import load as load
     from cfgplan.api import match as match
     from cfgplan.api import match_ports as match_ports
     from cfgplan.api import plan as plan
     from cfgplan.api import plan_violations as plan_violations
     from cfgplan.api import problem as problem
+    from cfgplan.api import sensitivity as sensitivity
     from cfgplan.api import violations as violations
+    from cfgplan.api import what_if as what_if
+    from cfgplan.api import why as why
+    from cfgplan.api import why_not as why_not
     from cfgplan.api import world as world
     from cfgplan.domain import ChangeSet as ChangeSet
     from cfgplan.domain import ComputationUnit as ComputationUnit
@@ -51,7 +57,8 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOMES = {
-    "cfgplan.api": "UntruthfulPlanError World load match match_ports plan plan_violations problem violations world",
+    "cfgplan.api": "UntruthfulPlanError World alternatives best_effort load match match_ports plan plan_violations "
+    "problem sensitivity violations what_if why why_not world",
     "cfgplan.domain": "ChangeSet ComputationUnit Environment InputPort OutputPort Publication Similarity Stream "
     "Subscription Target Transformation",
     "cfgplan.errors": "CfgplanError Fault InputError InvalidValueError",

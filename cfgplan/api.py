@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from tempfile import NamedTemporaryFile
@@ -24,7 +24,7 @@ from cfgplan.validity import Violation
 
 if TYPE_CHECKING:
     from cfgplan import formats
-    from cfgplan.explaining import BestEffort, Front, Why, WhyNot
+    from cfgplan.explaining import Alternatives, BestEffort, Front, Sensitivity, Why, WhyNot
 
 PLANNER_NAMES = tuple(PLANNERS)
 REASONER_NAMES = tuple(REASONERS)
@@ -66,14 +66,14 @@ class World:
         return file.digest
 
 
-def load(path: str | os.PathLike[str]) -> World:
+def load(path: str | os.PathLike[str], *, also: Sequence[str | os.PathLike[str]] = ()) -> World:
     """Read an environment file (YAML, JSON, or the paper's XML) and the ontologies it names.
 
-    Raises InputError with every fault that was found.
+    Files named `also` count as included. Raises InputError with every fault that was found.
     """
     from cfgplan.formats import read_document
 
-    document = read_document(path)
+    document = read_document(path, also)
     try:
         ontology = load_ontology(document.ontology_paths)
     except InputError as error:
@@ -90,6 +90,24 @@ def world_of(document: formats.Document, ontology: Ontology) -> World:
 
     file = build(document, _OntologyVocabulary(ontology))
     return World(file.environment, ontology, file.horizon_s, file.max_cost_us, file, file.survive)
+
+
+def what_if(world: World, *, without: Collection[str] = (), settings: Mapping[str, str] | None = None) -> World:
+    """The world without some transformations, units or targets, and with other values of `settings`.
+
+    Settings are `horizon`, `max_cost`, `T.labor`, `T.upkeep`, `T.pinned`, `T.required` and `T.priority`, with
+    values as they are written in files. Raises InputError.
+    """
+    from cfgplan.explaining import what_if as supposing
+
+    environment = supposing.without(world.environment, without)
+    supposed = supposing.Supposed(environment, world.horizon_s, world.max_cost_us)
+    supposed = supposing.with_settings(supposed, settings or {})
+    environment, horizon_s, max_cost_us = supposed.environment, supposed.horizon_s, supposed.max_cost_us
+    file = world.file
+    if file is not None:
+        file = replace(file, environment=environment, horizon_s=horizon_s, max_cost_us=max_cost_us)
+    return World(environment, world.ontology, horizon_s, max_cost_us, file, world.survive)
 
 
 def world(
@@ -232,6 +250,35 @@ def front(
     from cfgplan import explaining
 
     return explaining.front(problem, _judged(planner, None), target, attribute, time_limit_s=time_limit_s)
+
+
+def alternatives(
+    problem: Problem, count: int, *, planner: str = "cpsat", time_limit_s: float | None = None
+) -> Alternatives:
+    """The `count` best configurations that differ in what runs, in order; see `cfgplan.explaining`."""
+    from cfgplan import explaining
+
+    found = explaining.alternatives(problem, _judged(planner, None), count, time_limit_s=time_limit_s)
+    for each in found.plans:
+        wrong = plan_violations(problem, each)
+        if wrong:
+            raise UntruthfulPlanError(each, wrong)
+    return found
+
+
+def sensitivity(
+    problem: Problem, *, upkeep_of: str | None = None, planner: str = "cpsat", time_limit_s: float | None = None
+) -> Sensitivity:
+    """For which horizons, or upkeeps of a transformation, which plan is optimal; see `cfgplan.explaining`.
+
+    The time limit is for each call of the planner.
+    """
+    from cfgplan import explaining
+
+    ask = _judged(planner, time_limit_s)
+    if upkeep_of is None:
+        return explaining.horizon_sensitivity(problem, ask)
+    return explaining.upkeep_sensitivity(problem, ask, upkeep_of)
 
 
 def best_effort(problem: Problem, *, planner: str = "cpsat", time_limit_s: float | None = None) -> BestEffort:

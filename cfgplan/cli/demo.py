@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, Any
 from cfgplan.cli import options as shared
 from cfgplan.cli.durations import duration
 from cfgplan.cli.exits import Exit
+from cfgplan.cli.interrupts import Interrupts
 from cfgplan.cli.screen import FORMAT_VERSION, Screen
+from cfgplan.errors import InputError
 
 if TYPE_CHECKING:
-    from cfgplan_runtime.demo.playing import Played
+    from cfgplan_runtime.demo.played import Played
     from cfgplan_runtime.demo.story import Step
     from rich.text import Text
 
@@ -33,6 +35,7 @@ def add_to(verbs: shared.Subparsers) -> None:
 
 
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
+    from cfgplan_runtime.demo import telling
     from cfgplan_runtime.demo.page import page
     from cfgplan_runtime.demo.playing import play
     from cfgplan_runtime.demo.stage import open_stage
@@ -42,21 +45,29 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
     stage = open_stage(options.world)
     out = Path(options.report)
-    api.write_file(out, b"")
+    if not out.absolute().parent.is_dir():
+        raise InputError.of("can't be written: there is no such folder", file=str(out))
     numbers = {step: number for number, step in enumerate(SECTION_V)}
 
     def begins(step: Step) -> None:
         if not screen.json:
             screen.show(_headline(numbers[step], step))
+            screen.flush()
+
+    def answers(answered: Played) -> None:
+        if not screen.json:
+            screen.show(_answer(answered))
+            screen.flush()
 
     def ends(played: Played) -> None:
         if screen.json:
             screen.write(json.dumps({"format_version": FORMAT_VERSION, **_record(numbers[played.step], played)}) + "\n")
         else:
-            screen.show(_told(played))
+            screen.show(_said("/result", telling.seen(played) or "Nothing comes.", "cyan"))
         screen.flush()
 
-    played = play(stage, SECTION_V, options.step, begins, ends)
+    with Interrupts():
+        played = play(stage, SECTION_V, options.step, begins, answers, ends)
     with screen.phase("draw the page"):
         api.write_file(out, page(stage, played, __version__).encode())
     screen.note(f"Wrote {out}.")
@@ -71,23 +82,27 @@ def _headline(number: int, step: Step) -> Text:
     return line.append(f"   {step.happens}", style="default")
 
 
-def _told(played: Played) -> Text:
+def _answer(answered: Played) -> Text:
     from cfgplan_runtime.demo import telling
     from rich.text import Text
 
-    lines = [("noticed", "; ".join(telling.noticed(played)), ""), ("decided", telling.decided(played), "bold")]
-    cost = telling.cost(played)
+    lines = [
+        _said("noticed", "; ".join(telling.noticed(answered))),
+        _said("decided", telling.decided(answered), "bold"),
+    ]
+    cost = telling.cost(answered)
     if cost is not None:
-        lines.append(("cost", cost, ""))
-    lines += [("instead", other, "dim") for other in telling.others(played)]
-    lines.append(("took", ", ".join(f"{word} {telling.span(took)}" for word, took in telling.times(played)), ""))
-    seen = telling.seen(played)
-    if seen is not None:
-        lines.append(("/result", seen, "cyan"))
-    text = Text()
-    for number, (what, said, style) in enumerate(lines):
-        text.append(f"{'' if number == 0 else chr(10)}   {what:8}", style="dim").append(said, style=style)
-    return text
+        lines.append(_said("cost", cost))
+    lines += [_said("instead", other, "dim") for other in telling.others(answered)]
+    times = telling.times(answered)
+    lines.append(_said("took", ", ".join(f"{word} {telling.span(took)}" for word, took in times)))
+    return Text("\n").join(lines)
+
+
+def _said(what: str, said: str, style: str = "") -> Text:
+    from rich.text import Text
+
+    return Text.assemble((f"   {what:8}", "dim"), (said, style))
 
 
 def _record(number: int, played: Played) -> dict[str, Any]:

@@ -34,8 +34,9 @@ def first_update(problem: Problem, settings: Settings) -> BestEffort:
 
 
 def exit_of(found: BestEffort) -> Exit:
-    """The exit code: as of `solve`, and `NO_PLAN` if a target must be given up."""
-    return Exit.NO_PLAN if found.unmet else OF_STATUS[found.plan.status]
+    """The exit code: as of `solve`, and `UNMET` if a target must be given up."""
+    code = OF_STATUS[found.plan.status]
+    return Exit.UNMET if found.unmet and code is Exit.OK else code
 
 
 def show(found: BestEffort, digest: str, screen: Screen) -> None:

@@ -15,6 +15,8 @@ class Exit(IntEnum):
     """`solve --detailed-exitcode`: solved, and the update changes something."""
     NO_PLAN = 10
     TOO_EXPENSIVE = 11
+    UNMET = 12
+    """`solve --best-effort`, `run`, `ctl`: done, but some targets are given up."""
     NOT_PROVEN = 20
     NO_ANSWER = 21
     BAD_INPUT = 30

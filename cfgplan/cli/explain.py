@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import OF_STATUS, Exit
 from cfgplan.cli.screen import Screen
 from cfgplan.cli.update_text import with_the_stream
-from cfgplan.errors import InputError
 
 if TYPE_CHECKING:
     from cfgplan.api import Subject
@@ -94,24 +92,13 @@ def _subjects(options: argparse.Namespace, problem: Problem, plan: Plan) -> list
     environment = problem.environment
     after = environment.update(plan.change_set)
     if options.unit:
-        return [("unit", _known(options.unit, {*environment.unit, *after.unit}, "unit"))]
+        return [("unit", shared.known(options.unit, {*environment.unit, *after.unit}, "unit"))]
     if options.transformation:
-        return [("transformation", _known(options.transformation, environment.transformation, "transformation"))]
+        return [("transformation", shared.known(options.transformation, environment.transformation, "transformation"))]
     if options.stream:
         outputs = {f"{t.label}/{port.name}" for t in environment.library for port in t.outputs}
         unit, _, port = options.stream.rpartition("/")
         running = after.unit.get(unit)
-        return [("stream", _known(f"{running.transformation if running else unit}/{port}", outputs, "output"))]
+        return [("stream", shared.known(f"{running.transformation if running else unit}/{port}", outputs, "output"))]
     used = dict.fromkeys(unit.transformation for unit in with_the_stream(after))
     return [("transformation", label) for label in used]
-
-
-def _known(name: str, names: Iterable[str], what: str) -> str:
-    names = sorted(names)
-    if name in names:
-        return name
-    from difflib import get_close_matches
-
-    close = get_close_matches(name, names, n=1)
-    mend = f"did you mean {close[0]!r}?" if close else f"there are {len(names)}, such as {', '.join(names[:3])}"
-    raise InputError.of(f"there is no {what} {name!r}", mend=mend if names else None)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 PLOTS = (".svg", ".png", ".pdf")
 
 
-def add_front(parser: argparse.ArgumentParser) -> None:
+def add_front(parser: argparse._MutuallyExclusiveGroup) -> None:
     parser.add_argument(
         "--front",
         nargs="?",
@@ -28,7 +28,6 @@ def add_front(parser: argparse.ArgumentParser) -> None:
         metavar="TARGET:ATTRIBUTE",
         help="show what better quality costs instead of one plan; the name may be left out if there is only one",
     )
-    parser.add_argument("--plot", metavar="FILE", help="with --front: draw it (SVG, PNG or PDF; extra `plots`)")
 
 
 def show_front(options: argparse.Namespace, screen: Screen, problem: Problem) -> Exit:

@@ -56,10 +56,11 @@ class LiveView:
 
         for news in fetched(self._operation, wait_s):
             said = news if isinstance(news, str) else sentence(news)
-            self._reviews += isinstance(news, Reviewed)
+            is_review = isinstance(news, Reviewed)
+            self._reviews += is_review
             if said is not None:
                 grade = WARNING if isinstance(news, str) else level(news)
-                self._lines += (Line(time.time(), grade, text) for text in said.splitlines())
+                self._lines += (Line(time.time(), grade, text, is_review) for text in said.splitlines())
         if time.monotonic() - self._drawn_s >= _REFRESH_S:
             self._draw()
 

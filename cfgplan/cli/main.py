@@ -8,12 +8,27 @@ import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
-from cfgplan.cli import check, compare, demo, explain, exporting, graph, importing, listen, match, query, run, solve
+from cfgplan.cli import (
+    check,
+    compare,
+    ctl,
+    demo,
+    explain,
+    exporting,
+    graph,
+    importing,
+    listen,
+    match,
+    query,
+    run,
+    sensitivity,
+    solve,
+)
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.screen import Screen
 from cfgplan.errors import CfgplanError, Fault, InputError
 
-VERBS = (check, match, solve, explain, graph, run, listen, query, demo, compare, importing, exporting)
+VERBS = (check, match, solve, explain, sensitivity, graph, run, ctl, listen, query, demo, compare, importing, exporting)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -59,7 +74,8 @@ def _parser() -> Parser:
         description="Wire stream-processing components by meaning: the cheapest update of a running system, "
         "proven optimal.",
         epilog="Exit codes: 0 done, 1 check found a violation, 2 changes (--detailed-exitcode), 10 no plan, "
-        "11 too expensive, 20 stopped with an unproven plan, 21 stopped with none, 30 bad input, 31 internal error.",
+        "11 too expensive, 12 best effort with targets given up, "
+        "20 stopped with an unproven plan, 21 stopped with none, 30 bad input, 31 internal error.",
     )
     parser.add_argument("--version", action="version", version=f"cfgplan {__version__}")
     verbs = parser.add_subparsers(metavar="VERB", required=True)

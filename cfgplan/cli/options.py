@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from cfgplan.cli.screen import Screen
-from cfgplan.errors import InvalidValueError
+from cfgplan.errors import InputError, InvalidValueError
 
 if TYPE_CHECKING:
     from cfgplan import api
@@ -67,6 +67,31 @@ def add_planning(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--timeout", type=positive, metavar="S", help="stop planning after S seconds with the best plan so far"
     )
+    supposing = parser.add_argument_group("what if")
+    supposing.add_argument(
+        "--without",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="plan as if this transformation, running unit or target were gone",
+    )
+    supposing.add_argument(
+        "--with",
+        dest="also",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="plan as if the environment included this file of transformations or targets",
+    )
+    supposing.add_argument(
+        "--set",
+        dest="settings",
+        type=setting,
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="plan with another horizon, max_cost, T.labor, T.upkeep, T.pinned, T.required, or T.priority of a target",
+    )
 
 
 def add_survive(parser: argparse.ArgumentParser) -> None:
@@ -82,7 +107,9 @@ def load(options: argparse.Namespace, screen: Screen) -> api.World:
     from cfgplan import api
 
     with screen.phase("load"):
-        return api.load(Path(options.env))
+        world = api.load(Path(options.env), also=getattr(options, "also", ()))
+        without, settings = getattr(options, "without", ()), dict(getattr(options, "settings", ()))
+        return api.what_if(world, without=without, settings=settings) if without or settings else world
 
 
 def problem(options: argparse.Namespace, screen: Screen, world: api.World) -> Problem:
@@ -115,6 +142,21 @@ def _failures(asked: str | None, world: api.World) -> Failures | Literal[0] | No
     if asked == "1":
         return Failures.HOSTS if world.environment.hosts else Failures.UNITS
     return Failures(asked)
+
+
+def setting(text: str) -> tuple[str, str]:
+    """`KEY=VALUE`, where the key may hold `=` itself."""
+    key, equals, value = text.rpartition("=")
+    if not (key and equals and value):
+        raise argparse.ArgumentTypeError(f"{text!r} is not KEY=VALUE")
+    return key.strip(), value.strip()
+
+
+def count(text: str) -> int:
+    value = _decimal(text)
+    if value != value.to_integral_value() or value < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1")
+    return int(value)
 
 
 def whole_seconds(text: str) -> int:
@@ -172,3 +214,15 @@ def put(text: str, out: str | None, screen: Screen) -> None:
     else:
         api.write_file(Path(out), text.encode())
         screen.note(f"Wrote {out}.")
+
+
+def known(name: str, names: Iterable[str], what: str) -> str:
+    """A name, if it is one of these; raises InputError with the nearest one."""
+    names = sorted(names)
+    if name in names:
+        return name
+    from difflib import get_close_matches
+
+    close = get_close_matches(name, names, n=1)
+    mend = f"did you mean {close[0]!r}?" if close else f"there are {len(names)}, such as {', '.join(names[:3])}"
+    raise InputError.of(f"there is no {what} {name!r}", mend=mend if names else None)

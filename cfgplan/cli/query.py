@@ -3,28 +3,26 @@
 from __future__ import annotations
 
 import argparse
-import json
 import signal
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from cfgplan.cli import options as shared
 from cfgplan.cli.durations import duration
 from cfgplan.cli.exits import Exit
-from cfgplan.cli.screen import FORMAT_VERSION, Screen, counted
+from cfgplan.cli.query_text import as_json, as_text
+from cfgplan.cli.screen import Screen
 from cfgplan.errors import Fault, InputError
 
 if TYPE_CHECKING:
-    from cfgplan.api import World
-    from cfgplan_runtime.reasoning.engine import Answer, Progressed, Report
     from cfgplan_runtime.reasoning.features import Declared
-    from cfgplan_runtime.reasoning.monitor import Waiting
-    from cfgplan_runtime.reasoning.query import Query
+    from cfgplan_runtime.reasoning.queries import Query
     from cfgplan_runtime.reasoning.subscriptions import Subscriptions
+
+    from cfgplan.api import World
 
 _EXITS = {"true": Exit.OK, "false": Exit.INVALID, "open": Exit.NOT_PROVEN, "unknown": Exit.NO_ANSWER}
 
@@ -36,22 +34,29 @@ def add_to(verbs: shared.Subparsers) -> None:
         "answer a temporal formula over the streams of semantic subscriptions",
         '  cfgplan query env.yaml "always (not in(ball, opponent_half) -> eventually[0,10s] in(ball, opponent_half))"\n'
         "  cfgplan query env.yaml 'eventually[0,1min] ball.x > 3' --feature ball='Position and hasSource some Ball'\n\n"
-        "exit codes: 0 true, 1 false, 20 open still, 21 unknown (values that decide were missing), 10 a feature can't be had",
+        "exit codes: 0 true, 1 false, 20 open still, 21 unknown (values were missing), 10 a feature can't be had",
     )
     parser.add_argument(
-        "env", metavar="ENV", nargs="?", help="environment file: what can be started; without it, or with --run, a run is asked"
+        "env",
+        metavar="ENV",
+        nargs="?",
+        help="environment file: what can be started; without it, or with --run, a run is asked",
     )
     parser.add_argument(
         "formula",
         metavar="FORMULA",
-        help="not, and, or, ->, always[a,b], eventually[a,b], until[a,b] over comparisons, in(point, region), RCC8 relations",
+        help="not, and, or, ->, always[a,b], eventually[a,b], until[a,b] over comparisons, in(point, region), RCC8",
     )
     parser.add_argument("--features", metavar="FILE", help="names of features and regions (features.yaml beside ENV)")
     parser.add_argument(
         "--feature", action="append", default=[], metavar="NAME=TAG", help="a name for a semantic subscription"
     )
     parser.add_argument(
-        "--region", action="append", default=[], metavar="NAME=REGION", help="such as goal='{circle: [4, 0], radius: 1}'"
+        "--region",
+        action="append",
+        default=[],
+        metavar="NAME=REGION",
+        help="such as goal='{circle: [4, 0], radius: 1}'",
     )
     parser.add_argument("--run", dest="run_id", metavar="ID", help="ask this run instead of starting units here")
     parser.add_argument("--for", dest="span", type=duration, metavar="TIME", help="stop after 30s, 5m, 1h")
@@ -93,10 +98,11 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 @contextmanager
 def _own(options: argparse.Namespace, screen: Screen, asked: Query, world: World) -> Iterator[Subscriptions]:
     """Subscriptions in a life-cycle of our own, which begins with what the query needs and nothing else."""
-    from cfgplan.domain import Environment
     from cfgplan_runtime import Runtime
     from cfgplan_runtime.lifecycle.manager import Manager
     from cfgplan_runtime.reasoning.managed import ManagedSubscriptions
+
+    from cfgplan.domain import Environment
 
     wanted = {feature.topic for feature in asked.features if feature.topic is not None}
     found = world.environment
@@ -117,7 +123,7 @@ def _read(options: argparse.Namespace, screen: Screen, known: Declared) -> Query
     """The query that the options say, over the features that are known and those that they declare."""
     from cfgplan_runtime.reasoning import features
     from cfgplan_runtime.reasoning.parsing import FILE
-    from cfgplan_runtime.reasoning.query import query
+    from cfgplan_runtime.reasoning.queries import query
     from cfgplan_runtime.reasoning.states import Timing
 
     beside = None if options.env is None else Path(options.env).with_name(features.FILE_BESIDE)
@@ -159,13 +165,16 @@ def _check_tags(asked: Query, world: World) -> None:
 
 
 def _answered(options: argparse.Namespace, screen: Screen, asked: Query, subscriptions: Subscriptions) -> Exit:
-    from cfgplan_runtime.reasoning.engine import Engine, UnmetTargetsError
+    from cfgplan_runtime.reasoning.answers import UnmetTargetsError
+    from cfgplan_runtime.reasoning.engine import Engine
 
-    show = _as_json(screen) if screen.json else _as_text(screen, options.formula, verbose=options.verbose)
+    show = as_json(screen) if screen.json else as_text(screen, options.formula, verbose=options.verbose)
     try:
         answer = Engine(asked, subscriptions, show).run(for_s=options.span, wait_s=options.wait)
     except UnmetTargetsError as error:
-        screen.faults([Fault(reason, mend="--wait TIME waits until it can be had") for reason in error.reasons.values()])
+        screen.faults(
+            [Fault(reason, mend="--wait TIME waits until it can be had") for reason in error.reasons.values()]
+        )
         return Exit.NO_PLAN
     return _EXITS[answer.verdict]
 
@@ -180,90 +189,3 @@ def _interruptible() -> Iterator[None]:
     finally:
         for one, handler in zip(signals, before, strict=True):
             signal.signal(one, handler)
-
-
-def _as_json(screen: Screen) -> Callable[[Report], None]:
-    def show(report: Report) -> None:
-        line = {"format_version": FORMAT_VERSION, "event": type(report).__name__, **asdict(report)}
-        screen.write(json.dumps(line, default=sorted, ensure_ascii=False) + "\n")
-        screen.flush()
-
-    return show
-
-
-def _as_text(screen: Screen, formula: str, *, verbose: bool) -> Callable[[Report], None]:
-    from cfgplan_runtime.reasoning import engine
-
-    last: list[object] = [None]
-
-    def show(report: Report) -> None:
-        match report:
-            case engine.SetUp(topics, seconds):
-                streams = ", ".join(f"{name} on {topic}" for name, topic in topics.items())
-                screen.note(f"Set up in {seconds:.2f} s: {streams or 'no streams are needed'}.")
-            case engine.Noted(text):
-                screen.note(text, style="yellow" if verbose or "unknown" in text else "dim")
-            case engine.Progressed():
-                situation = (report.waiting, report.possible, report.missing)
-                if situation != last[0]:
-                    last[0] = situation
-                    screen.show(f"{_clock(report.time_ns)}  open   {_open_text(report)}")
-            case engine.Answer():
-                screen.show(_answer_text(report, formula))
-        screen.flush()
-
-    return show
-
-
-def _open_text(report: Progressed) -> str:
-    parts = [f"waits for {_waiting_text(each)}" for each in report.waiting if each.until_ns is not None][:2]
-    if len(report.possible) < 3:
-        parts.append(f"can still become {' or '.join(sorted(report.possible))}")
-    if report.missing:
-        parts.append(f"no value of {', '.join(report.missing)}")
-    return "; ".join(parts) or f"after {counted(report.states, 'state')}"
-
-
-def _answer_text(answer: Answer, formula: str) -> str:
-    lines = []
-    at = "" if answer.time_ns is None else f"{_clock(answer.time_ns)}  "
-    lines.append(f"{at}{answer.verdict.value}   {formula}")
-    if answer.time_ns is None or answer.first_ns is None:
-        lines.append("  no state came")
-    else:
-        span = f"{(answer.time_ns - answer.first_ns) / 1e9:.3f} s after the first"
-        if answer.delay_s is None:
-            lines.append(f"  after {counted(answer.states, 'state')}; the last is {span}")
-        else:
-            late = f"known {1000 * answer.delay_s:.0f} ms after its time"
-            lines.append(f"  decided by state {answer.states}, {span}; {late}")
-            lines += [f"  {each.text} of {_clock(each.since_ns)} had ended" for each in answer.expired[:3] if each.since_ns]
-            lines += [f"  in it {text} is {verdict.value}" for text, verdict in list(answer.last.items())[:6]]
-    lines += [f"  waits for {_waiting_text(each)}" for each in answer.waiting[:3] if answer.delay_s is None]
-    if answer.delay_s is None and len(answer.possible) < 3:
-        lines.append(f"  it can still become {' or '.join(sorted(answer.possible))}")
-    lines += _losses(answer.missing, answer)
-    return "\n".join(lines)
-
-
-def _losses(missing: Mapping[str, int], answer: Answer) -> Sequence[str]:
-    found = [f"{name} had no value in {counted(count, 'state')}" for name, count in missing.items() if count]
-    if answer.late:
-        found.append(f"{counted(answer.late, 'sample')} came too late (--delay)")
-    if answer.dropped:
-        found.append(f"{counted(answer.dropped, 'sample')} dropped because the query was slow")
-    return [f"  {text}" for text in found]
-
-
-def _waiting_text(waiting: Waiting) -> str:
-    since = "" if waiting.since_ns is None else f" of {_clock(waiting.since_ns)}"
-    until = "" if waiting.until_ns is None else f", until {_clock(waiting.until_ns)}"
-    return f"{waiting.text}{since}{until}"
-
-
-def _clock(time_ns: Any) -> str:
-    """A time on the clock; of a stream with a clock of its own, in seconds."""
-    if time_ns < 1_000_000_000 * 86_400 * 365:
-        return f"{time_ns / 1e9:.3f}s"
-    at = time.strftime("%H:%M:%S", time.localtime(time_ns / 1e9))
-    return f"{at}.{time_ns // 1_000_000 % 1000:03}"

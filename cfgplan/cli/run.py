@@ -15,6 +15,7 @@ from cfgplan.cli.exits import Exit
 from cfgplan.cli.interrupts import Interrupts
 from cfgplan.cli.run_output import Output, output_for
 from cfgplan.cli.screen import Screen, counted
+from cfgplan.errors import InputError
 
 if TYPE_CHECKING:
     from cfgplan_runtime.operating.operation import Operation, Settings
@@ -32,8 +33,8 @@ _EXAMPLE = """\
 
 Editing ENV while it runs changes what runs; what it says under `units:` does not count.
 Ctrl-C stops and lets units finish, a second one ends them at once.
-Exit codes: 0 stopped with every target met, 10 with one that was not, 30 bad input, 31 internal error,
-130 interrupted at once."""
+Exit codes: 0 stopped with every target met, 12 with one that was not, 30 bad input, 31 internal error,
+130 interrupted at once; --strict and --dry-run: as of solve."""
 
 
 def add_to(verbs: shared.Subparsers) -> None:
@@ -59,8 +60,9 @@ def add_to(verbs: shared.Subparsers) -> None:
         default="declared",
         help="the cost of what was never seen: as declared, or so that it is tried, or not (declared)",
     )
-    parser.add_argument("--estimates", metavar="FILE", help="where estimates are kept between runs (the state folder)")
-    parser.add_argument("--no-estimates", action="store_true", help="neither read nor keep estimates")
+    kept = parser.add_mutually_exclusive_group()
+    kept.add_argument("--estimates", metavar="FILE", help="where estimates are kept between runs (the state folder)")
+    kept.add_argument("--no-estimates", action="store_true", help="neither read nor keep estimates")
     parser.add_argument("--preload", action="append", default=[], metavar="MODULE", help="import it before units start")
     shared.add_planning(parser)
     shared.add_matching(parser)
@@ -76,6 +78,9 @@ def port(text: str) -> int:
 
 
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
+    if not options.dry_run and (options.without or options.also or options.settings):
+        mend = "add --dry-run; or edit the file, or use `cfgplan ctl` while it runs"
+        raise InputError.of("--without, --with and --set are for trying out what would be planned", mend=mend)
     loaded = shared.load(options, screen)
     if loaded.environment.units:
         count = counted(len(loaded.environment.units), "running unit")
@@ -113,7 +118,7 @@ def _operate(options: argparse.Namespace, world: World, screen: Screen) -> Exit:
         return Exit.INTERRUPTED
     if operation.failure:
         return Exit.INTERNAL
-    return Exit.OK if operation.all_met else Exit.NO_PLAN
+    return Exit.OK if operation.all_met else Exit.UNMET
 
 
 def _await_first_review(operation: Operation, interrupts: Interrupts, screen: Screen) -> None:

@@ -6,21 +6,24 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isinf
-from typing import TypeVar
+from typing import Literal, TypeVar
 
-from cfgplan_runtime.lifecycle.reports import Review, Snapshot, TargetView, UnitView
+from cfgplan_runtime.lifecycle.reports import BackingOff, Decision, Review, Snapshot, TargetView, UnitView
 from cfgplan_runtime.operating.flows import Flow
-from cfgplan_runtime.operating.sentences import ERROR, WARNING, milliseconds, review_sentence, short
+from cfgplan_runtime.operating.sentences import ERROR, WARNING, because, decision, milliseconds, named, short
 from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
 from rich.rule import Rule
 from rich.table import Table
 from rich.text import Text
 
 from cfgplan.cli.screen import counted
+from cfgplan.cli.update_text import with_the_stream
+from cfgplan.domain import ComputationUnit
 
 T = TypeVar("T")
 
 _STYLES = {WARNING: "yellow", ERROR: "red"}
+_DECISIONS = {Decision.FAILED: "red", Decision.UNDECIDED: "red", Decision.KEPT: "dim", Decision.DEFERRED: "dim"}
 _FEWEST_LOG_LINES = 4
 _MOST_REVIEWS = 4
 _OLD_S = 2.0
@@ -34,11 +37,12 @@ class Line:
     at: float
     level: int
     text: str
+    is_review: bool = False
 
     def text_with_time(self) -> Text:
         """As it is shown."""
-        shown = Text(time.strftime("%H:%M:%S  ", time.localtime(self.at)), style="dim")
-        return shown.append(self.text, style=_STYLES.get(self.level, "not dim"))
+        shown = Text().append(time.strftime("%H:%M:%S  ", time.localtime(self.at)), style="dim")
+        return shown.append(self.text, style=_STYLES.get(self.level, ""))
 
 
 @dataclass(frozen=True)
@@ -81,9 +85,10 @@ class Picture:
         yield _title(f"units  {len(snapshot.units)}")
         yield self._units(units)
         yield _title("reviews")
-        yield from self._reviews(reviews)
+        yield self._reviews(reviews)
         yield _title("log")
-        shown = self.lines[-(log + spare) :]
+        # Reviews have a part of their own.
+        shown = [line for line in self.lines if not line.is_review][-(log + spare) :]
         yield from (_clipped(line.text_with_time()) for line in shown)
         yield from (Text("") for _ in range(log + spare - len(shown)))
         yield self._footer()
@@ -118,7 +123,7 @@ class Picture:
             yield Text(target.reason, style="red")
         elif flow.silent_s is None or flow.silent_s > _OLD_S:
             silent = "nothing came yet" if flow.silent_s is None else f"silent for {_span(flow.silent_s)}"
-            yield Text(f"{target.stream}  ").append(silent, style="yellow")
+            yield Text().append(f"{target.stream}  ").append(silent, style="yellow")
         else:
             yield Text(str(target.stream))
 
@@ -127,21 +132,33 @@ class Picture:
         table = _table(
             ("unit", 1), (">cpu", 0), (">memory", 0), (">steps/s", 0), (">dropped", 0), (">errors", 0), ("state", 2)
         )
-        rows = [*map(self._waiting, range(len(snapshot.backing_off))), *map(self._unit, snapshot.units)]
+        views = {view.unit.id: view for view in snapshot.units}
+        ordered = [views[unit.id] for unit in with_the_stream(snapshot.environment) if unit.id in views]
+        if len(ordered) + len(snapshot.backing_off) > room:
+            ordered.sort(key=lambda view: not self._is_odd(view))
+        rows = [*map(self._waiting, snapshot.backing_off), *map(self._unit, ordered)]
         for row in _first(rows, room):
             table.add_row(*row)
         return _with_rest(table, len(rows), room, "unit")
 
-    def _unit(self, view: UnitView) -> list[Text]:
-        unit, seen = view.unit, view.observation
+    def _gaps(self, unit: ComputationUnit) -> list[str]:
         transformation = self.snapshot.environment.transformation.get(unit.transformation)
-        gaps = sorted(set(transformation.input) - set(unit.feeds)) if transformation else []
+        return sorted(set(transformation.input) - set(unit.feeds)) if transformation else []
+
+    def _is_odd(self, view: UnitView) -> bool:
+        seen = view.observation
+        return seen is None or bool(seen.errors or seen.dropped or self._gaps(view.unit))
+
+    def _unit(self, view: UnitView) -> list[Text]:
+        unit, seen, gaps = view.unit, view.observation, self._gaps(view.unit)
         host = "" if view.host is None else f" on {view.host}"
-        state = Text(f"running{host}" if seen else f"new{host}", style="green" if seen else "cyan")
+        state = Text().append(f"running{host}" if seen else f"new{host}", style="green" if seen else "cyan")
         if gaps:
             state = Text(f"nothing feeds {', '.join(gaps)}", style="red")
         elif seen and seen.errors and seen.last_error:
-            state = Text(seen.last_error.strip().splitlines()[-1], style="yellow")
+            state = Text(short(seen.last_error), style="yellow")
+        elif unit.feeds:
+            state.append(f"  {', '.join(f'{port} ← {stream}' for port, stream in unit.feeds.items())}", style="dim")
         if seen is None:
             return [Text(unit.id), *[Text("")] * 5, state]
         upkeep = "" if seen.upkeep_us is None else f"{seen.upkeep_us / 1e4:.1f} %"
@@ -155,28 +172,32 @@ class Picture:
             state,
         ]
 
-    def _waiting(self, index: int) -> list[Text]:
-        waiting = self.snapshot.backing_off[index]
+    def _waiting(self, waiting: BackingOff) -> list[Text]:
         again = "until it changes" if isinf(waiting.left_s) else f"for {_span(waiting.left_s)}"
         times = "once" if waiting.failures == 1 else f"{waiting.failures} times"
         state = Text(f"not started {again}, failed {times}: {short(waiting.cause)}", style="red")
         return [Text(waiting.transformation, style="red"), *[Text("")] * 5, state]
 
-    def _reviews(self, room: int) -> Iterator[RenderableType]:
-        reviews = self.snapshot.reviews[-room:]
-        for review in reviews:
-            yield _clipped(_review(review, self.now_s))
-        yield from (Text("") for _ in range(room - len(reviews)))
+    def _reviews(self, room: int) -> RenderableType:
+        table = Table(box=None, expand=True, padding=(0, 2, 0, 0), show_header=False, pad_edge=False)
+        for name, ratio in (("number", 0), ("ago", 0), ("because", 2), ("decision", 3), ("took", 0)):
+            justify: Literal["left", "right"] = "left" if ratio else "right"
+            table.add_column(name, justify=justify, ratio=ratio or None, no_wrap=True, overflow="ellipsis")
+        for review in self.snapshot.reviews[-room:]:
+            table.add_row(*self._review(review))
+        return table if table.row_count else Text("none yet", style="dim")
+
+    def _review(self, review: Review) -> Iterator[Text]:
+        yield Text(str(review.number), style="dim")
+        yield Text(f"{_span(max(0.0, self.now_s - review.time_s))} ago", style="dim")
+        yield Text(because(review), style="dim")
+        unmet = f"; {named(sorted(review.unmet))} not met" if review.unmet else ""
+        yield Text(decision(review) + unmet, style=_DECISIONS.get(review.decision, ""))
+        yield Text(milliseconds(sum(review.seconds.values())), style="dim")
 
     def _footer(self) -> Text:
         text = self.note or "Ctrl-C stops  ·  edit the file, or use `cfgplan ctl`, to change what runs"
         return _clipped(Text(text, style="bold yellow" if self.note else "dim"))
-
-
-def _review(review: Review, now_s: float) -> Text:
-    style = {"failed": "red", "undecided": "red", "applied": "not dim"}.get(review.decision.value, "dim")
-    line = Text(f"{_span(max(0.0, now_s - review.time_s)):>8} ago  ", style="dim")
-    return line.append(review_sentence(review), style=style)
 
 
 def _table(*columns: tuple[str, int]) -> Table:
@@ -222,4 +243,5 @@ def _span(seconds: float) -> str:
         return f"{seconds:.0f} s"
     if seconds < 7200:
         return f"{seconds / 60:.0f} min"
-    return f"{seconds // 3600:.0f} h {seconds % 3600 // 60:.0f} min"
+    minutes = f" {seconds % 3600 // 60:.0f} min" if seconds % 3600 >= 60 else ""
+    return f"{seconds // 3600:.0f} h{minutes}"

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from rich.console import Console, RenderableType
 
 FORMAT_VERSION = 1
+_WIDTH_OF_A_FILE = 1000
 
 
 def counted(number: int, one: str, many: str | None = None) -> str:
@@ -102,7 +103,9 @@ class Screen:
     def _out(self) -> Console:
         from rich.console import Console
 
-        return Console(highlight=False, markup=False, emoji=False)
+        # What goes to a file or a program is not cut at the edge of a screen that is not there.
+        width = None if sys.stdout.isatty() else _WIDTH_OF_A_FILE
+        return Console(highlight=False, markup=False, emoji=False, width=width)
 
     @cached_property
     def _err(self) -> Console:

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import argparse
+import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import OF_STATUS, Exit
 from cfgplan.cli.front import add_front, show_front
 from cfgplan.cli.screen import Screen
 from cfgplan.planning import Status
+
+if TYPE_CHECKING:
+    from cfgplan.api import World
+    from cfgplan.planning import Problem
 
 
 def add_to(verbs: shared.Subparsers) -> None:
@@ -18,12 +24,13 @@ def add_to(verbs: shared.Subparsers) -> None:
         "solve",
         "find the cheapest update that meets every target, and prove it",
         "  cfgplan solve models/nao/2-segmenter-lost.yaml\n"
-        "  cfgplan solve models/building/office.yaml --horizon 30 --out plan.json",
+        "  cfgplan solve models/building/office.yaml --horizon 30 --out plan.json\n"
+        "  cfgplan solve models/nao/4-fusion-available.yaml --alternatives 3\n"
+        "  cfgplan solve models/nao/4-fusion-available.yaml --without 'segmenter(piff).1' --set horizon=600",
     )
     shared.add_environment(parser)
     shared.add_planning(parser)
     shared.add_survive(parser)
-    add_front(parser)
     shared.add_matching(parser)
     parser.add_argument("--out", metavar="FILE", help="write the plan to FILE (JSON)")
     parser.add_argument(
@@ -32,6 +39,17 @@ def add_to(verbs: shared.Subparsers) -> None:
     parser.add_argument(
         "--detailed-exitcode", action="store_true", help="exit with 2 instead of 0 if the update changes something"
     )
+    also = parser.add_mutually_exclusive_group()
+    also.add_argument(
+        "--alternatives", type=shared.count, metavar="K", help="show the K best configurations that differ in what runs"
+    )
+    add_front(also)
+    also.add_argument(
+        "--best-effort",
+        action="store_true",
+        help="if not all targets can be met, meet the most important ones; exits with 12 if some are not met",
+    )
+    parser.add_argument("--plot", metavar="FILE", help="with --front: draw it (SVG, PNG or PDF; extra `plots`)")
     parser.add_argument("-v", "--verbose", action="store_true", help="show what each step of the planner did")
     shared.add_json(parser)
     parser.set_defaults(run=run)
@@ -44,9 +62,16 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     problem = shared.problem(options, screen, world)
     if options.front is not None:
         return show_front(options, screen, problem)
-    report = shared.progress_report(screen) if options.progress else None
+    if options.alternatives:
+        return _alternatives(options, screen, world, problem)
+    is_proven = True
     with screen.phase("plan"):
-        plan = api.plan(problem, planner=options.planner, time_limit_s=options.timeout, report=report)
+        if options.best_effort:
+            found = api.best_effort(problem, planner=options.planner, time_limit_s=options.timeout)
+            problem, plan, is_proven = found.problem, found.plan, found.exact
+        else:
+            report = shared.progress_report(screen) if options.progress else None
+            plan = api.plan(problem, planner=options.planner, time_limit_s=options.timeout, report=report)
     document = api.plan_text(world, problem, plan)
     if options.out:
         api.write_file(Path(options.out), document.encode())
@@ -56,11 +81,41 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         from cfgplan.cli.update_text import update_text
 
         screen.show(update_text(problem, plan))
+        if not is_proven:
+            screen.warn("time ran out before it was proven that no better set of targets can be met")
         if options.verbose:
             screen.note("\n".join(f"  {name:32} {count}" for name, count in plan.counts.items()))
         screen.times()
         if options.out:
             screen.note(f"Wrote {options.out}.")
+    if plan.status is Status.OPTIMAL and not is_proven:
+        return Exit.NOT_PROVEN
+    if plan.status is Status.OPTIMAL and plan.reasons:
+        return Exit.UNMET
     if options.detailed_exitcode and plan.status is Status.OPTIMAL and plan.change_set:
         return Exit.CHANGES
     return OF_STATUS[plan.status]
+
+
+def _alternatives(options: argparse.Namespace, screen: Screen, world: World, problem: Problem) -> Exit:
+    from cfgplan import api
+
+    with screen.phase("plan"):
+        found = api.alternatives(problem, options.alternatives, planner=options.planner, time_limit_s=options.timeout)
+    if not found.plans:
+        options.alternatives = None
+        return run(options, screen)
+    documents = [api.plan_text(world, problem, plan) for plan in found.plans]
+    if options.out:
+        api.write_file(Path(options.out), documents[0].encode())
+    if screen.json:
+        plans = [json.loads(document) for document in documents]
+        screen.show_json({"complete": found.complete, "has_more": found.has_more, "alternatives": plans})
+    else:
+        from cfgplan.cli.alternatives_text import alternatives_text
+
+        screen.show(alternatives_text(problem, found))
+        screen.times()
+        if options.out:
+            screen.note(f"Wrote {options.out}: the first of them.")
+    return OF_STATUS[found.plans[0].status] if found.complete else Exit.NOT_PROVEN

@@ -123,6 +123,9 @@ def _summary(problem: Problem, plan: Plan) -> Iterator[Text]:
         )
         yield from fleet_lines(problem, before.update(changes))
     yield verdict(problem, plan)
+    if plan.change_set is not None and plan.reasons:
+        asked = len(before.targets) + len(plan.reasons)
+        yield Text(f"Given up: {len(plan.reasons)} of {asked} targets.", style="bold yellow")
     for reason in plan.reasons.values():
         yield Text(f"  {reason}")
     for label in plan.unused_required:

@@ -7,6 +7,7 @@ from cfgplan.explaining.alternatives import Alternatives, alternatives
 from cfgplan.explaining.best_effort import BestEffort, best_effort
 from cfgplan.explaining.front import Front, FrontPoint, front
 from cfgplan.explaining.plain import plain
+from cfgplan.explaining.sensitivity import Line, Sensitivity, Span, horizon_sensitivity, upkeep_sensitivity
 from cfgplan.explaining.together import Clash, Demands, demanding
 from cfgplan.explaining.unfed import Blocked, Unfed, Unreachable, named_alone, unreachable
 from cfgplan.explaining.why_not import Unused, WhyNot, why_not
@@ -21,6 +22,9 @@ __all__ = [
     "Demands",
     "Front",
     "FrontPoint",
+    "Line",
+    "Sensitivity",
+    "Span",
     "Unfed",
     "Unreachable",
     "Unused",
@@ -30,9 +34,11 @@ __all__ = [
     "best_effort",
     "demanding",
     "front",
+    "horizon_sensitivity",
     "named_alone",
     "plain",
     "unreachable",
+    "upkeep_sensitivity",
     "why_not",
     "why_stream",
     "why_transformation",

@@ -13,6 +13,9 @@ from cfgplan.errors import InputError
 from cfgplan.planning import Notion, Plan, Planner, Problem, Status
 from cfgplan.reasons import Givers, startable
 
+FIRST_LOOK_S = 1.0
+"""So long the planner looks at a part at first; then twice as long, but only when its bound is the least."""
+
 Labels = frozenset[str]
 Key = tuple[int, int, int, int]
 """Unused required transformations, cost in microseconds, rewired and started units: the order of optimality."""
@@ -63,6 +66,7 @@ class _Part:
 
     within: Labels
     without: Labels
+    limit_s: float = FIRST_LOOK_S
 
 
 class _Ranking:
@@ -88,12 +92,17 @@ class _Ranking:
             if end_s is not None and time.monotonic() > end_s:
                 yield None
                 return
-            entry = heapq.heappop(heap)[-1]
+            least, kind, is_other, within, without, entry = heapq.heappop(heap)
             if isinstance(entry, Plan):
                 yield entry
                 continue
             cheapest = self._cheapest(entry)
             if cheapest is None:
+                continue
+            if cheapest.status is not Status.OPTIMAL:
+                bound = max(least, (least[0], cheapest.bound_us, 0, 0))
+                longer = replace(entry, limit_s=2 * entry.limit_s)
+                heapq.heappush(heap, (bound, kind, is_other, within, without, longer))
                 continue
             runs = self._runs(cheapest)
             plan = self._best_that_runs(runs)
@@ -117,8 +126,13 @@ class _Ranking:
             without |= {label}
 
     def _cheapest(self, part: _Part) -> Plan | None:
-        """The cheapest plan of a part, whatever is required and allowed; None if the part is empty."""
-        plan = self._planner(self._restricted(part.without, part.within))
+        """The cheapest plan of a part, whatever is required and allowed; None if the part is empty.
+
+        If time ran out, its status is another than optimal.
+        """
+        plan = self._planner(self._restricted(part.without, part.within), time_limit_s=part.limit_s)
+        if plan.status in (Status.FEASIBLE, Status.UNKNOWN):
+            return replace(plan, bound_us=0) if plan.unused_required else plan
         if plan.change_set is None or plan.unused_required:
             return None
         after = self._problem.environment.update(plan.change_set)

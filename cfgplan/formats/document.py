@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path as FilePath
 from typing import Any, TypeVar
 
@@ -70,14 +70,21 @@ class Document:
     survive: int | str = 0
 
 
-def read_document(path: str | os.PathLike[str]) -> Document:
+def read_document(path: str | os.PathLike[str], also: Sequence[str | os.PathLike[str]] = ()) -> Document:
     """Read an environment file (YAML, JSON or XML) and its includes, or a folder of the paper's XML.
 
+    Files named `also` (relative to the working folder) count as included.
     Faults are collected in the document, for `build` to report together with those it finds;
     InputError is raised only where there is nothing to go on with: a file that can't be read or parsed.
     """
     with no_garbage_collection():
-        return _read_document(FilePath(path))
+        document = _read_document(FilePath(path))
+        more = [_read_file(FilePath(name), IncludedPart)[1:] for name in also]
+        return replace(
+            document,
+            files=(*document.files, *(file for file, _ in more)),
+            faults=(*document.faults, *(fault for _, faults in more for fault in faults)),
+        )
 
 
 def _read_document(main: FilePath) -> Document:

@@ -3,8 +3,8 @@
 python experiments/lifecycle/reaction.py [--repeat 50] [--library 10] [--library 1000] [--json FILE]
 
 A source at 500 Hz, a chain of three workers and the target /result run as processes, among so many transformations
-that could do the same. Restored is when the consumer of /result has the first element that a source made after the
-perturbation (`gap`: the longest time without an element meanwhile). Read times as orders of magnitude.
+that could do the same. The gap is the longest time in which the consumer of /result had no element, restored is when that was
+over, counted from the perturbation. Read times as orders of magnitude.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from bisect import bisect
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
-from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +47,7 @@ def same(x, seed=0):
 """
 RATE_HZ = 500
 STAGES = 3
+HANG_S = 1.5
 PATIENCE_S = 30.0
 Row = dict[str, Any]
 
@@ -64,6 +64,8 @@ def environment_text(size: int) -> str:
             ports["inputs"] = {"x": f"Stage{stage - 1}"}
         else:
             ports["run"] = {"rate": RATE_HZ}
+        if stage == 2:
+            ports["run"] = {"hang": HANG_S}
         code = "units.py:same" if stage else "units.py:count"
         library.append({"label": f"t{number}", "source": code, **costs, **ports})
     target = {"label": "result", "topic": "/result", "tag": f"Stage{STAGES}"}
@@ -71,26 +73,25 @@ def environment_text(size: int) -> str:
 
 
 class Consumer:
-    """When each element of a topic came, and when its source made it, on the clock of time.time_ns."""
+    """When each element of a topic came, in nanoseconds since 1970."""
 
     def __init__(self, topic: str) -> None:
-        self.seen: list[tuple[int, int]] = []
+        self.came: list[int] = []
         self._topic = topic
         threading.Thread(target=self._collect, daemon=True).start()
 
     def _collect(self) -> None:
-        for received in subscribe(self._topic, wait_s=PATIENCE_S):
-            self.seen.append((time.time_ns(), received.time_ns))
+        for _ in subscribe(self._topic, wait_s=PATIENCE_S):
+            self.came.append(time.time_ns())
 
-    def restored_ns(self, since_ns: int) -> int | None:
-        """When the first element came whose source made it after a moment."""
-        position = bisect(self.seen, since_ns, key=itemgetter(1))
-        return self.seen[position][0] if position < len(self.seen) else None
-
-    def longest_gap_ns(self, since_ns: int) -> int:
-        """The longest time between two elements since shortly before a moment."""
-        came = [at for at, _ in self.seen if at > since_ns - 50_000_000]
-        return max((after - before for before, after in pairwise(came)), default=0)
+    def longest_gap(self, since_ns: int) -> tuple[int, int] | None:
+        """The ends of the longest time without an element that lasted beyond a moment; None if nothing came since."""
+        came = self.came[max(0, bisect(self.came, since_ns) - 1) :]
+        if not came or came[-1] <= since_ns:
+            return None
+        if came[0] > since_ns:
+            return since_ns, came[0]
+        return max(pairwise(came), key=lambda ends: ends[1] - ends[0])
 
 
 class Run:
@@ -116,6 +117,11 @@ class Run:
         pid = self.runtime.pid(self.unit_at(stage))
         assert pid is not None
         os.kill(pid, signal.SIGKILL)
+
+    def hang(self) -> None:
+        pid = self.runtime.pid(self.unit_at(2))
+        assert pid is not None
+        os.kill(pid, signal.SIGSTOP)
 
     def kill_all(self) -> None:
         for unit in self.runtime.environment.units:
@@ -180,17 +186,13 @@ def measure(run: Run, name: str, perturb: Callable[[], None], after: Callable[[]
         assert time.monotonic() < deadline, f"{name}: nothing was applied"
         time.sleep(0.001)
     run.manager.settle(PATIENCE_S)
-    while (restored_ns := consumer.restored_ns(start_ns)) is None:
+    time.sleep(0.1)
+    while (gap := consumer.longest_gap(start_ns)) is None:
         assert time.monotonic() < deadline, f"{name}: nothing came"
         time.sleep(0.001)
-    time.sleep(0.05)
     review = _applied(run.reviews[before:])
     assert review is not None
-    row: Row = {
-        "kind": name,
-        "restored": (restored_ns - start_ns) / 1e6,
-        "gap": consumer.longest_gap_ns(start_ns) / 1e6,
-    }
+    row: Row = {"kind": name, "restored": (gap[1] - start_ns) / 1e6, "gap": (gap[1] - gap[0]) / 1e6}
     row["noticed"] = (review.time_s * 1e9 - start_ns) / 1e6
     row |= {phase: review.seconds.get(phase, 0.0) * 1e3 for phase in PHASES}
     if after is not None:
@@ -223,6 +225,7 @@ def rows(size: int, repeat: int) -> list[Row]:
                     ("source killed", lambda: run.kill(0), None, "/result"),
                     ("worker killed", lambda: run.kill(2), None, "/result"),
                     ("last worker killed", lambda: run.kill(STAGES), None, "/result"),
+                    (f"worker hangs for {HANG_S} s", run.hang, None, "/result"),
                     ("all units killed", run.kill_all, None, "/result"),
                     ("subscription cut", lambda: run.cut(2), None, "/result"),
                     ("topic cut", run.cut_topic, None, "/result"),

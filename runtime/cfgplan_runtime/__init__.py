@@ -26,11 +26,19 @@ if TYPE_CHECKING:
     from cfgplan_runtime.streams.subscription import Received as Received
     from cfgplan_runtime.streams.subscription import subscribe as subscribe
     from cfgplan_runtime.supervision.applying import Patience as Patience
+    from cfgplan_runtime.supervision.events import Applied as Applied
+    from cfgplan_runtime.supervision.events import InputLost as InputLost
+    from cfgplan_runtime.supervision.events import UnitDied as UnitDied
+    from cfgplan_runtime.supervision.observation import Observation as Observation
     from cfgplan_runtime.supervision.simulated_backend import SimulatedBackend as SimulatedBackend
     from cfgplan_runtime.supervision.supervisor import Supervisor as Supervisor
+    from cfgplan_runtime.supervision.wiring import without_unit as without_unit
 
 _HOMES = {
     "supervision.applying": "Patience",
+    "supervision.events": "Applied InputLost UnitDied",
+    "supervision.observation": "Observation",
+    "supervision.wiring": "without_unit",
     "errors": "ApplyError NoSuchTopicError RuntimeFaultError StaleChangeSetError",
     "lifecycle.manager": "Manager",
     "lifecycle.policy": "Policy",

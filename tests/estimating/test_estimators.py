@@ -109,6 +109,15 @@ def test_a_relative_that_is_declared_twice_as_dear_is_expected_to_be_twice_as_de
     assert estimator.estimated([piff, puff], HORIZON_S)[1].upkeep_us == 120_000
 
 
+def test_what_has_other_unit_code_is_no_relative() -> None:
+    estimator = make_estimator()
+    piff, puff = piff_and_puff()
+    other = replace(puff, source="units.py:Other")
+    estimator.estimated([piff, other], HORIZON_S)
+    Watched(estimator, "work(piff)").run(lambda _: 60_000, 30)
+    assert estimator.estimated([piff, other], HORIZON_S)[1] == other
+
+
 def test_own_observations_count_more_than_the_familys() -> None:
     estimator = make_estimator()
     piff, puff = piff_and_puff()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -149,3 +150,11 @@ def test_each_environment_file_has_its_own_estimates(tmp_path: Path, monkeypatch
     assert first.name.startswith("env-")
     monkeypatch.chdir(tmp_path)
     assert default_file(Path("a/env.yaml")) == first
+
+
+def test_no_parameter_of_a_transformation_is_written_down(file: Path) -> None:
+    estimator = make_estimator()
+    estimator.estimated([replace(WORK, params={"password": "hunter2"})], HORIZON_S)
+    Watched(estimator).run(lambda _: 1000, 10)
+    save(estimator, file, 10.0)
+    assert b"hunter2" not in file.read_bytes()

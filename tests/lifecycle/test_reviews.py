@@ -285,6 +285,19 @@ def test_a_planner_without_an_answer_is_asked_again_later_and_later() -> None:
     assert waits[:5] == [1, 2, 4, 8, 8]
 
 
+def test_a_planner_with_a_fault_of_its_own_does_not_end_the_life_cycle() -> None:
+    planner = Meddling()
+    life = Life(planner=planner)
+
+    def stumble() -> None:
+        raise ZeroDivisionError("a bug")
+
+    planner.deed = stumble
+    life.settle()
+    assert [review.decision for review in life.reviews] == [Decision.UNDECIDED, Decision.APPLIED]
+    assert life.reviews[0].cause == "ZeroDivisionError: a bug"
+
+
 def test_a_wrong_answer_of_a_planner_is_not_carried_out() -> None:
     def lying(problem: Problem, **_: object) -> Plan:  # noqa: ARG001
         return Plan("liar", Status.OPTIMAL, ChangeSet(), 0)

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
@@ -11,9 +14,13 @@ from typing import Any
 
 import psutil
 import pytest
+from cfgplan_runtime import subscribe
 from cfgplan_runtime.demo import stage as stages
 
 from cfgplan.cli import main
+from cfgplan.cli.exits import Exit
+
+PATIENCE_S = 60
 
 
 @pytest.fixture
@@ -88,6 +95,26 @@ def test_the_story_of_section_five_happens_and_is_put_on_a_page(
     assert all(link.startswith("data:") for link in page.links)
     for said in ("Two robots, one ball", "The segmenter is killed", "39.90 s, 21.30 s more", "killed by SIGKILL"):
         assert said in page.text
+
+
+@pytest.mark.usefixtures("nothing_is_left_behind")
+@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_play_leaves_no_process(tmp_path: Path, end: signal.Signals) -> None:
+    command = [sys.executable, "-c", "import sys; from cfgplan.cli import main; sys.exit(main())"]
+    arguments = ["demo", "nao", "--json", "--step", "60s", "--report", str(tmp_path / "page.html")]
+    with subprocess.Popen([*command, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as playing:
+        assert playing.stdout is not None
+        assert json.loads(playing.stdout.readline())["step"] == 0
+        subscription = subscribe("/result", wait_s=PATIENCE_S, timeout_s=PATIENCE_S)
+        next(iter(subscription))
+        started = psutil.Process(playing.pid).children(recursive=True)
+        assert len(started) > 6
+        playing.send_signal(end)
+        _, err = playing.communicate(timeout=PATIENCE_S)
+        subscription.close()
+    assert playing.returncode == Exit.INTERRUPTED, err
+    assert psutil.wait_procs(started, timeout=PATIENCE_S)[1] == []
+    assert not (tmp_path / "page.html").exists()
 
 
 def test_without_opencv_the_extra_is_named(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

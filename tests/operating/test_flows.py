@@ -25,7 +25,7 @@ from cfgplan.domain import (
 
 PATIENCE_S = 60.0
 CAMERA = Transformation(
-    "camera", outputs=(OutputPort("image", "I"),), source="running_units.py:camera", run=RunOptions(rate_hz=100)
+    "camera", outputs=(OutputPort("image", "I"),), source="camera_units.py:camera", run=RunOptions(rate_hz=100)
 )
 UNIT = ComputationUnit("camera.1", "camera", (), (Publication("image", "/result"),))
 

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import socket
-import sys
 import urllib.request
 from collections.abc import Iterator
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -140,11 +138,3 @@ def test_a_closed_server_gives_its_port_back() -> None:
     server.close()
     again = serve(port, Metrics())
     again.close()
-
-
-def test_without_the_extra_it_is_told_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    name = "cfgplan_runtime.operating.metrics"
-    monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, "prometheus_client", None)
-    with pytest.raises(RuntimeFaultError, match=r"pip install 'cfgplan\[metrics\]'"):
-        import_module(name)

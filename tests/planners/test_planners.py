@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from threading import Event
 
 import pytest
 
@@ -21,6 +22,7 @@ from cfgplan.domain import (
 )
 from cfgplan.errors import InputError
 from cfgplan.planners import PLANNERS
+from cfgplan.planners.cpsat import plan as cpsat_plan
 from cfgplan.planning import Planner, Problem, Progress, Status
 from cfgplan.validity import plan_violations
 
@@ -254,3 +256,20 @@ def test_progress_is_reported_with_ever_better_costs(planner: Planner) -> None:
 def test_the_registry_imports_no_solver() -> None:
     code = "import cfgplan.planners, sys; sys.exit(any(m in sys.modules for m in ('ortools', 'numpy', 'scipy')))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_a_plan_stopped_before_it_is_known_whether_all_required_can_be_used_claims_no_bound() -> None:
+    library = (
+        Transformation("source", (), (OutputPort("o", "A"),), labor_us=1),
+        Transformation("wanted", (InputPort("i", "A"),), (OutputPort("o", "B"),), labor_us=9, required=True),
+        Transformation("sink", (InputPort("i", "B"),), (OutputPort("o", "A"),), labor_us=9),
+    )
+    similarity = Similarity({tag: frozenset({tag}) for tag in "AB"})
+    problem = Problem(Environment((), library, (Target("q", "A", "/q"),)), similarity, 1, max_cost_us=5)
+    stop = Event()
+    stop.set()
+    stopped = cpsat_plan(problem, stop=stop)
+    assert stopped.bound_us == 0
+    assert stopped.status is not Status.TOO_EXPENSIVE
+    assert cpsat_plan(problem).status is Status.TOO_EXPENSIVE
+    assert cpsat_plan(problem).cost_us == 19

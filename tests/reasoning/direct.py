@@ -1,4 +1,4 @@
-"""The meaning of metric temporal logic on complete traces, by the letter of its definition; shares no code with progression."""
+"""What metric temporal logic means on complete traces, by its definition; shares no code with progression."""
 
 from __future__ import annotations
 

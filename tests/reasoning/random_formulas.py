@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from cfgplan_runtime.reasoning.syntax import (
     ALL_TIME,
     Always,
@@ -43,15 +45,19 @@ def _larger(parts: st.SearchStrategy[Formula]) -> st.SearchStrategy[Formula]:
     )
 
 
+def formulas_over(parts: Sequence[Formula]) -> st.SearchStrategy[Formula]:
+    """Formulas with these as their smallest parts, and constants."""
+    least = st.sampled_from(parts)
+    return st.recursive(st.one_of(least, least, least, st.builds(Constant, st.booleans())), _larger, max_leaves=7)
+
+
 atoms: st.SearchStrategy[Formula] = st.sampled_from([Atom(name) for name in ATOMS])
-formulas: st.SearchStrategy[Formula] = st.recursive(
-    st.one_of(atoms, atoms, atoms, st.builds(Constant, st.booleans())), _larger, max_leaves=7
-)
+formulas = formulas_over([Atom(name) for name in ATOMS])
 
 
 def traces(values: st.SearchStrategy[bool | None], most: int = 12) -> st.SearchStrategy[list[State]]:
     """Traces with one state or more, at times that rise by 1 to 5."""
-    states = st.tuples(st.integers(1, 5), st.fixed_dictionaries({name: values for name in ATOMS}))
+    states = st.tuples(st.integers(1, 5), st.fixed_dictionaries(dict.fromkeys(ATOMS, values)))
 
     def timed(steps: list[State]) -> list[State]:
         time = 0
@@ -64,5 +70,4 @@ def traces(values: st.SearchStrategy[bool | None], most: int = 12) -> st.SearchS
     return st.lists(states, min_size=1, max_size=most).map(timed)
 
 
-two_values = st.booleans()
 three_values = st.sampled_from([False, True, None])

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import NoReturn
+
 import pytest
-from cfgplan_runtime.reasoning.engine import Answer, Engine, Noted, Report, SetUp, UnmetTargetsError
+from cfgplan_runtime.reasoning.answers import Answer, Noted, Report, SetUp, UnmetTargetsError
+from cfgplan_runtime.reasoning.engine import Engine
 from cfgplan_runtime.reasoning.features import Declared, Feature, of_options
-from cfgplan_runtime.reasoning.query import query
+from cfgplan_runtime.reasoning.queries import query
 from cfgplan_runtime.reasoning.states import Timing
 from cfgplan_runtime.reasoning.truth import Verdict
 from fake_subscriptions import FakeSubscriptions, Given, stream
 
+from cfgplan.domain import Target
 from cfgplan.errors import InputError
 
 MS = 1_000_000
@@ -80,7 +85,9 @@ def test_a_field_that_is_not_there_is_told_once_and_makes_it_unknown() -> None:
 
 def test_an_answer_that_is_open_when_the_time_is_over_says_what_it_waits_for() -> None:
     now = stream(at(-1))
-    found = answer(ask("always (not in(ball, right) -> eventually[0,99s] in(ball, right))", FakeSubscriptions({"Ball": now}), 0.4))
+    found = answer(
+        ask("always (not in(ball, right) -> eventually[0,99s] in(ball, right))", FakeSubscriptions({"Ball": now}), 0.4)
+    )
     assert (found.verdict, found.delay_s) == (Verdict.OPEN, None)
     assert ("eventually[0s, 99s] in(ball, right)", 0, 99_000 * MS) in [
         (each.text, each.since_ns, each.until_ns) for each in found.waiting
@@ -100,9 +107,20 @@ def test_a_target_can_be_waited_for() -> None:
     assert answer(ask("eventually ball.x > 0", fake, wait_s=30)).verdict is Verdict.TRUE
 
 
+def test_a_target_that_is_refused_is_not_taken_down() -> None:
+    class Refusing(FakeSubscriptions):
+        def add(self, targets: Sequence[Target]) -> None:
+            raise InputError.of(f"{targets[0].tag} can't be used")
+
+    fake = Refusing({})
+    with pytest.raises(InputError, match="can't be used"):
+        ask("always ball.x > 0", fake)
+    assert fake.log == []
+
+
 def test_a_topic_that_fails_ends_the_query_and_takes_the_targets_down() -> None:
     class Broken(FakeSubscriptions):
-        def samples(self, topic: str, wait_s: float):  # type: ignore[no-untyped-def]
+        def samples(self, topic: str, wait_s: float) -> NoReturn:  # noqa: ARG002
             raise InputError.of(f"{topic} is gone")
 
     fake = Broken({})

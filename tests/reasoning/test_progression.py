@@ -8,9 +8,9 @@ from cfgplan_runtime.reasoning.truth import Verdict
 from direct import State, holds
 from following import VERDICT, follow
 from hypothesis import given, settings
-from random_formulas import formulas, three_values, traces, two_values
+from random_formulas import formulas, three_values, traces
 
-many = settings(max_examples=1500, deadline=None)
+many = settings(max_examples=1200, deadline=None)
 
 
 @many

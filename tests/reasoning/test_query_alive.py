@@ -17,10 +17,11 @@ from cfgplan_runtime.lifecycle.manager import Manager
 from cfgplan_runtime.operating.control_client import connect
 from cfgplan_runtime.operating.control_server import ControlServer
 from cfgplan_runtime.operating.methods import Methods
-from cfgplan_runtime.reasoning.engine import Answer, Engine, Noted, Report
+from cfgplan_runtime.reasoning.answers import Answer, Noted, Report
+from cfgplan_runtime.reasoning.engine import Engine
 from cfgplan_runtime.reasoning.features import of_file, of_targets
 from cfgplan_runtime.reasoning.managed import ManagedSubscriptions, RemoteSubscriptions
-from cfgplan_runtime.reasoning.query import query
+from cfgplan_runtime.reasoning.queries import query
 from cfgplan_runtime.reasoning.truth import Verdict
 
 import cfgplan
@@ -113,7 +114,7 @@ def test_a_query_survives_the_death_of_a_unit() -> None:
         manager.request(KillUnit("localizer.1"))
         wait_for(lambda: any(isinstance(one, Noted) and "localizer.1 died" in one.text for one in told))
         states = engine.monitor.states
-        wait_for(lambda: any(isinstance(one, Noted) and "started localizer" in one.text for one in told[1:]))
+        wait_for(lambda: sum(isinstance(one, Noted) and "started localizer" in one.text for one in told) >= 2)
         wait_for(lambda: engine.monitor.states > states + 50)
         engine.stop()
         thread.join(PATIENCE_S)
@@ -133,6 +134,25 @@ def test_a_run_of_another_process_is_asked_through_its_control_socket(
             assert units(manager) == {"camera", "robot"}
             assert main(["query", "always heat.celsius > 3", "--features", str(PITCH / "features.yaml")]) == 10
             assert "no output matches" in capsys.readouterr().err
+            assert main(["query", "always hot.x > 3", "--feature", "hot=Ball and and"]) == 30
+            assert "⊓" in capsys.readouterr().err
             with connect() as control:
                 remote = RemoteSubscriptions(control)
                 assert set(remote.declared().features) == {"robot"}
+
+
+def test_a_query_whose_run_ends_is_left_open() -> None:
+    told: list[Report] = []
+    with running() as (manager, runtime):
+        engine = Engine(
+            query("always (ball.x > 99 or eventually[0,1h] ball.x > 99)", of_file(PITCH / "features.yaml")),
+            ManagedSubscriptions(manager, runtime.id),
+            told.append,
+        )
+        found: list[Answer] = []
+        thread = threading.Thread(target=lambda: found.append(engine.run()))
+        thread.start()
+        wait_for(lambda: engine.monitor.states > 5)
+    thread.join(PATIENCE_S)
+    assert found[0].verdict is Verdict.OPEN
+    assert Noted("the stream of ball has ended") in told

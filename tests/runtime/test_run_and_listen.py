@@ -100,13 +100,13 @@ def test_what_unit_code_prints_and_raises_is_shown(env: Path, capsys: pytest.Cap
 
 def test_a_unit_without_source_is_told_and_not_started(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
     env.write_text(ENVIRONMENT.replace("    source: units.py:camera\n", ""))
-    assert main(["run", str(env), "--for", "1s"]) == 10
+    assert main(["run", str(env), "--for", "1s"]) == 12
     assert "'camera' can't be started without unit code" in capsys.readouterr().out
 
 
 def test_code_that_does_not_exist_is_told(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
     env.write_text(ENVIRONMENT.replace("units.py:camera", "units.py:kamera"))
-    assert main(["run", str(env), "--for", "1s"]) == 10
+    assert main(["run", str(env), "--for", "1s"]) == 12
     assert "units.py has no kamera" in capsys.readouterr().out
 
 
@@ -114,13 +114,13 @@ def test_where_everything_must_be_met_nothing_is_started_otherwise(
     env: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     env.write_text(ENVIRONMENT.replace("outputs: {ball: Ball}", "outputs: {ball: Foot}"))
-    assert main(["run", str(env), "--strict"]) == 10
+    assert main(["run", str(env), "--strict"]) == 12
     assert "Running" not in capsys.readouterr().out
 
 
 def test_a_target_that_can_not_be_met_starts_nothing(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
     env.write_text(ENVIRONMENT.replace("outputs: {ball: Ball}", "outputs: {ball: Foot}"))
-    assert main(["run", str(env), "--for", "200ms"]) == 10
+    assert main(["run", str(env), "--for", "200ms"]) == 12
     assert "Running 0 units" in capsys.readouterr().out
 
 

@@ -16,7 +16,7 @@ def blocks(language: str) -> list[str]:
 
 
 def test_the_ten_lines_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    units, program = blocks("python")
+    units, program, *_ = blocks("python")
     (tmp_path / "units.py").write_text(units)
     (tmp_path / "env.yaml").write_text(blocks("yaml")[0])
     monkeypatch.chdir(tmp_path)

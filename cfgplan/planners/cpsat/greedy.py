@@ -46,37 +46,46 @@ def _cost(cost: Ints, labels: Iterable[int]) -> int:
 
 def _supported(network: Network, cost: Ints, free: set[int], avoid: int | None = None) -> set[int] | None:
     """The cheapest support of the goal by h_add, where `free` labels cost nothing and `avoid` is not to be had."""
-    price = cost + 1.0
+    price = cost.astype(np.float64) + 1.0
     price[list(free)] = 1e-3
     if avoid is not None:
         price[avoid] = np.inf
+    total = _total(network, price)
+    if total is None:
+        return None
+    chosen = _below(network, [network.core.goal, *network.pinned], total)
+    return _without_redundant(network, cost, chosen) if is_plan(network, chosen) else None
+
+
+def support_of(network: Network, cost: Ints, label: int) -> set[int]:
+    """The labels by which the label is fed most cheaply, by h_add."""
+    total = _total(network, cost.astype(np.float64) + 1.0)
+    return set() if total is None else _below(network, [label], total) - {label}
+
+
+def _total(network: Network, price: Floats) -> Floats | None:
+    """h_add of each label with its own price; None if the goal is out of reach."""
     facts = np.full(len(network.core.givers), np.inf)
     while True:
         labels = network.core.sum_of_needs(facts)
         total = labels[:-1] + price
         better = network.core.least_of_givers(total)
         if np.array_equal(better, facts):
-            break
+            return total if np.isfinite(labels[network.core.goal]) else None
         facts = better
-    if not np.isfinite(labels[network.core.goal]):
-        return None
-    chosen = _support(network, total)
-    if chosen is None:
-        return None
-    return _without_redundant(network, cost, chosen)
 
 
-def _support(network: Network, total: Floats) -> set[int] | None:
-    """The cheapest giver of each fact that is needed, from the goal down; None if that is not grounded."""
-    chosen: set[int] = set(network.pinned)
+def _below(network: Network, labels: list[int], total: Floats) -> set[int]:
+    """The cheapest giver of each fact that some labels need, and so on down, and these labels but the goal."""
+    chosen = set(labels)
     fed: set[int] = set()
-    ahead = [network.core.goal, *sorted(chosen)]
+    ahead = list(labels)
     for label in ahead:
         for giver in _feeders(network, label, total, fed):
             if giver not in chosen:
                 chosen.add(giver)
                 ahead.append(giver)
-    return chosen if is_plan(network, chosen) else None
+    return chosen - {network.core.goal}
 
 
 def _feeders(network: Network, label: int, total: Floats, fed: set[int]) -> list[int]:

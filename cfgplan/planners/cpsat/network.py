@@ -8,7 +8,7 @@ relaxed here, the one to an ordinary input, the other to none: bounds stay valid
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeVar
@@ -16,7 +16,9 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from cfgplan.costs import keep_cost_us, start_cost_us
 from cfgplan.domain import Transformation
+from cfgplan.planning import Problem
 from cfgplan.reasons import Givers
 
 Ints = npt.NDArray[np.int64]
@@ -156,6 +158,7 @@ class Network:
         watch: Callable[[], None] = lambda: None,
     ) -> None:
         self.transformations = library
+        self.targets = list(targets)
         self.labels = [transformation.label for transformation in library]
         self.number = {label: i for i, label in enumerate(self.labels)}
         self.fact_of_tag: dict[str, int] = {}
@@ -172,7 +175,7 @@ class Network:
         for port in (port for t in library for port in t.inputs if port.feedback):
             fact(port.tag)
         self.pinned = sorted(self.number[label] for label in pinned)
-        wanted = {fact(tag) for tag in targets}.union(*(needs[label] for label in self.pinned))
+        wanted = {fact(tag) for tag in self.targets}.union(*(needs[label] for label in self.pinned))
         self.special = frozenset(
             i for i, t in enumerate(library) if any(port.feedback or port.distinct is not None for port in t.inputs)
         )
@@ -182,3 +185,26 @@ class Network:
             np.arange(len(library)),
             np.arange(len(fact_of_givers)),
         )
+
+
+def costs(problem: Problem, network: Network, pinned: Collection[str]) -> tuple[int, Ints]:
+    """What units of the network's pinned labels cost whatever is planned, and what each label costs beyond that.
+
+    Of those in `pinned` all running units are kept, of others one is enough.
+    """
+    running: dict[str, int] = {}
+    for unit in problem.environment.units:
+        running[unit.transformation] = running.get(unit.transformation, 0) + 1
+    library = problem.environment.transformation
+    cost = np.fromiter(
+        (
+            (keep_cost_us if label in running else start_cost_us)(library[label], problem.horizon_s)
+            for label in network.labels
+        ),
+        np.int64,
+        len(network.labels),
+    )
+    times = {i: running[network.labels[i]] if network.labels[i] in pinned else 1 for i in network.pinned}
+    fixed_us = sum(times[i] * int(cost[i]) for i in network.pinned)
+    cost[network.pinned] = 0
+    return fixed_us, cost

@@ -7,7 +7,10 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class Prepared:
-    """What preprocessing leaves: labels that may be used, a first plan, its cost, a bound, landmarks."""
+    """What preprocessing leaves: labels that may be used, a first plan, its cost, a bound, landmarks.
+
+    If `holds_for` is given, all that is so for plans that leave no more required transformations unused.
+    """
 
     labels: list[str]
     plan: list[str] | None = None
@@ -15,3 +18,4 @@ class Prepared:
     bound_us: int = 0
     landmarks: list[list[str]] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=dict)
+    holds_for: int | None = None

@@ -33,6 +33,10 @@ LARGEST = 2**62
 """No sum of the solver's integers may exceed this."""
 
 
+class InfeasibleError(Exception):
+    """No plan meets all that was added to the model; without additions there always is one."""
+
+
 class Search:
     """Rounds of solving and cutting that bring a standing forward."""
 
@@ -46,12 +50,7 @@ class Search:
     def run(self) -> None:
         """Go through the stages until the clock stops one."""
         model = self.model
-        self.standing.counts |= {"booleans": len(model.literals), "rounds": 0, "cuts": 0, "conflicts": 0}
-        model.some_member_of_each_runs(self.prepared.landmarks)
-        if self.grounding is Grounding.LEVELS:
-            everything_rests_on_something_lower(model)
-        if self.prepared.cost_us is not None:
-            model.cp.add(model.cost() <= self.prepared.cost_us)
+        self._begin()
         scale = self.changes_scale()
         if scale is not None:
             self.standing.stage = Stage.COST_AND_CHANGES
@@ -65,16 +64,41 @@ class Search:
             return
         if required and self.standing.best is not None:
             model.cp.add(used >= required - self.standing.best.key[0] + self.hopeless_required())
-        self.standing.stage = Stage.COST
-        if self.standing.best is None or self.standing.best.key[1] > self.standing.bound_us or required:
+        self.minimise_cost_then_changes()
+
+    def run_with_all_required(self) -> bool:
+        """Go through the stages for plans that use all required transformations; False if there are none."""
+        self._begin()
+        for used in self.model.uses_required.values():
+            self.model.cp.add(used == 1)
+        try:
+            self.minimise_cost_then_changes()
+        except InfeasibleError:
+            return False
+        return True
+
+    def _begin(self) -> None:
+        model = self.model
+        self.standing.counts |= {"booleans": len(model.literals), "rounds": 0, "cuts": 0, "conflicts": 0}
+        model.some_member_of_each_runs(self.prepared.landmarks)
+        if self.grounding is Grounding.LEVELS:
+            everything_rests_on_something_lower(model)
+        if self.prepared.cost_us is not None:
+            model.cp.add(model.cost() <= self.prepared.cost_us)
+
+    def minimise_cost_then_changes(self) -> None:
+        """The last two stages."""
+        model, standing = self.model, self.standing
+        standing.stage = Stage.COST
+        if standing.best is None or standing.best.key[1] > standing.bound_us or model.uses_required:
             if not self.minimise(model.cost()):
                 return
-            assert self.standing.best is not None
-            self.standing.raise_bound(self.standing.best.key[1])
-        model.cp.add(model.cost() <= self.standing.best.key[1])
-        self.standing.stage = Stage.CHANGES
+            assert standing.best is not None
+            standing.raise_bound(standing.best.key[1])
+        model.cp.add(model.cost() <= standing.best.key[1])
+        standing.stage = Stage.CHANGES
         if self.minimise(model.changes()):
-            self.standing.stage = Stage.DONE
+            standing.stage = Stage.DONE
 
     def changes_scale(self) -> int | None:
         """What a microsecond must weigh against changes to add both up; None if the sum would not be exact."""
@@ -108,7 +132,7 @@ class Search:
             if status in (OPTIMAL, FEASIBLE, UNKNOWN):
                 self.learn_bound(ceil(solver.best_objective_bound - 0.5))
             if status == INFEASIBLE:
-                raise AssertionError("a problem whose targets can all be met has a plan")
+                raise InfeasibleError
             if status not in (OPTIMAL, FEASIBLE):
                 return False
             true = {x.index for x in self.model.literals if solver.boolean_value(x)}

@@ -12,12 +12,11 @@ from threading import Event
 
 import numpy as np
 
-from cfgplan.costs import keep_cost_us, start_cost_us
 from cfgplan.planners.cpsat.bounds import Bound
 from cfgplan.planners.cpsat.clock import Clock, OutOfTimeError
 from cfgplan.planners.cpsat.greedy import first_plan, improved, is_plan
 from cfgplan.planners.cpsat.grounding import Grounding
-from cfgplan.planners.cpsat.network import Ints, Network
+from cfgplan.planners.cpsat.network import Ints, Network, costs
 from cfgplan.planners.cpsat.prepared import Prepared
 from cfgplan.planners.cpsat.rest import Left, Rest
 from cfgplan.planners.cpsat.site import Site
@@ -66,13 +65,16 @@ class PlannerSession:
         clock.end("closure")
         standing: Standing | None = None
         try:
-            prepared = self._prepare(problem, structure, clock)
-            clock.end("bounds")
-            standing = Standing(Site(problem, structure.givers, prepared.labels), prepared, clock, report)
-            if standing.stage is not Stage.DONE and not clock.is_over():
-                from cfgplan.planners.cpsat.search import Search  # the solver takes long to import
+            if structure.has_required:
+                standing = self._with_required(problem, structure, clock, report)
+            else:
+                prepared = self._prepare(problem, structure, clock)
+                clock.end("bounds")
+                standing = Standing(Site(problem, structure.givers, prepared.labels), prepared, clock, report)
+                if standing.stage is not Stage.DONE and not clock.is_over():
+                    from cfgplan.planners.cpsat.search import Search  # the solver takes long to import
 
-                Search(standing, prepared, self._grounding).run()
+                    Search(standing, prepared, self._grounding).run()
         except KeyboardInterrupt:
             clock.stop.set()
         clock.end("search")
@@ -95,9 +97,7 @@ class PlannerSession:
             "demands": len(network.fact_of_tag),
             "merged demands": len(network.core.givers),
         }
-        if structure.has_required:
-            return Prepared(network.labels, counts=counts)
-        fixed_us, cost = _costs(problem, network)
+        fixed_us, cost = costs(problem, network, structure.pinned)
         plan = self._first_plan(problem, network, cost, clock)
         left = None
         if plan is not None and self._rest is not None:
@@ -124,6 +124,24 @@ class PlannerSession:
             counts,
         )
 
+    def _with_required(
+        self, problem: Problem, structure: Structure, clock: Clock, report: Callable[[Progress], None] | None
+    ) -> Standing:
+        """Try to use all required transformations; only if that is impossible, see how many can be used."""
+        from cfgplan.planners.cpsat.required import any_plan, prepared_with_all
+        from cfgplan.planners.cpsat.search import Search
+
+        prepared, first = prepared_with_all(problem, structure, self._grounding, ATTEMPTS, clock)
+        clock.end("bounds")
+        standing = Standing(Site(problem, structure.givers, prepared.labels), prepared, clock, report)
+        standing.best = first or any_plan(problem, structure, clock)
+        if Search(standing, prepared, self._grounding).run_with_all_required():
+            return standing
+        prepared = Prepared(structure.network.labels)
+        standing = Standing(Site(problem, structure.givers, prepared.labels), prepared, clock, report)
+        Search(standing, prepared, self._grounding).run()
+        return standing
+
     def _first_plan(self, problem: Problem, network: Network, cost: Ints, clock: Clock) -> Ints | None:
         """The plan at rest or the last one, mended where units died; or a new one if that no longer is one."""
         known = set(network.pinned)
@@ -142,7 +160,7 @@ class PlannerSession:
     def _settle(self, problem: Problem, structure: Structure, clock: Clock) -> None:
         """Where a proven plan changes nothing, there is time to see what will be needed when something does."""
         network = structure.network
-        _, cost = _costs(problem, network)
+        _, cost = costs(problem, network, structure.pinned)
         plan = np.array(sorted({network.number[label] for label in self._last} | set(network.pinned)), np.int64)
         if self._rest is not None and np.array_equal(self._rest.cost, cost) and np.array_equal(self._rest.plan, plan):
             return
@@ -151,22 +169,3 @@ class PlannerSession:
         bound = Bound(network.core, cost, list(structure.landmarks))
         bound.recharge(structure.weights)
         self._rest = Rest.of(plan, cost, int(cost[plan].sum()) + dearest, bound, clock)
-
-
-def _costs(problem: Problem, network: Network) -> tuple[int, Ints]:
-    """What pinned units cost whatever is planned, and what each label costs beyond that."""
-    running: dict[str, int] = {}
-    for unit in problem.environment.units:
-        running[unit.transformation] = running.get(unit.transformation, 0) + 1
-    library = problem.environment.transformation
-    cost = np.fromiter(
-        (
-            (keep_cost_us if label in running else start_cost_us)(library[label], problem.horizon_s)
-            for label in network.labels
-        ),
-        np.int64,
-        len(network.labels),
-    )
-    fixed_us = sum(running[network.labels[i]] * int(cost[i]) for i in network.pinned)
-    cost[network.pinned] = 0
-    return fixed_us, cost

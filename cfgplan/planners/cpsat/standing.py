@@ -46,6 +46,7 @@ class Standing:
         self.stage = Stage.REQUIRED
         self.best: Incumbent | None = None
         self.bound_us = 0
+        self.holds_for = prepared.holds_for
         self.counts = {**prepared.counts}
         self.raise_bound(prepared.bound_us)
         if prepared.plan is not None:
@@ -85,24 +86,29 @@ class Standing:
     def tell(self) -> None:
         if self.report is not None:
             cost_us = self.best.key[1] if self.best else None
-            self.report(Progress(self.clock.elapsed_s(), cost_us, self.bound_us))
+            self.report(Progress(self.clock.elapsed_s(), cost_us, self.bound_us if self.bound_holds() else 0))
+
+    def bound_holds(self) -> bool:
+        """Whether the bound is one for all plans that may be optimal."""
+        return self.holds_for is None or (self.best is not None and self.best.key[0] <= self.holds_for)
 
     def plan(self) -> Plan:
         """The answer at the present stage."""
         problem, max_cost_us = self.site.problem, self.site.problem.max_cost_us
+        bound_us = self.bound_us if self.bound_holds() else 0
         counts, seconds = self.counts, self.clock.seconds
         proven = self.stage in (Stage.CHANGES, Stage.DONE)
-        if max_cost_us is not None and self.bound_us > max_cost_us:
+        if max_cost_us is not None and bound_us > max_cost_us:
             cost_us = self.best.key[1] if self.best is not None and proven else None
-            return Plan("cpsat", Status.TOO_EXPENSIVE, None, cost_us, self.bound_us, seconds=seconds, counts=counts)
+            return Plan("cpsat", Status.TOO_EXPENSIVE, None, cost_us, bound_us, seconds=seconds, counts=counts)
         if self.best is None or (max_cost_us is not None and self.best.key[1] > max_cost_us):
-            return Plan("cpsat", Status.UNKNOWN, bound_us=self.bound_us, seconds=seconds, counts=counts)
+            return Plan("cpsat", Status.UNKNOWN, bound_us=bound_us, seconds=seconds, counts=counts)
         return Plan(
             "cpsat",
             Status.OPTIMAL if self.stage is Stage.DONE else Status.FEASIBLE,
             problem.environment.change_to(self.best.units),
             self.best.key[1],
-            self.bound_us,
+            bound_us,
             unused_required=unused_required(problem, self.best.units),
             seconds=seconds,
             counts=counts,

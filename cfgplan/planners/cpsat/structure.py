@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -40,15 +41,14 @@ class Structure:
         clock.check()
         labels = relevant(environment, givers, possible)
         clock.check()
-        network = Network(
-            [t for t in environment.library if t.label in labels],
-            [target.tag for target in environment.targets if not possible.isdisjoint(givers.of(target.tag))],
-            _pinned(environment) & possible,
-            givers,
-            clock.check,
-        )
+        network = _network(environment, givers, possible, labels, frozenset(), clock.check)
         givers.watch = lambda: None
         return cls(environment, problem.similarity, _pinned(environment), givers, possible, network)
+
+    def network_with(self, problem: Problem, wanted: frozenset[str]) -> Network:
+        """The network with some labels that have to run, as pinned ones do."""
+        labels = frozenset(self.network.labels)
+        return _network(problem.environment, self.givers, self.possible, labels, wanted, lambda: None)
 
     @cached_property
     def has_required(self) -> bool:
@@ -73,6 +73,23 @@ class Structure:
             and self.environment.targets == problem.environment.targets
             and self.pinned == _pinned(problem.environment)
         )
+
+
+def _network(
+    environment: Environment,
+    givers: Givers,
+    possible: frozenset[str],
+    labels: frozenset[str],
+    wanted: frozenset[str],
+    watch: Callable[[], None],
+) -> Network:
+    return Network(
+        [t for t in environment.library if t.label in labels],
+        [target.tag for target in environment.targets if not possible.isdisjoint(givers.of(target.tag))],
+        (_pinned(environment) & possible) | wanted,
+        givers,
+        watch,
+    )
 
 
 def _pinned(environment: Environment) -> frozenset[str]:

@@ -5,6 +5,7 @@ The origin is the field's centre, x points to the opponent's goal, y to the left
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -33,6 +34,9 @@ TEXELS_PER_M = 200.0
 _AREAS_M = ((0.6, 2.2), (1.65, 4.0))
 """Goal area and penalty area: depth and width."""
 _SHIFT = 4
+_HALF = 1 << (_SHIFT - 1)
+"""Drawing counts in sixteenths of a texel, from the centre of the first."""
+_TUFT = 256
 
 
 @dataclass(frozen=True)
@@ -48,23 +52,15 @@ class Texture:
 @cache
 def texture() -> Texture:
     """The carpet; made once per process."""
-    size = (round(CARPET_M[0] * TEXELS_PER_M), round(CARPET_M[1] * TEXELS_PER_M))
-    lines = np.zeros((size[1], size[0]), np.uint8)
-    _rectangle(lines, -LENGTH_M / 2, -WIDTH_M / 2, LENGTH_M / 2, WIDTH_M / 2)
-    _rectangle(lines, 0.0, -WIDTH_M / 2, 0.0, WIDTH_M / 2)
-    for side in (-1, 1):
-        goal_line = side * LENGTH_M / 2
-        for depth, width in _AREAS_M:
-            _rectangle(lines, goal_line - side * depth, -width / 2, goal_line, width / 2)
-        cv2.circle(lines, _texel(goal_line - side * 1.3, 0.0), _length(LINE_M), 255, -1, cv2.LINE_AA, _SHIFT)
-    thickness = round(LINE_M * TEXELS_PER_M)
-    cv2.circle(lines, _texel(0.0, 0.0), _length(0.75), 255, thickness, cv2.LINE_AA, _SHIFT)
-    share = lines[..., None].astype(np.float32) / 255
-    grass = cv2.GaussianBlur(np.random.default_rng(1).normal(0.0, 9.0, lines.shape).astype(np.float32), (0, 0), 1.5)
-    colours = share * np.array(WHITE, np.float32) + (1 - share) * np.array(GREEN, np.float32)
-    colours[..., 0] += grass * (1 - share[..., 0])
-    pixels = np.clip(colours, 0, 255).astype(np.uint8)
-    chroma = cv2.resize(pixels[..., 1:], (size[0] // 2, size[1] // 2), interpolation=cv2.INTER_AREA)
+    luma, chroma = _carpet(GREEN[:1]), _carpet(GREEN[1:])
+    random = np.random.default_rng(1)
+    grass = cv2.GaussianBlur(random.normal(0.0, 9.0, (_TUFT, _TUFT)).astype(np.float32), (0, 0), 1.5)
+    rows, columns = (-(-size // _TUFT) for size in luma.shape[:2])
+    tufts = np.tile(grass.round().astype(np.int8), (rows, columns))[: luma.shape[0], : luma.shape[1]]
+    luma = cv2.add(luma, np.ascontiguousarray(tufts), dtype=cv2.CV_8U)  # type: ignore[assignment]
+    _draw_lines(luma, WHITE[:1])
+    _draw_lines(chroma, WHITE[1:])
+    halved = cv2.resize(chroma, (luma.shape[1] // 2, luma.shape[0] // 2), interpolation=cv2.INTER_AREA)
     half = np.array(CARPET_M) / 2
     from_field = np.array(
         [
@@ -73,17 +69,31 @@ def texture() -> Texture:
             [0.0, 0.0, 1.0],
         ]
     )
-    return Texture(np.ascontiguousarray(pixels[..., 0]), chroma.astype(np.uint8), from_field)
+    return Texture(luma, halved.astype(np.uint8), from_field)
 
 
-def _rectangle(lines: Bytes, left: float, low: float, right: float, high: float) -> None:
+def _carpet(colour: Sequence[int]) -> Bytes:
+    shape = (round(CARPET_M[1] * TEXELS_PER_M), round(CARPET_M[0] * TEXELS_PER_M))
+    return np.full(shape if len(colour) == 1 else (*shape, len(colour)), colour, np.uint8)
+
+
+def _draw_lines(image: Bytes, colour: Sequence[int]) -> None:
     thickness = round(LINE_M * TEXELS_PER_M)
-    cv2.rectangle(lines, _texel(left, low), _texel(right, high), 255, thickness, cv2.LINE_AA, _SHIFT)
 
+    def length(metres: float) -> int:
+        return round(metres * TEXELS_PER_M * (1 << _SHIFT))
 
-def _texel(x: float, y: float) -> tuple[int, int]:
-    return _length(x + CARPET_M[0] / 2), _length(y + CARPET_M[1] / 2)
+    def texel(x: float, y: float) -> tuple[int, int]:
+        return length(x + CARPET_M[0] / 2) - _HALF, length(y + CARPET_M[1] / 2) - _HALF
 
+    def rectangle(left: float, low: float, right: float, high: float) -> None:
+        cv2.rectangle(image, texel(left, low), texel(right, high), colour, thickness, cv2.LINE_AA, _SHIFT)
 
-def _length(metres: float) -> int:
-    return round(metres * TEXELS_PER_M * (1 << _SHIFT))
+    rectangle(-LENGTH_M / 2, -WIDTH_M / 2, LENGTH_M / 2, WIDTH_M / 2)
+    rectangle(0.0, -WIDTH_M / 2, 0.0, WIDTH_M / 2)
+    cv2.circle(image, texel(0.0, 0.0), length(0.75), colour, thickness, cv2.LINE_AA, _SHIFT)
+    for side in (-1, 1):
+        goal_line = side * LENGTH_M / 2
+        for depth, width in _AREAS_M:
+            rectangle(goal_line - side * depth, -width / 2, goal_line, width / 2)
+        cv2.circle(image, texel(goal_line - side * 1.3, 0.0), length(LINE_M), colour, -1, cv2.LINE_AA, _SHIFT)

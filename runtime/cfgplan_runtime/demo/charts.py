@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from html import escape
 
 from cfgplan_runtime.demo.listening import Sample
-from cfgplan_runtime.demo.playing import Played
+from cfgplan_runtime.demo.played import Played
 
 _NS = 1e9
 _PX_PER_M = 100
@@ -22,7 +22,7 @@ _AROUND_S = 0.7
 
 
 @dataclass(frozen=True, slots=True)
-class Robot:
+class Place:
     """Where a robot stands and looks at the end."""
 
     name: str
@@ -42,7 +42,7 @@ def by_source(played: Sequence[Played]) -> dict[str, list[Sample]]:
     return {name: samples for name, samples in found.items() if samples and name}
 
 
-def field_map(played: Sequence[Played], robots: Iterable[Robot]) -> str:
+def field_map(played: Sequence[Played], robots: Iterable[Place]) -> str:
     """The field from above with the ball's true way and the positions that came."""
     sources = by_source(played)
     half = (_CARPET_M[0] / 2, _CARPET_M[1] / 2)
@@ -58,24 +58,30 @@ def field_map(played: Sequence[Played], robots: Iterable[Robot]) -> str:
             _rectangle("line", left, -width / 2, depth, width),
             _rectangle("line", -left - depth, -width / 2, depth, width),
         ]
-    for robot in robots:
-        wide = math.radians(30)
-        cone = [
-            (robot.x + 2.4 * math.cos(robot.heading + a), robot.y + 2.4 * math.sin(robot.heading + a))
-            for a in (wide, -wide)
-        ]
-        parts.append(_path("view", [(robot.x, robot.y), *cone], closed=True))
-        parts.append(_circle("robot", robot.x, robot.y, 0.14))
-        parts.append(_text("robot-name", robot.x * _PX_PER_M, -robot.y * _PX_PER_M + 34, robot.name))
+    robots = list(robots)
+    parts += [_view(robot) for robot in robots]
     every = sorted((s for samples in sources.values() for s in samples), key=lambda s: s.time_ns)
     parts.append(_path("truth", [(s.true_x, s.true_y) for s in every]))
     for number, samples in enumerate(sources.values()):
         dots = "".join(f'<circle cx="{s.x * _PX_PER_M:.1f}" cy="{-s.y * _PX_PER_M:.1f}" r="3.2"/>' for s in samples)
         parts.append(f'<g class="dots source{number}">{dots}</g>')
+    for robot in robots:
+        parts.append(_circle("robot", robot.x, robot.y, 0.14))
+        parts.append(_text("robot-name", robot.x * _PX_PER_M, -robot.y * _PX_PER_M + 34, robot.name))
     if every:
         parts.append(_circle("ball", every[-1].true_x, every[-1].true_y, 0.09))
     box = f"{-half[0] * _PX_PER_M} {-half[1] * _PX_PER_M} {_CARPET_M[0] * _PX_PER_M} {_CARPET_M[1] * _PX_PER_M}"
     return _svg("field", box, parts, "The field from above: the ball's true way and the positions on the topic")
+
+
+def _view(robot: Place) -> str:
+    """The cone that a robot's camera sees."""
+    reach, wide = 2.4, math.radians(30)
+    ends = [
+        (robot.x + reach * math.cos(robot.heading + a), robot.y + reach * math.sin(robot.heading + a))
+        for a in (wide, -wide)
+    ]
+    return _path("view", [(robot.x, robot.y), *ends], closed=True)
 
 
 def error_chart(played: Sequence[Played]) -> str:

@@ -11,10 +11,14 @@ from typing import Any
 from cfgplan.domain import ChangeSet, Environment
 from cfgplan.drawing import picture
 from cfgplan_runtime.demo import charts, telling
-from cfgplan_runtime.demo.pictures import View, view
-from cfgplan_runtime.demo.playing import Played
+from cfgplan_runtime.demo.pictures import view
+from cfgplan_runtime.demo.played import Played
+from cfgplan_runtime.demo.rehearsing import Comparison, Robot, compare
 from cfgplan_runtime.demo.stage import Stage
 from cfgplan_runtime.demo.story import Kill
+
+_COMPARED_NS = 600_000_000_000
+_MOMENTS = 150
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,36 +50,42 @@ def page(stage: Stage, played: Sequence[Played], version: str) -> str:
     )
     failure = next((step for step in played if isinstance(step.step.act, Kill)), None)
     samples = [sample for step in played for sample in step.samples]
-    robots = _robots(stage, played)
+    hosts = sorted({t.host for t in played[-1].after.library if t.host is not None})
+    robots = [Robot(stage, host) for host in hosts]
+    comparison = _comparison(stage, robots, played)
     values: dict[str, Any] = {
         "version": version,
         "date": time.strftime("%d %B %Y, %H:%M", time.localtime(played[0].began_ns / 1e9)),
         "seconds": round((played[-1].ended_ns - played[0].began_ns) / 1e9),
         "sources": list(charts.by_source(played)),
-        "field": Markup(charts.field_map(played, robots)),
+        "field": Markup(charts.field_map(played, [_stands(stage, robot, played) for robot in robots])),
         "errors": Markup(charts.error_chart(played)),
         "failure": None if failure is None else Markup(charts.failure_chart(failure, samples)),
-        "figures": _figures(played, failure),
+        "figures": _figures(played, failure, comparison),
+        "comparison": comparison,
+        "is_proven": _is_proven(played),
         "steps": [_section(number, step, played, Markup) for number, step in enumerate(played)],
         "units": _units(played),
-        "views": _views(stage, played, robots),
+        "views": [view(robot, samples[-1].time_ns) for robot in robots] if samples else [],
     }
     return templates.get_template("report.html.j2").render(values)
 
 
-def _robots(stage: Stage, played: Sequence[Played]) -> list[charts.Robot]:
-    """Where the robots stood at the end, as far as they had registered."""
-    hosts = sorted({t.host for t in played[-1].after.library if t.host is not None})
-    poses = [(host, stage.code("football.scenario:pose")(host, played[-1].ended_ns)) for host in hosts]
-    return [charts.Robot(host, pose.x, pose.y, pose.heading) for host, pose in poses]
+def _stands(stage: Stage, robot: Robot, played: Sequence[Played]) -> charts.Place:
+    """Where a robot stood at the end."""
+    pose = stage.code("football.scenario:pose")(robot.name, played[-1].ended_ns)
+    return charts.Place(robot.name, pose.x, pose.y, pose.heading)
 
 
-def _views(stage: Stage, played: Sequence[Played], robots: Sequence[charts.Robot]) -> list[View]:
-    samples = [sample for step in played for sample in step.samples]
-    return [view(stage, robot.name, samples[-1].time_ns) for robot in robots] if samples else []
+def _comparison(stage: Stage, robots: Sequence[Robot], played: Sequence[Played]) -> Comparison | None:
+    """Robots and fusion at the same moments, spread over ten minutes: a play is too short to compare its steps."""
+    if len(robots) != 2:
+        return None
+    begin_ns = played[0].began_ns
+    return compare(stage, robots, range(begin_ns, begin_ns + _COMPARED_NS, _COMPARED_NS // _MOMENTS))
 
 
-def _figures(played: Sequence[Played], failure: Played | None) -> list[tuple[str, str]]:
+def _figures(played: Sequence[Played], failure: Played | None, comparison: Comparison | None) -> list[tuple[str, str]]:
     """The figures at the top: each with what it is."""
     figures = []
     if failure is not None:
@@ -84,17 +94,18 @@ def _figures(played: Sequence[Played], failure: Played | None) -> list[tuple[str
         )
         lost = telling.lost_frames(failure)
         figures.append((str(lost), "frame without a position" if lost == 1 else "frames without a position"))
-    by_source: dict[str, list[float]] = {}
-    for step in played:
-        if step.source is not None:
-            by_source.setdefault(step.source, []).extend(sample.error_m**2 for sample in step.settled)
-    for source, squares in by_source.items():
-        if squares:
-            rms = 100 * (sum(squares) / len(squares)) ** 0.5
-            figures.append((f"{rms:.1f} cm", f"off the truth (RMS) from {source}"))
+    if comparison is not None:
+        robot, alone_m = min(comparison.alone_m.items(), key=lambda item: item[1])
+        figures.append((f"{100 * alone_m:.1f} cm", f"off with {robot.capitalize()} alone (RMS over ten minutes)"))
+        figures.append((f"{100 * comparison.fused_m:.1f} cm", "off with both fused, at the same moments"))
     slowest = max(step.review.seconds.get("plan", 0.0) for step in played)
-    figures.append((telling.span(slowest), "for the slowest plan, proven cheapest"))
+    proven = ", proven cheapest" if _is_proven(played) else ""
+    figures.append((telling.span(slowest), f"for the slowest plan{proven}"))
     return figures
+
+
+def _is_proven(played: Sequence[Played]) -> bool:
+    return all(step.review.is_proven for step in played if step.review.met)
 
 
 def _section(number: int, played: Played, every: Sequence[Played], markup: Any) -> dict[str, Any]:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import base64
 from dataclasses import dataclass
-from typing import Any
 
-from cfgplan_runtime.demo.stage import Stage
+from cfgplan_runtime.demo.rehearsing import Robot
 
 _HULL = (90, 220, 255)
 _BALL = (60, 90, 255)
+_QUALITY = 82
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,24 +21,19 @@ class View:
     has_ball: bool
 
 
-def view(stage: Stage, robot: str, time_ns: int) -> View:
-    """Take the picture of a moment again and run the robot's units on it."""
+def view(robot: Robot, time_ns: int) -> View:
+    """Take the picture of a moment again and mark the field's hull and the ball."""
     import cv2
     import numpy as np
 
-    camera: Any = stage.code("units.py:BottomCam")(robot)
-    image = camera.picture(time_ns)
-    sizes = stage.code("units.py:Subsampler")()(image=image)
-    shown = cv2.cvtColor(np.dstack([sizes["y640"], sizes["v640"], sizes["u640"]]), cv2.COLOR_YCrCb2BGR)
-    hull = stage.code("units.py:Segmenter")()(y=sizes["y80"], v=sizes["v80"])
-    ball = None
-    if hull is not None:
-        cv2.polylines(
-            shown, [hull.round().astype(np.int32)], isClosed=True, color=_HULL, thickness=2, lineType=cv2.LINE_AA
-        )
-        ball = stage.code("units.py:BallDetector")()(hull=hull, fine=sizes["y640"], coarse=sizes["y320"])
-    if ball is not None:
-        centre = round(ball["u"] * 16), round(ball["v"] * 16)
-        cv2.circle(shown, centre, round((ball["radius"] + 4) * 16), _BALL, 2, cv2.LINE_AA, 4)
-    _, data = cv2.imencode(".jpg", shown, [cv2.IMWRITE_JPEG_QUALITY, 82])
-    return View(robot, f"data:image/jpeg;base64,{base64.b64encode(data.tobytes()).decode()}", ball is not None)
+    seen = robot.see(time_ns)
+    channels = np.dstack([seen.sizes[name] for name in ("y640", "v640", "u640")])
+    shown = cv2.cvtColor(channels, cv2.COLOR_YCrCb2BGR)
+    if seen.hull is not None:
+        cv2.polylines(shown, [seen.hull.round().astype(np.int32)], True, _HULL, 2, cv2.LINE_AA)
+    if seen.ball is not None:
+        centre = round(seen.ball["u"] * 16), round(seen.ball["v"] * 16)
+        cv2.circle(shown, centre, round((seen.ball["radius"] + 4) * 16), _BALL, 2, cv2.LINE_AA, 4)
+    _, data = cv2.imencode(".jpg", shown, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    uri = f"data:image/jpeg;base64,{base64.b64encode(data.tobytes()).decode()}"
+    return View(robot.name, uri, seen.ball is not None)

@@ -2,118 +2,36 @@
 
 from __future__ import annotations
 
-import math
 import os
 import queue
 import signal
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import replace
 
 from cfgplan import api
-from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Subscription
 from cfgplan.explaining.why_not import requiring
 from cfgplan.planning import Problem, Status
-from cfgplan_runtime.demo.listening import Listener, Sample
+from cfgplan_runtime.demo.listening import Listener
+from cfgplan_runtime.demo.played import TOPIC, Alternative, Played, silence
 from cfgplan_runtime.demo.stage import Stage
 from cfgplan_runtime.demo.story import Begin, Kill, Offer, Register, Step
 from cfgplan_runtime.errors import RuntimeFaultError
+from cfgplan_runtime.lifecycle.changes import Declare
 from cfgplan_runtime.lifecycle.manager import Manager
 from cfgplan_runtime.lifecycle.perturbations import UnitGone
 from cfgplan_runtime.lifecycle.reports import Decision, Report, Review, Reviewed
 from cfgplan_runtime.lifecycle.seams import DeclaredCosts
 from cfgplan_runtime.runtime import Runtime
-from cfgplan_runtime.supervision.observation import Observation
 
-TOPIC = "/result"
 PRELOADED = ("numpy", "cv2")
 """What all units import: the nursery imports it once, so that a unit is there in milliseconds."""
+_AROUND_NS = 1_500_000_000
+"""How far before and after a step to look for missing positions."""
 _NOTHING_S = 1.5
 """How long to watch that nothing comes."""
 LONGEST_S = 120.0
 """How long anything may take before the play is given up."""
-
-
-@dataclass(frozen=True, slots=True)
-class Alternative:
-    """A plan that was not chosen, and what it would cost, in microseconds of CPU time over the horizon."""
-
-    what: str
-    cost_us: int
-
-
-@dataclass(frozen=True, slots=True)
-class Silence:
-    """The longest time without a position around an event: the last before, the first after, frames without one."""
-
-    last: Sample
-    first: Sample
-    lost_frames: int
-
-
-@dataclass(frozen=True)
-class Played:
-    """What came of a step. Times in nanoseconds since the epoch; `first` is the first position of a moment after it."""
-
-    step: Step
-    began_ns: int
-    ended_ns: int
-    before: Environment
-    after: Environment
-    review: Review
-    samples: tuple[Sample, ...]
-    others: tuple[Alternative, ...]
-    observed: tuple[Observation, ...]
-    first: Sample | None = None
-    silence: Silence | None = None
-
-    @property
-    def gone(self) -> tuple[str, ...]:
-        """The units that have died."""
-        return tuple(one.unit for one in self.review.perturbations if isinstance(one, UnitGone))
-
-    @property
-    def left(self) -> Environment:
-        """What was left of what ran before when those had died, with the targets of afterwards."""
-        units = (replace(u, subscriptions=_living(u, self.gone)) for u in self.before.units if u.id not in self.gone)
-        return replace(self.before, units=tuple(units), targets=self.after.targets)
-
-    @property
-    def changes(self) -> ChangeSet:
-        """What the update has changed in what was left."""
-        return self.left.change_to(self.after.units)
-
-    @property
-    def source(self) -> str | None:
-        """The transformation whose positions are on the topic after the step."""
-        publishing = (u for u in self.after.units if any(p.topic == TOPIC for p in u.publications))
-        return next((unit.transformation for unit in publishing), None)
-
-    @property
-    def updated_ns(self) -> int:
-        """When the update had been carried out."""
-        return _updated_ns(self.review)
-
-    @property
-    def settled(self) -> tuple[Sample, ...]:
-        """The positions of moments after the update."""
-        return tuple(sample for sample in self.samples if sample.time_ns >= self.updated_ns)
-
-    @property
-    def rms_error_m(self) -> float | None:
-        """The root mean square of the errors of the positions after the update."""
-        squares = [sample.error_m**2 for sample in self.settled]
-        return math.sqrt(sum(squares) / len(squares)) if squares else None
-
-
-def _updated_ns(review: Review) -> int:
-    seconds = sum(took for phase, took in review.seconds.items() if phase != "detect")
-    return round((review.time_s + seconds) * 1e9)
-
-
-def _living(unit: ComputationUnit, gone: Sequence[str]) -> tuple[Subscription, ...]:
-    return tuple(subscription for subscription in unit.subscriptions if subscription.stream.unit not in gone)
 
 
 def play(
@@ -121,9 +39,12 @@ def play(
     story: Sequence[Step],
     step_s: float,
     begins: Callable[[Step], None],
+    answers: Callable[[Played], None],
     ends: Callable[[Played], None],
 ) -> tuple[Played, ...]:
-    """Play the story; each step is watched for `step_s` seconds. `begins` and `ends` are told as it goes on.
+    """Play the story; each step is watched for `step_s` seconds.
+
+    Told are the beginning of each step, the manager's answer to it (without any positions yet), and its end.
 
     Raises RuntimeFaultError if a step does not come to its end.
     """
@@ -138,7 +59,9 @@ def play(
                 for step in story:
                     if step is not story[0]:
                         begins(step)
-                    played.append(player.play(step, manager))
+                    answered = player.answered(step, manager)
+                    answers(answered)
+                    played.append(player.watched(answered, manager))
                     ends(played[-1])
         finally:
             runtime.close()
@@ -156,30 +79,29 @@ class _Player:
         if isinstance(report, Reviewed):
             self._reviews.put(report.review)
 
-    def play(self, step: Step, manager: Manager) -> Played:
-        before = self._runtime.environment
-        began_ns = time.time_ns()
+    def answered(self, step: Step, manager: Manager) -> Played:
+        """What the manager made of a step, up to now."""
+        before, began_ns = self._runtime.environment, time.time_ns()
         review = self._act(step, manager)
-        first = None
+        after = manager.snapshot().environment
+        return Played(step, began_ns, time.time_ns(), before, after, review, self._others(step, manager))
+
+    def watched(self, answered: Played, manager: Manager) -> Played:
+        """The same with what comes on the topic for some time."""
+        began_ns, review, first = answered.began_ns, answered.review, None
         if review.met:
             first = self._listener.wait_for(began_ns, LONGEST_S)
-            if first is None or self._listener.wait_for(_updated_ns(review), LONGEST_S) is None:
-                raise RuntimeFaultError(f"no position came on {TOPIC} for {LONGEST_S:.0f} s after: {step.title}")
+            if first is None or self._listener.wait_for(answered.updated_ns, LONGEST_S) is None:
+                raise RuntimeFaultError(f"no position came on {TOPIC} for {LONGEST_S:.0f} s")
         time.sleep(self._step_s if review.met else min(self._step_s, _NOTHING_S))
-        snapshot = manager.snapshot()
-        samples = self._listener.samples(began_ns)
-        return Played(
-            step,
-            began_ns,
-            time.time_ns(),
-            before,
-            snapshot.environment,
-            review,
-            samples,
-            self._others(step, manager),
-            tuple(view.observation for view in snapshot.units if view.observation is not None),
-            first,
-            _silence(self._listener.samples(began_ns - _AROUND_NS, began_ns + _AROUND_NS)),
+        observed = (view.observation for view in manager.snapshot().units)
+        return replace(
+            answered,
+            ended_ns=time.time_ns(),
+            samples=self._listener.samples(began_ns),
+            observed=tuple(one for one in observed if one is not None),
+            first=first,
+            silence=silence(self._listener.samples(began_ns - _AROUND_NS, began_ns + _AROUND_NS)),
         )
 
     def _act(self, step: Step, manager: Manager) -> Review:
@@ -187,14 +109,11 @@ class _Player:
             case Begin():
                 return self._review()
             case Register(robot):
-                review = manager.request(self._stage.robot(robot)).result(LONGEST_S)
+                return _declared(self._stage.robot(robot), manager)
             case Offer(name, stage):
-                review = manager.request(self._stage.offer(name, stage)).result(LONGEST_S)
+                return _declared(self._stage.offer(name, stage), manager)
             case Kill(transformation):
                 return self._kill(transformation, manager)
-        if review is None:
-            raise RuntimeFaultError(f"nothing came of this step: {step.title}")
-        return review
 
     def _kill(self, transformation: str, manager: Manager) -> Review:
         unit = next(u.id for u in self._runtime.environment.units if u.transformation == transformation)
@@ -238,14 +157,11 @@ class _Player:
         return tuple(found)
 
 
-_AROUND_NS = 1_500_000_000
-_FRAME_NS = 1_000_000_000 / 15
-
-
-def _silence(samples: Sequence[Sample]) -> Silence | None:
-    """The longest pause between positions of following moments."""
-    pairs = list(pairwise(samples))
-    if not pairs:
-        return None
-    last, first = max(pairs, key=lambda pair: pair[1].time_ns - pair[0].time_ns)
-    return Silence(last, first, max(0, round((first.time_ns - last.time_ns) / _FRAME_NS) - 1))
+def _declared(change: Declare, manager: Manager) -> Review:
+    try:
+        review = manager.request(change).result(LONGEST_S)
+    except TimeoutError:
+        review = None
+    if review is None:
+        raise RuntimeFaultError(f"nothing came of what {change.name} declared")
+    return review

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from decimal import Decimal
 
 from cfgplan.costs import keep_cost_us
-from cfgplan_runtime.demo.playing import Played
+from cfgplan_runtime.demo.played import Played
 from cfgplan_runtime.lifecycle.perturbations import Perturbation, SubscriptionLost, UnitGone, WorldChanged
 from cfgplan_runtime.lifecycle.reports import PHASES, Decision
 
@@ -72,7 +72,8 @@ def decided(played: Played) -> str:
         )
         return f"Units: {', '.join(f'{count} {what}' for what, count in counts if count)}."
     if review.decision is Decision.KEPT:
-        return "Nothing changes: what runs is the cheapest there is, and that is proven."
+        cheapest = "the cheapest there is, and that is proven" if review.is_proven else "the cheapest that was found"
+        return f"Nothing changes: what runs is {cheapest}."
     return f"{str(review.decision).capitalize()}. {review.cause}".strip()
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
@@ -56,6 +57,15 @@ class _Family:
 
     members: dict[str, Evidence] = field(default_factory=dict)
     changes: int = 0
+    _observed: tuple[Evidence, ...] = ()
+    _observed_changes: int = -1
+
+    def observed(self) -> tuple[Evidence, ...]:
+        """Those that something was observed of."""
+        if self._observed_changes != self.changes:
+            self._observed = tuple(one for one in self.members.values() if not one.is_empty)
+            self._observed_changes = self.changes
+        return self._observed
 
 
 class LearningEstimator:
@@ -92,12 +102,14 @@ class LearningEstimator:
             ran_s = now_s - since_s
             if last is seen or not _is_same_process(last, seen):
                 self._units[seen.unit] = (seen, now_s)
-                self._note(seen.transformation).started(seen.labor_us, now_s)
+                with self._learning(seen.transformation) as evidence:
+                    evidence.started(seen.labor_us, now_s)
             elif ran_s >= _SHORTEST_S:
                 self._units[seen.unit] = (seen, now_s)
                 upkeep_us = (seen.cpu_us - last.cpu_us) / ran_s if seen.cpu_us else seen.upkeep_us
                 if upkeep_us is not None:
-                    self._note(seen.transformation).ran(since_s, now_s, upkeep_us)
+                    with self._learning(seen.transformation) as evidence:
+                        evidence.ran(since_s, now_s, upkeep_us)
         # Now there is time for it; at the next perturbation there is none.
         for label in sorted({seen.transformation for seen, _ in self._units.values()} & self._made.keys()):
             self.estimate(self._declared[label], self._made[label].horizon_s)
@@ -105,7 +117,8 @@ class LearningEstimator:
     def failed(self, transformation: str, now_s: float) -> None:
         """Learn that a unit could not start, died, hung or kept failing; once per unit."""
         self._now_s = now_s
-        self._note(transformation).failed(now_s)
+        with self._learning(transformation) as evidence:
+            evidence.failed(now_s)
 
     def labor_us(self, transformation: Transformation, horizon_s: int) -> int:
         """CPU time of one start, in microseconds."""
@@ -135,7 +148,8 @@ class LearningEstimator:
         if made and made.basis == basis and self._now_s - made.at_s < self.settings.forget_s / _REFRESHES:
             return made.estimate
         last = made.estimate if made and made.basis[:2] == basis[:2] else None
-        relatives = () if own.is_known else self._families[family(label)].members.values()
+        members = () if own.is_known else self._families[family(label)].observed()
+        relatives = [one for one in members if one.source == own.source]
         estimate = self._fresh(own, relatives, horizon_s, last)
         self._made[label] = _Made(estimate, basis, horizon_s, self._now_s)
         if estimate.upkeep_origin == Origin.OBSERVED:
@@ -181,7 +195,8 @@ class LearningEstimator:
         says = declaration(transformation)
         if own.declared != says:
             fresh = self._nothing() if own.declared else own
-            fresh.declared, fresh.labor_us, fresh.upkeep_us = says, transformation.labor_us, transformation.upkeep_us
+            fresh.declared, fresh.source = says, transformation.source
+            fresh.labor_us, fresh.upkeep_us = transformation.labor_us, transformation.upkeep_us
             self._keep(transformation.label, fresh)
             return fresh
         return own
@@ -192,7 +207,7 @@ class LearningEstimator:
         return self.evidence[label]
 
     def _nothing(self) -> Evidence:
-        return Evidence("", 0, 0, self.settings.labor(), self.settings.upkeep(), self.settings.failures())
+        return Evidence("", None, 0, 0, self.settings.labor(), self.settings.upkeep(), self.settings.failures())
 
     def _keep(self, label: str, evidence: Evidence) -> None:
         relatives = self._families.setdefault(family(label), _Family())
@@ -200,11 +215,13 @@ class LearningEstimator:
         self.evidence[label] = relatives.members[label] = evidence
         self._widen(evidence.labor_us, evidence.upkeep_us)
 
-    def _note(self, label: str) -> Evidence:
+    @contextmanager
+    def _learning(self, label: str) -> Iterator[Evidence]:
         """The evidence about a transformation, to be added to."""
         evidence = self._evidence_of(label)
-        self._families[family(label)].changes += 1
-        return evidence
+        before = evidence.changes
+        yield evidence
+        self._families[family(label)].changes += evidence.changes - before
 
     def _widen(self, labor_us: float, upkeep_us: float) -> None:
         self._dearest = Costs(max(self._dearest.labor_us, labor_us), max(self._dearest.upkeep_us, upkeep_us))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+
 import msgspec
 
 from cfgplan.domain import Transformation
@@ -17,6 +19,7 @@ class Evidence(msgspec.Struct):
     """
 
     declared: str
+    source: str | None
     labor_us: Amount
     upkeep_us: Amount
     labor: History
@@ -83,7 +86,7 @@ def family(label: str) -> str:
 
 
 def declaration(transformation: Transformation) -> str:
-    """What makes two transformations cost the same, as a text; another text means that evidence counts no more."""
+    """A digest of what makes two transformations cost the same; with another one, evidence counts no more."""
     params = {name: transformation.params[name] for name in sorted(transformation.params)}
     parts = (
         transformation.source,
@@ -93,4 +96,4 @@ def declaration(transformation: Transformation) -> str:
         transformation.labor_us,
         transformation.upkeep_us,
     )
-    return repr(parts)
+    return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]

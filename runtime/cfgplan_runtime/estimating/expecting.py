@@ -36,6 +36,7 @@ class Expectations:
         self._learns = forecaster is not None
         self._guess = guess
         self._settings = settings
+        self._levels: dict[tuple[int, Kind], tuple[Evidence, int, float]] = {}
         self._forecasters = {
             "labor": Damped(Average(settings.memory_starts)),
             "upkeep": Damped((forecaster or Average)(settings.memory_s)),
@@ -49,6 +50,14 @@ class Expectations:
         if known:
             return Expectation(Forecast(self._familiar(kind, own, known), 0.0), Origin.FAMILY)
         return Expectation(Forecast(self._guess(own.declared_costs, dearest).of(kind), 0.0), Origin.GUESS)
+
+    def _level(self, kind: Kind, evidence: Evidence) -> float:
+        """What is observed of a relative, read once for all its relatives."""
+        known, changes, level = self._levels.get((id(evidence), kind), (None, 0, 0.0))
+        if known is not evidence or changes != evidence.changes:
+            level = self._forecasters[kind](evidence.samples(kind)).level
+            self._levels[id(evidence), kind] = (evidence, evidence.changes, level)
+        return level
 
     def _observed(self, kind: Kind, own: Evidence, dearest: Costs, now_s: float) -> Forecast:
         """What was observed goes on; while nothing more is, trust in it fades towards the guess, and a trend ends."""
@@ -65,7 +74,7 @@ class Expectations:
 
     def _familiar(self, kind: Kind, own: Evidence, known: Sequence[Evidence]) -> float:
         """As much as relatives were observed to cost, in proportion to what is declared, if all declare something."""
-        levels = [self._forecasters[kind](one.samples(kind)).level for one in known]
+        levels = [self._level(kind, one) for one in known]
         declared = [one.declared_costs.of(kind) for one in known]
         mean = sum(levels) / len(levels)
         if own.declared_costs.of(kind) and all(declared):

@@ -8,8 +8,8 @@ from cfgplan_runtime.estimating.failures import FailureHistory
 from cfgplan_runtime.estimating.history import History
 
 _SAMPLES_PER_MEMORY = 12
-_MEMORIES = 5
-"""What is five half-lives old counts for 3 %, and is dropped."""
+_MEMORIES = 4
+"""What is four half-lives old counts for 6 %, and is dropped."""
 _MOST_STARTS = 20
 
 

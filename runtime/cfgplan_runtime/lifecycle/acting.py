@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cfgplan.domain import ChangeSet, Environment
-from cfgplan_runtime.errors import ApplyError, NoSourceError, StaleChangeSetError
+from cfgplan_runtime.errors import ApplyError, NoSourceError, RuntimeFaultError, StaleChangeSetError
 from cfgplan_runtime.lifecycle.configuration import Running, with_world
 from cfgplan_runtime.lifecycle.deliberation import Thought
 from cfgplan_runtime.lifecycle.intake import Intake
@@ -21,7 +21,7 @@ class Acting:
         self._clock = clock
 
     def act(self, thought: Thought) -> UpdateFailed | None:
-        """Carry out what was decided; what went wrong, if anything did."""
+        """Carry out what was decided; what went wrong, if anything did, be it a fault of the middleware."""
         if thought.change_set is None:
             return UpdateFailed(thought.cause)
         wanted = thought.change_set if thought.decision is Decision.APPLIED else ChangeSet()
@@ -48,6 +48,10 @@ class Acting:
                 self._intake.tell_back_off(label)
         except ApplyError as error:
             failed = UpdateFailed(str(error), self._blamed(started, error))
+        except RuntimeFaultError:
+            raise  # nothing runs any more
+        except Exception as error:
+            failed = UpdateFailed(f"{type(error).__name__}: {error}")
         else:
             for unit_id in change_set.stopped:
                 self._intake.situation.forget(unit_id)
@@ -65,6 +69,6 @@ class Acting:
         for unit in error.units:
             label = intake.situation.label_of(unit)
             if label is not None and label not in intake.not_started:  # it was too slow, but has not died
-                intake.blame(label, 0.0, str(error))
+                intake.blame(label, 0.0, str(error), is_costly=True)
                 intake.not_started.append(label)
         return tuple(sorted(set(intake.not_started)))

@@ -41,10 +41,11 @@ class BackOffs:
         self._records: dict[str, _Record] = {}
         self._waiting: set[str] = set()
 
-    def failed(self, label: str, lived_s: float, now_s: float, cause: str) -> None:
-        """A unit has failed after so long a life."""
+    def failed(self, label: str, lived_s: float, now_s: float, cause: str, *, is_costly: bool = False) -> None:
+        """A unit has failed after so long a life. A failure that `is_costly` is not repeated at once."""
         before = self._records.get(label)
-        failures = 1 if before is None or lived_s >= self._rules.good_life_s else before.failures + 1
+        is_new = before is None or lived_s >= self._rules.good_life_s
+        failures = (0 if is_new or before is None else before.failures) + (2 if is_costly else 1)
         delay_s = self._rules.delay_s(failures)
         self._records[label] = _Record(failures, now_s + delay_s, cause)
         if delay_s:

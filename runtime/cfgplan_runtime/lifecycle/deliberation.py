@@ -82,6 +82,9 @@ class Deliberation:
             except InvalidValueError as error:
                 thought.cause = str(error)
                 return thought
+            except Exception as error:  # a planner's own fault must not end the life-cycle
+                thought.cause = f"{type(error).__name__}: {error}"
+                return thought
         with thought.timed("judge"):
             self._judge(thought, found, similarity, optimises=optimises)
         return thought

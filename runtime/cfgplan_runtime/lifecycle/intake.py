@@ -130,11 +130,11 @@ class Intake:
         self.pending.add(perturbation, at_s, outcomes, due_s=at_s + delay_s)
         self._tell(Perturbed(perturbation))
 
-    def blame(self, label: str, lived_s: float, cause: str) -> None:
-        """A unit of a transformation has failed after so long a life."""
+    def blame(self, label: str, lived_s: float, cause: str, *, is_costly: bool = False) -> None:
+        """A unit of a transformation has failed after so long a life; see `BackOffs.failed`."""
         now = self._clock.now()
         self._estimator.failed(label, now)
-        self.situation.back_offs.failed(label, lived_s, now, cause)
+        self.situation.back_offs.failed(label, lived_s, now, cause, is_costly=is_costly)
         self.tell_back_off(label)
 
     def tell_back_off(self, label: str) -> None:

@@ -15,7 +15,7 @@ from cfgplan.matching import load_ontology
 from cfgplan_runtime.lifecycle.changes import ReplaceWorld
 from cfgplan_runtime.lifecycle.manager import Manager
 
-QUIET_S = 0.1
+QUIET_S = 0.05
 """So long must nothing change before the files are read."""
 LOOK_MS = 1000
 """So often the files are looked at in any case, for file systems that don't tell of changes."""

@@ -134,14 +134,14 @@ class LivingWorld:
                 return replace(self, declared=_without(self.declared, [name]))
             case ReplaceWorld(base):
                 old, new = self.base.environment, base.environment
-                targets, library = _told(old.target, new.target), _told(old.transformation, new.transformation)
+                told, told_of_library = _told(old.target, new.target), _told(old.transformation, new.transformation)
                 return replace(
                     self,
                     base=base,
-                    targets=_without(self.targets, targets),
-                    transformations=_without(self.transformations, library),
-                    without_targets=self.without_targets - targets,
-                    without_transformations=self.without_transformations - library,
+                    targets=_without(self.targets, told),
+                    transformations=_without(self.transformations, told_of_library),
+                    without_targets=self.without_targets - told,
+                    without_transformations=self.without_transformations - told_of_library,
                     without_individuals=self.without_individuals.intersection(base.ontology.individuals),
                 )
 

@@ -79,7 +79,7 @@ class Methods:
         try:
             return {"name": name, **self._ask(declared.change, params)}
         except RefusedError as error:
-            faults = map(declared.placed, error.faults)
+            faults = sorted(map(declared.placed, error.faults), key=lambda fault: (fault.line or 0, fault.column or 0))
             raise RefusedError(error.code, error.message, error.mend, faults) from None
 
     def _free_name(self) -> str:

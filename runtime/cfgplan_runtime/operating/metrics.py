@@ -6,13 +6,9 @@ import threading
 from collections.abc import Callable, Mapping
 from wsgiref.simple_server import WSGIServer
 
+from prometheus_client import CollectorRegistry, Counter, Histogram, start_http_server
+
 from cfgplan_runtime.errors import RuntimeFaultError
-
-try:
-    from prometheus_client import CollectorRegistry, Counter, Histogram, start_http_server
-except ImportError:
-    raise RuntimeFaultError("metrics need Prometheus's client: pip install 'cfgplan[metrics]'") from None
-
 from cfgplan_runtime.lifecycle.perturbations import UnitGone
 from cfgplan_runtime.lifecycle.reports import Perturbed, Report, Review, Reviewed, Snapshot, UnitEvent
 from cfgplan_runtime.operating.flows import Flow

@@ -65,7 +65,7 @@ def level(report: Report) -> int:
 
 def review_sentence(review: Review) -> str:
     """What a review decided, why and how long it took."""
-    parts = [f"Review {review.number}: {_decision(review)}"]
+    parts = [f"Review {review.number}: {decision(review)}"]
     if review.unmet:
         parts += [f"{label} is not met: {reason}" for label, reason in sorted(review.unmet.items())]
     if review.avoided:
@@ -89,7 +89,15 @@ def named(names: Iterable[str]) -> str:
     return ", ".join(some[:_MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
-def _decision(review: Review) -> str:
+def because(review: Review) -> str:
+    """Why a review was made, in a few words; what units lose when another dies goes without saying."""
+    gone = any(isinstance(perturbation, kinds.UnitGone) for perturbation in review.perturbations)
+    told = [p for p in review.perturbations if not (gone and isinstance(p, kinds.SubscriptionLost))]
+    return named(dict.fromkeys(map(_cause, told)))
+
+
+def decision(review: Review) -> str:
+    """What a review decided, in a few words."""
     match review.decision:
         case Decision.APPLIED:
             return _changes(review)
@@ -101,6 +109,31 @@ def _decision(review: Review) -> str:
         case Decision.FAILED:
             return f"the update failed: {short(review.cause)}"
     return f"no decision: {short(review.cause)}"
+
+
+def _cause(perturbation: kinds.Perturbation) -> str:
+    match perturbation:
+        case kinds.Started():
+            return "start"
+        case kinds.UnitGone(unit, _, how):
+            return f"{unit} {how}"
+        case kinds.UnitKeepsFailing(unit):
+            return f"{unit} keeps failing"
+        case kinds.SubscriptionLost(unit, port):
+            return f"{unit or 'a topic'} lost {port}"
+        case kinds.WorldChanged(by):
+            return f"{'request' if by == 'request' else 'the file'} changed the world"
+        case kinds.HostGone(host):
+            return f"host {host} is gone"
+        case kinds.HostBack(host):
+            return f"host {host} is back"
+        case kinds.HorizonReached():
+            return "horizon reached"
+        case kinds.UpdateFailed():
+            return "the last update failed"
+        case kinds.MayStartAgain(transformations):
+            return f"{named(transformations)} may start again"
+    return "asked for"
 
 
 def _changes(review: Review) -> str:

@@ -1,1 +1,55 @@
-"""Stream reasoning: metric temporal logic over the streams of semantic subscriptions (the engine of the paper's Figure 1)."""
+"""Stream reasoning: temporal logic over semantic subscriptions (the engine of the paper's Figure 1).
+
+`query` reads a question, `Engine` answers it over subscriptions; `Monitor` is the progression of a formula alone.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from cfgplan_runtime.reasoning.answers import Answer as Answer
+    from cfgplan_runtime.reasoning.answers import UnmetTargetsError as UnmetTargetsError
+    from cfgplan_runtime.reasoning.engine import Engine as Engine
+    from cfgplan_runtime.reasoning.evaluating import Evaluator as Evaluator
+    from cfgplan_runtime.reasoning.features import Declared as Declared
+    from cfgplan_runtime.reasoning.features import Feature as Feature
+    from cfgplan_runtime.reasoning.managed import ManagedSubscriptions as ManagedSubscriptions
+    from cfgplan_runtime.reasoning.managed import RemoteSubscriptions as RemoteSubscriptions
+    from cfgplan_runtime.reasoning.monitor import Monitor as Monitor
+    from cfgplan_runtime.reasoning.naming import Vocabulary as Vocabulary
+    from cfgplan_runtime.reasoning.parsing import parse as parse
+    from cfgplan_runtime.reasoning.queries import Query as Query
+    from cfgplan_runtime.reasoning.queries import query as query
+    from cfgplan_runtime.reasoning.regions import Region as Region
+    from cfgplan_runtime.reasoning.regions import rcc8 as rcc8
+    from cfgplan_runtime.reasoning.regions import region_from as region_from
+    from cfgplan_runtime.reasoning.states import Synchroniser as Synchroniser
+    from cfgplan_runtime.reasoning.states import Timing as Timing
+    from cfgplan_runtime.reasoning.truth import Verdict as Verdict
+
+_HOMES = {
+    "answers": "Answer UnmetTargetsError",
+    "engine": "Engine",
+    "evaluating": "Evaluator",
+    "features": "Declared Feature",
+    "managed": "ManagedSubscriptions RemoteSubscriptions",
+    "monitor": "Monitor",
+    "parsing": "parse",
+    "queries": "Query query",
+    "naming": "Vocabulary",
+    "regions": "Region rcc8 region_from",
+    "states": "Synchroniser Timing",
+    "truth": "Verdict",
+}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names.split()}
+
+__all__ = sorted(_HOME_OF)
+
+
+def __getattr__(name: str) -> Any:
+    """Import a name from its module at its first use."""
+    if name not in _HOME_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOME_OF[name]}"), name)

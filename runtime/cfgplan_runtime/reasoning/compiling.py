@@ -1,7 +1,8 @@
 """A formula made ready for progression: negations pushed to the atoms, what concerns one state made one proposition.
 
 Every temporal operator becomes an *until* or its dual, *release*: `eventually p` is `true until p`, `always p` is
-`false release p`. In Kleene's logic, as in that of two values, both sides of De Morgan's laws and of these are the same.
+`false release p`. In Kleene's logic, as in that of two values, both sides of De Morgan's laws and of these are the
+same.
 """
 
 from __future__ import annotations
@@ -61,7 +62,7 @@ Step: TypeAlias = Fixed | Literal | Joined | Operated
 
 @dataclass(frozen=True, slots=True)
 class Operator:
-    """`left until right` in an interval, or else `left release right`: `right` in each state of it, up to one with `left`."""
+    """`left until right` in an interval; or `left release right`: `right` in each of it, up to one with `left`."""
 
     is_until: bool
     left: Step

@@ -1,7 +1,8 @@
 """The stream reasoning engine of the paper's Figure 1: it answers a query over semantic subscriptions.
 
-It has the targets set up that the formula needs, synchronises their streams into states, progresses the formula through them, reports
-the answer as soon as it is final, and takes its targets down, so that units that nobody else needs are stopped.
+It has the targets set up that the formula needs, synchronises their streams into states, progresses the formula
+through them, reports the answer as soon as it is final, and takes its targets down, so that units that nobody else
+needs are stopped.
 """
 
 from __future__ import annotations
@@ -12,15 +13,15 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple
 
 from cfgplan.domain import Target
-from cfgplan.errors import CfgplanError
+from cfgplan_runtime.errors import RuntimeFaultError
+from cfgplan_runtime.reasoning.answers import Answer, Noted, Progressed, Report, SetUp, UnmetTargetsError
 from cfgplan_runtime.reasoning.evaluating import Evaluator
 from cfgplan_runtime.reasoning.features import Feature
-from cfgplan_runtime.reasoning.monitor import Monitor, Waiting
-from cfgplan_runtime.reasoning.query import Query
+from cfgplan_runtime.reasoning.monitor import Monitor
+from cfgplan_runtime.reasoning.queries import Query
 from cfgplan_runtime.reasoning.states import Synchroniser
 from cfgplan_runtime.reasoning.subscriptions import Subscriptions
 from cfgplan_runtime.reasoning.truth import VERDICT_OF, Verdict
@@ -31,70 +32,14 @@ _OWN_CLOCK_NS = 60 * 1_000_000_000
 """Streams whose times are further from the computer's clock than this have a clock of their own."""
 
 
-class UnmetTargetsError(CfgplanError):
-    """Features that can't be had, with the reason for each by name."""
+class _Ended(NamedTuple):
+    """A feature's stream has come to its end."""
 
-    def __init__(self, reasons: Mapping[str, str]) -> None:
-        self.reasons = dict(reasons)
-        super().__init__("; ".join(reasons.values()))
-
-
-@dataclass(frozen=True, slots=True)
-class SetUp:
-    """The subscriptions are there; `topics` by feature."""
-
-    topics: Mapping[str, str]
-    seconds: float
-
-
-@dataclass(frozen=True, slots=True)
-class Noted:
-    """Something that concerns the answer: a unit died, a value has no such field."""
-
-    text: str
-
-
-@dataclass(frozen=True, slots=True)
-class Progressed:
-    """Where the query is: the time of the last state, what it waits for, and which answers are still possible."""
-
-    time_ns: int
-    states: int
-    waiting: Sequence[Waiting]
-    possible: frozenset[Verdict]
-    missing: Sequence[str]
-    """The features without a value in the last state."""
-
-
-@dataclass(frozen=True)
-class Answer:
-    """The answer, or that it is open still.
-
-    `time_ns` is the time of the state that decided, or of the last one; `first_ns` of the first. `delay_s` is from that time to
-    the answer on the clock. `missing` says in how many states each feature had no value; `late` how many samples came too late.
-    """
-
-    verdict: Verdict
-    states: int
-    first_ns: int | None = None
-    time_ns: int | None = None
-    delay_s: float | None = None
-    waiting: Sequence[Waiting] = ()
-    possible: frozenset[Verdict] = frozenset()
-    expired: Sequence[Waiting] = ()
-    """The operators whose intervals ended with the state that decided."""
-    last: Mapping[str, Verdict] = field(default_factory=dict)
-    """What was true, false or unknown in the last state."""
-    missing: Mapping[str, int] = field(default_factory=dict)
-    late: int = 0
-    dropped: int = 0
-
-
-Report: TypeAlias = SetUp | Noted | Progressed | Answer
+    feature: str
 
 
 class Engine:
-    """Answers one query. `report` is called from the thread that calls `run`."""
+    """Answers one query. `report` is called from the thread that calls `run`; `name` tells its targets from others'."""
 
     def __init__(
         self,
@@ -111,20 +56,22 @@ class Engine:
         self._report = report
         self._name = name or os.urandom(3).hex()
         self._clock_ns = clock_ns
-        self._inbox: queue.SimpleQueue[tuple[str, Any, int] | Exception | str] = queue.SimpleQueue()
+        self._inbox: queue.SimpleQueue[tuple[str, Any, int] | Exception | str | _Ended] = queue.SimpleQueue()
         self._is_over = threading.Event()
         self._evaluator = Evaluator(query.program, query.declared.regions, self._note)
         self._streams: Synchroniser | None = None
         self._skew_ns = 0
+        self._has_targets = False
+        self._ended: set[str] = set()
         self._first_ns: int | None = None
         self._absent: tuple[str, ...] = ()
         self._dropped: dict[str, int] = {}
 
     def run(self, *, for_s: float | None = None, wait_s: float = 0.0, every_s: float = 1.0) -> Answer:
-        """Answer the query, within a time if one is given; reports progress every `every_s`.
+        """Answer the query, within a time if one is given, or until its streams end; reports progress every `every_s`.
 
-        A target that can't be met now is waited for for `wait_s`, then UnmetTargetsError is raised. Targets are taken down
-        in any case.
+        A target that can't be met now is waited for for `wait_s`, then UnmetTargetsError is raised. Targets are
+        taken down in any case.
         """
         topics = {each.name: each.topic or f"/query/{self._name}/{each.name}" for each in self._query.features}
         added = [self._target(each, topics[each.name]) for each in self._query.features if each.topic is None]
@@ -141,8 +88,8 @@ class Engine:
             self._is_over.set()
             for thread in listeners:
                 thread.join()
-            if added:
-                self._subscriptions.remove([target.label for target in added])
+            if self._has_targets:
+                self._take_down([target.label for target in added])
         self._tell_what_is_left()
         self._report(answer)
         return answer
@@ -161,13 +108,22 @@ class Engine:
         begin = time.monotonic()
         if targets:
             self._subscriptions.add(targets)
+            self._has_targets = True
             names = {self._label(each): each.name for each in self._query.features}
             while reasons := self._subscriptions.unmet([target.label for target in targets]):
                 if time.monotonic() >= begin + wait_s:
-                    told = {names[label]: why.replace(f"target {label}", names[label]) for label, why in reasons.items()}
+                    told = {
+                        names[label]: why.replace(f"target {label}", names[label]) for label, why in reasons.items()
+                    }
                     raise UnmetTargetsError(told)
                 time.sleep(_LOOK_S)
         self._report(SetUp(topics, time.monotonic() - begin))
+
+    def _take_down(self, labels: Sequence[str]) -> None:
+        try:
+            self._subscriptions.remove(labels)
+        except RuntimeFaultError as error:
+            self._note(f"the targets could not be taken down: {error}")
 
     def _listen(self, name: str, topic: str) -> None:
         """Put what comes on a topic into the inbox (a thread of its own for each feature)."""
@@ -180,7 +136,7 @@ class Engine:
                             self._dropped[name] = getattr(samples, "dropped", 0)
                             if self._is_over.is_set():
                                 return
-                        self._inbox.put(f"the stream of {name} has ended")
+                        self._inbox.put(_Ended(name))
                         return
                     except TimeoutError:
                         continue
@@ -202,6 +158,8 @@ class Engine:
                 self._take(min(_LOOK_S, self._pause_s(), left), begin_ns)
                 if self._streams is not None and self._progress(self._streams) is not Verdict.OPEN:
                     break
+                if self._query.features and len(self._ended) == len(self._query.features):
+                    break
         return self._answer()
 
     def _pause_s(self) -> float:
@@ -219,6 +177,9 @@ class Engine:
                     raise found
                 if isinstance(found, str):
                     self._report(Noted(found))
+                elif isinstance(found, _Ended):
+                    self._ended.add(found.feature)
+                    self._report(Noted(f"the stream of {found.feature} has ended"))
                 else:
                     name, value, time_ns = found
                     if self._streams is None:
@@ -252,9 +213,7 @@ class Engine:
     def _tell_progress(self) -> None:
         if self.monitor.time_ns is not None:
             monitor = self.monitor
-            told = Progressed(
-                self.monitor.time_ns, monitor.states, monitor.waiting(), monitor.possible, self._absent
-            )
+            told = Progressed(self.monitor.time_ns, monitor.states, monitor.waiting(), monitor.possible, self._absent)
             self._report(told)
 
     def _answer(self) -> Answer:

@@ -197,7 +197,7 @@ def _field(field: Field, values: Values) -> Any:
 
 
 def _is_truth_value(value: Any) -> bool:
-    return isinstance(value, bool) or (getattr(value, "dtype", None) == bool and getattr(value, "ndim", 1) == 0)
+    return isinstance(value, bool) or (getattr(value, "ndim", 1) == 0 and str(value.dtype) == "bool")
 
 
 def _shown(value: Any) -> str:

@@ -29,7 +29,7 @@ from cfgplan_runtime.reasoning.regions import NotARegionError, Region, region_fr
 FILE_BESIDE = "features.yaml"
 """The features file that is read if it is beside the environment file."""
 _NAME = re.compile(r"[^\W\d]\w*")
-_RESERVED = frozenset("always eventually until and or not in true false inf".split())
+_RESERVED = frozenset({"always", "eventually", "until", "and", "or", "not", "in", "true", "false", "inf"})
 _KEYS = ("features", "regions")
 _FEATURE_KEYS = ("tag", "hold")
 
@@ -38,8 +38,8 @@ _FEATURE_KEYS = ("tag", "hold")
 class Feature:
     """A name for a semantic subscription.
 
-    `topic` is that of a target which the environment has already. `hold_ns` is how long a value counts, if it is not the same for
-    all features.
+    `topic` is that of a target which the environment has already. `hold_ns` is how long a value counts, if it is
+    not the same for all features.
     """
 
     name: str
@@ -158,7 +158,9 @@ def _feature(source: Source, name: str, written: Any, faults: list[Fault]) -> Fe
     if not isinstance(tag, str) or not tag.strip():
         mend = f"write {name}: Position and hasSource some Ball"
         faults.append(source.fault(path, "a feature has a tag, which is text", mend))
-    if hold is not None and (isinstance(hold, (str, bool)) or not isinstance(hold, (int, Decimal)) or not 0 <= hold < 1e9):
+    if hold is not None and (
+        isinstance(hold, (str, bool)) or not isinstance(hold, (int, Decimal)) or not 0 <= hold < 1e9
+    ):
         faults.append(source.fault((*path, "hold"), "hold is a number of seconds", "write hold: 0.5"))
     if len(faults) > before:
         return None

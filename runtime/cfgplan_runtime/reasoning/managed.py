@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import TimeoutError as FutureTimeoutError
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Protocol
 
 from cfgplan.domain import ChangeSet, Target
@@ -44,7 +46,8 @@ class ManagedSubscriptions:
         self._run = run
 
     def add(self, targets: Sequence[Target]) -> None:
-        self._manager.request(AddTargets(tuple(targets))).result(_PATIENCE_S)
+        with suppress(FutureTimeoutError):
+            self._manager.request(AddTargets(tuple(targets))).result(_PATIENCE_S)
         if self.unmet([target.label for target in targets]):
             self._manager.settle(_SETTLE_S)
 
@@ -53,7 +56,8 @@ class ManagedSubscriptions:
         return {each.label: each.reason for each in targets if each.label in labels and not each.is_met}
 
     def remove(self, labels: Sequence[str]) -> None:
-        self._manager.request(RemoveTargets(tuple(labels))).result(_PATIENCE_S)
+        with suppress(FutureTimeoutError):
+            self._manager.request(RemoveTargets(tuple(labels))).result(_PATIENCE_S)
 
     def samples(self, topic: str, wait_s: float) -> SubscriptionToTopic:
         return subscribe(topic, run=self._run, wait_s=wait_s, timeout_s=_LOOK_S)
@@ -81,13 +85,15 @@ class RemoteSubscriptions:
 
     def add(self, targets: Sequence[Target]) -> None:
         name = targets[0].label.rpartition(" ")[0]
-        self._names.update(dict.fromkeys((target.label for target in targets), name))
         document = [{"label": each.label, "topic": each.topic, "tag": each.tag} for each in targets]
         self._call("add", name=name, text=json.dumps({"targets": document}))
+        self._names.update(dict.fromkeys((target.label for target in targets), name))
 
     def unmet(self, labels: Sequence[str]) -> Mapping[str, str]:
         targets = {each["label"]: each for each in self._call("state")["targets"]}
-        reasons = {label: targets[label]["reason"] if label in targets else "it is unknown to the run" for label in labels}
+        reasons = {
+            label: targets[label]["reason"] if label in targets else "it is unknown to the run" for label in labels
+        }
         return {label: reason for label, reason in reasons.items() if not targets.get(label, {}).get("met")}
 
     def remove(self, labels: Sequence[str]) -> None:

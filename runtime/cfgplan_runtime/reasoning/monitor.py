@@ -1,8 +1,9 @@
 """Progression of one formula through a stream of states, as an automaton that is built while it runs.
 
-What a state does to the obligations depends on the truth of the propositions and on which intervals have begun or ended, not
-on the times themselves. Each such step is progressed once and remembered as a transition between *situations*: an obligation, and for each
-operator in it the times at which it began, as registers. On regular and on irregular streams alike a known step is one look-up.
+What a state does to the obligations depends on the truth of the propositions and on which intervals have begun or
+ended, not on the times themselves. Each such step is progressed once and remembered as a transition between
+*situations*: an obligation, and for each operator in it the times at which it began, as registers. On regular and
+on irregular streams alike a known step is one look-up.
 """
 
 from __future__ import annotations
@@ -10,12 +11,21 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Final
 
 from cfgplan.errors import InvalidValueError
 from cfgplan_runtime.reasoning.compiling import Program, compiled
-from cfgplan_runtime.reasoning.obligations import Kind, Obligation, Store, bound
-from cfgplan_runtime.reasoning.progression import NOW, Progression
+from cfgplan_runtime.reasoning.obligations import Kind, Obligation, Store, TooManyObligationsError, bound
+from cfgplan_runtime.reasoning.progression import Progression
+from cfgplan_runtime.reasoning.situations import (
+    Registers,
+    Situation,
+    Transition,
+    moved,
+    moves_between,
+    pending_of,
+    registers_of,
+)
 from cfgplan_runtime.reasoning.syntax import Formula
 from cfgplan_runtime.reasoning.truth import FALSE, TRUE, VERDICT_OF, Truth, Verdict
 
@@ -27,39 +37,6 @@ MOST_REMEMBERED: Final = 200_000
 """How many obligations and transitions are remembered before all but the present situation are forgotten."""
 _NEVER: Final = 1 << 62
 _MOST_PACKED: Final = 39
-
-
-class _Registers(NamedTuple):
-    """The moments of one operator in a situation: how many there are, and of how many of them the interval has begun."""
-
-    operator: int
-    count: int
-    begun: int
-
-
-class _Move(NamedTuple):
-    """How to make one list of moments from those before: a slice or a choice of one, and perhaps the present."""
-
-    source: int
-    first: int
-    end: int
-    chosen: tuple[int, ...] | None
-    with_now: bool
-
-
-_Transition: TypeAlias = "tuple[_Situation, tuple[_Move, ...] | None]"
-
-
-class _Situation:
-    __slots__ = ("begins", "crossing", "obligation", "quiet", "registers", "verdict")
-
-    def __init__(self, obligation: Obligation | None, registers: tuple[_Registers, ...]) -> None:
-        self.obligation = obligation
-        self.registers = registers
-        self.quiet: dict[int, _Transition] = {}
-        self.crossing: dict[tuple[int, ...], _Transition] = {}
-        is_value = obligation is not None and obligation.kind is Kind.VALUE
-        self.verdict = VERDICT_OF[obligation.value] if obligation is not None and is_value else Verdict.OPEN
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,8 +59,8 @@ class Monitor:
         self._intervals = [operator.interval for operator in self.program.operators]
         self._store = self._new_store()
         self._remembered = 0
-        self._situations: dict[Obligation, _Situation] = {}
-        self._situation = _Situation(None, ())
+        self._situations: dict[Obligation, Situation] = {}
+        self._situation = Situation(None, ())
         self._moments: list[list[int]] = []
         self._quiet_until = _NEVER
         self._expired: list[Waiting] = []
@@ -159,10 +136,10 @@ class Monitor:
         """The operators whose intervals had ended when the verdict became final."""
         return self._expired
 
-    def _waiting(self, situation: _Situation, moments: list[list[int]]) -> list[Waiting]:
+    def _waiting(self, situation: Situation, moments: list[list[int]]) -> list[Waiting]:
         position = {registers.operator: place for place, registers in enumerate(situation.registers)}
         found: dict[Waiting, None] = {}
-        for operator, moment in sorted(_pending_of(situation.obligation)):
+        for operator, moment in sorted(pending_of(situation.obligation)):
             since = None if moment < 0 else moments[position[operator]][moment]
             end = self._intervals[operator].end_ns
             until = None if since is None or end is None else since + end
@@ -199,7 +176,7 @@ class Monitor:
                     waited = self._waiting(before, moments)
                     self._expired = [each for each in waited if each.until_ns is not None and each.until_ns <= time_ns]
                 if moves is not None:
-                    moments = _moved(moments, moves, time_ns)
+                    moments = moved(moments, moves, time_ns)
                     quiet_until = self._next_crossing(situation, moments)
                 elif not is_quiet:
                     quiet_until = self._next_crossing(situation, moments)
@@ -214,7 +191,7 @@ class Monitor:
             if count:
                 self.time_ns = last
 
-    def _learnt(self, situation: _Situation, moments: list[list[int]], time_ns: int, code: int) -> _Transition:
+    def _learnt(self, situation: Situation, moments: list[list[int]], time_ns: int, code: int) -> Transition:
         truths = []
         for _ in self.program.propositions:
             code, truth = divmod(code, 3)
@@ -226,9 +203,12 @@ class Monitor:
 
         progression = Progression(self.program, self._store, truths, elapsed_ns)
         before = situation.obligation
-        after = progression.of_root() if before is None else progression.of(before)
+        try:
+            after = progression.of_root() if before is None else progression.of(before)
+        except RecursionError:
+            raise TooManyObligationsError("obligations are nested too deep: nest fewer temporal operators") from None
         used: dict[int, dict[int, bool]] = {}
-        for operator, moment, is_begun in _registers_of(after):
+        for operator, moment, is_begun in registers_of(after):
             used.setdefault(operator, {})[moment] = is_begun
         chosen = {operator: sorted(used[operator]) for operator in sorted(used)}
         new_number = {
@@ -239,15 +219,15 @@ class Monitor:
         found_situation = self._situations.get(after)
         if found_situation is None:
             registers = tuple(
-                _Registers(operator, len(found), sum(used[operator].values())) for operator, found in chosen.items()
+                Registers(operator, len(found), sum(used[operator].values())) for operator, found in chosen.items()
             )
-            found_situation = self._situations[after] = _Situation(after, registers)
+            found_situation = self._situations[after] = Situation(after, registers)
             self._remembered += after.size
         if len(self._store) > MOST_REMEMBERED:
             self._remembered += MOST_REMEMBERED
-        return found_situation, _moves(situation.registers, chosen, position)
+        return found_situation, moves_between(situation.registers, chosen, position)
 
-    def _crossed(self, situation: _Situation, moments: list[list[int]], time_ns: int, code: int) -> tuple[int, ...]:
+    def _crossed(self, situation: Situation, moments: list[list[int]], time_ns: int, code: int) -> tuple[int, ...]:
         """What makes two steps from a situation the same: of each operator, how many intervals have begun and ended."""
         key = [code]
         for registers, found in zip(situation.registers, moments, strict=True):
@@ -258,30 +238,31 @@ class Monitor:
                 key += (ended, bisect_right(found, time_ns - interval.end_ns - 1, 0, ended))
         return tuple(key)
 
-    def _next_crossing(self, situation: _Situation, moments: list[list[int]]) -> int:
+    def _next_crossing(self, situation: Situation, moments: list[list[int]]) -> int:
         """The least time at which an interval begins or ends."""
         least = _NEVER
-        for (operator, count, begun), found in zip(situation.registers, moments, strict=True):
+        for (operator, size, begun), found in zip(situation.registers, moments, strict=True):
             interval = self._intervals[operator]
             if interval.end_ns is not None and found[0] + interval.end_ns < least:
                 least = found[0] + interval.end_ns
-            if begun < count and found[begun] + interval.begin_ns < least:
+            if begun < size and found[begun] + interval.begin_ns < least:
                 least = found[begun] + interval.begin_ns
         return least
 
-    def _forget(self, situation: _Situation) -> _Situation:
+    def _forget(self, situation: Situation) -> Situation:
         """Begin anew with nothing but the present situation, so that memory is bounded."""
         self._store = self._new_store()
         obligation = situation.obligation
         assert obligation is not None
-        kept = _Situation(self._store.renamed(obligation, lambda _, moment: moment), situation.registers)
+        kept = Situation(self._store.renamed(obligation, lambda _, moment: moment), situation.registers)
         assert kept.obligation is not None
         self._situations = {kept.obligation: kept}
         self._remembered = kept.obligation.size
         return kept
 
     def _new_store(self) -> Store:
-        return Store([operator.is_until for operator in self.program.operators])
+        operators = self.program.operators
+        return Store([each.is_until for each in operators], [each.interval.end_ns is None for each in operators])
 
     def _at_end(self, obligation: Obligation) -> Truth:
         match obligation.kind:
@@ -293,52 +274,3 @@ class Monitor:
                 return min(self._at_end(part) for part in obligation.parts)
             case _:
                 return max(self._at_end(part) for part in obligation.parts)
-
-
-def _registers_of(obligation: Obligation) -> Iterable[tuple[int, int, bool]]:
-    """Operator, moment and whether its interval has begun, of each pending obligation that has a moment."""
-    seen: set[Obligation] = set()
-    ahead = [obligation]
-    while ahead:
-        one = ahead.pop()
-        if one not in seen:
-            seen.add(one)
-            ahead += one.parts
-            if one.kind is Kind.PENDING and one.moment >= 0:
-                yield one.operator, one.moment, one.is_begun
-
-
-def _pending_of(obligation: Obligation | None) -> set[tuple[int, int]]:
-    if obligation is None:
-        return set()
-    if obligation.kind is Kind.PENDING:
-        return {(obligation.operator, obligation.moment)}
-    return {found for part in obligation.parts for found in _pending_of(part)}
-
-
-def _moves(
-    before: tuple[_Registers, ...], chosen: dict[int, list[int]], position: dict[int, int]
-) -> tuple[_Move, ...] | None:
-    """How the moments that are still used come about; None if they are those before."""
-    moves = []
-    for operator, found in chosen.items():
-        with_now = found[-1] == NOW
-        old = found[:-1] if with_now else found
-        first, end = (old[0], old[-1] + 1) if old else (0, 0)
-        is_slice = end - first == len(old)
-        moves.append(_Move(position.get(operator, -1), first, end, None if is_slice else tuple(old), with_now))
-    same = [_Move(place, 0, registers.count, None, False) for place, registers in enumerate(before)]
-    return None if moves == same else tuple(moves)
-
-
-def _moved(moments: list[list[int]], moves: tuple[_Move, ...], time_ns: int) -> list[list[int]]:
-    after = []
-    for source, first, end, chosen, with_now in moves:
-        if chosen is not None:
-            found = [moments[source][number] for number in chosen]
-        else:
-            found = moments[source][first:end] if end else []
-        if with_now:
-            found.append(time_ns)
-        after.append(found)
-    return after

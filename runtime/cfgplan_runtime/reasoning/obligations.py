@@ -1,18 +1,21 @@
 """What is left to be seen of a formula: hash-consed, and simplified by what holds in every distributive lattice.
 
-An obligation is a truth value, a conjunction, a disjunction, or *pending*: a temporal operator that began at an earlier state. Kleene's
-three values in the order false < unknown < true are a distributive lattice, and progressed formulas have no negation above their
-propositions, so that absorption, and replacing inside of a conjunction what another member implies, change no value.
+An obligation is a truth value, a conjunction, a disjunction, or *pending*: a temporal operator that began at an
+earlier state. Kleene's three values in the order false < unknown < true are a distributive lattice, and progressed
+formulas have no negation above their propositions, so that absorption, and replacing inside of a conjunction what
+another member implies, change no value.
 
-Of one operator, what began earlier ends earlier. Therefore, once their intervals have begun, an earlier *until* implies a later one, and
-a later *release* an earlier one, and a conjunction or disjunction keeps one of each: `always[0,10s] p` inside `always` is one obligation.
+Of one operator, what began earlier ends earlier. Therefore, once their intervals have begun, an earlier *until*
+implies a later one, and a later *release* an earlier one; if the interval has no end it is the other way round,
+begun or not. So a conjunction or disjunction keeps one of each: `always[0,10s] p` inside `always` is one
+obligation.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from enum import IntEnum
-from typing import Final
+from typing import Final, NamedTuple
 
 from cfgplan.errors import CfgplanError
 from cfgplan_runtime.reasoning.truth import FALSE, TRUE, UNKNOWN, Truth
@@ -37,8 +40,9 @@ class Kind(IntEnum):
 class Obligation:
     """One node; equal ones of one store are the same object.
 
-    A pending one has the number of its operator, and which of the moments at which that operator began and still matters is its own
-    (the earliest is 0; -1 if it makes no difference). `is_begun` says whether its interval has begun.
+    A pending one has the number of its operator, and which of the moments at which that operator began and still
+    matters is its own (the earliest is 0; -1 if it makes no difference). `is_begun` says whether its interval has
+    begun.
     """
 
     __slots__ = ("is_begun", "kind", "moment", "operator", "parts", "serial", "size", "value")
@@ -61,14 +65,29 @@ class Obligation:
         self.operator = operator
         self.moment = moment
         self.is_begun = is_begun
-        self.size = 1 + sum(part.size for part in parts)
+        self.size: int = 1 + sum(part.size for part in parts)
+
+
+class _Context(NamedTuple):
+    """The members of a conjunction or disjunction, and of each operator the one that the others follow from."""
+
+    kind: Kind
+    simple: dict[Obligation, None]
+    nested: dict[Obligation, None]
+    chains: dict[int, Obligation]
+    done: dict[Obligation, Obligation]
 
 
 class Store:
-    """Makes obligations of one program. `is_until` says of each operator whether it is an until or a release."""
+    """Makes obligations of one program.
 
-    def __init__(self, is_until: Sequence[bool]) -> None:
-        self._is_until = tuple(is_until)
+    Of each operator, `is_until` says whether it is an until or a release, `is_endless` whether its interval has no end.
+    """
+
+    def __init__(self, is_until: Sequence[bool], is_endless: Sequence[bool]) -> None:
+        self._is_endless = tuple(is_endless)
+        self._rises = tuple(until != endless for until, endless in zip(is_until, is_endless, strict=True))
+        """Whether what began later is at least as true."""
         self._pending: dict[tuple[int, int, bool], Obligation] = {}
         self._joined: dict[tuple[int, ...], Obligation] = {}
         self._implied: dict[tuple[int, int], bool] = {}
@@ -129,8 +148,9 @@ class Store:
             else:
                 nested[part] = None
         chains = self._thinned(kind, simple)
-        if nested and simple:
-            reduced = [self._within(kind, part, simple, chains, {}) for part in nested]
+        if nested and len(simple) + len(nested) > 1:
+            context = _Context(kind, simple, nested, chains, {})
+            reduced = [self._reduced(context, part) for part in nested]
             if any(new is not old for new, old in zip(reduced, nested, strict=True)):
                 return self._join(kind, [*simple, *reduced])
         if len(nested) > 1:
@@ -159,43 +179,45 @@ class Store:
         """Keep one pending obligation of those that imply each other; gives it for each operator."""
         kept: dict[int, Obligation] = {}
         for part in list(simple):
-            if part.kind is Kind.PENDING and part.is_begun:
+            if self._is_comparable(part):
                 other = kept.get(part.operator)
                 if other is None:
                     kept[part.operator] = part
                     continue
-                wants_earlier = (kind is Kind.ALL) == self._is_until[part.operator]
-                if (part.moment < other.moment) == wants_earlier:
+                if self._orders(kind, part, other):
                     kept[part.operator] = part
                     del simple[other]
                 else:
                     del simple[part]
         return kept
 
-    def _within(
-        self,
-        kind: Kind,
-        part: Obligation,
-        simple: dict[Obligation, None],
-        chains: dict[int, Obligation],
-        done: dict[Obligation, Obligation],
-    ) -> Obligation:
-        """A part inside of a conjunction (disjunction) with what the simple members imply (are implied by) replaced."""
+    def _reduced(self, context: _Context, part: Obligation) -> Obligation:
+        """A member without what the others imply (in a conjunction), or are implied by (in a disjunction)."""
+        parts = [self._within(context, each) for each in part.parts]
+        same = all(new is old for new, old in zip(parts, part.parts, strict=True))
+        return part if same else self._join(part.kind, parts)
+
+    def _within(self, context: _Context, part: Obligation) -> Obligation:
         if part.kind is Kind.VALUE or part.kind is Kind.PENDING:
-            chain = chains.get(part.operator) if part.kind is Kind.PENDING and part.is_begun else None
-            decided = part in simple or (chain is not None and self._orders(kind, chain, part))
-            return self.values[TRUE if kind is Kind.ALL else FALSE] if decided else part
-        found = done.get(part)
+            chain = context.chains.get(part.operator) if self._is_comparable(part) else None
+            decided = part in context.simple or (chain is not None and self._orders(context.kind, chain, part))
+            return self.values[TRUE if context.kind is Kind.ALL else FALSE] if decided else part
+        found = context.done.get(part)
         if found is None:
-            parts = [self._within(kind, each, simple, chains, done) for each in part.parts]
-            same = all(new is old for new, old in zip(parts, part.parts, strict=True))
-            found = done[part] = part if same else self._join(part.kind, parts)
+            decided = part in context.nested
+            found = (
+                self.values[TRUE if context.kind is Kind.ALL else FALSE] if decided else self._reduced(context, part)
+            )
+            context.done[part] = found
         return found
 
     def _orders(self, kind: Kind, member: Obligation, part: Obligation) -> bool:
         """Whether `member` implies `part` (in a conjunction), or is implied by it (in a disjunction)."""
-        earlier = (kind is Kind.ALL) == self._is_until[part.operator]
+        earlier = (kind is Kind.ALL) == self._rises[part.operator]
         return member.moment <= part.moment if earlier else member.moment >= part.moment
+
+    def _is_comparable(self, part: Obligation) -> bool:
+        return part.kind is Kind.PENDING and (part.is_begun or self._is_endless[part.operator])
 
     def _absorbed(self, kind: Kind, nested: list[Obligation]) -> dict[Obligation, None]:
         """Members without those that another makes needless; among many, only near ones are compared."""
@@ -221,9 +243,9 @@ class Store:
         if high.kind is Kind.VALUE and high.value != UNKNOWN:
             return high.value == TRUE
         if low.kind is Kind.PENDING and high.kind is Kind.PENDING:
-            if low.operator != high.operator or not (low.is_begun and high.is_begun):
+            if low.operator != high.operator or not (self._is_comparable(low) and self._is_comparable(high)):
                 return False
-            return (low.moment <= high.moment) if self._is_until[low.operator] else (low.moment >= high.moment)
+            return self._orders(Kind.ALL, low, high)
         key = (low.serial, high.serial)
         found = self._implied.get(key)
         if found is None:

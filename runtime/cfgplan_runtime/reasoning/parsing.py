@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from cfgplan.errors import Fault, InputError
 from cfgplan_runtime.reasoning.grammar import GRAMMAR
-from cfgplan_runtime.reasoning.reading import Reader, Vocabulary
+from cfgplan_runtime.reasoning.naming import Vocabulary
+from cfgplan_runtime.reasoning.reading import Reader
 from cfgplan_runtime.reasoning.syntax import Formula
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ _FIRST_OF_A_PART = {"NAME", "NOT", "NUMBER"}
 
 
 def parse(text: str, vocabulary: Vocabulary) -> Formula:
-    """Read a formula over the features and regions of a vocabulary. Raises InputError with all faults that were found."""
+    """Read a formula over the names of a vocabulary. Raises InputError with all faults that were found."""
     from lark import UnexpectedInput
 
     if len(text) > LONGEST_FORMULA:
@@ -52,7 +53,7 @@ def _syntax_fault(error: Any, text: str) -> Fault:
     expected = set(getattr(error, "allowed", None) or getattr(error, "expected", None) or ())
     token = getattr(error, "token", None)
     if isinstance(error, UnexpectedCharacters):
-        found, line, column = repr(text[error.pos_in_stream]), error.line, error.column
+        found, line, column = repr(text[error.pos_in_stream or 0]), error.line, error.column
     elif token is None or token.type == "$END":
         found, line, column = "", text.count("\n") + 1, len(text.rpartition("\n")[2]) + 1
     else:
@@ -68,7 +69,7 @@ def _hint(expected: set[str], found: str, text: str) -> str:
         return "an interval begins at 0 or later, and its bounds are numbers: [0, 10s]"
     if "UNIT" in expected and "COMMA" in expected and "RPAR" not in expected:
         return "an interval has two bounds: [0, 10s]"
-    if "UNIT" in expected or {"RSQB", "RPAR"} <= expected and "OR" not in expected:
+    if "UNIT" in expected or ({"RSQB", "RPAR"} <= expected and "OR" not in expected):
         return "close the interval: [0, 10s]; units are ms, s, min and h"
     if expected == {"COMMA"}:
         return "an interval has two bounds: [0, 10s]"

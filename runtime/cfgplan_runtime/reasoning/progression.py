@@ -1,7 +1,7 @@
 """Progression of metric temporal logic through a state (Bacchus and Kabanza 1996, 1998; paper, section III).
 
-A formula is true of a sequence of states exactly if what it progresses to through the first state is true of the others. Where a
-proposition is unknown in a state, its place is taken by the value *unknown*.
+A formula is true of a sequence of states exactly if what it progresses to through the first state is true of the
+others. Where a proposition is unknown in a state, its place is taken by the value *unknown*.
 """
 
 from __future__ import annotations

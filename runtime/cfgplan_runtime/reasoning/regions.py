@@ -49,7 +49,7 @@ class Region:
 
 
 def region_from(value: Any) -> Region:
-    """The region that a value describes: a list of three or more points, or a mapping with `polygon`, `circle` or `box`.
+    """The region of a value: a list of three or more points, or a mapping with `polygon`, `circle` or `box`.
 
     Raises NotARegionError.
     """

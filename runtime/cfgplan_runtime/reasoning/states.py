@@ -1,8 +1,9 @@
 """Streams made into one stream of states: time-aligned, with a stated bound on delay and on missing samples.
 
-In a state of time T each feature has the value of its last sample that is not after T, if that is at most `hold` old; else it is missing. A
-state is given as soon as every feature has a sample at or after T, and at the latest `delay` after T on the clock. What comes
-later than that can't change a state that was given: it is counted as late. A missing value makes atoms unknown, never false.
+In a state of time T each feature has the value of its last sample that is not after T, if that is at most `hold`
+old; else it is missing. A state is given as soon as every feature has a sample at or after T, and at the latest
+`delay` after T on the clock. What comes later than that can't change a state that was given: it is counted as late.
+A missing value makes atoms unknown, never false.
 """
 
 from __future__ import annotations
@@ -92,7 +93,9 @@ class Synchroniser:
         while True:
             self._start(now_ns)
             time_ns = self._next()
-            passed_ns = min((each.samples[-1][0] if each.samples else -1 for each in self._features.values()), default=-1)
+            passed_ns = min(
+                (each.samples[-1][0] if each.samples else -1 for each in self._features.values()), default=-1
+            )
             complete_ns = time_ns + self._waits_ns()
             if self._start_ns is None or complete_ns > max(passed_ns, now_ns - self._timing.delay_ns):
                 return

@@ -21,8 +21,10 @@ class Sample(Protocol):
 
 
 class Samples(Protocol):
-    """A topic's elements. Iterating raises TimeoutError where none has come for a while, and may go on after that; it ends with the
-    stream."""
+    """A topic's elements, until the stream ends.
+
+    Iterating raises TimeoutError where none has come for a while, and may go on after that.
+    """
 
     def __iter__(self) -> Iterator[Sample]: ...
 

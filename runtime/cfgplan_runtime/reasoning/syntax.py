@@ -1,7 +1,7 @@
 """Metric temporal logic as a tree (Koymans 1990, with future operators; paper, section III).
 
-A formula says something about a state and those after it. States have whole nanoseconds as times, which rise. Atoms hold any
-hashable value that says something about one state; the temporal part never looks into them.
+A formula says something about a state and those after it. States have whole nanoseconds as times, which rise. Atoms
+hold any hashable value that says something about one state; the temporal part never looks into them.
 """
 
 from __future__ import annotations

@@ -21,4 +21,9 @@ class Robot:
     """Stands still, far from the ball."""
 
     def __call__(self, image: Any) -> dict[str, Any]:
-        return {"position": [4.0, 2.0], "hull": [[3, 1], [4, 1], [4, 3], [3, 3]], "state": "play", "seen": image["u"] > 0}
+        return {
+            "position": [4.0, 2.0],
+            "hull": [[3, 1], [4, 1], [4, 3], [3, 3]],
+            "state": "play",
+            "seen": image["u"] > 0,
+        }

@@ -8,8 +8,8 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from cfgplan_runtime.reasoning.compiling import Program, compiled
 from cfgplan_runtime.reasoning.conditions import Field
 from cfgplan_runtime.reasoning.features import Declared, Feature
+from cfgplan_runtime.reasoning.naming import Vocabulary
 from cfgplan_runtime.reasoning.parsing import parse
-from cfgplan_runtime.reasoning.reading import Vocabulary
 from cfgplan_runtime.reasoning.states import Timing
 from cfgplan_runtime.reasoning.syntax import Formula
 

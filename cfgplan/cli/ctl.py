@@ -1,0 +1,194 @@
+"""`cfgplan ctl`: steer a run that is under way."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cfgplan.cli import options as shared
+from cfgplan.cli.durations import duration
+from cfgplan.cli.exits import Exit
+from cfgplan.cli.screen import FORMAT_VERSION, Screen
+from cfgplan.errors import Fault, InputError
+
+if TYPE_CHECKING:
+    from cfgplan_runtime.operating.control_client import Control
+    from cfgplan_runtime.operating.protocol import RefusedError
+
+_EXAMPLE = """\
+  cfgplan ctl state
+  cfgplan ctl add robot2.yaml          (what a robot brings: individuals, transformations, targets)
+  cfgplan ctl withdraw robot2
+  cfgplan ctl remove-target ball
+  cfgplan ctl kill camera.1            (it is replaced at once)
+  cfgplan ctl review
+  cfgplan ctl stop
+
+What is added stays until it is withdrawn or the run ends, whatever becomes of the environment file.
+Exit codes: 0 done, 12 done and a target is not met, 30 refused, or no run."""
+
+
+@dataclass(frozen=True)
+class _Command:
+    """A command with at most one operand, and the method of the control protocol that it calls."""
+
+    name: str
+    says: str
+    operand: str = ""
+    means: str = ""
+    method: str = ""
+    key: str = ""
+
+
+_COMMANDS = (
+    _Command("state", "show targets, units, reviews and what was added"),
+    _Command("add", "add what a file says, under the file's name", "FILE", "YAML or JSON; - is standard input"),
+    _Command("withdraw", "take back what was added under a name", "NAME", "see `state`", "withdraw", "name"),
+    _Command("remove-target", "want a target no more", "LABEL", "its label", "remove_target", "label"),
+    _Command(
+        "remove-transformation", "use a transformation no more", "LABEL", "its label", "remove_transformation", "label"
+    ),
+    _Command("remove-individual", "take an individual away", "NAME", "its name", "remove_individual", "name"),
+    _Command("kill", "end a unit at once", "UNIT", "its id, such as camera.1", "kill", "unit"),
+    _Command("lose-host", "do without a host", "HOST", "its name", "lose_host", "host"),
+    _Command("regain-host", "use a host again", "HOST", "its name", "regain_host", "host"),
+    _Command("review", "plan now, as if the horizon were reached", method="review"),
+    _Command("events", "print what happens, until the run ends"),
+    _Command("stop", "stop the run, letting units finish"),
+)
+
+
+def add_to(verbs: shared.Subparsers) -> None:
+    parser = shared.add_verb(verbs, "ctl", "steer a run that is under way", _EXAMPLE)
+    parser.add_argument("--run", dest="run_id", metavar="ID", help="the run, if several are live")
+    shared.add_json(parser)
+    parser.set_defaults(run=run)
+    commands = parser.add_subparsers(metavar="COMMAND", dest="command", required=True)
+    for command in _COMMANDS:
+        each: argparse.ArgumentParser = commands.add_parser(
+            command.name, help=command.says, description=command.says[0].upper() + command.says[1:] + "."
+        )
+        # Also behind the command, where people put them; absent there, what stands before it holds.
+        each.add_argument("--run", dest="run_id", metavar="ID", default=argparse.SUPPRESS, help="the run")
+        each.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="print JSON for machines")
+        if command.operand:
+            each.add_argument("operand", metavar=command.operand, help=command.means)
+        if command.name == "add":
+            each.add_argument("--name", metavar="NAME", help="under another name than the file's")
+        if command.method or command.name == "add":
+            each.add_argument(
+                "--wait", type=duration, default=60.0, metavar="TIME", help="wait so long for the review (60s)"
+            )
+
+
+def run(options: argparse.Namespace, screen: Screen) -> Exit:
+    from cfgplan_runtime.operating.control_client import connect
+    from cfgplan_runtime.operating.protocol import RefusedError
+
+    text = _read(options.operand) if options.command == "add" else None
+    with connect(options.run_id) as control:
+        try:
+            match options.command:
+                case "state":
+                    return _state(control, screen)
+                case "events":
+                    return _events(control, screen)
+                case "stop":
+                    return _stop(control, screen)
+                case "add":
+                    name = options.name or _name(options.operand)
+                    params = {"name": name, "text": text}
+                    return _change(control, screen, "add", params, f"Added {name}.", options.wait)
+            command = next(command for command in _COMMANDS if command.name == options.command)
+            params = {command.key: options.operand} if command.key else {}
+            return _change(control, screen, command.method, params, "Done.", options.wait)
+        except RefusedError as error:
+            raise InputError(_faults(error, options)) from None
+
+
+def _state(control: Control, screen: Screen) -> Exit:
+    state = control.call("state", timeout_s=60)
+    if screen.json:
+        screen.show_json({"run": control.system.run, "environment": control.system.environment, **state})
+    else:
+        from cfgplan.cli.state_text import state_text
+
+        screen.show(state_text(control.system, state))
+    return _met(target["met"] for target in state["targets"])
+
+
+def _events(control: Control, screen: Screen) -> Exit:
+    try:
+        for event in control.events():
+            if screen.json:
+                screen.write(json.dumps({"format_version": FORMAT_VERSION, **event}) + "\n")
+            else:
+                facts = ", ".join(f"{key} {_brief(value)}" for key, value in event.items() if key != "kind" and value)
+                screen.write(f"{event['kind']}: {facts}\n" if facts else f"{event['kind']}\n")
+            screen.flush()
+    except KeyboardInterrupt:
+        screen.note("stopped")
+    return Exit.OK
+
+
+def _stop(control: Control, screen: Screen) -> Exit:
+    control.subscribe()
+    control.call("stop", timeout_s=60)
+    for _ in control.events():
+        pass
+    if screen.json:
+        screen.show_json({"stopped": control.system.run})
+    else:
+        screen.show(f"Run {control.system.run} has stopped.")
+    return Exit.OK
+
+
+def _change(control: Control, screen: Screen, method: str, params: dict[str, Any], done: str, wait_s: float) -> Exit:
+    reply = control.call(method, timeout_s=wait_s + 10, wait_s=wait_s, **params)
+    review = reply["review"]
+    if screen.json:
+        screen.show_json(reply)
+    elif reply["is_waiting"]:
+        screen.show(f"{done} The review is not over yet; see `cfgplan ctl state`.")
+    elif review is None:
+        screen.show(f"{done} That changes nothing.")
+    else:
+        from cfgplan.cli.state_text import review_text
+
+        screen.show(done)
+        screen.show(review_text(review))
+    return Exit.OK if review is None else _met(not reason for reason in review["unmet"].values())
+
+
+def _met(targets: Iterable[bool]) -> Exit:
+    return Exit.OK if all(targets) else Exit.UNMET
+
+
+def _read(file: str) -> str:
+    from cfgplan.formats.files import read_text
+
+    return sys.stdin.read() if file == "-" else read_text(Path(file))
+
+
+def _name(file: str) -> str:
+    return "stdin" if file == "-" else Path(file).stem
+
+
+def _faults(error: RefusedError, options: argparse.Namespace) -> Iterable[Fault]:
+    """The faults as of the file, which the run knows by its name only."""
+    if not error.faults:
+        return [Fault(error.message, mend=error.mend)]
+    if options.command != "add":
+        return error.faults
+    name = options.name or _name(options.operand)
+    return [replace(fault, file=options.operand) if fault.file == name else fault for fault in error.faults]
+
+
+def _brief(value: Any) -> str:
+    text = value if isinstance(value, str) else json.dumps(value)
+    return " ".join(text.split())

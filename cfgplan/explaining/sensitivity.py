@@ -1,0 +1,217 @@
+"""For which horizons, or upkeeps of one transformation, which plan is optimal: exactly, with the break points."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from itertools import pairwise
+
+from cfgplan.costs import LARGEST_COST_US, start_cost_us
+from cfgplan.domain import Environment, Transformation
+from cfgplan.errors import InputError
+from cfgplan.explaining.why_this import after_update
+from cfgplan.planning import Plan, Planner, Problem, Status
+
+
+@dataclass(frozen=True, order=True)
+class Line:
+    """A plan's cost in microseconds as it depends on a parameter: `fixed_us` and `each_us` times the parameter."""
+
+    fixed_us: int
+    each_us: int
+
+    def at(self, value: int) -> int:
+        return self.fixed_us + self.each_us * value
+
+
+@dataclass(frozen=True)
+class Span:
+    """Values of the parameter from `begin` to `end` for which `plan` is optimal; its cost is `line`.
+
+    Without an `end` it goes on for ever. At a break point that is a whole number the plans of both spans are
+    optimal. `runs` are the transformations that have units.
+    """
+
+    begin: Fraction
+    end: Fraction | None
+    line: Line
+    plan: Plan
+    runs: tuple[str, ...]
+
+    def holds(self, value: int) -> bool:
+        return self.begin <= value and (self.end is None or value <= self.end)
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """The least cost as a function of a parameter: concave, and in each of its `spans` straight.
+
+    The parameter is the horizon in seconds or, if `transformation` is given, its upkeep in microseconds of CPU time per
+    second, both whole numbers; its value in the problem is `value`. The spans reach `last` at least; where the costs
+    can't be computed beyond that, the last one ends there. `exact` is false if not all plans were proven.
+    """
+
+    value: int
+    last: int
+    spans: tuple[Span, ...]
+    transformation: str | None = None
+    exact: bool = True
+
+    @property
+    def breaks(self) -> tuple[Fraction, ...]:
+        """The values at which another plan becomes optimal."""
+        return tuple(span.begin for span in self.spans[1:])
+
+    @property
+    def here(self) -> Span | None:
+        """Where the problem's own value lies."""
+        return next((span for span in self.spans if span.holds(self.value)), None)
+
+
+def horizon_sensitivity(problem: Problem, planner: Planner) -> Sensitivity:
+    """Which plan is optimal for which horizon, from 0 on for ever, whatever the largest cost is.
+
+    No spans if there is no plan. The planner is asked about three times for each span. Raises InputError for a
+    problem that asks more than the paper: its costs are no straight lines.
+    """
+    _refuse_notions(problem)
+    environment = problem.environment
+    library = environment.transformation
+
+    def at(horizon_s: int) -> Problem:
+        return replace(problem, horizon_s=horizon_s, max_cost_us=None)
+
+    def line(plan: Plan) -> Line:
+        after = after_update(problem, plan)
+        return Line(
+            sum(library[u.transformation].labor_us for u in after.units if u.id not in environment.unit),
+            sum(library[u.transformation].upkeep_us for u in after.units),
+        )
+
+    # Beyond the sum of all labor no saving of labor is worth a microsecond more of upkeep each second.
+    enough = max(1 + sum(t.labor_us for t in environment.library), problem.horizon_s)
+    each_us = sum(t.upkeep_us for t in (*environment.library, *_running(environment)))
+    most = (LARGEST_COST_US - enough) // max(each_us, 1)
+    return _sensitivity(_Envelope(problem, planner, at, line), problem.horizon_s, enough, most, None)
+
+
+def upkeep_sensitivity(problem: Problem, planner: Planner, label: str) -> Sensitivity:
+    """Which plan is optimal for which upkeep of a transformation, from 0 on for ever, whatever the largest cost is.
+
+    Where the horizon is 0, upkeep does not matter and there is one span. Raises InputError, see above.
+    """
+    _refuse_notions(problem)
+    environment = problem.environment
+    library = environment.transformation
+
+    def at(upkeep_us: int) -> Problem:
+        changed = (replace(t, upkeep_us=upkeep_us) if t.label == label else t for t in environment.library)
+        return replace(problem, environment=replace(environment, library=tuple(changed)), max_cost_us=None)
+
+    def line(plan: Plan) -> Line:
+        after = after_update(problem, plan)
+        labor = sum(library[u.transformation].labor_us for u in after.units if u.id not in environment.unit)
+        others = sum(library[u.transformation].upkeep_us for u in after.units if u.transformation != label)
+        units = sum(unit.transformation == label for unit in after.units)
+        return Line(labor + others * problem.horizon_s, units * problem.horizon_s)
+
+    # With more upkeep each second than all else can cost, it is used only where it must be.
+    instances = (*environment.library, *_running(environment))
+    rest = sum(start_cost_us(t, problem.horizon_s) for t in instances if t.label != label)
+    labor = sum(t.labor_us for t in instances if t.label == label)
+    enough = max(1 + rest + labor, library[label].upkeep_us)
+    units = sum(t.label == label for t in instances)
+    most = (LARGEST_COST_US - rest - labor) // max(units * problem.horizon_s, 1)
+    return _sensitivity(_Envelope(problem, planner, at, line), library[label].upkeep_us, enough, most, label)
+
+
+def _sensitivity(envelope: _Envelope, value: int, enough: int, most: int, label: str | None) -> Sensitivity:
+    last = min(enough, most)
+    lines = envelope.lines(last)
+    breaks = [_crossing(one, other) for one, other in pairwise(lines)]
+    ends = [*breaks, None if last == enough else Fraction(last)]
+    begins = [Fraction(0), *breaks]
+    spans = tuple(envelope.span(*each) for each in zip(begins, ends, lines, strict=True)) if lines else ()
+    return Sensitivity(value, last, spans, label, envelope.exact)
+
+
+class _Envelope:
+    """The lines of the optimal plans, found where two known lines cross: there another is lower, or none is.
+
+    Between two values at which one line is optimal it is so all along, since the least cost is concave.
+    """
+
+    def __init__(
+        self, problem: Problem, planner: Planner, at: Callable[[int], Problem], line: Callable[[Plan], Line]
+    ) -> None:
+        self.exact = True
+        self._problem = problem
+        self._planner = planner
+        self._at = at
+        self._line = line
+        self._plans: dict[Line, Plan] = {}
+        self._best: dict[int, Line | None] = {}
+
+    def lines(self, last: int) -> list[Line]:
+        """The optimal lines from 0 to `last`, in order; none if there is no plan."""
+        found: list[Line] = []
+        ahead = [(0, last)]
+        while ahead:
+            low, high = ahead.pop()
+            left, right = self.best(low), self.best(high)
+            if left is None or right is None:
+                return []
+            if right.at(low) == left.at(low):
+                found.append(right)
+            elif left.at(high) == right.at(high):
+                found.append(left)
+            else:
+                middle = self._lower_between(low, high, left, right)
+                if middle is None:
+                    found += [left, right]
+                else:
+                    ahead += [(middle, high), (low, middle)]
+        return list(dict.fromkeys(found))
+
+    def span(self, begin: Fraction, end: Fraction | None, line: Line) -> Span:
+        after = after_update(self._problem, self._plans[line])
+        return Span(begin, end, line, self._plans[line], tuple(sorted({u.transformation for u in after.units})))
+
+    def best(self, value: int) -> Line | None:
+        """The line of an optimal plan at a value."""
+        if value not in self._best:
+            plan = self._planner(self._at(value))
+            self.exact &= plan.status in (Status.OPTIMAL, Status.INFEASIBLE)
+            self._best[value] = None if plan.change_set is None else self._line(plan)
+            line = self._best[value]
+            if line is not None:
+                self._plans.setdefault(line, plan)
+        return self._best[value]
+
+    def _lower_between(self, low: int, high: int, left: Line, right: Line) -> int | None:
+        """A value next to the crossing of two lines at which another one is lower."""
+        before = math.floor(_crossing(left, right))
+        for value in (before, before + 1):
+            if low < value < high:
+                line = self.best(value)
+                if line is None or line.at(value) < min(left.at(value), right.at(value)):
+                    return value
+        return None
+
+
+def _crossing(one: Line, other: Line) -> Fraction:
+    return Fraction(other.fixed_us - one.fixed_us, one.each_us - other.each_us)
+
+
+def _running(environment: Environment) -> Iterator[Transformation]:
+    """The transformation of each running unit."""
+    library = environment.transformation
+    return (library[u.transformation] for u in environment.units if u.transformation in library)
+
+
+def _refuse_notions(problem: Problem) -> None:
+    if problem.notions:
+        asked = " and ".join(sorted(problem.notions))
+        raise InputError.of(f"sensitivity is not known with {asked}", mend="ask for plans with several values instead")

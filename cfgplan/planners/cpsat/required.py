@@ -1,0 +1,133 @@
+"""Required transformations: a first plan that uses all of them, and what may be in a cheaper one.
+
+A plan that uses all has them all in it, so that bounds may count them as wanted. Where no plan uses
+all, the search finds out how many can be, without bounds.
+"""
+
+from __future__ import annotations
+
+import heapq
+
+import numpy as np
+
+from cfgplan.planners.cpsat.bounds import Bound
+from cfgplan.planners.cpsat.clock import Clock
+from cfgplan.planners.cpsat.greedy import first_plan, support_of
+from cfgplan.planners.cpsat.grounding import Grounding
+from cfgplan.planners.cpsat.network import Ints, Network, costs
+from cfgplan.planners.cpsat.prepared import Prepared
+from cfgplan.planners.cpsat.rest import Left
+from cfgplan.planners.cpsat.site import Site
+from cfgplan.planners.cpsat.standing import Incumbent, Standing
+from cfgplan.planners.cpsat.structure import Structure
+from cfgplan.planners.cpsat.tightening import tightened
+from cfgplan.planning import Problem
+
+WAYS = 4
+"""So many ways to the targets are tried for a first plan."""
+
+
+def any_plan(problem: Problem, structure: Structure, clock: Clock) -> Incumbent | None:
+    """A greedy plan, whatever required transformations it uses."""
+    network = structure.network
+    plan = first_plan(network, costs(problem, network, structure.pinned)[1], 0, clock.is_over)
+    if plan is None:
+        return None
+    labels = [network.labels[i] for i in sorted(plan)]
+    return Standing(Site(problem, structure.givers, labels), Prepared(labels, labels), clock, None).best
+
+
+def prepared_with_all(
+    problem: Problem, structure: Structure, grounding: Grounding, attempts: int, clock: Clock
+) -> tuple[Prepared, Incumbent | None]:
+    """What may be in a plan that uses all required transformations, and such a plan if one was found."""
+    required = frozenset(t.label for t in structure.network.transformations if t.required)
+    network = structure.network_with(problem, required)
+    fixed_us, cost = costs(problem, network, structure.pinned)
+    incumbent = None
+    shunned: set[int] = set()
+    for _ in range(WAYS):
+        few = _few(problem, structure, required, shunned, attempts, clock)
+        incumbent = None if few is None else _among(few, problem, structure, grounding, clock)
+        if few is None or incumbent is not None or clock.is_over():
+            break
+    limit = int(cost.sum()) if incumbent is None else incumbent.key[1] - fixed_us
+    bound = tightened(Bound(network.core, cost), limit, limit, clock)
+    left = Left.by(bound, limit)
+    labels = np.union1d(left.labels, np.array(network.pinned, np.int64))
+    is_left = np.zeros(len(network.labels), np.bool_)
+    is_left[labels] = True
+    prepared = Prepared(
+        [network.labels[i] for i in labels.tolist()],
+        None,
+        None if incumbent is None else incumbent.key[1],
+        left.value + fixed_us,
+        [[network.labels[i] for i in members[is_left[members]].tolist()] for members in left.landmarks],
+        {"landmarks": len(left.landmarks), "left by bounds": len(labels)},
+        holds_for=sum(t.required for t in problem.environment.library) - len(required),
+    )
+    return prepared, incumbent
+
+
+def _few(
+    problem: Problem,
+    structure: Structure,
+    required: frozenset[str],
+    shunned: set[int],
+    attempts: int,
+    clock: Clock,
+) -> list[str] | None:
+    """Labels of a greedy plan with all required ones and, for each, a cheap way on to a target.
+
+    Ways go around the `shunned`, to which theirs are added.
+    """
+    network = structure.network
+    _, cost = costs(problem, network, structure.pinned)
+    numbers = {network.number[label] for label in required}
+    ways = [_way_to_a_target(network, cost, label, shunned - numbers) for label in sorted(numbers)]
+    shunned |= {label for way in ways for label in way}
+    wanted = required.union(network.labels[i] for way in ways for i in way)
+    wider = structure.network_with(problem, wanted)
+    plan = first_plan(wider, costs(problem, wider, structure.pinned)[1], attempts, clock.is_over)
+    return None if plan is None else [wider.labels[i] for i in sorted(plan)]
+
+
+def _way_to_a_target(network: Network, cost: Ints, label: int, shunned: set[int]) -> list[int]:
+    """The cheapest row of labels, each of which offers what the next one needs, to one that offers what is wanted.
+
+    What feeds the first is not taken, as it could hardly be fed by it.
+    """
+    core = network.core
+    shunned = shunned | support_of(network, cost, label)
+    wanted = {network.fact_of_tag[tag] for tag in network.targets}
+    ahead = [(0, label)]
+    before = {label: label}
+    done: set[int] = set()
+    while ahead:
+        so_far, here = heapq.heappop(ahead)
+        if here in done:
+            continue
+        done.add(here)
+        gives = core.gives[here].tolist()
+        if not wanted.isdisjoint(gives):
+            way = [here]
+            while before[way[-1]] != way[-1]:
+                way.append(before[way[-1]])
+            return way
+        for consumer in {int(i) for fact in gives for i in core.needed_by[fact]} - done - shunned - {core.goal}:
+            heapq.heappush(ahead, (so_far + int(cost[consumer]), consumer))
+            before.setdefault(consumer, here)
+    return []
+
+
+def _among(
+    few: list[str], problem: Problem, structure: Structure, grounding: Grounding, clock: Clock
+) -> Incumbent | None:
+    """The best plan among a few labels that uses all required ones."""
+    from cfgplan.planners.cpsat.search import Search
+
+    prepared = Prepared(few)
+    standing = Standing(Site(problem, structure.givers, few), prepared, clock, None)
+    search = Search(standing, prepared, grounding)
+    search.run_with_all_required()
+    return standing.best if standing.best is not None and standing.best.key[0] == search.hopeless_required() else None

@@ -1,0 +1,59 @@
+"""`cfgplan sensitivity` as a user and as a script see it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from command import MODELS, Run
+
+OFFICE = MODELS / "building" / "office.yaml"
+TWO_WAYS = """
+transformations:
+  - {label: cheap, labor: 1, upkeep: 0.5, outputs: {o: Wanted}}
+  - {label: dear, labor: 9, upkeep: 0.2, outputs: {o: Wanted}}
+targets: [{label: t, topic: /t, tag: Wanted}]
+"""
+
+
+def test_it_says_for_which_horizons_the_plan_is_optimal_and_what_comes_next(
+    run: Run, write: Callable[[str], Path]
+) -> None:
+    result = run("sensitivity", write(TWO_WAYS))
+    assert result.code == 0
+    assert "The plan for a horizon of 10 s is optimal from 0 s to about 26.666667 s." in result.out
+    assert "from about 26.666667 s on: 9 s of labor and 0.2 s/s of upkeep\n    + dear\n    - cheap" in result.out
+
+
+def test_its_json_has_the_exact_break_points(run: Run, write: Callable[[str], Path]) -> None:
+    document = run("sensitivity", write(TWO_WAYS), "--json").document
+    assert (document["breaks"], document["here"], document["exact"]) == (["80/3"], 0, True)
+    assert document["spans"][1]["runs"] == ["dear"]
+
+
+def test_the_upkeep_of_a_transformation_can_vary(run: Run, write: Callable[[str], Path]) -> None:
+    result = run("sensitivity", write(TWO_WAYS), "--upkeep-of", "cheap")
+    assert "The plan for cheap with an upkeep of 0.5 s/s is optimal from 0 s/s to 1 s/s." in result.out
+    assert "from 1 s/s on: 11 s, without cheap" in result.out
+    assert run("sensitivity", write(TWO_WAYS), "--upkeep-of", "cheep").code == 30
+
+
+@pytest.mark.parametrize("options", [(), ("--upkeep-of", "air_flow_meter")])
+def test_a_picture_is_drawn_with_the_break_points(run: Run, tmp_path: Path, options: tuple[str, ...]) -> None:
+    out = tmp_path / "cost.svg"
+    assert run("sensitivity", OFFICE, *options, "--out", out).code == 0
+    first = out.read_bytes()
+    assert b"<svg" in first
+    run("sensitivity", OFFICE, *options, "--out", out)
+    assert out.read_bytes() == first
+
+
+def test_other_endings_are_bad_input(run: Run, tmp_path: Path) -> None:
+    assert run("sensitivity", OFFICE, "--out", tmp_path / "cost.txt").code == 30
+
+
+def test_without_a_plan_there_is_nothing_to_vary(run: Run) -> None:
+    result = run("sensitivity", MODELS / "nao" / "0-target-only.yaml")
+    assert result.code == 10
+    assert "There is no plan for any value of the horizon." in result.out

@@ -1,0 +1,98 @@
+"""Alternatives, what-if and best effort as a user and as a script see them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+from command import MODELS, Run
+
+NAO = MODELS / "nao"
+FUSION = NAO / "4-fusion-available.yaml"
+THREE = """
+max_cost: 5
+transformations:
+  - {label: x, labor: 3, outputs: {o: A}}
+  - {label: y, labor: 4, outputs: {o: B}}
+targets:
+  - {label: a, topic: /a, tag: A}
+  - {label: b, topic: /b, tag: B, priority: 1}
+  - {label: c, topic: /c, tag: C, priority: 2}
+"""
+
+
+def test_the_three_ways_to_get_the_balls_position_of_section_v_c_are_the_alternatives(run: Run) -> None:
+    document = run("solve", FUSION, "--alternatives", "5", "--json").document
+    assert [plan["cost_us"] for plan in document["alternatives"]] == [18_600_000, 20_550_000, 39_900_000]
+    assert (document["complete"], document["has_more"]) == (True, False)
+    out = run("solve", FUSION, "--alternatives", "5").out
+    assert "2. 20.55 s (+1.95 s): 6 to start, 0 to rewire, 6 to stop, 0 kept as they are" in out
+    assert "3. 39.9 s (+21.3 s): 7 to start, 1 to rewire, 0 to stop, 5 kept as they are" in out
+    assert "There are no others." in out
+
+
+def test_the_first_alternative_is_the_plan(run: Run, tmp_path: Path) -> None:
+    out = tmp_path / "plan.json"
+    assert run("solve", FUSION, "--alternatives", "1", "--out", out).code == 0
+    best, plan = json.loads(out.read_text()), run("solve", FUSION, "--json").document
+    assert (best["status"], best["change_set"]) == (plan["status"], plan["change_set"])
+
+
+def test_without_a_plan_there_are_no_alternatives_but_the_reasons(run: Run) -> None:
+    result = run("solve", NAO / "0-target-only.yaml", "--alternatives", "3")
+    assert result.code == 10
+    assert "no output matches" in result.out
+
+
+def test_what_is_supposed_to_be_gone_is_done_without(run: Run) -> None:
+    assert "20.55 s of CPU" in run("solve", FUSION, "--without", "segmenter(piff)").out
+    assert "18.95 s of CPU" in run("solve", FUSION, "--without", "segmenter(piff).1").out
+    assert "0 to start, 0 to rewire, 6 to stop" in run("solve", FUSION, "--without", "ball").out
+
+
+def test_costs_and_the_horizon_can_be_supposed(run: Run) -> None:
+    assert "20.55 s of CPU" in run("solve", FUSION, "--set", "segmenter(piff).upkeep=0.5").out
+    assert "horizon of 7 s" in run("solve", FUSION, "--set", "horizon=7").out
+    assert "39.9 s of CPU" in run("solve", FUSION, "--set", "fuse_ball_pos.required=true").out
+    assert run("solve", FUSION, "--set", "max_cost=1").code == 11
+
+
+def test_a_file_of_transformations_can_be_supposed_to_be_included(run: Run, tmp_path: Path) -> None:
+    more = tmp_path / "more.yaml"
+    more.write_text(
+        "format: cfgplan/1\ntransformations:\n"
+        "  - {label: oracle, labor: 0.1, outputs: {ball: Position and hasSource some Ball}}\n"
+    )
+    assert "+ start   oracle.1" in run("solve", FUSION, "--with", more).out
+    assert "oracle.1" in run("graph", FUSION, "--with", more, "--format", "dot").out
+    more.write_text("format: cfgplan/1\ntransformations:\n  - {label: oracle, outputs: {ball: Nonsense and}}\n")
+    result = run("solve", FUSION, "--with", more)
+    assert result.code == 30
+    assert "more.yaml:3" in result.err
+
+
+def test_what_can_not_be_supposed_is_bad_input_all_at_once(run: Run) -> None:
+    result = run("solve", FUSION, "--set", "segmenter(piff).upkep=1", "--set", "fuse.labor=1", "--set", "horizon=x")
+    assert result.code == 30
+    assert result.err.count("error:") == 3
+    assert run("solve", FUSION, "--set", "horizon").code == 30
+    assert "did you mean 'segmenter(piff)'?" in run("solve", FUSION, "--without", "segmentor(piff)").err
+
+
+def test_a_plan_of_a_supposed_world_is_stale_for_the_real_one(run: Run) -> None:
+    real = run("solve", FUSION, "--json").document["environment"]
+    assert run("solve", FUSION, "--json", "--set", "segmenter(puff).upkeep=1").document["environment"] != real
+
+
+def test_best_effort_meets_what_matters_most_and_says_why_not_the_rest(run: Run, write: Callable[[str], Path]) -> None:
+    env = write(THREE)
+    result = run("solve", env, "--best-effort")
+    assert result.code == 12
+    assert "Given up: 2 of 3 targets." in result.out
+    assert "target a wants A, but with the targets that are met it would cost 7 s, and 5 s is allowed" in result.out
+    assert "target c wants C, but no output matches" in result.out
+    document = run("solve", env, "--best-effort", "--json").document
+    assert [unit["id"] for unit in document["change_set"]["started"]] == ["y.1"]
+    assert sorted(document["reasons"]) == ["a", "c"]
+    assert run("solve", env, "--best-effort", "--without", "a", "--without", "c").code == 0

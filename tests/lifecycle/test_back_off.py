@@ -1,0 +1,118 @@
+"""Transformations that keep failing become dear and are left alone for longer and longer; no process."""
+
+from __future__ import annotations
+
+from math import inf
+
+from cfgplan_runtime import Patience
+from cfgplan_runtime.lifecycle.back_off import BackOffRules, BackOffs
+from cfgplan_runtime.lifecycle.changes import AddTransformations, ReviewNow
+from cfgplan_runtime.lifecycle.perturbations import MayStartAgain, UpdateFailed
+from cfgplan_runtime.lifecycle.reports import BackedOff, Decision
+from cfgplan_runtime.supervision.simulated_backend import Behaviour
+from living import Life, source, started, worker
+
+from cfgplan.domain import Target
+
+CRASHING = {"work": Behaviour(dies_s=0.5)}
+DYING = {"work": Behaviour(dies_at_start="no camera")}
+SPARE = worker("spare", upkeep_us=101)
+
+
+def test_the_first_failure_costs_no_time_and_each_further_one_twice_as_much() -> None:
+    rules = BackOffRules(first_s=1, most_s=10)
+    assert [rules.delay_s(failures) for failures in range(1, 8)] == [0, 1, 2, 4, 8, 10, 10]
+
+
+def test_a_unit_that_had_lived_well_fails_as_if_for_the_first_time() -> None:
+    back_offs = BackOffs(BackOffRules(good_life_s=60))
+    for _ in range(3):
+        back_offs.failed("work", 1.0, 0.0, "crash")
+    assert back_offs.avoided == {"work"}
+    assert back_offs.ended(100.0) == ("work",)
+    back_offs.failed("work", 61.0, 161.0, "crash")
+    assert back_offs.avoided == frozenset()
+
+
+def test_a_transformation_that_keeps_crashing_is_not_restarted_for_ever() -> None:
+    life = started(behaviours=CRASHING)
+    life.pass_time(600)
+    assert 8 <= life.starts("work") <= 12
+    waits = [round(report.backing_off.left_s) for report in life.reports if isinstance(report, BackedOff)]
+    assert waits[:8] == [1, 2, 4, 8, 16, 32, 64, 128]
+    assert life.perturbations(MayStartAgain)
+
+
+def test_what_keeps_crashing_is_replaced_by_what_is_dearer() -> None:
+    life = started(source(), worker(), SPARE, behaviours=CRASHING)
+    life.pass_time(30)
+    assert life.units == {"count.1", "spare.1"}
+    assert life.starts("work") == 2
+
+
+def test_a_unit_that_cannot_start_fails_the_update_and_another_is_found() -> None:
+    life = started(source(), worker(), SPARE, behaviours=DYING)
+    assert [review.decision for review in life.reviews] == [Decision.FAILED, Decision.FAILED, Decision.APPLIED]
+    assert "no camera" in life.reviews[0].cause
+    assert {failed.transformations for failed in life.perturbations(UpdateFailed)} == {("work",)}
+    assert life.units == {"count.1", "spare.1"}
+
+
+def test_the_rest_is_started_where_one_unit_cannot() -> None:
+    life = started(source(), worker(), targets=(Target("n", "N", "/n"), Target("y", "Y", "/y")), behaviours=DYING)
+    assert life.met == {"n"}
+    assert life.reviews[-1].avoided == ("work",)
+
+
+def test_a_unit_that_is_never_ready_is_to_blame() -> None:
+    life = Life(source(), worker(), SPARE, behaviours={"work": Behaviour(start_s=1000)})
+    life.settle(Patience().start_s + 10)
+    assert life.units == {"count.1", "spare.1"}
+    assert life.starts("work") == 1
+
+
+def test_without_unit_code_a_transformation_is_left_alone_until_it_changes() -> None:
+    life = started(source(), worker(source=None), SPARE)
+    assert life.units == {"count.1", "spare.1"}
+    (waiting,) = life.manager.snapshot().backing_off
+    assert (waiting.transformation, waiting.left_s) == ("work", inf)
+    life.ask(ReviewNow())
+    assert life.units == {"count.1", "spare.1"}
+    life.ask(AddTransformations((worker(),)))
+    life.ask(ReviewNow())
+    assert life.manager.snapshot().backing_off == ()
+    assert life.units == {"count.1", "spare.1"}  # starting the cheaper one does not pay
+
+
+def test_a_requested_review_forgives() -> None:
+    life = started(behaviours=DYING)
+    assert life.met == set()
+    life.runtime.backend.behaviours.clear()
+    life.ask(ReviewNow())
+    assert life.met == {"result"}
+
+
+def test_other_code_is_a_new_chance() -> None:
+    life = started(behaviours=DYING)
+    life.pass_time(10)
+    life.runtime.backend.behaviours.clear()
+    life.ask(AddTransformations((worker(params={"fixed": True}),)))
+    assert life.met == {"result"}
+
+
+def test_failures_reach_the_estimator() -> None:
+    failed: list[str] = []
+
+    class Watched:
+        def observe(self, *_: object) -> None: ...
+        def failed(self, transformation: str, now_s: float) -> None:  # noqa: ARG002
+            failed.append(transformation)
+
+        def labor_us(self, transformation: object, horizon_s: int) -> int:  # noqa: ARG002
+            return 1
+
+        upkeep_us = labor_us
+
+    life: Life = started(estimator=Watched())
+    life.fail("work.1")
+    assert failed == ["work"]

@@ -1,0 +1,150 @@
+"""The life-cycle on a middleware that cfgplan knows nothing of: the README's worked example, carried out."""
+
+from __future__ import annotations
+
+import re
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from cfgplan_runtime import Manager, Policy
+from cfgplan_runtime.errors import ApplyError, StaleChangeSetError
+from cfgplan_runtime.lifecycle.changes import AddTargets, KillUnit
+from cfgplan_runtime.lifecycle.reports import Decision
+from living import RESULT, source, worker
+
+from cfgplan import api
+from cfgplan.domain import Environment, Target, Transformation
+from cfgplan.planners import PLANNERS
+
+README = (Path(__file__).parents[2] / "runtime" / "README.md").read_text(encoding="utf-8")
+WORLD = api.world(Environment((), (source(), worker()), (RESULT,)), horizon_s=60)
+
+
+class FakeRobot:
+    """A nodelet manager: what is loaded, and what is remapped to what."""
+
+    def __init__(self) -> None:
+        self.loaded: dict[str, str] = {}
+        self.wires: dict[str, str] = {}
+        self.on_crash: Callable[[str], None]
+
+    def load(self, name: str, code: str) -> None:
+        self.loaded[name] = code
+
+    def unload(self, name: str) -> None:
+        del self.loaded[name]
+
+    def remap(self, name: str, to: str) -> None:
+        self.wires[name] = to
+
+    def cpu_us(self, name: str) -> tuple[int, int]:
+        return 1000, 500 if name.startswith("work") else 100
+
+    def crash(self, name: str) -> None:
+        del self.loaded[name]
+        self.on_crash(name)
+
+
+def nodelets(robot: FakeRobot) -> Any:
+    """An instance of the README's class."""
+    (block,) = (b for b in re.findall(r"```python\n(.*?)```", README, re.DOTALL) if "class Nodelets" in b)
+    names: dict[str, Any] = {}
+    exec(block, names)
+    return names["Nodelets"](robot)
+
+
+class SetClock:
+    """A clock that is set by waiting."""
+
+    def __init__(self) -> None:
+        self.time_s = 0.0
+
+    def now(self) -> float:
+        return self.time_s
+
+    def wait(self, bell: threading.Event, timeout_s: float) -> None:
+        if not bell.is_set():
+            self.time_s += timeout_s
+
+
+def test_a_foreign_middleware_is_kept_the_best_it_can_be() -> None:
+    robot = FakeRobot()
+    with Manager(WORLD, nodelets(robot)) as manager:
+        assert manager.settle(60)
+        assert robot.loaded == {"count.1": "units.py:count", "work.1": "units.py:work"}
+        assert robot.wires == {"work.1/x": "count.1/n", "/result": "work.1/y"}
+        robot.crash("count.1")
+        assert manager.settle(60)
+        assert set(robot.loaded) == {"count.1", "work.1"}
+        assert manager.request(KillUnit("work.1")).result(60).decision is Decision.APPLIED  # type: ignore[union-attr]
+        manager.request(AddTargets((Target("numbers", "N", "/numbers"),))).result(60)
+        assert robot.wires["/numbers"] == "count.1/n"
+    assert robot.loaded == {}
+
+
+def test_every_part_can_be_replaced() -> None:
+    class Thrifty:
+        """Believes what was observed last."""
+
+        def __init__(self) -> None:
+            self.known: dict[str, int] = {}
+
+        def observe(self, observations: Any, now_s: float) -> None:  # noqa: ARG002
+            self.known |= {seen.transformation: seen.upkeep_us for seen in observations}
+
+        def failed(self, transformation: str, now_s: float) -> None: ...
+
+        def labor_us(self, transformation: Transformation, horizon_s: int) -> int:  # noqa: ARG002
+            return 0
+
+        def upkeep_us(self, transformation: Transformation, horizon_s: int) -> int:  # noqa: ARG002
+            return self.known.get(transformation.label, 300)
+
+    robot, clock = FakeRobot(), SetClock()
+    library = (source(), worker(), worker("work_unknown"))
+    world = api.world(Environment((), library, (RESULT,)), horizon_s=60)
+    planner = PLANNERS["exhaustive"]
+    manager = Manager(world, nodelets(robot), planner=planner, estimator=Thrifty(), clock=clock, policy=Policy())
+    manager.run(50)
+    assert set(robot.loaded) == {"count.1", "work.1"}
+    manager.run(20)  # the horizon: 500 us/s were observed of work, 300 are guessed of the other
+    assert set(robot.loaded) == {"count.1", "work_unknown.1"}
+    assert manager.snapshot().reviews[-1].cost_us == 60 * (300 + 100)
+
+
+def test_a_middleware_that_refuses_once_is_asked_again() -> None:
+    middleware = nodelets(FakeRobot())
+    apply, refusals = middleware.apply, [StaleChangeSetError("not now"), ApplyError("the robot said no")]
+
+    def refusing(*arguments: Any, **more: Any) -> Any:
+        if refusals:
+            raise refusals.pop(0)
+        return apply(*arguments, **more)
+
+    middleware.apply = refusing
+    manager = Manager(WORLD, middleware, clock=SetClock())
+    manager.run(5)
+    assert [review.decision for review in manager.snapshot().reviews] == [
+        Decision.FAILED,
+        Decision.FAILED,
+        Decision.APPLIED,
+    ]
+
+
+def test_a_middleware_with_a_fault_of_its_own_does_not_end_the_life_cycle() -> None:
+    middleware = nodelets(FakeRobot())
+    apply, crashes = middleware.apply, [ZeroDivisionError("a bug of the middleware")]
+
+    def crashing(*arguments: Any, **more: Any) -> Any:
+        if crashes:
+            raise crashes.pop()
+        return apply(*arguments, **more)
+
+    middleware.apply = crashing
+    manager = Manager(WORLD, middleware, clock=SetClock())
+    manager.run(5)
+    first, last = manager.snapshot().reviews
+    assert (first.decision, first.cause) == (Decision.FAILED, "ZeroDivisionError: a bug of the middleware")
+    assert last.decision is Decision.APPLIED

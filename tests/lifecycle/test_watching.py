@@ -1,0 +1,115 @@
+"""The environment file as the way to change a running system."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from cfgplan_runtime.lifecycle.watching import Watching
+from real_run import eventually
+
+from cfgplan.api import World
+from cfgplan.errors import Fault
+
+ONTOLOGY = "@prefix : <http://e.org/o#> .\n@prefix owl: <http://www.w3.org/2002/07/owl#> .\n:Image a owl:Class .\n"
+MAIN = "format: cfgplan/1\nontology: o.ttl\ninclude: [more]\ntargets: [{label: t, topic: /t, tag: Image}]\n"
+PART = "transformations:\n  - {label: LABEL, outputs: {y: Image}}\n"
+
+
+class Watched:
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.worlds: list[World] = []
+        self.faults: list[tuple[Fault, ...]] = []
+        (folder / "more").mkdir()
+        self.write("o.ttl", ONTOLOGY)
+        self.write("more/a.yaml", PART.replace("LABEL", "a"))
+        self.write("env.yaml", MAIN)
+        self.watching = Watching(
+            folder / "env.yaml",
+            lambda world, _: self.worlds.append(world),
+            lambda _, faults: self.faults.append(faults),
+        )
+        self.watching.start()
+        eventually(lambda: len(self.worlds) == 1)
+
+    def write(self, name: str, text: str) -> None:
+        """As editors do it: a new file takes the place of the old one."""
+        new = self.folder / "new"
+        new.write_text(text)
+        new.replace(self.folder / name)
+
+    def await_labels(self, *labels: str) -> None:
+        eventually(lambda: [t.label for t in self.worlds[-1].environment.library] == list(labels))
+
+
+@pytest.fixture
+def watched(tmp_path: Path) -> Iterator[Watched]:
+    watched = Watched(tmp_path)
+    yield watched
+    watched.watching.close()
+
+
+def test_a_changed_file_is_read_anew(watched: Watched) -> None:
+    watched.write("env.yaml", MAIN + "horizon: 7\n")
+    eventually(lambda: watched.worlds[-1].horizon_s == 7)
+
+
+def test_a_file_that_is_written_in_place_is_read_anew(watched: Watched) -> None:
+    with (watched.folder / "env.yaml").open("a") as file:
+        file.write("horizon: 8\n")
+    eventually(lambda: watched.worlds[-1].horizon_s == 8)
+
+
+def test_included_files_count_and_may_come_and_go(watched: Watched) -> None:
+    watched.write("more/a.yaml", PART.replace("LABEL", "renamed"))
+    watched.await_labels("renamed")
+    watched.write("more/b.yaml", PART.replace("LABEL", "b"))
+    watched.await_labels("b", "renamed")
+    (watched.folder / "more" / "a.yaml").unlink()
+    watched.await_labels("b")
+
+
+def test_a_folder_that_is_included_later_is_watched_too(watched: Watched) -> None:
+    (watched.folder / "later").mkdir()
+    watched.write("later/c.yaml", PART.replace("LABEL", "c"))
+    watched.write("env.yaml", MAIN.replace("[more]", "[more, later]"))
+    watched.await_labels("a", "c")
+    watched.write("later/c.yaml", PART.replace("LABEL", "changed"))
+    watched.await_labels("a", "changed")
+
+
+def test_the_ontology_counts(watched: Watched) -> None:
+    watched.write("o.ttl", ONTOLOGY + ":x a owl:NamedIndividual , :Image .\n")
+    eventually(lambda: "x" in watched.worlds[-1].ontology.individuals)
+
+
+def test_a_broken_file_is_told_with_its_faults_and_so_is_the_mended_one(watched: Watched) -> None:
+    watched.write("env.yaml", MAIN.replace("Image", "Nonsense"))
+    eventually(lambda: len(watched.faults) == 1)
+    (fault,) = watched.faults[0]
+    assert (fault.line, "Nonsense" in fault.message) == (4, True)
+    worlds = len(watched.worlds)
+    watched.write("env.yaml", MAIN)
+    eventually(lambda: len(watched.worlds) > worlds)
+
+
+def test_a_file_that_is_gone_for_a_while_is_found_again(watched: Watched) -> None:
+    (watched.folder / "env.yaml").unlink()
+    eventually(lambda: len(watched.faults) == 1)
+    watched.write("env.yaml", MAIN + "horizon: 9\n")
+    eventually(lambda: watched.worlds[-1].horizon_s == 9)
+
+
+def test_a_change_without_a_notice_is_found_by_looking(watched: Watched) -> None:
+    linked = watched.folder / "elsewhere"
+    linked.mkdir()
+    (linked / "env.yaml").write_text(MAIN)
+    (watched.folder / "env.yaml").unlink()
+    (watched.folder / "env.yaml").symlink_to(linked / "env.yaml")
+    eventually(lambda: len(watched.worlds) > 1)
+    (linked / "env.yaml").write_text(MAIN + "horizon: 10\n")  # in a folder that nobody watches
+    os.utime(linked / "env.yaml")
+    eventually(lambda: watched.worlds[-1].horizon_s == 10)

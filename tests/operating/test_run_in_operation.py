@@ -1,0 +1,268 @@
+"""`cfgplan run` and `cfgplan ctl` on real processes, as a user calls them."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+from cfgplan_runtime import subscribe
+from operated_world import ENVIRONMENT, PATIENCE_S, ROBOT, UNITS, await_event, command, eventually, running, write_world
+
+from cfgplan.cli import main
+
+SLOW_END = """
+    def set_state(self, state):
+        pass
+
+    def get_state(self):
+        import time
+        time.sleep(3600)
+"""
+
+
+@pytest.fixture
+def env(tmp_path: Path) -> Path:
+    return write_world(tmp_path)
+
+
+@pytest.fixture
+def run(env: Path) -> Iterator[subprocess.Popen[str]]:
+    """A run of the world, under way."""
+    with running(env) as process:
+        await_event(process, "Running", units=2)
+        yield process
+
+
+def ctl(capsys: pytest.CaptureFixture[str], *arguments: object, code: int = 0) -> Any:
+    """What `cfgplan ctl --json` prints."""
+    capsys.readouterr()
+    assert main(["ctl", "--json", *map(str, arguments)]) == code
+    return json.loads(capsys.readouterr().out)
+
+
+@pytest.mark.usefixtures("run")
+def test_a_robot_registers_itself_is_used_and_leaves_again(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (env.parent / "robot2.yaml").write_text(ROBOT)
+    added = ctl(capsys, "add", env.parent / "robot2.yaml")
+    assert added["name"] == "robot2"
+    assert {unit["id"] for unit in added["review"]["change_set"]["started"]} == {"camera(paff).1", "detector(paff).1"}
+    with subscribe("/paff", wait_s=PATIENCE_S, timeout_s=PATIENCE_S) as subscription:
+        assert next(iter(subscription)).value["robot"] == "paff"
+    state = ctl(capsys, "state")
+    assert state["declared"] == ["robot2"]
+    assert [(target["label"], target["met"]) for target in state["targets"]] == [("ball", True), ("paffs ball", True)]
+    # What was added stays when the file changes.
+    env.write_text(ENVIRONMENT.replace("horizon: 600", "horizon: 500"))
+    eventually(lambda: ctl(capsys, "state")["horizon_s"] == 500)
+    assert len(ctl(capsys, "state")["targets"]) == 2
+    withdrawn = ctl(capsys, "withdraw", "robot2")
+    assert set(withdrawn["review"]["change_set"]["stopped"]) >= {"camera(paff).1", "detector(paff).1"}
+    assert ctl(capsys, "state")["declared"] == []
+
+
+@pytest.mark.usefixtures("run")
+def test_targets_and_transformations_can_be_removed(capsys: pytest.CaptureFixture[str]) -> None:
+    removed = ctl(capsys, "remove-transformation", "camera(piff)", code=12)
+    assert list(removed["review"]["unmet"]) == ["ball"]
+    removed = ctl(capsys, "remove-target", "ball")
+    assert removed["review"]["unmet"] == {}
+    assert ctl(capsys, "state")["units"] == []
+
+
+@pytest.mark.usefixtures("run")
+def test_a_unit_that_is_killed_is_replaced(capsys: pytest.CaptureFixture[str]) -> None:
+    killed = ctl(capsys, "kill", "detector(piff).1")
+    assert killed["review"]["perturbations"][0]["how"] == "killed"
+    assert [unit["transformation"] for unit in killed["review"]["change_set"]["started"]] == ["detector(piff)"]
+    with subscribe("/result", timeout_s=PATIENCE_S) as subscription:
+        assert next(iter(subscription)).value["robot"] == "piff"
+
+
+def test_a_review_can_be_forced_and_the_run_be_stopped(
+    run: subprocess.Popen[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert ctl(capsys, "review")["review"]["decision"] == "kept"
+    assert "stopped" in ctl(capsys, "stop")
+    assert run.wait(PATIENCE_S) == 0
+
+
+@pytest.mark.usefixtures("run")
+def test_people_are_shown_the_state(capsys: pytest.CaptureFixture[str]) -> None:
+    eventually(lambda: all("upkeep_us" in unit for unit in ctl(capsys, "state")["units"]))
+    assert main(["ctl", "state"]) == 0
+    out = capsys.readouterr().out
+    for part in ("Run ", "env.yaml", "ball", "/result", " Hz", "image <- camera(piff).1/image", "Review 1: started"):
+        assert part in out
+    assert main(["ctl", "kill", "camera(piff).1"]) == 0
+    assert "started camera(piff)." in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("run")
+def test_what_is_refused_says_where_and_why(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bad = env.parent / "robot3.yaml"
+    bad.write_text(
+        "transformations:\n  - label: camera(${Robt})\n    outputs:\n      image: Imag\ntargets:\n  - {label: x}\n"
+    )
+    faults = ctl(capsys, "add", bad, code=30)["errors"]
+    assert {(fault["file"], fault["line"]) for fault in faults} == {(str(bad), line) for line in (2, 4, 6)}
+    assert main(["ctl", "kill", "ghost"]) == 30
+    assert "no unit 'ghost' runs" in capsys.readouterr().err
+    assert main(["ctl", "add", str(env.parent / "nowhere.yaml")]) == 30
+    assert "there is no such file" in capsys.readouterr().err
+
+
+def test_without_a_run_ctl_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["ctl", "state"]) == 30
+    assert "no run is live" in capsys.readouterr().err
+
+
+def test_the_run_must_be_named_if_there_are_two(
+    run: subprocess.Popen[str], env: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with running(env) as other:
+        run_id = await_event(other, "Running")["run"]
+        assert main(["ctl", "stop"]) == 30
+        assert "several runs are live: name one by --run" in capsys.readouterr().err
+        assert main(["ctl", "--run", run_id, "state"]) == 0
+        assert main(["ctl", "stop", "--run", run_id]) == 0
+        assert other.wait(PATIENCE_S) == 0
+    assert run.poll() is None
+
+
+def test_editing_the_file_changes_what_runs(run: subprocess.Popen[str], env: Path) -> None:
+    env.write_text(ENVIRONMENT.replace("/result", "/elsewhere"))
+    with subscribe("/elsewhere", wait_s=PATIENCE_S, timeout_s=PATIENCE_S) as subscription:
+        assert next(iter(subscription)).value["robot"] == "piff"
+    env.write_text(ENVIRONMENT + "  - {label: broken\n")
+    assert await_event(run, "WorldRefused")["faults"][0]["file"] == str(env)
+
+
+def test_a_killed_run_takes_its_units_along_and_the_next_begins_anew(
+    run: subprocess.Popen[str], env: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    units = psutil.Process(run.pid).children(recursive=True)
+    run.kill()
+    run.wait()
+    eventually(lambda: not [unit for unit in units if unit.is_running() and unit.status() != psutil.STATUS_ZOMBIE])
+    with running(env) as again:
+        await_event(again, "Running", units=2)
+        assert main(["listen", "/result", "--count", "1", "--json", "--for", "60s"]) == 0
+        assert json.loads(capsys.readouterr().out)["value"]["robot"] == "piff"
+
+
+@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
+def test_the_first_interrupt_lets_units_finish_and_the_second_does_not_wait(env: Path, end: signal.Signals) -> None:
+    slow = (
+        UNITS
+        + "\n    def set_state(self, state): pass\n    def get_state(self):\n        import time; time.sleep(3600)\n"
+    )
+    (env.parent / "units.py").write_text(slow)
+    env.write_text(ENVIRONMENT.replace("    params:", "    run: {state: true, hang: 0}\n    params:"))
+    with running(env) as process:
+        await_event(process, "Running", units=2)
+        process.send_signal(end)
+        assert process.stderr is not None
+        while "stopping" not in process.stderr.readline():
+            pass
+        process.send_signal(end)
+        assert process.wait(PATIENCE_S) == 130
+    assert not list(Path(os.environ["XDG_RUNTIME_DIR"], "cfgplan").iterdir())
+
+
+def test_a_dry_run_says_what_it_would_start_and_starts_nothing(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (env.parent / "units.py").write_text("raise SystemError('was started')")
+    assert main(["run", str(env), "--dry-run", "--no-estimates"]) == 0
+    out = capsys.readouterr().out
+    assert "+ start   detector(piff).1" in out
+    assert "Update: 2 to start" in out
+    assert main(["run", str(env), "--dry-run", "--json", "--no-estimates"]) == 0
+    assert json.loads(capsys.readouterr().out)["status"] == "optimal"
+
+
+def test_a_dry_run_tells_what_it_can_not_meet(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    env.write_text(ENVIRONMENT + "  - {label: goal, topic: /goal, tag: Goal}\n")
+    assert main(["run", str(env), "--dry-run", "--no-estimates"]) == 12
+    out = capsys.readouterr().out
+    assert "Update: 2 to start" in out
+    assert "goal" in out
+
+
+def test_what_if_is_for_dry_runs(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    what_if = ["--set", "horizon=60", "--no-estimates"]
+    assert main(["run", str(env), "--dry-run", *what_if]) == 0
+    assert "over the horizon of 60 s" in capsys.readouterr().out
+    assert main(["run", str(env), *what_if]) == 30
+    assert "are for trying out" in capsys.readouterr().err
+
+
+def test_units_that_the_file_says_run_are_not_believed(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    env.write_text(ENVIRONMENT + "units:\n  - {id: camera(piff).7, transformation: camera(piff)}\n")
+    assert main(["run", str(env), "--dry-run", "--no-estimates"]) == 0
+    captured = capsys.readouterr()
+    assert "names 1 running unit, but a run starts from nothing" in captured.err
+    assert "Update: 2 to start, 0 to rewire, 0 to stop" in captured.out
+
+
+def test_what_was_learned_is_kept_from_run_to_run(
+    env: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    estimates = tmp_path / "estimates.json"
+    for _ in range(2):
+        with running(env, "--estimates", estimates) as process:
+            await_event(process, "Running")
+            eventually(lambda: all("upkeep_us" in unit for unit in ctl(capsys, "state")["units"]))
+            ctl(capsys, "stop")
+            assert process.wait(PATIENCE_S) == 0
+        assert "camera(piff)" in estimates.read_text()
+        estimates.write_text("damaged")
+    assert list(tmp_path.glob("*.damaged"))
+
+
+def test_a_recorded_run_is_read_back_with_streams_and_reviews(env: Path, tmp_path: Path) -> None:
+    from mcap.reader import make_reader
+
+    file = tmp_path / "run.mcap"
+    with running(env, "--record", file) as process:
+        await_event(process, "Running")
+        with subscribe("/result", timeout_s=PATIENCE_S) as subscription:
+            for number, _ in enumerate(subscription):
+                if number == 50:
+                    break
+        process.send_signal(signal.SIGINT)
+        recorded = await_event(process, "Recorded")
+        assert process.wait(PATIENCE_S) == 0
+    assert (recorded["lost"], recorded["failure"]) == (0, None)
+    numbers, topics = [], set()
+    with file.open("rb") as stream:
+        for _, channel, message in make_reader(stream).iter_messages():
+            topics.add(channel.topic)
+            if channel.topic == "/result":
+                numbers.append(json.loads(message.data)["number"])
+    assert topics >= {"/result", "/result/image", "/cfgplan/reviews", "/cfgplan/events", "/cfgplan/log"}
+    assert len(numbers) > 30
+    assert numbers == [(numbers[0] + count) % 200 for count in range(len(numbers))]
+
+
+def test_metrics_are_served_while_it_runs(env: Path) -> None:
+    from urllib.request import urlopen
+
+    with running(env, "--metrics-port", "0") as process:
+        port = await_event(process, "Running")["metrics_port"]
+        page = urlopen(f"http://127.0.0.1:{port}/metrics").read()
+    assert b'cfgplan_reviews_total{decision="applied"} 1.0' in page
+
+
+def test_lines_are_printed_where_no_terminal_is(env: Path) -> None:
+    arguments = command("run", env, "--for", "200ms", "--no-estimates")
+    done = subprocess.run(arguments, capture_output=True, text=True, timeout=PATIENCE_S, check=True)
+    lines = done.stdout.splitlines()
+    assert lines[0].startswith("Running 2 units as run ")
+    assert any(line.startswith("Review 1: started camera(piff).1, detector(piff).1; ") for line in lines)
+    assert "\x1b" not in done.stdout

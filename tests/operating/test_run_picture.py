@@ -1,0 +1,134 @@
+"""The live view: what is on it, at any size of the terminal."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import pty
+import select
+import struct
+import termios
+import time
+from dataclasses import replace
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cfgplan_runtime.lifecycle.perturbations import SubscriptionLost, UnitGone
+from cfgplan_runtime.lifecycle.reports import Decision, Snapshot, TargetView, UnitView
+from cfgplan_runtime.operating.flows import Flow
+from fake_manager import CAMERA, DETECTOR, REVIEW, SNAPSHOT, observation
+from operated_world import PATIENCE_S, command, write_world
+from rich.console import Console
+
+from cfgplan.cli.run_picture import Line, Picture
+from cfgplan.domain import ComputationUnit, Environment, InputPort, Stream, Transformation
+from cfgplan.errors import Fault
+
+FLOWS = {"/result": Flow(29.97, 12.4, 300, 0, 0.01)}
+
+
+def drawn(snapshot: Snapshot = SNAPSHOT, *, width: int = 120, height: int = 40, **more: Any) -> list[str]:
+    console = Console(file=StringIO(), width=width, height=height, record=True)
+    picture = Picture("ab12cd34", "env.yaml", 75.0, snapshot, more.pop("flows", FLOWS), **more)
+    console.print(picture, end="")
+    return console.export_text().splitlines()
+
+
+def large() -> Snapshot:
+    """Forty units and twenty targets."""
+    units = [ComputationUnit(f"stage{number:02}.1", f"stage{number:02}") for number in range(40)]
+    views = [UnitView(unit, None, observation(unit.id)) for unit in units]
+    seen = views[30].observation
+    assert seen is not None
+    views[30] = replace(views[30], observation=replace(seen, errors=3, last_error="Traceback ...\nValueError: five\n"))
+    targets = [TargetView(f"t{number}", "T", f"/t/{number}", 0, Stream("stage00.1", "y")) for number in range(20)]
+    targets[13] = replace(targets[13], stream=None, reason="nothing gives T")
+    return replace(
+        SNAPSHOT,
+        units=tuple(views),
+        targets=tuple(targets),
+        environment=Environment(tuple(units)),
+        reviews=(REVIEW,) * 9,
+    )
+
+
+def test_it_shows_targets_units_reviews_and_the_log() -> None:
+    text = "\n".join(drawn(lines=[Line(0.0, 4, "camera.1 coughs"), Line(0.0, 2, "a review", is_review=True)]))
+    for part in (
+        "env.yaml", "run ab12cd34", "00:01:15", "stable", "1 of 2 met", "30.0 Hz", "12 ms", "detector.1/ball",
+        "nothing gives Goal", "2.0 %", "25 MB", "running on nao1", "image ← camera.1/image", "segmenter",
+        "not started for 4.0 s, failed 3 times: exited with 3", "detector.1 died, asked for",
+        "started detector.1; goal not met", "13 ms", "camera.1 coughs", "Ctrl-C stops",
+    ):  # fmt: skip
+        assert part in text
+    assert "a review" not in text
+
+
+@pytest.mark.parametrize("width", [60, 80, 120, 300])
+@pytest.mark.parametrize("height", [16, 24, 40, 100])
+@pytest.mark.parametrize("faults", [(), (Fault("this is not YAML", "env.yaml", 3),)])
+def test_it_fills_the_terminal_and_no_more(width: int, height: int, faults: tuple[Fault, ...]) -> None:
+    for snapshot in (SNAPSHOT, large(), replace(SNAPSHOT, targets=(), units=(), reviews=(), backing_off=())):
+        lines = drawn(
+            replace(snapshot, faults=faults), width=width, height=height, lines=[Line(0.0, 2, "x" * 500)] * 99
+        )
+        assert len(lines) == height
+        assert max(map(len, lines)) <= width
+
+
+def test_where_not_all_fits_what_is_wrong_comes_first() -> None:
+    lines = drawn(large(), height=24)
+    text = "\n".join(lines)
+    assert "t13" in text
+    assert "nothing gives T" in text
+    assert "ValueError: five" in text
+    assert "units more" in text
+    assert "targets more" in text
+
+
+def test_a_gap_and_a_silent_stream_stand_out() -> None:
+    library = (Transformation("detector", (InputPort("image", "I"), InputPort("pose", "P"))),)
+    snapshot = replace(SNAPSHOT, environment=Environment((CAMERA, DETECTOR), library))
+    text = "\n".join(drawn(snapshot, flows={"/result": Flow(0.0, None, 300, 0, 75.0)}))
+    assert "nothing feeds pose" in text
+    assert "silent for 75 s" in text
+    assert "nothing came yet" in "\n".join(drawn(flows={}))
+
+
+def test_what_is_lost_by_a_death_is_not_told_as_another_reason() -> None:
+    review = replace(REVIEW, perturbations=(SubscriptionLost("b.1", "x"), UnitGone("a.1", "a", "died", "")))
+    assert "a.1 died  " in "\n".join(drawn(replace(SNAPSHOT, reviews=(review,))))
+    failed = replace(
+        REVIEW, decision=Decision.FAILED, cause="camera.1 Traceback (most recent call last):\n x\nOSError: no"
+    )
+    assert "the update failed: camera.1 OSError: no" in "\n".join(drawn(replace(SNAPSHOT, reviews=(failed,))))
+
+
+def test_in_a_terminal_a_run_shows_it_and_leaves_the_terminal_as_it_was(tmp_path: Path) -> None:
+    env = write_world(tmp_path)
+    process, terminal = pty.fork()
+    if process == 0:
+        arguments = command("run", env, "--no-estimates")
+        os.execve(arguments[0], arguments, {**os.environ, "TERM": "xterm-256color"})
+    fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 30, 110, 0, 0))
+    shown = b""
+    deadline = time.monotonic() + PATIENCE_S
+    is_interrupted = False
+    while time.monotonic() < deadline:
+        if not select.select([terminal], [], [], 0.2)[0]:
+            continue
+        try:
+            shown += os.read(terminal, 1 << 16)
+        except OSError:
+            break
+        if b" Hz" in shown and not is_interrupted:
+            is_interrupted = True
+            os.write(terminal, b"\x03")
+    os.close(terminal)
+    assert os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]) == 0
+    on, off = shown.index(b"\x1b[?1049h"), shown.rindex(b"\x1b[?1049l")
+    assert b"1 of 1 met" in shown[on:off]
+    assert b"detector(piff).1" in shown[off:]
+    assert shown.rindex(b"\x1b[?25h") > shown.rindex(b"\x1b[?25l"), "the cursor is shown again"
