@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cfgplan.cli.exits import OF_STATUS, Exit
-from cfgplan.cli.fleet_text import cpu, quality
 from cfgplan.cli.screen import Screen, counted
 from cfgplan.errors import InputError
 from cfgplan.planning import Problem, Status
@@ -79,6 +78,8 @@ def _asked(text: str, problem: Problem) -> tuple[str, str]:
 def _show(screen: Screen, problem: Problem, found: Front) -> None:
     from rich.table import Table
     from rich.text import Text
+
+    from cfgplan.cli.fleet_text import cpu, quality
 
     table = Table("cost", found.attribute.name, "start", "rewire", "stop", "started units", box=None)
     for point in found.points:

@@ -16,7 +16,7 @@ _NO_XML = re.compile("[\0-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
 
 _YAML_ONLY = {
     "environment": ("hosts", "transfer", "qualities", "survive"),
-    "transformations": ("memory", "conflicts", "min_instances", "max_instances", "standby"),
+    "transformations": ("conflicts",),
     "units": ("host", "standby"),
     "targets": ("quality", "host"),
 }
@@ -27,8 +27,10 @@ def dump_xml(data: Mapping[str, Any]) -> str:
     """The XML text of plain data in the environment file's form, such as `plain_environment` gives.
 
     Raises InvalidValueError for a name or tag with a character that XML can't say, and for what the XML has no
-    words for: quality, hosts to choose from, instances and spares.
+    words for: hosts, quality, conflicts and what is to be survived.
     """
+    if any(isinstance(part.get("host"), list) for part in data.get("transformations") or ()):
+        raise InvalidValueError("the XML format has no choice of hosts: keep this environment in YAML")
     for part, keys in _YAML_ONLY.items():
         for written in [data] if part == "environment" else data.get(part) or ():
             for key in keys:
@@ -60,7 +62,7 @@ def _environment(data: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _transformation(part: Mapping[str, Any]) -> Iterator[str]:
-    names = ("labor", "upkeep", "host", "pinned", "required")
+    names = ("labor", "upkeep", "host", "pinned", "required", "memory", "min_instances", "max_instances", "standby")
     attributes = {"type": part.get("kind")} | {name: part.get(name) for name in names}
     yield f"  {_opened('transformation', **attributes)}"
     for name in ("label", "source"):
