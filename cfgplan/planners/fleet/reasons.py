@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 from cfgplan.domain import Target
 from cfgplan.planning import Problem
 from cfgplan.qualities import Better, is_met, propagated, units
@@ -36,26 +38,39 @@ def _missed_bound(problem: Problem, target: Target) -> str | None:
 
 
 def _best_values(problem: Problem, name: str) -> dict[str, int]:
-    """For each offered tag the best value that a stream with it can have: rules are monotone, so best feeds best."""
+    """For each offered tag a value that no stream with it can beat: rules are monotone, so best feeds best.
+
+    A transformation of which there can be only one unit does not feed itself, longer rings are not looked for.
+    """
     environment = problem.environment
     attribute = environment.quality[name]
-    best: dict[str, int] = {}
-    rounds = len(environment.units) + sum(problem.most_new(t) for t in environment.library)
-    for _ in range(rounds):
+    pick = min if attribute.better is Better.LOWER else max
+    number = Counter(unit.transformation for unit in environment.units)
+    number.update({t.label: problem.most_new(t) for t in environment.library})
+    best: dict[tuple[str, str], int] = {}
+    for _ in range(number.total()):
         before = dict(best)
         for transformation in environment.library:
-            inputs: list[int] = []
-            for port in transformation.inputs:
-                fit = [value for tag, value in before.items() if problem.similarity.holds(tag, port.tag)]
-                if not port.feedback:
-                    inputs += [min(fit) if attribute.better is Better.LOWER else max(fit)] if fit else []
-            if len(inputs) < sum(not port.feedback for port in transformation.inputs):
-                continue
-            for output in transformation.outputs:
-                stated = {c.attribute: c for c in output.quality}.get(name)
-                value = propagated(attribute, stated, inputs)
-                if output.tag not in best or attribute.is_better(value, best[output.tag]):
-                    best[output.tag] = value
+            label = transformation.label
+            inputs = [
+                [
+                    value
+                    for (feeder, output), value in before.items()
+                    if (feeder != label or number[label] > 1)
+                    and problem.similarity.holds(environment.transformation[feeder].output[output].tag, port.tag)
+                ]
+                for port in transformation.inputs
+                if not port.feedback
+            ]
+            if all(inputs):
+                for output in transformation.outputs:
+                    stated = {c.attribute: c for c in output.quality}.get(name)
+                    value = propagated(attribute, stated, [pick(fit) for fit in inputs])
+                    best[label, output.name] = pick(value, best.get((label, output.name), value))
         if best == before:
             break
-    return best
+    found: dict[str, int] = {}
+    for (label, port_name), value in best.items():
+        tag = environment.transformation[label].output[port_name].tag
+        found[tag] = pick(value, found.get(tag, value))
+    return found
