@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections import Counter
 
-from cfgplan.domain import Target
-from cfgplan.planning import Problem
+from cfgplan.domain import Environment, Target
+from cfgplan.planning import Failures, Problem
 from cfgplan.qualities import Better, is_met, propagated, units
+from cfgplan.reasons import Givers, startable
 
 
 def joint_reasons(problem: Problem) -> dict[str, str]:
-    """A reason for each target whose bounds no wiring can meet; else one for all targets together."""
+    """A reason for each target that can't be met for itself; else one for all targets together."""
     unreachable = {
         target.label: reason
         for target in problem.environment.targets
-        for reason in [_missed_bound(problem, target)]
+        for reason in [_missed_bound(problem, target) or _fatal_failure(problem, target)]
         if reason
     }
     asked = ", ".join(sorted(problem.notions))
@@ -34,6 +35,29 @@ def _missed_bound(problem: Problem, target: Target) -> str | None:
                 f"target {target.label} asks for {attribute.name} of {'at most' if is_low else 'at least'} "
                 f"{units(wish.bound):f}, but the best that any wiring reaches is {units(reached):f}"
             )
+    return None
+
+
+def _fatal_failure(problem: Problem, target: Target) -> str | None:
+    """A failure after which no units that there could be give a target's stream."""
+    environment = problem.environment
+    if problem.survive is None:
+        return None
+    lost: dict[str, set[str]] = {}
+    if problem.survive is Failures.HOSTS:
+        for host in environment.hosts:
+            bound = {t.label for t in environment.library if environment.hosts_for(t) == (host.name,)}
+            if host.name != target.host:
+                lost[f"host {host.name} fails"] = bound
+    number = Counter(unit.transformation for unit in environment.units if not unit.standby)
+    for t in environment.library:
+        if t.max_instances == 1 or number[t.label] + problem.most_new(t) == 1:
+            lost[f"the only unit of {t.label} fails"] = {t.label}
+    for what, labels in lost.items():
+        library = tuple(t for t in environment.library if t.label not in labels)
+        givers = Givers(library, problem.similarity)
+        if startable(Environment((), library), givers).isdisjoint(givers.of(target.tag)):
+            return f"target {target.label} would have no stream if {what}"
     return None
 
 
