@@ -78,6 +78,13 @@ def test_explain_names_the_bound_that_no_wiring_meets(run: Run, tmp_path: Path) 
     assert "asks for error of at most 0.1, but the best that any wiring reaches is 0.18" in result.out
 
 
+def test_explain_tells_a_spare_and_a_failure_that_nothing_survives(run: Run) -> None:
+    stage = MODELS / "nao" / "7-robot-may-fail.yaml"
+    spare = run("explain", stage, "--unit", "bottom_cam(puff).1").out
+    assert "is a spare for when something fails" in spare
+    assert "target ball would have no stream if host piff fails" in spare
+
+
 def test_a_run_refuses_what_it_does_not_know(run: Run) -> None:
     result = run("run", FLEET / "1-start.yaml", "--for", "1s")
     assert result.code == 30
