@@ -54,11 +54,13 @@ _COMMANDS = (
         "remove-transformation", "use a transformation no more", "LABEL", "its label", "remove_transformation", "label"
     ),
     _Command("remove-individual", "take an individual away", "NAME", "its name", "remove_individual", "name"),
+    _Command("restore", "take a removal back", "NAME", "the label or name that was removed", "restore", "name"),
     _Command("kill", "end a unit at once", "UNIT", "its id, such as camera.1", "kill", "unit"),
     _Command("lose-host", "do without a host", "HOST", "its name", "lose_host", "host"),
     _Command("regain-host", "use a host again", "HOST", "its name", "regain_host", "host"),
     _Command("review", "plan now, as if the horizon were reached", method="review"),
     _Command("events", "print what happens, until the run ends"),
+    _Command("socket", "print where the run's control socket is, for other programs"),
     _Command("stop", "stop the run, letting units finish"),
 )
 
@@ -98,6 +100,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
                     return _state(control, screen)
                 case "events":
                     return _events(control, screen)
+                case "socket":
+                    return _socket(control, screen)
                 case "stop":
                     return _stop(control, screen)
                 case "add":
@@ -136,6 +140,14 @@ def _events(control: Control, screen: Screen) -> Exit:
     return Exit.OK
 
 
+def _socket(control: Control, screen: Screen) -> Exit:
+    if screen.json:
+        screen.show_json({"run": control.system.run, "socket": str(control.path)})
+    else:
+        screen.write(f"{control.path}\n")
+    return Exit.OK
+
+
 def _stop(control: Control, screen: Screen) -> Exit:
     control.subscribe()
     control.call("stop", timeout_s=60)
@@ -158,10 +170,8 @@ def _change(control: Control, screen: Screen, method: str, params: dict[str, Any
     elif review is None:
         screen.show(f"{done} That changes nothing.")
     else:
-        from cfgplan.cli.state_text import review_text
-
         screen.show(done)
-        screen.show(review_text(review))
+        screen.show(review["says"])
     return Exit.OK if review is None else _met(not reason for reason in review["unmet"].values())
 
 

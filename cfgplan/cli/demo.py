@@ -15,6 +15,7 @@ from cfgplan.cli.screen import FORMAT_VERSION, Screen
 from cfgplan.errors import InputError
 
 if TYPE_CHECKING:
+    from cfgplan_runtime.demo.listening import Sample
     from cfgplan_runtime.demo.played import Played
     from cfgplan_runtime.demo.story import Step
     from rich.text import Text
@@ -35,7 +36,6 @@ def add_to(verbs: shared.Subparsers) -> None:
 
 
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
-    from cfgplan_runtime.demo import telling
     from cfgplan_runtime.demo.page import page
     from cfgplan_runtime.demo.playing import play
     from cfgplan_runtime.demo.stage import open_stage
@@ -47,31 +47,59 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     out = Path(options.report)
     if not out.absolute().parent.is_dir():
         raise InputError.of("can't be written: there is no such folder", file=str(out))
-    numbers = {step: number for number, step in enumerate(SECTION_V)}
-
-    def begins(step: Step) -> None:
-        if not screen.json:
-            screen.show(_headline(numbers[step], step))
-            screen.flush()
-
-    def answers(answered: Played) -> None:
-        if not screen.json:
-            screen.show(_answer(answered))
-            screen.flush()
-
-    def ends(played: Played) -> None:
-        if screen.json:
-            screen.write(json.dumps({"format_version": FORMAT_VERSION, **_record(numbers[played.step], played)}) + "\n")
-        else:
-            screen.show(_said("/result", telling.seen(played) or "Nothing comes.", "cyan"))
-        screen.flush()
-
-    with Interrupts():
-        played = play(stage, SECTION_V, options.step, begins, answers, ends)
-    with screen.phase("draw the page"):
+    with Interrupts(), _Narrator(screen) as narrator:
+        played = play(stage, SECTION_V, options.step, narrator)
+    with screen.phase("compare robots and draw the page"):
         api.write_file(out, page(stage, played, __version__).encode())
     screen.note(f"Wrote {out}.")
     return Exit.OK
+
+
+class _Narrator:
+    """Tells the play on the screen: in words, or as a JSON line for each step."""
+
+    def __init__(self, screen: Screen) -> None:
+        from rich.console import Console
+        from rich.status import Status
+
+        self._screen = screen
+        self._number = -1
+        self._now = Status("", console=Console(stderr=True, highlight=False))
+
+    def __enter__(self) -> _Narrator:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._now.stop()
+
+    def begins(self, step: Step) -> None:
+        self._number += 1
+        if not self._screen.json:
+            self._screen.show(_headline(self._number, step))
+            self._screen.flush()
+
+    def answers(self, answered: Played) -> None:
+        if not self._screen.json:
+            self._screen.show(_answer(answered))
+            self._screen.flush()
+            self._now.start()
+
+    def watches(self, sample: Sample | None) -> None:
+        where = "nothing comes"
+        if sample is not None:
+            where = f"ball at x {sample.x:+.2f} m, y {sample.y:+.2f} m, {100 * sample.error_m:.0f} cm off"
+        self._now.update(where)
+
+    def ends(self, played: Played) -> None:
+        from cfgplan_runtime.demo import telling
+
+        self._now.stop()
+        if self._screen.json:
+            record = {"format_version": FORMAT_VERSION, **_record(self._number, played)}
+            self._screen.write(json.dumps(record) + "\n")
+        else:
+            self._screen.show(_said("/result", telling.seen(played) or "Nothing comes.", "cyan"))
+        self._screen.flush()
 
 
 def _headline(number: int, step: Step) -> Text:

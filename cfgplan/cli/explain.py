@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import OF_STATUS, Exit
 from cfgplan.cli.screen import Screen
-from cfgplan.cli.update_text import with_the_stream
 
 if TYPE_CHECKING:
     from cfgplan.api import Subject
@@ -79,7 +78,9 @@ def _show_why_not(problem: Problem, why: WhyNot, screen: Screen) -> None:
     from cfgplan.cli.update_text import verdict
 
     screen.show(verdict(problem, why.plan))
-    screen.show(why_not_text(problem.environment, why))
+    text = why_not_text(problem.environment, why)
+    if text:
+        screen.show(text)
 
 
 def _names_one(options: argparse.Namespace) -> bool:
@@ -100,5 +101,7 @@ def _subjects(options: argparse.Namespace, problem: Problem, plan: Plan) -> list
         unit, _, port = options.stream.rpartition("/")
         running = after.unit.get(unit)
         return [("stream", shared.known(f"{running.transformation if running else unit}/{port}", outputs, "output"))]
+    from cfgplan.cli.update_text import with_the_stream
+
     used = dict.fromkeys(unit.transformation for unit in with_the_stream(after))
     return [("transformation", label) for label in used]

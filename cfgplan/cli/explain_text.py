@@ -174,7 +174,10 @@ def _demand(environment: Environment, unfed: Unfed, opening: str) -> Iterator[st
         yield f"{opening} {unfed.tag}, but what would give it can't run"
         return
     yield f"{opening} {unfed.tag}, but no output matches"
+    fewest = min((len(offer.missing) for offer in unfed.nearest), default=0)
     for offer in unfed.nearest:
+        if len(offer.missing) > fewest:
+            continue
         lacks = f"lacks {', '.join(offer.missing)}" if offer.missing else "would match"
         yield f"    nearest: {_some(_outputs(environment).get(offer.offered, ()))} gives {offer.offered}: {lacks}"
 

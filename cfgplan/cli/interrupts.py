@@ -1,11 +1,15 @@
-"""Ctrl-C and SIGTERM, counted: the first asks for a clean end, the second for one at once."""
+"""Ctrl-C and SIGTERM, counted: the first asks for a clean end, the second for one at once, the third has one."""
 
 from __future__ import annotations
 
+import os
 import signal
 from types import FrameType, TracebackType
 
+from cfgplan.cli.exits import Exit
+
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_MOST_PATIENT = 2
 
 
 class Interrupts:
@@ -33,3 +37,6 @@ class Interrupts:
         self.count += 1
         if self._raises:
             raise KeyboardInterrupt
+        if self.count > _MOST_PATIENT:
+            # What runs ends with this process, and its folder is removed by the next run.
+            os._exit(Exit.INTERRUPTED)

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from cfgplan_runtime.operating.operation import Operation
 
 _REFRESH_S = 0.25
+_LARGEST_SHARE = 0.1
+"""Of the time that is spent on drawing; a system of thousands of units is drawn less often."""
 _MOST_LINES = 200
 _LINES_AFTERWARDS = 8
 
@@ -37,7 +39,7 @@ class LiveView:
         )
         self._lines: deque[Line] = deque(maxlen=_MOST_LINES)
         self._since_s = time.monotonic()
-        self._drawn_s = 0.0
+        self._draw_at_s = 0.0
         self._note = ""
         self._reviews = 0
 
@@ -61,7 +63,7 @@ class LiveView:
             if said is not None:
                 grade = WARNING if isinstance(news, str) else level(news)
                 self._lines += (Line(time.time(), grade, text, is_review) for text in said.splitlines())
-        if time.monotonic() - self._drawn_s >= _REFRESH_S:
+        if time.monotonic() >= self._draw_at_s:
             self._draw()
 
     def note(self, text: str) -> None:
@@ -81,7 +83,7 @@ class LiveView:
         show_recording(operation, screen)
 
     def _draw(self) -> None:
-        self._drawn_s = time.monotonic()
+        began_s = time.monotonic()
         operation = self._operation
         picture = Picture(
             run=operation.id,
@@ -95,3 +97,5 @@ class LiveView:
         )
         if self._live.is_started:
             self._live.update(picture, refresh=True)
+        now_s = time.monotonic()
+        self._draw_at_s = now_s + max(_REFRESH_S, (now_s - began_s) / _LARGEST_SHARE)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import queue
 import sys
 from collections.abc import Iterator
@@ -38,7 +39,7 @@ def output_for(screen: Screen, operation: Operation, *, plain: bool) -> Output:
     """The output that suits where it goes."""
     if screen.json:
         return JsonLines(screen, operation)
-    if plain or not sys.stdout.isatty():
+    if plain or not sys.stdout.isatty() or os.environ.get("TERM") in (None, "", "dumb"):
         return Lines(screen, operation)
     from cfgplan.cli.live_view import LiveView
 
@@ -46,10 +47,10 @@ def output_for(screen: Screen, operation: Operation, *, plain: bool) -> Output:
 
 
 def fetched(operation: Operation, wait_s: float) -> Iterator[News]:
-    """The news that there are; waits so long at most for the first of them."""
+    """The news that there are, but not without end; waits so long at most for the first of them."""
     try:
         yield operation.news.get(timeout=wait_s) if wait_s > 0 else operation.news.get_nowait()
-        while True:
+        for _ in range(operation.news.maxsize):
             yield operation.news.get_nowait()
     except queue.Empty:
         return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -24,10 +25,17 @@ T = TypeVar("T")
 
 _STYLES = {WARNING: "yellow", ERROR: "red"}
 _DECISIONS = {Decision.FAILED: "red", Decision.UNDECIDED: "red", Decision.KEPT: "dim", Decision.DEFERRED: "dim"}
+_ESCAPE = re.compile(r"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)|.)")
+"""A terminal's control sequence."""
 _FEWEST_LOG_LINES = 4
 _MOST_REVIEWS = 4
 _OLD_S = 2.0
 """A stream that is silent for longer is shown as that."""
+
+
+def printable(text: str) -> str:
+    """A text that does nothing to the terminal but to be shown."""
+    return "".join(c if c.isprintable() else " " for c in _ESCAPE.sub("", text).expandtabs())
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +50,7 @@ class Line:
     def text_with_time(self) -> Text:
         """As it is shown."""
         shown = Text().append(time.strftime("%H:%M:%S  ", time.localtime(self.at)), style="dim")
-        return shown.append(self.text, style=_STYLES.get(self.level, ""))
+        return shown.append(printable(self.text), style=_STYLES.get(self.level, ""))
 
 
 @dataclass(frozen=True)
@@ -156,7 +164,7 @@ class Picture:
         if gaps:
             state = Text(f"nothing feeds {', '.join(gaps)}", style="red")
         elif seen and seen.errors and seen.last_error:
-            state = Text(short(seen.last_error), style="yellow")
+            state = Text(printable(short(seen.last_error)), style="yellow")
         elif unit.feeds:
             state.append(f"  {', '.join(f'{port} ← {stream}' for port, stream in unit.feeds.items())}", style="dim")
         if seen is None:

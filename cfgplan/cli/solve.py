@@ -88,6 +88,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         screen.times()
         if options.out:
             screen.note(f"Wrote {options.out}.")
+        if plan.status in (Status.INFEASIBLE, Status.TOO_EXPENSIVE):
+            screen.note(f"`cfgplan explain {options.env}` tells more about why.")
     if plan.status is Status.OPTIMAL and not is_proven:
         return Exit.NOT_PROVEN
     if plan.status is Status.OPTIMAL and plan.reasons:

@@ -10,28 +10,15 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from cfgplan.cli.screen import counted
-
 if TYPE_CHECKING:
     from cfgplan_runtime.operating.control_client import RunningSystem
 
 _MOST_REVIEWS = 5
-_TOLD_PHASES_S = 0.0005
 
 
 def state_text(system: RunningSystem, state: Mapping[str, Any]) -> RenderableType:
     """The whole state."""
     return Group(*_parts(system, state))
-
-
-def review_text(review: Mapping[str, Any]) -> str:
-    """A review in a sentence."""
-    parts = [f"Review {review['number']}: {_decision(review)}"]
-    parts += [f"{label} is not met: {reason}" for label, reason in sorted(review["unmet"].items())]
-    took = {phase: seconds for phase, seconds in review["seconds"].items() if seconds >= _TOLD_PHASES_S}
-    if took:
-        parts.append(f"{1e3 * sum(took.values()):.0f} ms")
-    return "; ".join(parts)
 
 
 def _parts(system: RunningSystem, state: Mapping[str, Any]) -> Iterator[RenderableType]:
@@ -53,10 +40,12 @@ def _parts(system: RunningSystem, state: Mapping[str, Any]) -> Iterator[Renderab
         yield Text(f"Hosts that are gone: {', '.join(state['lost_hosts'])}.", style="yellow")
     if state["declared"]:
         yield Text(f"Added: {', '.join(state['declared'])}.")
+    if state["removed"]:
+        yield Text(f"Removed: {', '.join(state['removed'])}.")
     if state["reviews"]:
         yield Text()
     for review in state["reviews"][-_MOST_REVIEWS:]:
-        yield Text(review_text(review))
+        yield Text(review["says"])
 
 
 def _targets(targets: list[Mapping[str, Any]]) -> RenderableType:
@@ -86,19 +75,6 @@ def _units(units: list[Mapping[str, Any]]) -> RenderableType:
         feeds = ", ".join(f"{port} <- {stream}" for port, stream in unit["inputs"].items())
         table.add_row(unit["id"], "" if upkeep is None else f"{upkeep / 1e4:.1f} %", memory, *counts, feeds)
     return table
-
-
-def _decision(review: Mapping[str, Any]) -> str:
-    changes = review["change_set"]
-    if review["decision"] != "applied" or changes is None:
-        return f"{review['decision']}{': ' if review['cause'] else ''}{review['cause']}"
-    named = [
-        ("started", [unit["id"] for unit in changes["started"]]),
-        ("rewired", [unit["id"] for unit in changes["rewired"]]),
-        ("stopped", changes["stopped"]),
-    ]
-    said = [f"{verb} {', '.join(units)}" for verb, units in named if units]
-    return "; ".join(said) or counted(0, "change")
 
 
 def _fault(fault: Mapping[str, Any]) -> str:

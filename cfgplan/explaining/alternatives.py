@@ -10,6 +10,7 @@ from functools import cached_property
 
 from cfgplan.costs import keep_cost_us, start_cost_us
 from cfgplan.errors import InputError
+from cfgplan.explaining.together import REFUSED
 from cfgplan.planning import Notion, Plan, Planner, Problem, Status
 from cfgplan.reasons import Givers, startable
 
@@ -45,11 +46,11 @@ def alternatives(problem: Problem, planner: Planner, count: int, *, time_limit_s
     if unknown:
         asked = " and ".join(sorted(unknown))
         raise InputError.of(f"alternatives are not known with {asked}", mend="ask for the plan alone")
+    end_s = None if time_limit_s is None else time.monotonic() + time_limit_s
     best = planner(problem, time_limit_s=time_limit_s)
     if best.status is not Status.OPTIMAL:
-        return Alternatives((best,) if best.change_set is not None else (), best.status is not Status.UNKNOWN)
+        return Alternatives((best,) if best.change_set is not None else (), complete=best.status in REFUSED)
     ranking = _Ranking(problem, planner, best)
-    end_s = None if time_limit_s is None else time.monotonic() + time_limit_s
     found: list[Plan] = []
     for plan in ranking.plans(end_s):
         if plan is None:

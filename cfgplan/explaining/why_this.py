@@ -126,7 +126,9 @@ def _why(
     after = after_update(problem, plan)
     otherwise = planner(replace(other, max_cost_us=None))
     choice = _choice(plan, otherwise)
-    if not units and (set(otherwise.unused_required) - set(plan.unused_required) or label in otherwise.unused_required):
+    lost = set(otherwise.unused_required) - set(plan.unused_required)
+    usable = label in problem.environment.transformation and label not in otherwise.unused_required
+    if not units and (lost or not usable):
         choice = Choice.IMPOSSIBLE
     targets, consumers = _served(after, units, port), _readers(after, units, port)
     is_spare = bool(units) and not targets and problem.survive is not None

@@ -3,8 +3,8 @@
 python experiments/lifecycle/reaction.py [--repeat 50] [--library 10] [--library 1000] [--json FILE]
 
 A source at 500 Hz, a chain of three workers and the target /result run as processes, among so many transformations
-that could do the same. The gap is the longest time in which the consumer of /result had no element, restored is when that was
-over, counted from the perturbation. Read times as orders of magnitude.
+that could do the same. The gap is the longest time in which the consumer of /result had no element; restored is when
+that was over, counted from the perturbation. Read times as orders of magnitude.
 """
 
 from __future__ import annotations
@@ -75,23 +75,20 @@ def environment_text(size: int) -> str:
 class Consumer:
     """When each element of a topic came, in nanoseconds since 1970."""
 
-    def __init__(self, topic: str) -> None:
+    def __init__(self, topic: str, run: str) -> None:
         self.came: list[int] = []
         self._topic = topic
+        self._run = run
         threading.Thread(target=self._collect, daemon=True).start()
 
     def _collect(self) -> None:
-        for _ in subscribe(self._topic, wait_s=PATIENCE_S):
+        for _ in subscribe(self._topic, run=self._run, wait_s=PATIENCE_S):
             self.came.append(time.time_ns())
 
     def longest_gap(self, since_ns: int) -> tuple[int, int] | None:
-        """The ends of the longest time without an element that lasted beyond a moment; None if nothing came since."""
-        came = self.came[max(0, bisect(self.came, since_ns) - 1) :]
-        if not came or came[-1] <= since_ns:
-            return None
-        if came[0] > since_ns:
-            return since_ns, came[0]
-        return max(pairwise(came), key=lambda ends: ends[1] - ends[0])
+        """The ends of the longest time without an element after a moment; None if nothing has come since."""
+        came = [since_ns, *self.came[bisect(self.came, since_ns) :]]
+        return max(pairwise(came), key=lambda ends: ends[1] - ends[0], default=None)
 
 
 class Run:
@@ -102,7 +99,7 @@ class Run:
         self.manager = manager
         self.file = file
         self.reviews: list[Review] = []
-        self.consumer = Consumer("/result")
+        self.consumer = Consumer("/result", runtime.id)
         manager.listen(self._note)
 
     def _note(self, report: Report) -> None:
@@ -173,7 +170,7 @@ def _stage(label: str) -> int:
 
 def measure(run: Run, name: str, perturb: Callable[[], None], after: Callable[[], None] | None, topic: str) -> Row:
     """Perturb once; the times in milliseconds."""
-    consumer = run.consumer if topic == "/result" else Consumer(topic)
+    consumer = run.consumer if topic == "/result" else Consumer(topic, run.runtime.id)
     run.manager.settle(PATIENCE_S)
     time.sleep(0.3)
     before = len(run.reviews)

@@ -4,22 +4,27 @@ python experiments/lifecycle/storm.py [--perturbations 200] [--seeds 10] [--seed
 
 Units run in thought, on a clock that jumps, or with --real as processes. With an even seed units are free to start, so
 that what runs must cost exactly what a fresh plan costs; else it must cost exactly what a planner without memory
-finds for what runs. What is met must be the same, and no rule of the judge may be broken.
+finds for what runs. What is met must be the same, no rule of the judge may be broken, and on the topics of processes
+elements must come.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import random
+import signal
 import sys
 import tempfile
+import threading
+import time
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from cfgplan_runtime import Manager, Runtime, SimulatedRuntime
+from cfgplan_runtime import Manager, Runtime, SimulatedRuntime, subscribe
 from cfgplan_runtime.lifecycle.changes import (
     AddTargets,
     AddTransformations,
@@ -191,15 +196,44 @@ def on_processes(seed: int, perturbations: int) -> list[str]:
     decisions: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "storm_units.py").write_text(UNITS)
-        with Runtime(folder=folder) as runtime, Manager(world, runtime, report=_counting(decisions)) as manager:
+        costs = DeclaredCosts(failure_us=0)
+        with (
+            Runtime(folder=folder) as runtime,
+            Manager(world, runtime, estimator=costs, report=_counting(decisions)) as manager,
+        ):
             manager.settle(PATIENCE_S)
             for _ in range(perturbations):
-                _await(manager.request(storm.change(manager)), storm.randoms.choice((0.01, PATIENCE_S)))
+                if storm.randoms.random() < 0.3:
+                    _kill(runtime, storm.randoms)
+                else:
+                    _await(manager.request(storm.change(manager)), storm.randoms.choice((0.01, PATIENCE_S)))
             manager.settle(PATIENCE_S)
             _await(manager.request(ReviewNow()), PATIENCE_S)
             manager.settle(PATIENCE_S)
             print(f"seed {seed}: {dict(decisions)}")
-            return faults(manager, runtime.environment, is_free_to_start=is_free_to_start)
+            found = faults(manager, runtime.environment, is_free_to_start=is_free_to_start)
+            met = [view.topic for view in manager.snapshot().targets if view.is_met]
+            return [*found, *(f"nothing comes on {topic}" for topic in met if not _gives(topic, runtime.id))]
+
+
+def _kill(runtime: Runtime, randoms: random.Random) -> None:
+    """Kill some units at about the same time."""
+    units = sorted(runtime.environment.unit)
+    for unit in randoms.sample(units, min(len(units), randoms.choice((1, 1, 2, 4)))):
+        pid = runtime.pid(unit)
+        if pid is not None:
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        time.sleep(randoms.choice((0.0, 0.0, 0.003, 0.01)))
+
+
+def _gives(topic: str, run: str) -> bool:
+    """Whether elements come on a topic."""
+    received: list[object] = []
+    listener = threading.Thread(target=lambda: received.append(next(iter(subscribe(topic, run=run)))), daemon=True)
+    listener.start()
+    listener.join(PATIENCE_S)
+    return bool(received)
 
 
 def _await(outcome: Outcome, patience_s: float) -> None:

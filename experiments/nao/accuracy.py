@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import argparse
 from collections import defaultdict
+from collections.abc import Mapping
+from typing import Any
 
 import pipelines
-import units
+from cfgplan_runtime.demo.rehearsing import Robot
 from football import scenario
 
 
@@ -18,19 +20,20 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=3000)
     parser.add_argument("--every", type=int, default=3, help="take each Nth frame of 15 per second")
     options = parser.parse_args()
-    robots = [pipelines.Pipeline(robot) for robot in pipelines.ROBOTS]
-    fuse = units.FuseBallPos()
+    timed = pipelines.Timed()
+    robots = [Robot(pipelines.STAGE, name, timed) for name in pipelines.ROBOTS]
+    fuse = pipelines.STAGE.code("units.py:FuseBallPos")()
     errors: dict[str, list[tuple[float, float]]] = defaultdict(list)
     surprises: dict[str, list[float]] = defaultdict(list)
     by_distance: dict[float, list[tuple[float, float]]] = defaultdict(list)
 
-    def note(stream: str, position: units.Position, time_ns: int) -> None:
+    def note(stream: str, position: Mapping[str, Any], time_ns: int) -> None:
         errors[stream].append(pipelines.error(position, time_ns))
         surprises[stream].append(pipelines.surprise(position, time_ns))
 
     for number in range(options.frames):
         time_ns = scenario.time_of_frame(number * options.every)
-        found = {pipeline.robot: pipeline.position(time_ns) for pipeline in robots}
+        found = {robot.name: robot.see(time_ns).position for robot in robots}
         for robot, position in found.items():
             if position is not None:
                 note(robot, position, time_ns)
@@ -49,7 +52,7 @@ def main() -> None:
     for metres, found_errors in sorted(by_distance.items()):
         print(f"| {metres} m away | {pipelines.summary(found_errors)} |")
     print("\nCPU per frame and robot:")
-    total = {unit: sum(robot.cpu_s[unit] for robot in robots) / 2 / options.frames for unit in robots[0].cpu_s}
+    total = {unit: cpu_s / len(robots) / options.frames for unit, cpu_s in timed.cpu_s.items()}
     print(", ".join(f"{unit} {1000 * cpu:.2f} ms" for unit, cpu in total.items()))
     print(f"At 15 frames per second {15 * sum(total.values()):.3f} s/s, without the transport.")
 

@@ -70,7 +70,7 @@ def _reelay(measured: Measured, given: Columns, rate: int) -> float | None:
     rows = [dict(zip(given, row, strict=True)) for row in zip(*(v.tolist() for v in given.values()), strict=True)]
 
     def run() -> None:
-        monitor = reelay.discrete_timed_monitor(ticks(measured.reelay, rate), condense=False)
+        monitor = reelay.discrete_timed_monitor(ticks(measured.reelay, rate))
         for row in rows:
             monitor.update(row)
 

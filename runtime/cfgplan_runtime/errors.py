@@ -41,6 +41,10 @@ class ApplyError(RuntimeFaultError):
         self.units = tuple(units)
 
 
+class AbandonedError(ApplyError):
+    """A change set that was given up on request before its new units were ready; `units` are those that were not."""
+
+
 class EncodingError(RuntimeFaultError):
     """A value that can't travel between processes."""
 

@@ -84,6 +84,11 @@ class Runtime:
         """Have every event told, signs of life too, in order, from the supervisor's thread; it returns at once."""
         self._listeners = (*self._listeners, listener)
 
+    def abandon(self) -> None:
+        """Give up the update under way if it still waits for new units: it is undone. For any thread."""
+        self._supervisor.abandon()
+        self._backend.wake()
+
     def kill(self, unit: str) -> None:
         """End a unit at once; UnitDied follows. Does nothing if it does not run."""
         self._call(lambda: self._backend.kill(unit))

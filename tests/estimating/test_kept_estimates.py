@@ -14,7 +14,9 @@ from hypothesis import strategies as st
 from observing import HORIZON_S, WORK, Watched
 
 RUNS = st.lists(st.lists(st.integers(0, 10**6), max_size=30), min_size=1, max_size=4)
-shared_folder = settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
+shared_folder = settings(
+    max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+)
 
 
 @pytest.fixture

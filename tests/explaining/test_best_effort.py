@@ -22,7 +22,7 @@ from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planning import Plan, Problem, Status
 from cfgplan.validity import plan_violations
 
-EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "150"))
+EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "100"))
 many = settings(
     max_examples=EXAMPLES,
     deadline=None,

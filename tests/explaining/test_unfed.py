@@ -12,7 +12,7 @@ from cfgplan.explaining.unfed import Unreachable, named_alone, unreachable
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import Problem, Status
 
-EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "300"))
+EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "200"))
 many = settings(
     max_examples=EXAMPLES,
     deadline=None,

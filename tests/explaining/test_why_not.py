@@ -22,6 +22,7 @@ many = settings(
     derandomize="CFGPLAN_EXAMPLES" not in os.environ,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much],
 )
+fewer = settings(many, max_examples=EXAMPLES // 2)
 cpsat = PLANNERS["cpsat"]
 
 
@@ -51,8 +52,8 @@ def test_a_clash_is_minimal_and_there_is_one_for_each_plan_that_fails_though_all
         assert oracle(demanding(problem, found.clash.demands.without(each))).status is Status.OPTIMAL
 
 
-@many
-@given(problems(most=5))
+@fewer
+@given(problems(most=4))
 def test_what_excludes_a_required_transformation_is_minimal(problem: Problem) -> None:
     found = why_not(problem, cpsat)
     assume(found.unused)

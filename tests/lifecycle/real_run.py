@@ -37,6 +37,8 @@ class Worker:
     def __init__(self, name, deed=""):
         self.name = name
         self.deed = deed
+        if deed == "start slowly":
+            time.sleep(4)
         if deed == "die at start":
             raise ValueError("no such device")
 

@@ -6,9 +6,10 @@ from math import inf
 
 from cfgplan_runtime import Patience
 from cfgplan_runtime.lifecycle.back_off import BackOffRules, BackOffs
-from cfgplan_runtime.lifecycle.changes import AddTransformations, ReviewNow
+from cfgplan_runtime.lifecycle.changes import AddTargets, AddTransformations, ReviewNow, Stop
 from cfgplan_runtime.lifecycle.perturbations import MayStartAgain, UpdateFailed
-from cfgplan_runtime.lifecycle.reports import BackedOff, Decision
+from cfgplan_runtime.lifecycle.reports import BackedOff, Decision, Phase
+from cfgplan_runtime.supervision.events import UnitReady
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
 from living import Life, source, started, worker
 
@@ -52,7 +53,7 @@ def test_what_keeps_crashing_is_replaced_by_what_is_dearer() -> None:
 
 def test_a_unit_that_cannot_start_fails_the_update_and_another_is_found() -> None:
     life = started(source(), worker(), SPARE, behaviours=DYING)
-    assert [review.decision for review in life.reviews] == [Decision.FAILED, Decision.FAILED, Decision.APPLIED]
+    assert [review.decision for review in life.reviews] == [Decision.FAILED, Decision.APPLIED]
     assert "no camera" in life.reviews[0].cause
     assert {failed.transformations for failed in life.perturbations(UpdateFailed)} == {("work",)}
     assert life.units == {"count.1", "spare.1"}
@@ -116,3 +117,29 @@ def test_failures_reach_the_estimator() -> None:
     life: Life = started(estimator=Watched())
     life.fail("work.1")
     assert failed == ["work"]
+
+
+def test_a_slow_start_does_not_hold_up_a_repair() -> None:
+    other, slow = Target("other", "S", "/other"), worker("slow", gives="S")
+    life = Life(source(), worker(), behaviours={"slow": Behaviour(start_s=20.0), "work": Behaviour(dies_s=5.0)})
+    life.settle()
+    life.runtime.backend.behaviours.pop("work")
+    life.manager.request(AddTransformations((slow,)))
+    life.manager.request(AddTargets((other,)))
+    life.manager.step()
+    repair, failed = next(review for review in life.reviews if review.decision is Decision.FAILED), life.now
+    assert "it was given up while slow.1 was starting" in repair.cause
+    assert 5 < failed < 5.1
+    life.manager.step()
+    assert (life.met, life.now < 5.2) == ({"result"}, True)
+    life.pass_time(30)
+    assert (life.met, life.manager.snapshot().backing_off) == ({"result", "other"}, ())
+    assert life.starts("slow") == 2
+
+
+def test_the_end_does_not_wait_for_a_slow_start() -> None:
+    life = Life(behaviours={"work": Behaviour(start_s=20.0), "count": Behaviour(start_s=1.0)})
+    life.runtime.listen(lambda event: life.manager.request(Stop()) if isinstance(event, UnitReady) else None)
+    life.manager.run(10)
+    assert life.manager.snapshot().phase is Phase.STOPPED
+    assert life.now < 2

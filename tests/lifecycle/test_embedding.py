@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
 from cfgplan_runtime import Manager, Policy
 from cfgplan_runtime.errors import ApplyError, StaleChangeSetError
 from cfgplan_runtime.lifecycle.changes import AddTargets, KillUnit
@@ -47,11 +48,16 @@ class FakeRobot:
         self.on_crash(name)
 
 
+def block(language: str, part: str) -> str:
+    """The README's one block with this text in it."""
+    (found,) = (text for text in re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL) if part in text)
+    return found
+
+
 def nodelets(robot: FakeRobot) -> Any:
     """An instance of the README's class."""
-    (block,) = (b for b in re.findall(r"```python\n(.*?)```", README, re.DOTALL) if "class Nodelets" in b)
     names: dict[str, Any] = {}
-    exec(block, names)
+    exec(block("python", "class Nodelets"), names)
     return names["Nodelets"](robot)
 
 
@@ -148,3 +154,14 @@ def test_a_middleware_with_a_fault_of_its_own_does_not_end_the_life_cycle() -> N
     first, last = manager.snapshot().reviews
     assert (first.decision, first.cause) == (Decision.FAILED, "ZeroDivisionError: a bug of the middleware")
     assert last.decision is Decision.APPLIED
+
+
+def test_the_few_lines_of_the_readme_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "units.py").write_text(block("python", "def camera"))
+    (tmp_path / "env.yaml").write_text(block("yaml", "label: camera"))
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    exec(block("python", "watch_file"), {})
+    assert capsys.readouterr().out.startswith("applied ('ball',) {")

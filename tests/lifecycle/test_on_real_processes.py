@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import signal
+
+import psutil
 from cfgplan_runtime import Policy
 from cfgplan_runtime.lifecycle.back_off import BackOffRules
 from cfgplan_runtime.lifecycle.perturbations import (
@@ -51,8 +55,7 @@ def test_a_cheaper_transformation_takes_over_at_the_horizon_and_not_before(run_f
         review for review in run_for_real.reviews if review.change_set and review.decision is Decision.APPLIED
     ][1:]
     assert any(isinstance(perturbation, HorizonReached) for perturbation in review.perturbations)
-    numbers = [received.value[1] for received in run_for_real.listener().received]
-    assert numbers == list(range(numbers[0], numbers[0] + len(numbers))), "the switch loses and repeats nothing"
+    assert_nothing_is_missing(run_for_real)
 
 
 def test_a_transformation_in_use_can_be_removed(run_for_real: RealRun) -> None:
@@ -76,8 +79,7 @@ def test_an_impossible_target_and_a_broken_file_leave_the_others_alone(run_for_r
     eventually(lambda: run_for_real.manager.snapshot().faults == ())
     eventually(lambda: all(view.is_met for view in run_for_real.manager.snapshot().targets))
     run_for_real.await_result("work")
-    numbers = [received.value[1] for received in run_for_real.listener().received]
-    assert numbers == list(range(numbers[0], numbers[0] + len(numbers))), "/result was never touched"
+    assert_nothing_is_missing(run_for_real)
 
 
 def test_a_hung_unit_a_failing_one_and_one_that_cannot_start_give_way_to_others(run_for_real: RealRun) -> None:
@@ -92,3 +94,35 @@ def test_a_hung_unit_a_failing_one_and_one_that_cannot_start_give_way_to_others(
     assert {gone.how for gone in run_for_real.seen(UnitGone)} == {"hung"}
     assert {each.transformation for each in run_for_real.seen(UnitKeepsFailing)} == {"raising"}
     assert any("no such device" in review.cause for review in run_for_real.reviews)
+
+
+def test_a_slow_start_does_not_hold_up_a_repair(run_for_real: RealRun) -> None:
+    run_for_real.start(source(), worker())
+    me, pid = psutil.Process(), run_for_real.runtime.pid("work.1")
+    assert pid is not None
+    processes = len(me.children(recursive=True))
+    slow = worker("slow", gives="S", deed="start slowly")
+    run_for_real.write(source(), worker(), slow, targets={"/result": "Y", "/slow": "S"})
+    eventually(lambda: len(me.children(recursive=True)) > processes)
+    os.kill(pid, signal.SIGKILL)
+    run_for_real.await_result("work")
+    assert not any(view.is_met for view in run_for_real.manager.snapshot().targets if view.topic == "/slow")
+    run_for_real.await_result("slow", topic="/slow")
+
+
+def test_a_removed_target_takes_away_what_only_it_needed(run_for_real: RealRun) -> None:
+    both = {"/result": "Y", "/other": "Z"}
+    run_for_real.start(source(), worker(), worker("other", gives="Z"), targets=both)
+    run_for_real.await_result("other", topic="/other")
+    run_for_real.write(source(), worker(), worker("other", gives="Z"))
+    eventually(lambda: set(run_for_real.runtime.environment.unit) == {"count.1", "work.1"})
+    run_for_real.await_result("work")
+    run_for_real.write(source(), worker(), worker("other", gives="Z"), targets=both)
+    run_for_real.await_result("other", topic="/other")
+    assert_nothing_is_missing(run_for_real)
+
+
+def assert_nothing_is_missing(run: RealRun) -> None:
+    """Whatever happened, /result has had every number of the source, once and in order."""
+    numbers = [received.value[1] for received in run.listener().received]
+    assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))

@@ -19,6 +19,7 @@ from cfgplan_runtime.lifecycle.changes import (
     RemoveTargets,
     RemoveTransformations,
     ReplaceWorld,
+    Restore,
     Stop,
     Withdraw,
 )
@@ -168,6 +169,42 @@ def test_a_robot_registers_itself_and_leaves(robots: Life) -> None:
     assert robots.manager.snapshot().declared == ("r2",)
     robots.ask(Withdraw("r2"))
     assert robots.units == {"camera(r1).1"}
+
+
+def test_what_was_removed_of_a_declaration_stays_away_until_it_is_declared_again(robots: Life) -> None:
+    document = {
+        "transformations": [{"label": "film(${Flying})", "outputs": {"film": "Thing"}}],
+        "targets": [{"label": "seen2", "topic": "/seen2", "tag": SEES_R2.tag}],
+    }
+    register = Declare("r2", document, (Individual("r2", ("Flying",)),))
+    robots.ask(register)
+    robots.ask(RemoveTargets(("seen2",)))
+    robots.ask(RemoveTransformations(("film(r2)",)))
+    assert set(robots.manager.world.environment.transformation) == {"camera(r1)", "camera(r2)"}
+    robots.ask(register)
+    assert set(robots.manager.world.environment.transformation) == {"camera(r1)", "camera(r2)", "film(r2)"}
+    assert robots.met == {"seen", "seen2"}
+
+
+def test_what_was_removed_can_be_restored(robots: Life) -> None:
+    robots.ask(RemoveTargets(("seen",)))
+    robots.ask(RemoveTransformations(("camera(r1)",)))
+    assert robots.manager.snapshot().removed == ("camera(r1)", "seen")
+    robots.ask(Restore(("seen", "camera(r1)")))
+    assert (robots.met, robots.manager.snapshot().removed) == ({"seen"}, ())
+    with pytest.raises(InputError, match="there is no removed name 'seen'"):
+        robots.ask(Restore(("seen",)))
+
+
+def test_an_individual_that_was_declared_can_be_removed_unless_it_is_needed(robots: Life) -> None:
+    robots.ask(Declare("r2", {}, (Individual("r2", ("Robot",)),)))
+    robots.ask(RemoveIndividuals(("r2",)))
+    assert set(robots.manager.world.environment.transformation) == {"camera(r1)"}
+    robots.ask(
+        Declare("r2", {"targets": [{"label": "seen2", "topic": "/seen2", "tag": SEES_R2.tag}]}, (Individual("r2"),))
+    )
+    with pytest.raises(InputError, match="no individual 'r2'"):
+        robots.ask(RemoveIndividuals(("r2",)))
 
 
 def test_an_individual_with_an_unknown_class_is_refused(robots: Life) -> None:

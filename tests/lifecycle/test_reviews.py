@@ -85,6 +85,18 @@ def test_a_unit_that_keeps_failing_is_given_up() -> None:
     assert (life.met, life.units) == ({"result"}, {"count.1", "dear.1"})
 
 
+def test_a_unit_is_not_judged_by_what_another_of_its_id_has_done() -> None:
+    life = started(source(), worker(), DEAR)
+    life.pass_time(10)
+    life.ask(RemoveTargets(("result",)))
+    life.runtime.backend.behaviours["work"] = Behaviour(failing=True)
+    life.ask(AddTargets((RESULT,)))
+    life.pass_time(3)
+    assert life.perturbations(UnitKeepsFailing) == []
+    life.pass_time(3)
+    assert life.perturbations(UnitKeepsFailing)[0].unit == "work.1"
+
+
 def test_a_lost_subscription_is_made_anew() -> None:
     life = started()
     life.runtime.cut("work.1", "x")
@@ -269,9 +281,9 @@ def test_a_unit_that_dies_during_an_update_leads_to_another_review() -> None:
     life = Life(source(), worker(), behaviours={"count": Behaviour(dies_s=0.01), "work": Behaviour(start_s=1.0)})
     life.manager.step(0.1)
     life.runtime.backend.behaviours.clear()
-    life.settle()
+    life.pass_time(2)
     assert life.met == {"result"}
-    assert [review.decision for review in life.reviews] == [Decision.FAILED, Decision.APPLIED]
+    assert [review.decision for review in life.reviews] == [Decision.FAILED, Decision.KEPT, Decision.APPLIED]
 
 
 def test_a_planner_without_an_answer_is_asked_again_later_and_later() -> None:

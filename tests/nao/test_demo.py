@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import math
 import signal
 import subprocess
 import sys
@@ -147,3 +148,18 @@ def test_what_a_robot_declares_is_the_pipeline_in_its_name() -> None:
     transformations: Any = declared.document["transformations"]
     assert len(transformations) == 6
     assert "${NAO}" not in str(transformations)
+
+
+@pytest.mark.usefixtures("nothing_is_left_behind")
+def test_a_stage_of_the_case_study_runs_and_tells_where_the_ball_is(capsys: pytest.CaptureFixture[str]) -> None:
+    stage = stages.open_stage("nao")
+    command = [sys.executable, "-c", "import sys; from cfgplan.cli import main; sys.exit(main())"]
+    arguments = ["run", str(stage.folder / "1-piff-registered.yaml")]
+    with subprocess.Popen([*command, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+        assert main(["listen", "/result", "--json", "--count", "3", "--wait", f"{PATIENCE_S}s"]) == 0
+        running.send_signal(signal.SIGINT)
+        _, err = running.communicate(timeout=PATIENCE_S)
+    assert running.returncode == 0, err
+    truth = stage.code("football.scenario:ball")
+    for line in map(json.loads, capsys.readouterr().out.splitlines()):
+        assert math.dist((line["value"]["x"], line["value"]["y"]), truth(line["time_ns"])) < 0.5

@@ -19,7 +19,9 @@ ONTOLOGY = """
 @prefix owl: <http://www.w3.org/2002/07/owl#> .
 <https://example.org/field> a owl:Ontology .
 :Robot a owl:Class . :Image a owl:Class . :Ball a owl:Class . :Goal a owl:Class .
-:of a owl:ObjectProperty .
+:Field a owl:Class . :Position a owl:Class .
+:of a owl:ObjectProperty . :nextTo a owl:ObjectProperty .
+:field1 a owl:NamedIndividual , :Field .
 :piff a owl:NamedIndividual , :Robot .
 """
 ENVIRONMENT = """\

@@ -81,6 +81,7 @@ def test_the_state_is_plain_json(control: Control) -> None:
         ("remove_target", {"label": "ball"}, changes.RemoveTargets(("ball",))),
         ("remove_transformation", {"label": "camera"}, changes.RemoveTransformations(("camera",))),
         ("remove_individual", {"name": "piff"}, changes.RemoveIndividuals(("piff",))),
+        ("restore", {"name": "ball"}, changes.Restore(("ball",))),
         ("kill", {"unit": "camera.1"}, changes.KillUnit("camera.1")),
         ("lose_host", {"host": "nao1"}, changes.LoseHost("nao1", "told through the control socket")),
         ("regain_host", {"host": "nao1"}, changes.RegainHost("nao1")),

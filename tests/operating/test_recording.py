@@ -33,7 +33,7 @@ def read(path: Path) -> list[tuple[str, str, int, Any]]:
 
     found = []
     with path.open("rb") as file:
-        for schema, channel, message in make_reader(file).iter_messages():
+        for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages():
             assert schema is not None
             assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
             assert message.log_time == message.publish_time

@@ -106,6 +106,13 @@ def test_what_is_lost_by_a_death_is_not_told_as_another_reason() -> None:
     assert "the update failed: camera.1 OSError: no" in "\n".join(drawn(replace(SNAPSHOT, reviews=(failed,))))
 
 
+def test_what_units_print_does_nothing_to_the_terminal() -> None:
+    line = Line(0.0, 2, "a | \x1b[31mred\x1b[0m\x1b]0;title\x07\tand\x08 \r\x1bc\x9bx")
+    (shown,) = [line for line in drawn(lines=[line]) if "red" in line]
+    assert shown.split()[1:] == ["a", "|", "red", "and", "x"]
+    assert shown.isprintable()
+
+
 def test_in_a_terminal_a_run_shows_it_and_leaves_the_terminal_as_it_was(tmp_path: Path) -> None:
     env = write_world(tmp_path)
     process, terminal = pty.fork()

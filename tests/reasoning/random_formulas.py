@@ -45,6 +45,21 @@ def _larger(parts: st.SearchStrategy[Formula]) -> st.SearchStrategy[Formula]:
     )
 
 
+late_intervals = st.builds(_interval, st.integers(4, 12), st.integers(0, 12))
+
+
+def formulas_that_look_far(parts: Sequence[Formula]) -> st.SearchStrategy[Formula]:
+    """Small formulas, about every state, with intervals that begin late."""
+    least = st.sampled_from(parts)
+    late = st.one_of(
+        *(st.builds(kind, least, late_intervals) for kind in (Always, Eventually)),
+        st.builds(Until, least, least, late_intervals),
+    )
+    both = st.one_of(late, late, least, st.builds(Not, late))
+    joined = st.one_of(*(st.builds(kind, both, both) for kind in (And, Or, Implies)), st.builds(Until, both, both))
+    return st.one_of(*(st.builds(kind, st.one_of(both, joined), intervals) for kind in (Always, Eventually)))
+
+
 def formulas_over(parts: Sequence[Formula]) -> st.SearchStrategy[Formula]:
     """Formulas with these as their smallest parts, and constants."""
     least = st.sampled_from(parts)

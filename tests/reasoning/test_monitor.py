@@ -81,7 +81,7 @@ def test_a_verdict_holds_however_unknown_values_are_filled_in(
 def test_always_within_always_is_one_obligation() -> None:
     monitor = Monitor(Always(Always(P, TEN)))
     follow(monitor, states("p " * 50))
-    assert monitor.size == 3
+    assert monitor.size == 3 + 1
     (inner,) = [each for each in monitor.waiting() if each.until_ns is not None]
     assert (inner.since_ns, inner.until_ns) == (49, 59)
 
@@ -181,8 +181,15 @@ def test_a_formula_of_many_propositions_is_fed_like_any_other() -> None:
 
 def test_obligations_without_end_are_refused_rather_than_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(obligations, "MOST_MEMBERS", 20)
-    monitor = Monitor(Always(Implies(P, Eventually(Q, Interval(50, 60)))))
+    monitor = Monitor(Always(Implies(P, Eventually(And(Q, Eventually(R, Interval(30, 40))), Interval(0, 90)))))
     with pytest.raises(TooManyObligationsError, match="shorten the intervals"):
+        follow(monitor, states("pq p " * 40))
+
+
+def test_moments_without_end_are_refused_rather_than_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(monitor_module, "MOST_MOMENTS", 20)
+    monitor = Monitor(Always(Implies(P, Eventually(Q, Interval(50, 60)))))
+    with pytest.raises(TooManyObligationsError, match="shorten them"):
         follow(monitor, states("p " * 40))
 
 

@@ -280,3 +280,15 @@ def test_an_old_source_that_has_nothing_more_to_give_is_not_waited_for() -> None
     simulation.apply(ChangeSet(started=started, stopped=("work.1",)))
     assert simulation.backend.now() - before < 0.1
     simulation.check()
+
+
+def test_a_unit_that_dies_before_it_is_rewired_leaves_no_wire_to_its_successor_of_the_same_id() -> None:
+    simulation = Simulation(source(), source("other"), worker(), other=Behaviour(start_s=1.0))
+    simulation.apply(start(*ONE))
+    simulation.backend.fail("work.1")
+    rewired = unit("work.1", topic="/result", x="other.1/n")
+    simulation.apply(ChangeSet(started=(unit("other.1"),), rewired=(rewired,), stopped=("count.1",)))
+    assert set(simulation.supervisor.environment.unit) == {"other.1"}
+    simulation.apply(start(rewired))
+    assert simulation.backend.feeding(Inlet("work.1", "x")) == Stream("other.1", "n")
+    simulation.check()

@@ -7,10 +7,13 @@ from cfgplan.planners.cpsat.clock import Clock
 
 CHUNK = 20
 """After so many landmarks the network is restricted to what may still be used."""
-MANY = 500
-"""With more labels than this, less gain is enough: the solver would take longer."""
-LEAST_GAIN = 0.05
-"""Landmarks are looked for as long as a chunk closes this share of the gap."""
+PATIENCE = 1.2e-6
+"""Seconds for the square of the number of labels: how long the solver may take, and so how long bounds may."""
+STEP_S, CHARGE_S, ROUNDS = 2e-8, 6e-6, 20
+"""About what a fact that is needed takes for a round of a landmark, and a member of a landmark in the linear program.
+
+Time is estimated, not measured, so that a plan can be repeated.
+"""
 
 
 def tightened(bound: Bound, enough: int, limit: int, clock: Clock) -> Bound:
@@ -26,11 +29,17 @@ def tightened(bound: Bound, enough: int, limit: int, clock: Clock) -> Bound:
             break
         if keep.sum() < 0.8 * len(keep):
             bound = bound.restricted(keep)
-        least_gain = LEAST_GAIN * (enough - before) * min(1.0, MANY / len(keep))
+        step_s = CHUNK * ROUNDS * STEP_S * len(bound.core.needs.items)
         bound.improve(enough, CHUNK, clock.is_over)
-        if bound.value - before < least_gain:
+        if not _pays(bound, before, enough, step_s):
             bound.recharge_best(clock.left_s())
             bound.improve(enough, CHUNK, clock.is_over)
-            if bound.value - before < least_gain:
+            charge_s = CHARGE_S * sum(len(landmark.members) for landmark in bound.landmarks)
+            if not _pays(bound, before, enough, 2 * step_s + charge_s):
                 break
     return bound
+
+
+def _pays(bound: Bound, before: int, enough: int, took_s: float) -> bool:
+    """Whether the whole gap would be closed in time at the pace of a step that began with a bound."""
+    return (bound.value - before) * PATIENCE * bound.core.goal**2 >= (enough - before) * took_s

@@ -9,9 +9,10 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from html import escape
+from itertools import pairwise
 
 from cfgplan_runtime.demo.listening import Sample
-from cfgplan_runtime.demo.played import Played
+from cfgplan_runtime.demo.played import FRAME_NS, Played
 
 _NS = 1e9
 _PX_PER_M = 100
@@ -137,11 +138,10 @@ def failure_chart(step: Played, samples: Sequence[Sample]) -> str:
         )
 
     parts = []
-    if step.silence is not None and step.silence.lost_frames:
-        x, until = at(step.silence.last.time_ns, low)[0], at(step.silence.first.time_ns, low)[0]
-        parts.append(
-            f'<rect class="gap" x="{x:.1f}" y="{top}" width="{until - x:.1f}" height="{height - top - bottom}"/>'
-        )
+    for last, first in pairwise(near):
+        if first.time_ns - last.time_ns > 1.5 * FRAME_NS:
+            x, until = at(last.time_ns, low)[0], at(first.time_ns, low)[0]
+            parts.append(_box("gap", x, until, top, height - bottom))
     for number in range(1, 4):
         metres = low + (high - low) * number / 4
         y = at(begin_ns, metres)[1]

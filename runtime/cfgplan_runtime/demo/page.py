@@ -18,7 +18,7 @@ from cfgplan_runtime.demo.stage import Stage
 from cfgplan_runtime.demo.story import Kill
 
 _COMPARED_NS = 600_000_000_000
-_MOMENTS = 150
+_MOMENTS = 100
 
 
 @dataclass(frozen=True, slots=True)

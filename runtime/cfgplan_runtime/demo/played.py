@@ -15,7 +15,7 @@ from cfgplan_runtime.lifecycle.reports import Review
 from cfgplan_runtime.supervision.observation import Observation
 
 TOPIC = "/result"
-_FRAME_NS = 1_000_000_000 / 15
+FRAME_NS = 1_000_000_000 / 15
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +28,7 @@ class Alternative:
 
 @dataclass(frozen=True, slots=True)
 class Silence:
-    """The longest time without a position around an event: the last before, the first after, frames without one."""
+    """The longest time without a position while something happened: last before, first after, frames without one."""
 
     last: Sample
     first: Sample
@@ -100,10 +100,14 @@ def _living(unit: ComputationUnit, gone: Sequence[str]) -> tuple[Subscription, .
     return tuple(subscription for subscription in unit.subscriptions if subscription.stream.unit not in gone)
 
 
-def silence(samples: Sequence[Sample]) -> Silence | None:
-    """The longest pause between positions of following moments."""
-    pairs = list(pairwise(samples))
-    if not pairs:
+def silence(samples: Sequence[Sample], began_ns: int, until_ns: int) -> Silence | None:
+    """The longest pause between positions of following moments that has to do with the time from `began_ns` on."""
+    near = [
+        (last, first)
+        for last, first in pairwise(samples)
+        if first.time_ns > began_ns - FRAME_NS and last.time_ns < until_ns + FRAME_NS
+    ]
+    if not near:
         return None
-    last, first = max(pairs, key=lambda pair: pair[1].time_ns - pair[0].time_ns)
-    return Silence(last, first, max(0, round((first.time_ns - last.time_ns) / _FRAME_NS) - 1))
+    last, first = max(near, key=lambda pair: pair[1].time_ns - pair[0].time_ns)
+    return Silence(last, first, max(0, round((first.time_ns - last.time_ns) / FRAME_NS) - 1))

@@ -6,13 +6,14 @@ import os
 import queue
 import signal
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Protocol
 
 from cfgplan import api
 from cfgplan.explaining.why_not import requiring
 from cfgplan.planning import Problem, Status
-from cfgplan_runtime.demo.listening import Listener
+from cfgplan_runtime.demo.listening import Listener, Sample
 from cfgplan_runtime.demo.played import TOPIC, Alternative, Played, silence
 from cfgplan_runtime.demo.stage import Stage
 from cfgplan_runtime.demo.story import Begin, Kill, Offer, Register, Step
@@ -26,25 +27,33 @@ from cfgplan_runtime.runtime import Runtime
 
 PRELOADED = ("numpy", "cv2")
 """What all units import: the nursery imports it once, so that a unit is there in milliseconds."""
-_AROUND_NS = 1_500_000_000
-"""How far before and after a step to look for missing positions."""
+_BEFORE_NS = 1_000_000_000
+"""How far before a step to look for its last position."""
 _NOTHING_S = 1.5
 """How long to watch that nothing comes."""
+_LOOK_S = 0.2
 LONGEST_S = 120.0
 """How long anything may take before the play is given up."""
 
 
-def play(
-    stage: Stage,
-    story: Sequence[Step],
-    step_s: float,
-    begins: Callable[[Step], None],
-    answers: Callable[[Played], None],
-    ends: Callable[[Played], None],
-) -> tuple[Played, ...]:
-    """Play the story; each step is watched for `step_s` seconds.
+class Audience(Protocol):
+    """Whoever is told how the play goes on."""
 
-    Told are the beginning of each step, the manager's answer to it (without any positions yet), and its end.
+    def begins(self, step: Step) -> None:
+        """A step begins."""
+
+    def answers(self, answered: Played) -> None:
+        """The manager has answered it; there are no positions yet."""
+
+    def watches(self, sample: Sample | None) -> None:
+        """The newest position, if there is any; told a few times a second while a step is watched."""
+
+    def ends(self, played: Played) -> None:
+        """A step has ended."""
+
+
+def play(stage: Stage, story: Sequence[Step], step_s: float, audience: Audience) -> tuple[Played, ...]:
+    """Play the story; each step is watched for `step_s` seconds.
 
     Raises RuntimeFaultError if a step does not come to its end.
     """
@@ -54,19 +63,28 @@ def play(
         listener = Listener(TOPIC, runtime.id, stage.code("football.scenario:ball"))
         try:
             player = _Player(stage, runtime, listener, step_s)
-            begins(story[0])
+            audience.begins(story[0])
             with Manager(world, runtime, estimator=DeclaredCosts(failure_us=0), report=player.hear) as manager:
                 for step in story:
                     if step is not story[0]:
-                        begins(step)
+                        audience.begins(step)
                     answered = player.answered(step, manager)
-                    answers(answered)
-                    played.append(player.watched(answered, manager))
-                    ends(played[-1])
+                    audience.answers(answered)
+                    played.append(player.watched(answered, manager, audience))
+                    audience.ends(played[-1])
         finally:
             runtime.close()
             listener.close()
-    return tuple(played)
+    return _without_gaps(played, listener)
+
+
+def _without_gaps(played: Sequence[Played], listener: Listener) -> tuple[Played, ...]:
+    """Each step until the next one begins: with the positions that came when it had been told already."""
+    ends_ns = [*(step.began_ns for step in played[1:]), played[-1].ended_ns]
+    return tuple(
+        replace(step, ended_ns=end_ns, samples=listener.samples(step.began_ns, end_ns))
+        for step, end_ns in zip(played, ends_ns, strict=True)
+    )
 
 
 class _Player:
@@ -86,14 +104,14 @@ class _Player:
         after = manager.snapshot().environment
         return Played(step, began_ns, time.time_ns(), before, after, review, self._others(step, manager))
 
-    def watched(self, answered: Played, manager: Manager) -> Played:
+    def watched(self, answered: Played, manager: Manager, audience: Audience) -> Played:
         """The same with what comes on the topic for some time."""
         began_ns, review, first = answered.began_ns, answered.review, None
         if review.met:
             first = self._listener.wait_for(began_ns, LONGEST_S)
             if first is None or self._listener.wait_for(answered.updated_ns, LONGEST_S) is None:
                 raise RuntimeFaultError(f"no position came on {TOPIC} for {LONGEST_S:.0f} s")
-        time.sleep(self._step_s if review.met else min(self._step_s, _NOTHING_S))
+        self._watch(self._step_s if review.met else min(self._step_s, _NOTHING_S), began_ns, audience)
         observed = (view.observation for view in manager.snapshot().units)
         return replace(
             answered,
@@ -101,8 +119,15 @@ class _Player:
             samples=self._listener.samples(began_ns),
             observed=tuple(one for one in observed if one is not None),
             first=first,
-            silence=silence(self._listener.samples(began_ns - _AROUND_NS, began_ns + _AROUND_NS)),
+            silence=silence(self._listener.samples(began_ns - _BEFORE_NS), began_ns, answered.updated_ns),
         )
+
+    def _watch(self, span_s: float, began_ns: int, audience: Audience) -> None:
+        end = time.monotonic() + span_s
+        while (left_s := end - time.monotonic()) > 0:
+            samples = self._listener.samples(began_ns)
+            audience.watches(samples[-1] if samples else None)
+            time.sleep(min(_LOOK_S, left_s))
 
     def _act(self, step: Step, manager: Manager) -> Review:
         match step.act:

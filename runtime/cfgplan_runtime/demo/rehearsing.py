@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,11 +20,20 @@ class Seen:
     position: Mapping[str, Any] | None
 
 
-class Robot:
-    """The units of one robot."""
+Call = Callable[..., Any]
+"""Calls a unit's code: the unit's name, its code, its values by input port."""
 
-    def __init__(self, stage: Stage, name: str) -> None:
+
+def _plainly(_unit: str, code: Callable[..., Any], **values: object) -> Any:
+    return code(**values)
+
+
+class Robot:
+    """The units of one robot, called by `call`."""
+
+    def __init__(self, stage: Stage, name: str, call: Call = _plainly) -> None:
         self.name = name
+        self._call = call
         self._camera: Any = stage.code("units.py:BottomCam")(name)
         self._self_localization: Any = stage.code("units.py:SelfLocalization")(name)
         self._subsampler = stage.code("units.py:Subsampler")()
@@ -34,11 +43,16 @@ class Robot:
 
     def see(self, time_ns: int) -> Seen:
         """Take the picture of a moment and look for the ball in it."""
-        sizes = self._subsampler(image=self._camera.picture(time_ns))
-        hull = self._segmenter(y=sizes["y80"], v=sizes["v80"])
-        ball = None if hull is None else self._detector(hull=hull, fine=sizes["y640"], coarse=sizes["y320"])
-        pose = self._self_localization.pose(time_ns)
-        return Seen(sizes, hull, ball, None if ball is None else self._localization(pixel=ball, pose=pose))
+        call, ball, position = self._call, None, None
+        image = call("bottom_cam", self._camera.picture, time_ns=time_ns)
+        sizes = call("subsampler", self._subsampler, image=image)
+        hull = call("segmenter", self._segmenter, y=sizes["y80"], v=sizes["v80"])
+        pose = call("self_localization", self._self_localization.pose, time_ns=time_ns)
+        if hull is not None:
+            ball = call("ball_detector", self._detector, hull=hull, fine=sizes["y640"], coarse=sizes["y320"])
+        if ball is not None:
+            position = call("ball_localization", self._localization, pixel=ball, pose=pose)
+        return Seen(sizes, hull, ball, position)
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,7 +25,7 @@ class Settings:
 
     memory_s: float = 60.0
     memory_starts: float = 3.0
-    forget_s: float = 6 * 3600.0
+    forget_s: float = 3600.0
     failure_us: int = 1_000_000
     least_change: float = 0.05
     least_change_us: int = 200

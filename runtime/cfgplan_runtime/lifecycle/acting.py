@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cfgplan.domain import ChangeSet, Environment
-from cfgplan_runtime.errors import ApplyError, NoSourceError, RuntimeFaultError, StaleChangeSetError
+from cfgplan_runtime.errors import AbandonedError, ApplyError, NoSourceError, RuntimeFaultError, StaleChangeSetError
 from cfgplan_runtime.lifecycle.configuration import Running, with_world
 from cfgplan_runtime.lifecycle.deliberation import Thought
 from cfgplan_runtime.lifecycle.intake import Intake
@@ -15,10 +15,11 @@ from cfgplan_runtime.lifecycle.seams import Clock, Middleware
 class Acting:
     """Carries updates out by a middleware."""
 
-    def __init__(self, middleware: Middleware, intake: Intake, clock: Clock) -> None:
+    def __init__(self, middleware: Middleware, intake: Intake, clock: Clock, postpone_s: float) -> None:
         self._middleware = middleware
         self._intake = intake
         self._clock = clock
+        self._postpone_s = postpone_s
 
     def act(self, thought: Thought) -> UpdateFailed | None:
         """Carry out what was decided; what went wrong, if anything did, be it a fault of the middleware."""
@@ -34,9 +35,10 @@ class Acting:
     def _apply(self, change_set: ChangeSet, basis: Environment) -> UpdateFailed | None:
         units = self._intake.situation.units
         library = self._intake.living.world.environment.transformation
-        started = {unit.id for unit in change_set.started}
+        started = frozenset(unit.id for unit in change_set.started)
         for unit in change_set.started:
             units[unit.id] = Running(library[unit.transformation], self._clock.now())
+        self._intake.starting = started
         try:
             self._middleware.apply(change_set, basis=basis)
         except StaleChangeSetError as error:
@@ -46,8 +48,10 @@ class Acting:
             for label in error.transformations:
                 self._intake.situation.back_offs.refuse(label, str(error))
                 self._intake.tell_back_off(label)
+        except AbandonedError as error:
+            failed = UpdateFailed(str(error), self._postponed(error))
         except ApplyError as error:
-            failed = UpdateFailed(str(error), self._blamed(started, error))
+            failed = UpdateFailed(str(error), self._blamed(error))
         except RuntimeFaultError:
             raise  # nothing runs any more
         except Exception as error:
@@ -56,16 +60,24 @@ class Acting:
             for unit_id in change_set.stopped:
                 self._intake.situation.forget(unit_id)
             return None
+        finally:
+            self._intake.starting = frozenset()
         for unit_id in started:
             self._intake.situation.forget(unit_id)
         return failed
 
-    def _blamed(self, started: set[str], error: ApplyError) -> tuple[str, ...]:
+    def _postponed(self, error: AbandonedError) -> tuple[str, ...]:
+        """The transformations whose units were starting when the update was given up for something urgent."""
+        labels = {label for unit in error.units if (label := self._intake.situation.label_of(unit)) is not None}
+        for label in labels:
+            self._intake.situation.back_offs.postpone(label, self._clock.now() + self._postpone_s)
+        return tuple(sorted(labels))
+
+    def _blamed(self, error: ApplyError) -> tuple[str, ...]:
         """The transformations whose units did not start; each has been blamed for it."""
         intake = self._intake
-        intake.starting, intake.not_started = started, []
+        intake.not_started = []
         intake.take_in()
-        intake.starting = set()
         for unit in error.units:
             label = intake.situation.label_of(unit)
             if label is not None and label not in intake.not_started:  # it was too slow, but has not died

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from math import inf
 
 from cfgplan_runtime.lifecycle.reports import BackingOff
@@ -26,7 +27,7 @@ class BackOffRules:
         return min(self.most_s, self.first_s * 2.0 ** min(failures - 2, 60))
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class _Record:
     failures: int
     until_s: float
@@ -34,32 +35,37 @@ class _Record:
 
 
 class BackOffs:
-    """The failures of transformations, by label."""
+    """The failures of transformations, by label. One thread changes them, any may look."""
 
     def __init__(self, rules: BackOffRules) -> None:
         self._rules = rules
-        self._records: dict[str, _Record] = {}
-        self._waiting: set[str] = set()
+        self._records: Mapping[str, _Record] = {}
+        self._waiting: frozenset[str] = frozenset()
 
     def failed(self, label: str, lived_s: float, now_s: float, cause: str, *, is_costly: bool = False) -> None:
-        """A unit has failed after so long a life. A failure that `is_costly` is not repeated at once."""
+        """A unit has failed after so long a life.
+
+        One that `is_costly`, since it took a whole update with it, is not repeated at once.
+        """
         before = self._records.get(label)
         is_new = before is None or lived_s >= self._rules.good_life_s
         failures = (0 if is_new or before is None else before.failures) + (2 if is_costly else 1)
         delay_s = self._rules.delay_s(failures)
-        self._records[label] = _Record(failures, now_s + delay_s, cause)
-        if delay_s:
-            self._waiting.add(label)
+        self._note(label, _Record(failures, now_s + delay_s, cause), waits=delay_s > 0)
 
     def refuse(self, label: str, cause: str) -> None:
         """Never start a transformation again, until it changes."""
-        self._records[label] = _Record(1, inf, cause)
-        self._waiting.add(label)
+        self._note(label, _Record(1, inf, cause), waits=True)
+
+    def postpone(self, label: str, until_s: float) -> None:
+        """Leave a transformation alone for a while; nobody is to blame."""
+        before = self._records.get(label, _Record(0, until_s, "its start would hold up another update"))
+        self._note(label, replace(before, until_s=max(before.until_s, until_s)), waits=True)
 
     def forgive(self, label: str) -> None:
         """Forget the failures of a transformation."""
-        self._records.pop(label, None)
-        self._waiting.discard(label)
+        self._waiting -= {label}
+        self._records = {other: record for other, record in self._records.items() if other != label}
 
     def forgive_all(self) -> None:
         """Forget all failures but refusals."""
@@ -69,13 +75,13 @@ class BackOffs:
     def ended(self, now_s: float) -> tuple[str, ...]:
         """The transformations whose time has come since the last call."""
         ended = sorted(label for label in self._waiting if self._records[label].until_s <= now_s)
-        self._waiting.difference_update(ended)
+        self._waiting = self._waiting.difference(ended)
         return tuple(ended)
 
     @property
     def avoided(self) -> frozenset[str]:
         """The transformations that must not be started now."""
-        return frozenset(self._waiting)
+        return self._waiting
 
     @property
     def next_end_s(self) -> float:
@@ -84,12 +90,18 @@ class BackOffs:
 
     def view(self, now_s: float) -> tuple[BackingOff, ...]:
         """Those that are waiting, by label."""
-        return tuple(self._view(label, now_s) for label in sorted(self._waiting))
+        records = self._records
+        return tuple(_view(label, records[label], now_s) for label in sorted(self._waiting & records.keys()))
 
     def of(self, label: str, now_s: float) -> BackingOff | None:
         """How it stands with one that is waiting."""
-        return self._view(label, now_s) if label in self._waiting else None
+        return _view(label, self._records[label], now_s) if label in self._waiting else None
 
-    def _view(self, label: str, now_s: float) -> BackingOff:
-        record = self._records[label]
-        return BackingOff(label, record.failures, max(0.0, record.until_s - now_s), record.cause)
+    def _note(self, label: str, record: _Record, *, waits: bool) -> None:
+        self._records = {**self._records, label: record}
+        if waits:
+            self._waiting |= {label}
+
+
+def _view(label: str, record: _Record, now_s: float) -> BackingOff:
+    return BackingOff(label, record.failures, max(0.0, record.until_s - now_s), record.cause)

@@ -84,6 +84,13 @@ class Withdraw:
     name: str
 
 
+@dataclass(frozen=True, slots=True)
+class Restore:
+    """Take back that targets, transformations or individuals of these names were removed."""
+
+    names: tuple[str, ...]
+
+
 @dataclass(frozen=True)
 class ReplaceWorld:
     """The environment file, or whatever else the world comes from, says something new."""
@@ -135,6 +142,7 @@ WorldChange: TypeAlias = (
     | RemoveIndividuals
     | Declare
     | Withdraw
+    | Restore
     | ReplaceWorld
 )
 Change: TypeAlias = WorldChange | KillUnit | LoseHost | RegainHost | ReviewNow | Stop

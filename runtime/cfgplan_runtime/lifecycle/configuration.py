@@ -24,7 +24,7 @@ class Running:
 
 @dataclass
 class Situation:
-    """The state that a manager's parts share; only its thread changes it."""
+    """The state that a manager's parts share. Only its thread changes it; `back_offs` and `lost_hosts` are for all."""
 
     back_offs: BackOffs
     units: dict[str, Running] = field(default_factory=dict)
@@ -33,7 +33,7 @@ class Situation:
     """Ids of units that are given up though they run."""
     killed: set[str] = field(default_factory=set)
     """Ids of units whose end was asked for."""
-    lost_hosts: set[str] = field(default_factory=set)
+    lost_hosts: frozenset[str] = frozenset()
 
     def label_of(self, unit: str) -> str | None:
         """The transformation of a unit that was started here."""

@@ -76,12 +76,13 @@ class Intake:
         """Set when the end is asked for."""
         self.stops: list[Outcome] = []
         """Who has asked for the end."""
-        self.starting: set[str] = set()
-        """Units of an update that may fail: that they die is a part of that failure."""
+        self.starting: frozenset[str] = frozenset()
+        """New units of the update under way. That they die is a part of its failure; what else dies can't wait."""
         self.match_s = 0.0
         """Wall time that matching has taken since this was last set to 0."""
         self.not_started: list[str] = []
         """The transformations of those that died."""
+        self._turning_away = threading.Lock()
         self._noticing = Noticing(self.situation, policy)
 
     def hear(self, event: Event) -> None:
@@ -90,27 +91,37 @@ class Intake:
         self.inbox.put(event, self._clock.now(), is_urgent=not is_sign)
         if isinstance(event, UnitDied | InputLost):
             self.interrupt.set()
+            if event.unit not in self.starting:
+                self._abandon()
         if not is_sign:
             self._tell(UnitEvent(event))
 
     def request(self, change: Change) -> Outcome:
         """Take note of a request."""
         request = Request(change, Future())
+        request.outcome.set_running_or_notify_cancel()  # who asks can't take it back
         self.inbox.put(request, self._clock.now())
-        if isinstance(change, Stop):
-            self.ending.set()
         self.interrupt.set()
+        if isinstance(change, Stop):
+            self.hurry()
         return request.outcome
 
+    def hurry(self) -> None:
+        """Let whatever is under way come to its end: nobody wants it any more."""
+        self.ending.set()
+        self.interrupt.set()
+        self._abandon()
+        self.inbox.bell.set()
+
     def turn_away(self, error: Exception) -> None:
-        """There is no manager any more: tell all who wait."""
-        for outcome in self.stops:
-            outcome.set_result(None)
-        self.stops = []
-        self.pending.give_up(error)
-        for arrival in self.inbox.take():
-            if isinstance(arrival.item, Request):
-                arrival.item.outcome.set_exception(error)
+        """There is no manager any more: tell all who wait. For any thread."""
+        with self._turning_away:
+            self._answer(self.stops)
+            self.stops = []
+            self.pending.give_up(error)
+            for arrival in self.inbox.take():
+                if isinstance(arrival.item, Request):
+                    arrival.item.outcome.set_exception(error)
 
     def take_in(self) -> None:
         """Make perturbations of everything that has come."""
@@ -168,7 +179,8 @@ class Intake:
     def _take_death(self, gone: UnitGone, at_s: float) -> None:
         situation, unit = self.situation, gone.unit
         if gone.how != "killed" and unit not in situation.failing:
-            self.blame(gone.transformation, at_s - situation.units[unit].since_s, gone.cause)
+            lived_s = at_s - situation.units[unit].since_s
+            self.blame(gone.transformation, lived_s, gone.cause, is_costly=unit in self.starting)
         situation.forget(unit)
         outcomes = self.pending.waiting_for(unit)
         if unit in self.starting:
@@ -176,6 +188,13 @@ class Intake:
             self.not_started.append(gone.transformation)
         else:
             self.perturb(gone, at_s, outcomes)
+
+    def _abandon(self) -> None:
+        """Don't let an update that waits for slow units hold up what is more urgent, where the middleware can."""
+        if self.starting:
+            abandon = getattr(self._middleware, "abandon", None)
+            if abandon is not None:
+                abandon()
 
     def _answer(self, outcomes: Iterable[Outcome]) -> None:
         """Tell those who asked that no review will follow."""

@@ -7,7 +7,6 @@ or processes of the middleware meanwhile, and what happens there is never lost: 
 from __future__ import annotations
 
 import threading
-from collections import deque
 from collections.abc import Callable, Mapping
 from math import inf
 from types import TracebackType
@@ -61,12 +60,12 @@ class Manager:
         self._reviewing = Reviewing(
             middleware, planner, self._estimator, self._clock, self._policy, self._intake, self._tell
         )
-        self._reviews: deque[Review] = deque(maxlen=self._policy.reviews_kept)
+        self._reviews: tuple[Review, ...] = ()
         self._phase = Phase.STABLE
         self._observations: Mapping[str, Observation] = {}
         self._cycle_began_s = inf
         self._observe_at_s = inf
-        self._is_closing = False
+        self._is_busy = self._is_closing = False
         self._thread: threading.Thread | None = None
         self._quiet = threading.Condition()
         self._intake.perturb(Started(), self._clock.now())
@@ -95,7 +94,7 @@ class Manager:
 
     def snapshot(self) -> Snapshot:
         """Everything there is to know now."""
-        running, world, reviews = self._middleware.environment, self.world, tuple(self._reviews)
+        running, world, reviews = self._middleware.environment, self.world, self._reviews
         now, situation = self._clock.now(), self._intake.situation
         return Snapshot(
             now,
@@ -113,6 +112,7 @@ class Manager:
             self._running_cost_us(running, world),
             saving_us(reviews),
             self._intake.faults,
+            self._intake.living.removed,
         )
 
     @property
@@ -123,7 +123,7 @@ class Manager:
     @property
     def is_settled(self) -> bool:
         """Whether nothing is to be reviewed."""
-        return self._phase is not Phase.REVIEW and self._intake.inbox.is_empty and self._intake.pending.is_empty
+        return self._intake.inbox.is_empty and not self._is_busy and self._intake.pending.is_empty
 
     def settle(self, timeout_s: float | None = None) -> bool:
         """Wait until nothing is to be reviewed; whether that is so."""
@@ -151,9 +151,7 @@ class Manager:
     def close(self) -> None:
         """End after the step that is under way; units are left to the middleware."""
         self._is_closing = True
-        self._intake.ending.set()
-        self._intake.interrupt.set()
-        self._intake.inbox.bell.set()
+        self._intake.hurry()
         if self._thread is not None:
             self._thread.join()
 
@@ -182,6 +180,7 @@ class Manager:
         intake = self._intake
         if intake.inbox.is_empty and not self._is_closing:
             self._wait(self._clock.now() + timeout_s)
+        self._is_busy = True
         self._take_in()
         now = self._clock.now()
         if self._is_closing or intake.stops:
@@ -192,6 +191,7 @@ class Manager:
             self._review()
         elif self._observe_at_s <= now:
             self._observe()
+        self._is_busy = False
         with self._quiet:
             self._quiet.notify_all()
 
@@ -224,7 +224,7 @@ class Manager:
             self._observe()
         review = self._reviewing.review(lambda: self._is_closing)
         if review is not None:
-            self._reviews.append(review)
+            self._reviews = (*self._reviews, review)[-self._policy.reviews_kept :]
             if self._reviewing.optimised:
                 self._cycle_began_s = self._clock.now()
         if self._observe_at_s == inf:

@@ -14,7 +14,9 @@ from cfgplan_runtime.supervision.events import (
     UnitDied,
     UnitFailed,
     UnitHung,
+    UnitReady,
     UnitStatus,
+    UnitStopped,
     UnitTooLarge,
 )
 
@@ -41,6 +43,8 @@ class Noticing:
     def perturbation(self, event: Event, at_s: float) -> UnitGone | UnitKeepsFailing | SubscriptionLost | None:
         """The perturbation that an event is, if it is one."""
         match event:
+            case UnitReady(unit) | UnitStopped(unit):
+                self._forget(unit)
             case UnitHung(unit):
                 self._ends[unit] = "hung"
             case UnitTooLarge(unit):
@@ -55,8 +59,8 @@ class Noticing:
                 return self._still_failing(unit, event, at_s)
         return None
 
-    def forget(self, unit: str) -> None:
-        """A unit is gone."""
+    def _forget(self, unit: str) -> None:
+        """A unit is gone, or another has its id."""
         self._ends.pop(unit, None)
         self._failing.pop(unit, None)
         self._last_error.pop(unit, None)
@@ -64,7 +68,7 @@ class Noticing:
     def _gone(self, unit: str, cause: str) -> UnitGone | None:
         label = self._situation.label_of(unit)
         how = "killed" if unit in self._situation.killed else self._ends.get(unit, "died")
-        self.forget(unit)
+        self._forget(unit)
         return None if label is None else UnitGone(unit, label, how, cause)  # type: ignore[arg-type]
 
     def _still_failing(self, unit: str, status: UnitStatus, at_s: float) -> UnitKeepsFailing | None:

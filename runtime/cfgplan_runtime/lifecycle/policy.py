@@ -15,7 +15,8 @@ class Policy:
     `observe_every_s`. What happens within `gather_s` of the first perturbation is part of the same review; a lost
     subscription waits up to `explain_s` for the death that explains it. A unit is given up if it had `failing_steps`
     errors over `failing_s` and no step without. `interruptions` is how often planning begins anew because of further
-    perturbations. A review that failed is repeated after `retry_s`, then twice that, up to `most_retry_s`.
+    perturbations; an update that waits for new units is given up for them, and begins again `postpone_s` later.
+    A review that failed is repeated after `retry_s`, then twice that, up to `most_retry_s`.
     """
 
     time_limit_s: float | None = 10.0
@@ -27,6 +28,7 @@ class Policy:
     failing_steps: int = 5
     failing_s: float = 3.0
     interruptions: int = 3
+    postpone_s: float = 0.5
     retry_s: float = 0.1
     most_retry_s: float = 30.0
     reviews_kept: int = 100

@@ -134,6 +134,8 @@ class Snapshot:
     saving_us: int = 0
     """What the last review would save, put off until the horizon."""
     faults: tuple[Fault, ...] = ()
+    removed: tuple[str, ...] = ()
+    """Labels and names that were removed on request."""
 
 
 @dataclass(frozen=True, slots=True)

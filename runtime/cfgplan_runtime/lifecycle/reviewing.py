@@ -68,7 +68,7 @@ class Reviewing:
         chosen = planner or self._warm
         assert chosen is not None
         self._deliberation = Deliberation(chosen, estimator, policy.time_limit_s)
-        self._acting = Acting(middleware, intake, clock)
+        self._acting = Acting(middleware, intake, clock, policy.postpone_s)
         self._number = 0
         self._failures = 0
         self._owes_optimising = False

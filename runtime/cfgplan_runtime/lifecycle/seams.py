@@ -15,7 +15,8 @@ from cfgplan_runtime.supervision.observation import Observation
 class Middleware(Protocol):
     """Whatever runs units: `cfgplan_runtime.Runtime`, a simulation, or a robot's own middleware.
 
-    All methods but `listen` may be called from the manager's thread only.
+    All methods but `listen` may be called from the manager's thread only. One that has a method `abandon()`, which
+    gives up the update under way and is called from any thread, lets no slow start hold up a repair.
     """
 
     @property

@@ -43,6 +43,10 @@ class SimulatedRuntime:
         """See `Supervisor.observe`."""
         return self.supervisor.observe()
 
+    def abandon(self) -> None:
+        """See `Supervisor.abandon`."""
+        self.supervisor.abandon()
+
     def kill(self, unit: str) -> None:
         """End a unit at once."""
         self.backend.kill(unit)

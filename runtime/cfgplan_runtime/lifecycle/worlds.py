@@ -26,6 +26,7 @@ from cfgplan_runtime.lifecycle.changes import (
     RemoveTargets,
     RemoveTransformations,
     ReplaceWorld,
+    Restore,
     Withdraw,
     WorldChange,
 )
@@ -57,15 +58,17 @@ class LivingWorld:
         changed.world  # noqa: B018  computes it, which finds its faults
         return changed
 
+    @property
+    def removed(self) -> tuple[str, ...]:
+        """What was removed and would otherwise be there, by label or name."""
+        _, said = self._said
+        gone = self.without_targets & said.target.keys() | self.without_transformations & said.transformation.keys()
+        return tuple(sorted(gone | self.without_individuals))
+
     @cached_property
     def world(self) -> World:
         """What holds now. Raises InputError."""
-        declared = self.declared.values()
-        come = [*self.individuals.values(), *(one for each in declared for one in each.individuals)]
-        ontology = with_individuals(self.base.ontology, come, self.without_individuals)
-        environment = self.base.environment
-        if declared or ontology is not self.base.ontology:
-            environment = self._rebuilt(ontology)
+        ontology, environment = self._said
         library = _changed(
             {t.label: t for t in environment.library}, self.transformations, self.without_transformations
         )
@@ -76,6 +79,16 @@ class LivingWorld:
         except InvalidValueError as error:
             raise InputError.of(str(error)) from None
         return World(environment, ontology, self.base.horizon_s, self.base.max_cost_us)
+
+    @cached_property
+    def _said(self) -> tuple[Ontology, Environment]:
+        """What the base and the declarations say together, whatever else was asked for. Raises InputError."""
+        declared = [one for each in self.declared.values() for one in each.individuals]
+        come = [*self.individuals.values(), *(one for one in declared if one.name not in self.without_individuals)]
+        ontology = with_individuals(self.base.ontology, come, self.without_individuals)
+        if self.declared or ontology is not self.base.ontology:
+            return ontology, self._rebuilt(ontology)
+        return ontology, self.base.environment
 
     @cached_property
     def _document(self) -> Document | None:
@@ -125,13 +138,26 @@ class LivingWorld:
                 return replace(self, individuals=come, without_individuals=self.without_individuals - set(come))
             case RemoveIndividuals(names):
                 _check_known("individual", names, self.world.ontology.individuals)
-                beyond = self.without_individuals | {n for n in names if n in self.base.ontology.individuals}
-                return replace(self, individuals=_without(self.individuals, names), without_individuals=beyond)
+                added = _without(self.individuals, names)
+                known = {
+                    *self.base.ontology.individuals,
+                    *(o.name for d in self.declared.values() for o in d.individuals),
+                }
+                beyond = self.without_individuals | known.intersection(names)
+                return replace(self, individuals=added, without_individuals=beyond)
             case Declare(name):
-                return replace(self, declared={**self.declared, name: change})
+                return self._declaring(name, change)
             case Withdraw(name):
                 _check_known("declaration", [name], self.declared)
                 return replace(self, declared=_without(self.declared, [name]))
+            case Restore(names):
+                _check_known("removed name", names, dict.fromkeys(self.removed))
+                return replace(
+                    self,
+                    without_targets=self.without_targets.difference(names),
+                    without_transformations=self.without_transformations.difference(names),
+                    without_individuals=self.without_individuals.difference(names),
+                )
             case ReplaceWorld(base):
                 old, new = self.base.environment, base.environment
                 told, told_of_library = _told(old.target, new.target), _told(old.transformation, new.transformation)
@@ -144,6 +170,20 @@ class LivingWorld:
                     without_transformations=self.without_transformations - told_of_library,
                     without_individuals=self.without_individuals.intersection(base.ontology.individuals),
                 )
+
+    def _declaring(self, name: str, change: Declare) -> LivingWorld:
+        """With a declaration, of which nothing stays away that was asked away before."""
+        back = self.without_individuals.difference(one.name for one in change.individuals)
+        after = replace(self, declared={**self.declared, name: change}, without_individuals=back)
+        if not (self.without_targets or self.without_transformations):
+            return after
+        (_, said), (_, besides) = after._said, replace(after, declared=_without(after.declared, [name]))._said
+        return replace(
+            after,
+            without_targets=self.without_targets - (said.target.keys() - besides.target.keys()),
+            without_transformations=self.without_transformations
+            - (said.transformation.keys() - besides.transformation.keys()),
+        )
 
 
 def _told(old: Mapping[str, object], new: Mapping[str, object]) -> set[str]:

@@ -34,6 +34,7 @@ class Control:
 
     def __init__(self, folder: Path) -> None:
         """Raises ControlError if nobody answers there."""
+        self.path = address(folder)
         self._end = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._number = 0
         self._is_subscribed = False
@@ -41,7 +42,7 @@ class Control:
         """Events that came while a reply was awaited."""
         try:
             self._end.settimeout(_GREETING_S)
-            self._end.connect(str(address(folder)))
+            self._end.connect(str(self.path))
             self._lines = self._end.makefile("rb")
             hello = self._next()
         except (OSError, msgspec.DecodeError):

@@ -57,6 +57,12 @@ class ControlServer:
         self._thread = threading.Thread(target=self._accept, name="cfgplan-control", daemon=True)
         self._thread.start()
 
+    @property
+    def has_subscribers(self) -> bool:
+        """Whether anybody would hear an event."""
+        with self._lock:
+            return any(client.is_subscribed for client in self._clients)
+
     def publish(self, event: Record) -> None:
         """Tell an event to all subscribers; returns at once."""
         with self._lock:

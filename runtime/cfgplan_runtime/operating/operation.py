@@ -88,9 +88,14 @@ class Operation:
         self._path = path
         self._is_closed_at_once = False
         self._kept_s = time.monotonic()
-        with ExitStack() as stack:
-            self._start(stack, settings.adjust(world))
-            self._stack = stack.pop_all()
+        try:
+            with ExitStack() as stack:
+                self._start(stack, settings.adjust(world))
+                self._stack = stack.pop_all()
+        except BaseException:
+            if self.recorder is not None:
+                self.recorder.recording.path.unlink(missing_ok=True)
+            raise
 
     @property
     def id(self) -> str:
@@ -192,7 +197,8 @@ class Operation:
             case Ended(cause):
                 self.failure = "" if self._is_closed_at_once else cause
                 self.begun.set()
-        self._server.publish(report_record(report))
+        if self._server.has_subscribers:
+            self._server.publish(report_record(report))
         self._show(report)
 
     def _show(self, news: News) -> None:

@@ -15,6 +15,7 @@ from typing import Any
 from cfgplan.domain import ChangeSet, ComputationUnit, Stream
 from cfgplan_runtime.lifecycle.reports import Report, Review, Reviewed, Snapshot, TargetView, UnitEvent, UnitView
 from cfgplan_runtime.operating.protocol import Record
+from cfgplan_runtime.operating.sentences import review_sentence
 
 
 def snapshot_record(snapshot: Snapshot, flows: Mapping[str, Record] | None = None) -> Record:
@@ -33,13 +34,18 @@ def snapshot_record(snapshot: Snapshot, flows: Mapping[str, Record] | None = Non
         "backing_off": [plain(backing_off) for backing_off in snapshot.backing_off],
         "lost_hosts": list(snapshot.lost_hosts),
         "declared": list(snapshot.declared),
+        "removed": list(snapshot.removed),
         "faults": [plain(fault) for fault in snapshot.faults],
     }
 
 
 def review_record(review: Review) -> Record:
-    """A review; of its change set the ids of units and the wiring of those that start or are rewired."""
+    """A review; of its change set the ids of units and the wiring of those that start or are rewired.
+
+    `says` is all of it in a sentence.
+    """
     record = {field.name: plain(getattr(review, field.name)) for field in fields(review)}
+    record["says"] = review_sentence(review)
     record["change_set"] = None if review.change_set is None else change_record(review.change_set)
     return record
 

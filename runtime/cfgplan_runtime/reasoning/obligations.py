@@ -116,18 +116,22 @@ class Store:
         """The disjunction."""
         return self._join(Kind.ANY, parts)
 
-    def renamed(self, obligation: Obligation, moment: Callable[[int, int], int]) -> Obligation:
-        """The same obligation with other moments, by operator and moment, in the same order."""
-        match obligation.kind:
-            case Kind.VALUE:
-                return self.values[obligation.value]
-            case Kind.PENDING:
-                if obligation.moment < 0:
-                    return self.pending(obligation.operator, -1, obligation.is_begun)
-                operator = obligation.operator
-                return self.pending(operator, moment(operator, obligation.moment), obligation.is_begun)
-            case _:
-                return self._node(obligation.kind, [self.renamed(part, moment) for part in obligation.parts])
+    def renamed(self, obligation: Obligation, name: Callable[[Obligation], Obligation]) -> Obligation:
+        """The same obligation with other pending ones in place of its own; those that become one are put once."""
+        if obligation.kind is Kind.VALUE:
+            return self.values[obligation.value]
+        if obligation.kind is Kind.PENDING:
+            return name(obligation)
+        parts = list(dict.fromkeys(self.renamed(part, name) for part in obligation.parts))
+        return parts[0] if len(parts) == 1 else self._node(obligation.kind, parts)
+
+    def replaced(self, obligation: Obligation, other: Callable[[Obligation], Obligation]) -> Obligation:
+        """An obligation with any others in place of its pending ones, simplified."""
+        if obligation.kind is Kind.VALUE:
+            return obligation
+        if obligation.kind is Kind.PENDING:
+            return other(obligation)
+        return self._join(obligation.kind, [self.replaced(part, other) for part in obligation.parts])
 
     def _join(self, kind: Kind, parts: Iterable[Obligation]) -> Obligation:
         dominant = self.values[FALSE if kind is Kind.ALL else TRUE]

@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING
 
 from cfgplan.domain import ChangeSet, Environment
 from cfgplan.errors import InvalidValueError
-from cfgplan_runtime.errors import ApplyError, NoSourceError, RuntimeFaultError, StaleChangeSetError
+from cfgplan_runtime.errors import (
+    AbandonedError,
+    ApplyError,
+    NoSourceError,
+    RuntimeFaultError,
+    StaleChangeSetError,
+)
 from cfgplan_runtime.supervision.events import Applied
 from cfgplan_runtime.supervision.wiring import (
     Wire,
@@ -75,7 +81,8 @@ class Applying:
             self._timed("rewire", self._rewire)
         except _StepFailedError as error:
             self._undo()
-            raise ApplyError(f"the update was undone: {error}", error.units) from None
+            kind = AbandonedError if error.is_abandoned else ApplyError
+            raise kind(f"the update was undone: {error}", error.units) from None
         late = self._unswitched()
         for wire in late:
             if wire.replaces is not None and wire.replaces.stream.unit not in self.change_set.stopped:
@@ -115,10 +122,13 @@ class Applying:
         for unit in self.change_set.started:
             supervisor.start(unit, self.after.transformation[unit.transformation])
         self._wait(
-            lambda: self._dead(started) is not None or supervisor.ready.issuperset(started), self.patience.start_s
+            lambda: self._dead(started) is not None or supervisor.ready.issuperset(started) or supervisor.is_abandoned,
+            self.patience.start_s,
         )
         self._fail_if_dead(started)
         slow = [unit for unit in started if unit not in supervisor.ready]
+        if slow and supervisor.is_abandoned:
+            raise _StepFailedError(f"it was given up while {', '.join(slow)} was starting", slow, is_abandoned=True)
         if slow:
             raise _StepFailedError(f"{', '.join(slow)} was not ready within {self.patience.start_s:g} s", slow)
 
@@ -126,6 +136,8 @@ class Applying:
         wiring, started = self.supervisor.wiring, [unit.id for unit in self.change_set.started]
         wanted = wanted_feeds(self.after)
         for inlet, stream in wanted.items():
+            if not inlet.is_outlet and inlet.unit not in self.supervisor.alive:
+                continue  # it has died meanwhile
             fed = wiring.feeds.get(inlet)
             if fed is None or fed.stream != stream:
                 self.wires.append(wiring.connect(stream, inlet, self.after))
@@ -143,6 +155,8 @@ class Applying:
         supervisor = self.supervisor
         for unit in units:
             supervisor.stop(unit)
+            if unit not in supervisor.ready:
+                supervisor.backend.kill(unit)  # it does not listen yet
         self._wait(lambda: supervisor.alive.isdisjoint(units), self.patience.stop_s)
         for unit in sorted(supervisor.alive.intersection(units)):
             supervisor.backend.kill(unit)
@@ -218,6 +232,7 @@ def _waits_for(wire: Wire, units: set[str]) -> bool:
 class _StepFailedError(Exception):
     """A step of an update that failed, to be undone."""
 
-    def __init__(self, message: str, units: list[str]) -> None:
+    def __init__(self, message: str, units: list[str], *, is_abandoned: bool = False) -> None:
         super().__init__(message)
         self.units = units
+        self.is_abandoned = is_abandoned

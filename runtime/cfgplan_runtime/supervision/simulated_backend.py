@@ -20,6 +20,7 @@ from cfgplan_runtime.supervision.events import (
 )
 
 _US_PER_S = 1_000_000
+_OF_A_UNIT = (UnitReady, UnitDied, UnitStopped, UnitStatus)
 
 
 @dataclass
@@ -91,7 +92,7 @@ class SimulatedBackend:
     units: dict[str, _Unit] = field(default_factory=dict)
     wires: dict[int, tuple[Stream, Inlet]] = field(default_factory=dict)
     _now: float = 0.0
-    _due: list[tuple[float, int, Event]] = field(default_factory=list)
+    _due: list[tuple[float, int, Event, _Unit | None]] = field(default_factory=list)
     _count: int = 0
     _inputs: dict[Inlet, _Input] = field(default_factory=dict)
 
@@ -102,7 +103,9 @@ class SimulatedBackend:
         end = None if timeout_s is None else self._now + timeout_s
         while self._due and (end is None or self._due[0][0] <= end):
             self._now = max(self._now, self._due[0][0])
-            event = heapq.heappop(self._due)[2]
+            _, _, event, unit = heapq.heappop(self._due)
+            if isinstance(event, _OF_A_UNIT) and self.units.get(event.unit) is not unit:
+                continue  # it was about one that has had its id before
             if self._happens(event):
                 return [event]
         if end is not None:
@@ -148,6 +151,8 @@ class SimulatedBackend:
 
     def connect(self, wire: int, stream: Stream, inlet: Inlet, *, queue: int, blocks: bool) -> None:  # noqa: ARG002
         self.calls.append(("connect", str(stream), str(inlet)))
+        if not inlet.is_outlet and inlet.unit not in self.units:
+            return
         self.wires[wire] = (stream, inlet)
         port = self._inputs.setdefault(inlet, _Input())
         if port.active is None:
@@ -165,7 +170,7 @@ class SimulatedBackend:
 
     def switch_now(self, inlet: Inlet) -> None:
         self.calls.append(("switch", str(inlet)))
-        port = self._inputs[inlet]
+        port = self._inputs.get(inlet, _Input())
         if port.standby is not None:
             self._later(0.0, WireSwitched(port.standby))
 
@@ -191,7 +196,8 @@ class SimulatedBackend:
 
     def _later(self, delay_s: float, event: Event) -> None:
         self._count += 1
-        heapq.heappush(self._due, (self._now + delay_s, self._count, event))
+        unit = self.units.get(event.unit) if isinstance(event, _OF_A_UNIT) else None
+        heapq.heappush(self._due, (self._now + delay_s, self._count, event, unit))
 
     def _happens(self, event: Event) -> bool:
         """Let a due event take effect; whether it still can."""
@@ -204,6 +210,8 @@ class SimulatedBackend:
                 del self.units[unit]
                 for wire in [wire for wire, (stream, _) in self.wires.items() if stream.unit == unit]:
                     self._end(wire)
+                for wire in [wire for wire, (_, inlet) in self.wires.items() if inlet.unit == unit]:
+                    self._inputs.pop(self.wires.pop(wire)[1], None)
             case UnitStatus(unit, steps) if unit in self.units:
                 steps += 10
                 errors = steps if self.units[unit].behaviour.failing else 0
@@ -222,6 +230,8 @@ class SimulatedBackend:
 
     def _end(self, wire: int) -> None:
         """A wire has no source any more: its inlet goes over to the standby, or has lost its input."""
+        if wire not in self.wires:
+            return
         inlet = self.wires[wire][1]
         port = self._inputs[inlet]
         if wire == port.standby:

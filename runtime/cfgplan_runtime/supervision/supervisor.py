@@ -52,7 +52,8 @@ class Supervisor:
         self.outlets: set[str] = set()
         self.cause_of_death: dict[str, str] = {}
         self.is_ending = False
-        """Set from any thread: an update that is under way is abandoned."""
+        """Set from any thread: nothing is waited for any more."""
+        self.is_abandoned = False
         self._report = report
         self._applied: dict[str, Applied] = {}
         self._records: dict[str, UnitRecord] = {}
@@ -71,7 +72,7 @@ class Supervisor:
         """Carry out a change set as a whole or not at all; the same `id` is carried out once.
 
         `basis` is the environment that it was planned for. Raises StaleChangeSetError if that, or what the
-        change set names, is not what runs; ApplyError if a step failed and all was undone.
+        change set names, is not what runs; ApplyError if a step failed, or `abandon` was called, and all was undone.
         """
         if id is not None and id in self._applied:
             return self._applied[id]
@@ -80,6 +81,7 @@ class Supervisor:
         self.cause_of_death.clear()
         applying = Applying(self, change_set, id or uuid.uuid4().hex[:12], patience or Patience())
         applying.check()
+        self.is_abandoned = False
         try:
             applied = applying.carry_out()
         except ApplyError as error:
@@ -108,6 +110,10 @@ class Supervisor:
             if usage is not None:
                 observations.append(self._records[unit].observe(unit, usage, self.backend.now()))
         return tuple(observations)
+
+    def abandon(self) -> None:
+        """Give up the update under way if it still waits for new units; for any thread."""
+        self.is_abandoned = True
 
     def cut(self, unit: str | None, port: str) -> None:
         """Take away what feeds an input, or a topic (`unit` is None), as if it had been lost. Raises KeyError."""
