@@ -9,7 +9,11 @@ from collections.abc import Callable
 from threading import Event
 
 from cfgplan.planners.cpsat.clock import Clock
+from cfgplan.planners.fleet.best_case import leave_out_what_is_too_bad
 from cfgplan.planners.fleet.candidates import Candidates
+from cfgplan.planners.fleet.flat import Flat
+from cfgplan.planners.fleet.flatness import is_flat
+from cfgplan.planners.fleet.standing import Standing
 from cfgplan.planning import Plan, Problem, Progress, Status
 from cfgplan.reasons import unmet_reasons
 
@@ -28,13 +32,25 @@ def plan(
     if reasons := unmet_reasons(problem):
         return Plan("cpsat", Status.INFEASIBLE, reasons=reasons, seconds=clock.end("closure"))
     candidates = Candidates(problem)
+    leave_out_what_is_too_bad(candidates)
     clock.end("closure")
     if clock.is_over():
         return Plan("cpsat", Status.UNKNOWN, seconds=clock.seconds)
-    from cfgplan.planners.fleet.search import Search  # the solver takes long to import
+    standing = Standing(problem, clock, report)
+    standing.counts = {"candidates": len(candidates.all), "conflicts": 0}
+    if is_flat(candidates):
+        from cfgplan.planners.fleet.flat_search import FlatSearch  # the solver takes long to import
 
-    search = Search(candidates, clock, report)
+        flat = FlatSearch(Flat(candidates), standing)
+        flat.run()
+        clock.end("flat")
+        standing.is_optimal = flat.is_done
+        if flat.is_done or standing.is_infeasible or not standing.is_cost_proven:
+            return standing.plan()
+    from cfgplan.planners.fleet.search import Search
+
+    search = Search(candidates, standing)
     clock.end("model")
     search.run()
     clock.end("search")
-    return search.plan()
+    return standing.plan()

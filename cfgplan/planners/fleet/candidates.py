@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 from cfgplan.costs import keep_cost_us, standby_cost_us, start_cost_us
@@ -58,6 +58,11 @@ class Candidates:
                 if self.problem.similarity.holds(port.tag, tag)
             )
         return self._streams[tag]
+
+    def leave_out(self, useless: Collection[tuple[str, Stream]]) -> None:
+        """Streams that no plan uses where a tag is demanded."""
+        for tag in {tag for tag, _ in useless}:
+            self._streams[tag] = tuple(stream for stream in self.streams(tag) if (tag, stream) not in useless)
 
     def feeders(self, tag: str) -> list[int]:
         """The candidates that have such a stream, each once."""

@@ -18,7 +18,7 @@ from cfgplan.planning import Problem, fresh_units
 def decode(model: Model, holds: Callable[[IntVar], bool]) -> list[ComputationUnit]:
     """The lean configuration of a solution; it costs no more than the solution says."""
     units = [unit for i, there in model.is_there.items() if holds(there) for unit in [_unit(model, i, holds)]]
-    return _named(model.candidates, lean(model.problem, units))
+    return named(model.candidates, lean(model.problem, units))
 
 
 def _unit(model: Model, index: int, holds: Callable[[IntVar], bool]) -> ComputationUnit:
@@ -91,7 +91,7 @@ def _needed(units: Iterable[ComputationUnit], roots: Iterable[ComputationUnit]) 
     return needed
 
 
-def _named(candidates: Candidates, units: list[ComputationUnit]) -> list[ComputationUnit]:
+def named(candidates: Candidates, units: list[ComputationUnit]) -> list[ComputationUnit]:
     """New units with the first free ids, in canonical order of what they are."""
     new: dict[str, list[ComputationUnit]] = defaultdict(list)
     for unit in sorted(units, key=lambda unit: candidates.index_of[unit.id]):

@@ -6,18 +6,40 @@ good values are asked for, the solver makes them as good as they are.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from math import gcd
+from typing import Protocol
 
-from ortools.sat.python.cp_model import IntVar, LinearExpr, LinearExprT
+from ortools.sat.python.cp_model import CpModel, IntVar, LinearExpr, LinearExprT
 
-from cfgplan.domain import Stream
-from cfgplan.planners.fleet.model import Model
+from cfgplan.domain import Environment, InputPort, Stream, Target
+from cfgplan.planners.fleet.candidates import Candidates
 from cfgplan.qualities import MICRO, Better, Over, QualityAttribute, Rule, Wish
 
 
-def targets_get_the_quality_they_ask_for(model: Model) -> None:
-    """Bounds are met; prices are added to the cost."""
+class Model(Protocol):
+    """What a constraint model must have to know quality."""
+
+    candidates: Candidates
+    environment: Environment
+    cp: CpModel
+    more_costs: list[LinearExprT]
+
+
+Values = dict[Stream, IntVar]
+Choices = Iterable[tuple[Stream, IntVar]]
+"""Streams of which one is taken, with the booleans that say which."""
+
+
+def targets_get_the_quality_they_ask_for(
+    model: Model,
+    published: Callable[[Target], Choices],
+    value_at: Callable[[QualityAttribute, int, InputPort, Values], IntVar],
+) -> None:
+    """Bounds are met; prices are added to the cost.
+
+    `published` says what a target may take, `value_at` gives a variable for the value at a candidate's input.
+    """
     for attribute in model.environment.qualities:
         asked = [
             (target, wish)
@@ -26,20 +48,24 @@ def targets_get_the_quality_they_ask_for(model: Model) -> None:
             if wish.attribute == attribute.name
         ]
         if asked:
-            values = _values(model, attribute)
+            values = _values(model, attribute, value_at)
             for target, wish in asked:
-                _grant(model, attribute, wish, model.publishes[target.topic], values)
+                _grant(model, attribute, wish, published(target), values)
 
 
-def _grant(
-    model: Model,
-    attribute: QualityAttribute,
-    wish: Wish,
-    publishes: dict[Stream, IntVar],
-    values: dict[Stream, IntVar],
-) -> None:
+def value_of_choice(model: Model, attribute: QualityAttribute, choices: Choices, values: Values) -> IntVar:
+    """A variable no better than the value of the stream taken."""
+    low, high = sorted((attribute.worst, attribute.best))
+    value = model.cp.new_int_var(low, high, "")
+    for stream, taken in choices:
+        is_low = attribute.better is Better.LOWER
+        model.cp.add(value >= values[stream] if is_low else value <= values[stream]).only_enforce_if(taken)
+    return value
+
+
+def _grant(model: Model, attribute: QualityAttribute, wish: Wish, choices: Choices, values: Values) -> None:
     missed_by = model.cp.new_int_var(0, abs(attribute.worst - attribute.best), "")
-    for stream, published in publishes.items():
+    for stream, published in choices:
         distance = _badness(attribute, values[stream])
         model.cp.add(missed_by >= distance).only_enforce_if(published)
     if wish.bound is not None:
@@ -54,21 +80,21 @@ def _grant(
         model.more_costs.append(price)
 
 
-def _values(model: Model, attribute: QualityAttribute) -> dict[Stream, IntVar]:
+def _values(
+    model: Model,
+    attribute: QualityAttribute,
+    value_at: Callable[[QualityAttribute, int, InputPort, Values], IntVar],
+) -> Values:
     """A variable for the value of each candidate's streams."""
     low, high = sorted((attribute.worst, attribute.best))
+    running = [(i, candidate) for i, candidate in enumerate(model.candidates.all) if candidate.may_run]
     values = {
-        Stream(model.candidates.all[i].id, port.name): model.cp.new_int_var(low, high, "")
-        for i in model.runs
-        for port in model.candidates.all[i].transformation.outputs
+        Stream(candidate.id, port.name): model.cp.new_int_var(low, high, "")
+        for _, candidate in running
+        for port in candidate.transformation.outputs
     }
-    for i in model.runs:
-        candidate = model.candidates.all[i]
-        inputs = [
-            _value_at(model, attribute, model.connects[i, port.name], values)
-            for port in candidate.transformation.inputs
-            if not port.feedback
-        ]
+    for i, candidate in running:
+        inputs = [value_at(attribute, i, port, values) for port in candidate.transformation.inputs if not port.feedback]
         for port in candidate.transformation.outputs:
             stated = {c.attribute: c for c in port.quality}.get(attribute.name)
             value = values[Stream(candidate.id, port.name)]
@@ -85,17 +111,6 @@ def _values(model: Model, attribute: QualityAttribute) -> dict[Stream, IntVar]:
             elif rule is not Rule.SET:
                 _no_better(model, attribute, value, theirs + (own if rule is Rule.ADD else 0))
     return values
-
-
-def _value_at(
-    model: Model, attribute: QualityAttribute, choices: dict[Stream, IntVar], values: dict[Stream, IntVar]
-) -> IntVar:
-    low, high = sorted((attribute.worst, attribute.best))
-    value = model.cp.new_int_var(low, high, "")
-    for stream, connected in choices.items():
-        is_low = attribute.better is Better.LOWER
-        model.cp.add(value >= values[stream] if is_low else value <= values[stream]).only_enforce_if(connected)
-    return value
 
 
 def _combined(model: Model, attribute: QualityAttribute, over: Over, inputs: Sequence[IntVar]) -> IntVar:
@@ -121,7 +136,7 @@ def _combined(model: Model, attribute: QualityAttribute, over: Over, inputs: Seq
 
 def _no_better(model: Model, attribute: QualityAttribute, value: IntVar, than: LinearExprT, by: int = 1) -> None:
     """`value` times `by` is not better than `than`, unless it is as bad as can be."""
-    is_worst = model.boolean()
+    is_worst = model.cp.new_bool_var("")
     model.cp.add(value == attribute.worst).only_enforce_if(is_worst)
     is_low = attribute.better is Better.LOWER
     model.cp.add(by * value >= than if is_low else by * value <= than).only_enforce_if(is_worst.negated())

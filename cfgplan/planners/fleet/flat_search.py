@@ -1,0 +1,240 @@
+"""The search over a flat fleet: landmarks, then rounds of solving and cutting what is not grounded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import ceil
+
+from ortools.sat.python.cp_model import INFEASIBLE, MODEL_INVALID, OPTIMAL, CpSolver, IntVar, LinearExpr
+
+from cfgplan.domain import ComputationUnit, InputPort, Publication, Stream, Subscription
+from cfgplan.planners.cpsat.bounds import Bound
+from cfgplan.planners.cpsat.engine import OnSolution, repeatable_solver, solve
+from cfgplan.planners.cpsat.greedy import first_plan
+from cfgplan.planners.cpsat.tightening import tightened
+from cfgplan.planners.fleet.best_case import least_price_us
+from cfgplan.planners.fleet.decode import lean, named
+from cfgplan.planners.fleet.flat import Fact, Flat, Met, Placed
+from cfgplan.planners.fleet.flat_model import FlatModel
+from cfgplan.planners.fleet.quality import Values, targets_get_the_quality_they_ask_for, value_of_choice
+from cfgplan.planners.fleet.standing import Standing
+from cfgplan.qualities import QualityAttribute
+
+SMALL = 1000
+"""With fewer booleans than this, probing and looking for symmetries take longer than they save."""
+SLICE_S = 20.0
+"""The engine's own seconds for the first round; each that was too short is followed by one of twice the length."""
+MOST_KEPT = 0.9
+"""If more than this share of the labels would stay, none is left out."""
+ATTEMPTS = 30
+"""How many members of the first plan are tried to be done without."""
+EXACT = 2**50
+"""Up to here the solver's bound, a double, is exact."""
+
+
+class FlatSearch:
+    """Finds the least cost and the fewest started units for it; `is_done` if that is proven."""
+
+    def __init__(self, flat: Flat, standing: Standing) -> None:
+        self.flat = flat
+        self.standing = standing
+        self.is_done = False
+        cost = flat.costs()
+        self.least_price_us = least_price_us(flat.candidates)
+        plan = first_plan(flat.graph, cost, ATTEMPTS, standing.clock.is_over)
+        most = int(cost.sum())
+        enough = most if plan is None else int(cost[sorted(plan)].sum())
+        self.bound = tightened(Bound(flat.graph.core, cost), enough, most, standing.clock)
+        standing.raise_bound(self.bound.value + self.least_price_us)
+        self.greedy = plan or set()
+        standing.counts |= {"landmarks": len(self.bound.landmarks), "rounds": 0, "cuts": 0}
+        self.model = FlatModel(flat, [one.members.tolist() for one in self.bound.landmarks])
+        if any(target.quality for target in flat.candidates.environment.targets):
+            self._ask_for_quality()
+        self.model.ground()
+        started = self.model.started()
+        weighed = (len(started) + 1) * (sum(flat.cost_us) + 1) < EXACT
+        self.scale = len(started) + 1 if weighed else 1
+        terms = [self.model.cost(), LinearExpr.sum(started)]
+        self.objective = LinearExpr.weighted_sum(terms, [self.scale, int(weighed)])
+        self.is_weighed = weighed
+
+    def run(self) -> None:
+        """Rounds of solving and cutting until the cost is proven or the time is over.
+
+        A round that takes long is stopped; what costs more than the best plan by then is left out of the next one.
+        """
+        self.model.cp.minimize(self.objective)
+        slice_s = SLICE_S
+        while not self.standing.clock.is_over():
+            solver = self._solver(slice_s)
+            self._hint()
+            self.standing.counts["rounds"] += 1
+            solver.best_bound_callback = self._learn
+            status = solve(solver, self.model.cp, OnSolution(self._look_at), self.standing.clock)
+            self.standing.counts["conflicts"] += solver.num_conflicts
+            if status in (MODEL_INVALID, INFEASIBLE):
+                self.standing.is_infeasible = status == INFEASIBLE and self.standing.best is None
+                return
+            self._learn(solver.best_objective_bound)
+            if status == OPTIMAL:
+                if self._is_proven_by(solver):
+                    return
+                self._cut(solver.boolean_value)
+            else:
+                slice_s *= 2
+                self._leave_out_what_costs_more()
+
+    def _is_proven_by(self, solver: CpSolver) -> bool:
+        """Whether the optimum of a round is a plan."""
+        units = self._decoded(solver.boolean_value)
+        if units is None:
+            return False
+        key = self.standing.offer(units)
+        if self.scale * key[1] + (key[3] if self.is_weighed else 0) > round(solver.objective_value):
+            return False
+        self.standing.prove_cost()
+        assert self.standing.best is not None
+        best = self.standing.best[0]
+        self.is_done = self.is_weighed and best[2] == 0 and best[3] == key[3]
+        return True
+
+    def _leave_out_what_costs_more(self) -> None:
+        """Fix what can't be in a plan as cheap as the best one, and look for landmarks among the rest."""
+        if self.standing.best is None:
+            return
+        limit = self.standing.best[0][1] - self.least_price_us
+        keep = self.bound.may_be_used(limit)
+        if keep.sum() > MOST_KEPT * len(keep):
+            return
+        labels = self.bound.core.labels
+        for label in labels[~keep].tolist():
+            self.model.cp.add_bool_or([self.model.uses[label].negated()])
+        known = len(self.bound.landmarks)
+        self.bound = tightened(self.bound.restricted(keep), limit, limit, self.standing.clock)
+        for one in self.bound.landmarks:
+            self.model.cp.add_bool_or([self.model.uses[i] for i in self.bound.core.labels[one.members].tolist()])
+        self.standing.raise_bound(self.bound.value + self.least_price_us)
+        self.standing.counts["landmarks"] += max(0, len(self.bound.landmarks) - known)
+        self.standing.counts["left by bounds"] = len(self.bound.core.labels)
+
+    def _ask_for_quality(self) -> None:
+        model, flat = self.model, self.flat
+        value_of: dict[Fact, IntVar] = {}
+        for fact in flat.facts:
+            if isinstance(fact, Met):
+                model.feeds[fact] = {
+                    (label, stream): model.cp.new_bool_var("")
+                    for label, streams in flat.givers[fact].items()
+                    if fact not in flat.needs[label]
+                    for stream in streams
+                }
+
+        def value_of_fact(attribute: QualityAttribute, fact: Met, values: Values) -> IntVar:
+            if fact not in value_of:
+                value_of[fact] = value_of_choice(model, attribute, self._streams(fact), values)
+            return value_of[fact]
+
+        def value_at(attribute: QualityAttribute, unit: int, port: InputPort, values: Values) -> IntVar:
+            hosts = flat.candidates.all[unit].hosts
+            if len(hosts) == 1:
+                return value_of_fact(attribute, Met(port.tag, hosts[0]), values)
+            low, high = sorted((attribute.worst, attribute.best))
+            value = model.cp.new_int_var(low, high, "")
+            for host in hosts:
+                there = value_of_fact(attribute, Met(port.tag, host), values)
+                no_better = value >= there if attribute.worst > attribute.best else value <= there
+                model.cp.add(no_better).only_enforce_if(model.uses[flat.number[Placed(unit, host)]])
+            return value
+
+        targets_get_the_quality_they_ask_for(
+            model, lambda target: self._streams(Met(target.tag, target.host)), value_at
+        )
+
+    def _streams(self, fact: Met) -> list[tuple[Stream, IntVar]]:
+        return [(stream, feeds) for (_, stream), feeds in self.model.feeds[fact].items()]
+
+    def _decoded(self, holds: Callable[[IntVar], bool]) -> list[ComputationUnit] | None:
+        """The units of a solution; None if what is wanted or asked for is not grounded."""
+        rank = self.model.support.grounded(self._true(holds))
+        candidates = self.flat.candidates
+        wanted = [*self.flat.wanted]
+        for i, runs in self.model.runs.items():
+            if candidates.all[i].transformation.min_instances and any(holds(run) for run in runs):
+                wanted += self.flat.needs[next(n for n in self._places(i) if holds(self.model.uses[n]))]
+        if any(self.model.holds[fact].index not in rank for fact in wanted):
+            return None
+        topics: dict[str, list[Publication]] = {}
+        for target in candidates.environment.targets:
+            stream = self._stream(Met(target.tag, target.host), holds, rank)
+            topics.setdefault(stream.unit, []).append(Publication(stream.port, target.topic))
+        units = []
+        for i in self.model.runs:
+            place = next((n for n in self._places(i) if self.model.uses[n].index in rank), None)
+            if place is None:
+                continue
+            candidate, host = candidates.all[i], self.flat.labels[place].host
+            subscriptions = tuple(
+                Subscription(port.name, self._stream(Met(port.tag, host), holds, rank))
+                for port in candidate.transformation.inputs
+            )
+            published = tuple(topics.get(candidate.id, ()))
+            units.append(ComputationUnit(candidate.id, candidate.transformation.label, subscriptions, published, host))
+        return named(candidates, lean(candidates.problem, units))
+
+    def _places(self, unit: int) -> list[int]:
+        return [self.flat.number[Placed(unit, host)] for host in self.flat.candidates.all[unit].hosts]
+
+    def _stream(self, fact: Met, holds: Callable[[IntVar], bool], rank: dict[int, int]) -> Stream:
+        """The stream by which a grounded fact is met: the one chosen, or else the first to be there."""
+        if fact in self.model.feeds:
+            return next(stream for stream, feeds in self._streams(fact) if holds(feeds))
+        givers = self.flat.givers[fact]
+        label = min(
+            (label for label in givers if self.model.uses[label].index in rank),
+            key=lambda label: rank[self.model.uses[label].index],
+        )
+        return givers[label][0]
+
+    def _true(self, holds: Callable[[IntVar], bool]) -> set[int]:
+        model = self.model
+        literals = [*model.uses, *model.holds.values()]
+        literals += [feeds for choices in model.feeds.values() for feeds in choices.values()]
+        return {literal.index for literal in literals if holds(literal)}
+
+    def _look_at(self, holds: Callable[[IntVar], bool]) -> None:
+        units = self._decoded(holds)
+        if units is not None:
+            self.standing.offer(units)
+
+    def _cut(self, holds: Callable[[IntVar], bool]) -> None:
+        """Forbid a solution that is not grounded, and all others that fail for the same reason."""
+        true, cp = self._true(holds), self.model.cp
+        unfounded, ways_in = self.model.support.cut(true, self.model.support.grounded(true))
+        assert unfounded, "a solution without a plan has something that is not grounded"
+        ways = [cp.get_bool_var_from_proto_index(way) for way in ways_in]
+        for proposition in unfounded:
+            cp.add_bool_or([cp.get_bool_var_from_proto_index(proposition).negated(), *ways])
+        self.standing.counts["cuts"] += len(unfounded)
+
+    def _learn(self, bound: float) -> None:
+        self.standing.raise_bound(ceil(bound - 0.5) // self.scale)
+
+    def _solver(self, slice_s: float) -> CpSolver:
+        """An engine for one round, of a length that does not depend on the machine."""
+        small = len(self.model.cp.proto.variables) < SMALL
+        solver = repeatable_solver(small=small, time_limit_s=self.standing.clock.left_s())
+        solver.parameters.max_deterministic_time = slice_s
+        return solver
+
+    def _hint(self) -> None:
+        """Start from the best plan's units and hosts."""
+        self.model.cp.clear_hints()  # type: ignore[no-untyped-call]
+        if self.standing.best is not None:
+            there = {(unit.id, unit.host) for unit in self.standing.best[1]}
+            for i, candidate in enumerate(self.flat.candidates.all):
+                for host, run in zip(candidate.hosts, self.model.runs[i], strict=True):
+                    self.model.cp.add_hint(run, (candidate.id, host) in there)
+        else:
+            for label, uses in enumerate(self.model.uses):
+                self.model.cp.add_hint(uses, label in self.greedy)
