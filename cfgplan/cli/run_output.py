@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import queue
+import re
 import sys
 from collections.abc import Iterator
 from types import TracebackType
@@ -14,6 +15,9 @@ from cfgplan.cli.screen import FORMAT_VERSION, Screen, counted
 
 if TYPE_CHECKING:
     from cfgplan_runtime.operating.operation import News, Operation
+
+_ESCAPE = re.compile(r"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)|.)")
+"""A terminal's control sequence."""
 
 
 class Output(Protocol):
@@ -56,6 +60,11 @@ def fetched(operation: Operation, wait_s: float) -> Iterator[News]:
         return
 
 
+def printable(text: str) -> str:
+    """A text that does nothing to the terminal but to be shown."""
+    return "".join(c if c.isprintable() else " " for c in _ESCAPE.sub("", text).expandtabs())
+
+
 def running_text(operation: Operation) -> str:
     """What runs, and how to steer it."""
     count = counted(len(operation.runtime.environment.units), "unit")
@@ -69,6 +78,7 @@ class Lines:
     def __init__(self, screen: Screen, operation: Operation) -> None:
         self._screen = screen
         self._operation = operation
+        self._told: set[str] = set()
 
     def __enter__(self) -> Lines:
         self._say(running_text(self._operation))
@@ -80,12 +90,18 @@ class Lines:
         pass
 
     def update(self, wait_s: float) -> None:
-        from cfgplan_runtime.operating.sentences import sentence
+        from cfgplan_runtime.operating.sentences import details, sentence
 
         for news in fetched(self._operation, wait_s):
             said = news if isinstance(news, str) else sentence(news)
             if said is not None:
-                self._say(said)
+                self._say(printable(said))
+            where = None if isinstance(news, str) else details(news)
+            if where is not None and where not in self._told:
+                # What fails at each step says where only once.
+                self._told.add(where)
+                for line in where.splitlines():
+                    self._say(printable(line))
 
     def note(self, text: str) -> None:
         self._screen.note(text)

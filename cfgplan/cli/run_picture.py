@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,6 +16,7 @@ from rich.rule import Rule
 from rich.table import Table
 from rich.text import Text
 
+from cfgplan.cli.run_output import printable
 from cfgplan.cli.screen import counted
 from cfgplan.cli.update_text import with_the_stream
 from cfgplan.domain import ComputationUnit
@@ -25,17 +25,10 @@ T = TypeVar("T")
 
 _STYLES = {WARNING: "yellow", ERROR: "red"}
 _DECISIONS = {Decision.FAILED: "red", Decision.UNDECIDED: "red", Decision.KEPT: "dim", Decision.DEFERRED: "dim"}
-_ESCAPE = re.compile(r"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)|.)")
-"""A terminal's control sequence."""
 _FEWEST_LOG_LINES = 4
 _MOST_REVIEWS = 4
 _OLD_S = 2.0
 """A stream that is silent for longer is shown as that."""
-
-
-def printable(text: str) -> str:
-    """A text that does nothing to the terminal but to be shown."""
-    return "".join(c if c.isprintable() else " " for c in _ESCAPE.sub("", text).expandtabs())
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +115,7 @@ class Picture:
         return _with_rest(table, len(ordered), room, "target")
 
     def _target(self, target: TargetView) -> Iterator[RenderableType]:
-        flow = self.flows.get(target.topic, Flow())
+        flow = self.flows.get(target.topic, Flow()) if target.is_met else Flow()
         yield Text(target.label, style="green" if target.is_met else "red")
         yield Text(target.topic)
         yield Text(f"{flow.rate_hz:.1f} Hz" if flow.elements else "", style="" if flow.rate_hz else "yellow")

@@ -63,6 +63,7 @@ def test_the_rest_is_started_where_one_unit_cannot() -> None:
     life = started(source(), worker(), targets=(Target("n", "N", "/n"), Target("y", "Y", "/y")), behaviours=DYING)
     assert life.met == {"n"}
     assert life.reviews[-1].avoided == ("work",)
+    assert life.reviews[-1].unmet["y"].endswith(" (left out for now: work)")
 
 
 def test_a_unit_that_is_never_ready_is_to_blame() -> None:

@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 from cfgplan_runtime import Manager, Policy
-from cfgplan_runtime.errors import ApplyError, StaleChangeSetError
+from cfgplan_runtime.errors import ApplyError, RuntimeFaultError, StaleChangeSetError
 from cfgplan_runtime.lifecycle.changes import AddTargets, KillUnit
-from cfgplan_runtime.lifecycle.reports import Decision
+from cfgplan_runtime.lifecycle.reports import Decision, Ended, Report
 from living import RESULT, source, worker
 
 from cfgplan import api
@@ -154,6 +154,22 @@ def test_a_middleware_with_a_fault_of_its_own_does_not_end_the_life_cycle() -> N
     first, last = manager.snapshot().reviews
     assert (first.decision, first.cause) == (Decision.FAILED, "ZeroDivisionError: a bug of the middleware")
     assert last.decision is Decision.APPLIED
+
+
+def test_without_its_middleware_a_manager_ends_and_tells_who_waits() -> None:
+    middleware = nodelets(FakeRobot())
+    reports: list[Report] = []
+    with Manager(WORLD, middleware, report=reports.append) as manager:
+        assert manager.settle(60)
+
+        def closed(*_: Any, **__: Any) -> Any:
+            raise RuntimeFaultError("the runtime is closed")
+
+        middleware.apply = closed
+        with pytest.raises(RuntimeFaultError, match="the manager has ended"):
+            manager.request(AddTargets((Target("numbers", "N", "/numbers"),))).result(60)
+        assert manager.wait(60)
+    assert reports[-1] == Ended("the runtime is closed")
 
 
 def test_the_few_lines_of_the_readme_run(

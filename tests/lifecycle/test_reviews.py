@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 from cfgplan_runtime import Policy, SimulatedRuntime
+from cfgplan_runtime.lifecycle.back_off import BackOffRules, BackOffs
 from cfgplan_runtime.lifecycle.changes import (
     AddTargets,
     AddTransformations,
@@ -18,6 +19,8 @@ from cfgplan_runtime.lifecycle.changes import (
     ReplaceWorld,
     ReviewNow,
 )
+from cfgplan_runtime.lifecycle.configuration import Running, Situation
+from cfgplan_runtime.lifecycle.noticing import Noticing
 from cfgplan_runtime.lifecycle.perturbations import (
     HorizonReached,
     SubscriptionLost,
@@ -26,6 +29,7 @@ from cfgplan_runtime.lifecycle.perturbations import (
     WorldChanged,
 )
 from cfgplan_runtime.lifecycle.reports import PHASES, Decision
+from cfgplan_runtime.supervision.events import UnitStatus, UnitStopped
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
 from living import HORIZON_S, RESULT, Life, source, started, worker
 
@@ -86,15 +90,12 @@ def test_a_unit_that_keeps_failing_is_given_up() -> None:
 
 
 def test_a_unit_is_not_judged_by_what_another_of_its_id_has_done() -> None:
-    life = started(source(), worker(), DEAR)
-    life.pass_time(10)
-    life.ask(RemoveTargets(("result",)))
-    life.runtime.backend.behaviours["work"] = Behaviour(failing=True)
-    life.ask(AddTargets((RESULT,)))
-    life.pass_time(3)
-    assert life.perturbations(UnitKeepsFailing) == []
-    life.pass_time(3)
-    assert life.perturbations(UnitKeepsFailing)[0].unit == "work.1"
+    situation = Situation(BackOffs(BackOffRules()), {"work.1": Running(worker(), 0.0)})
+    noticing = Noticing(situation, Policy())
+    assert noticing.perturbation(UnitStatus("work.1", 100, 0, {}, {}), 1.0) is None
+    noticing.perturbation(UnitStopped("work.1"), 2.0)
+    assert noticing.perturbation(UnitStatus("work.1", 10, 10, {}, {}), 9.0) is None
+    assert noticing.perturbation(UnitStatus("work.1", 20, 20, {}, {}), 12.0) is not None
 
 
 def test_a_lost_subscription_is_made_anew() -> None:
@@ -260,6 +261,18 @@ def test_a_perturbation_during_planning_is_part_of_the_same_review() -> None:
     review = life.reviewed(AddTargets((Target("other", "N", "/other"),)))
     assert [type(p) for p in review.perturbations] == [WorldChanged, UnitGone]
     assert (planner.plans, life.met) == (2, {"result", "other"})
+
+
+def test_a_bad_request_during_planning_does_not_cost_the_plan() -> None:
+    planner = Meddling()
+    life = started(planner=planner)
+
+    def ask() -> None:
+        life.manager.request(RemoveTargets(("nothing",)))
+
+    planner.deed, planner.plans = ask, 0
+    assert life.reviewed(AddTargets((Target("other", "N", "/other"),))).met == ("other", "result")
+    assert planner.plans == 2  # the first may have been stopped for it
 
 
 def test_what_happens_during_every_plan_does_not_keep_a_review_from_its_end() -> None:

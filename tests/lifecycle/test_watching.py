@@ -113,3 +113,11 @@ def test_a_change_without_a_notice_is_found_by_looking(watched: Watched) -> None
     (linked / "env.yaml").write_text(MAIN + "horizon: 10\n")  # in a folder that nobody watches
     os.utime(linked / "env.yaml")
     eventually(lambda: watched.worlds[-1].horizon_s == 10)
+
+
+def test_a_folder_that_vanishes_is_no_end(watched: Watched) -> None:
+    (watched.folder / "more" / "a.yaml").unlink()
+    (watched.folder / "more").rmdir()
+    eventually(lambda: len(watched.faults) > 0)
+    watched.write("env.yaml", MAIN.replace("include: [more]\n", "horizon: 11\n"))
+    eventually(lambda: watched.worlds[-1].horizon_s == 11)

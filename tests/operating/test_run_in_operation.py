@@ -263,6 +263,25 @@ def test_metrics_are_served_while_it_runs(env: Path) -> None:
     assert b'cfgplan_reviews_total{decision="applied"} 1.0' in page
 
 
+def test_what_fails_at_each_step_says_where_only_once(env: Path) -> None:
+    code = "        return {"
+    assert code in UNITS
+    (env.parent / "units.py").write_text(
+        UNITS.replace(code, "        if int(image[0, 0]) % 2: raise ValueError('blind')\n" + code)
+    )
+    process = subprocess.Popen(command("run", env, "--no-estimates"), stdout=subprocess.PIPE, text=True)
+    lines: list[str] = []
+    with process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            lines.append(line)
+            if sum("ValueError: blind" in line for line in lines) == 3:
+                process.send_signal(signal.SIGINT)
+    text = "".join(lines)
+    assert text.count("if int(image[0, 0]) % 2: raise ValueError('blind')") == 1
+    assert "unit_code.py" not in text
+
+
 def test_lines_are_printed_where_no_terminal_is(env: Path) -> None:
     arguments = command("run", env, "--for", "200ms", "--no-estimates")
     done = subprocess.run(arguments, capture_output=True, text=True, timeout=PATIENCE_S, check=True)

@@ -31,7 +31,7 @@ def tightened(bound: Bound, enough: int, limit: int, clock: Clock) -> Bound:
             bound = bound.restricted(keep)
         step_s = CHUNK * ROUNDS * STEP_S * len(bound.core.needs.items)
         bound.improve(enough, CHUNK, clock.is_over)
-        if not _pays(bound, before, enough, step_s):
+        if bound.value < enough and not _pays(bound, before, enough, step_s):
             bound.recharge_best(clock.left_s())
             bound.improve(enough, CHUNK, clock.is_over)
             charge_s = CHARGE_S * sum(len(landmark.members) for landmark in bound.landmarks)

@@ -91,7 +91,9 @@ class Deliberation:
 
     def _judge(self, thought: Thought, found: BestEffort, similarity: Similarity, *, optimises: bool) -> None:
         plan = found.plan
-        thought.unmet = plan.reasons
+        # The planner does not know of what is left out, which may be all that is missing.
+        left_out = f" (left out for now: {', '.join(sorted(thought.avoided))})" if thought.avoided else ""
+        thought.unmet = {label: f"{reason}{left_out}" for label, reason in plan.reasons.items()}
         if plan.change_set is None:
             thought.cause = (
                 "no plan was found in time" if plan.status is Status.UNKNOWN else f"the plan is {plan.status}"

@@ -161,10 +161,10 @@ class Intake:
             self._tell(WorldRefused(by, faults))
 
     def _take_event(self, event: Event, at_s: float) -> None:
-        if isinstance(event, UnitStopped):
-            self._answer(self.pending.waiting_for(event.unit))
         perturbation = self._noticing.perturbation(event, at_s)
         if perturbation is None:
+            if isinstance(event, UnitStopped | UnitDied):
+                self._answer(self.pending.waiting_for(event.unit))
             return
         if isinstance(perturbation, UnitGone):
             self._take_death(perturbation, at_s)

@@ -96,9 +96,13 @@ class Reviewing:
             if is_closing() or intake.stops:
                 intake.pending.put_back(entries)
                 return None
-            if is_last or not intake.pending.entries:
+            if is_last or not (intake.pending.entries or intake.interrupt.is_set()):
                 break
-        failed = self._act(thought)
+        try:
+            failed = self._act(thought)
+        except BaseException:
+            intake.pending.put_back(entries)
+            raise
         review = self._record(at_s, time_s, entries, thought, failed)
         review = replace(review, seconds={"detect": detect_s, "match": intake.match_s, **thought.seconds})
         intake.match_s = 0.0

@@ -65,27 +65,37 @@ class Watching:
         self._thread.join()
 
     def _work(self) -> None:
-        from watchfiles import watch
-
         self._read()
         while not self._stop.is_set():
-            folders = _folders(self._paths)
-            for _ in watch(
-                *folders,
-                watch_filter=None,
-                step=20,
-                rust_timeout=LOOK_MS,
-                yield_on_timeout=True,
-                recursive=False,
-                raise_interrupt=False,
-                ignore_permission_denied=True,
-                stop_event=self._stop,
-            ):
-                if self._stamps != _stamps(self._paths):
-                    self._await_quiet()
-                    self._read()
-                    if _folders(self._paths) != folders:
-                        break
+            try:
+                self._watch(_folders(self._paths))
+            except (OSError, RuntimeError):  # a folder has vanished, or the system watches no more of them
+                self._stop.wait(LOOK_MS / 1000)
+                self._look()
+
+    def _watch(self, folders: list[Path]) -> None:
+        """Look whenever something changes in these folders, and from time to time, as long as they are the ones."""
+        from watchfiles import watch
+
+        for _ in watch(
+            *folders,
+            watch_filter=None,
+            step=20,
+            rust_timeout=LOOK_MS,
+            yield_on_timeout=True,
+            recursive=False,
+            raise_interrupt=False,
+            ignore_permission_denied=True,
+            stop_event=self._stop,
+        ):
+            self._look()
+            if _folders(self._paths) != folders:
+                return
+
+    def _look(self) -> None:
+        if self._stamps != _stamps(self._paths):
+            self._await_quiet()
+            self._read()
 
     def _await_quiet(self) -> None:
         before, now = None, _stamps(self._paths)
@@ -123,8 +133,14 @@ def _files_of(document: Document) -> set[Path]:
         names = data.get("include") if isinstance(data, dict) else None
         if isinstance(names, list):
             found |= {main.parent / name for name in names if isinstance(name, str)}
-    folders = [path for path in found if path.is_dir()]
-    return found | {path for folder in folders for path in folder.iterdir() if path.is_file()}
+    return found.union(*map(_files_in, found))
+
+
+def _files_in(path: Path) -> set[Path]:
+    try:
+        return {member for member in path.iterdir() if member.is_file()}
+    except OSError:  # a file, or gone
+        return set()
 
 
 def _folders(paths: Iterable[Path]) -> list[Path]:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
+from pathlib import Path
 
+from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.lifecycle import perturbations as kinds
 from cfgplan_runtime.lifecycle.reports import (
     BackedOff,
@@ -20,6 +23,10 @@ from cfgplan_runtime.supervision import events
 
 INFORMATION, WARNING, ERROR = 2, 3, 4
 _MOST_NAMED = 4
+_TRACEBACK = "Traceback (most recent call last)"
+_FRAME = re.compile(r'^  File "[^\n]*\n(?:    [^\n]*\n)*', re.MULTILINE)
+_OUR_ERRORS = f"{RuntimeFaultError.__module__}."
+_OUR_CODE = str(Path(__file__).parents[1])
 _LONGEST_CAUSE = 300
 
 
@@ -36,14 +43,25 @@ def sentence(report: Report) -> str | None:
             label, cause = backing_off.transformation, short(backing_off.cause)
             if backing_off.left_s == float("inf"):
                 return f"{label} is not started until it changes: {cause}"
+            # The cause was told when it happened.
             times = _times(backing_off.failures)
-            return f"{label} has failed {times} and is not started for {backing_off.left_s:.0f} s: {cause}"
+            return f"{label} has failed {times} and is not started for {backing_off.left_s:.0f} s"
         case WorldRefused(_, faults) if faults:
             return f"the environment file can't be used, what it said before holds: {faults[0]}"
         case WorldRefused():
             return "the environment file is well again"
         case Ended(cause) if cause:
             return f"the manager has ended: {cause}"
+    return None
+
+
+def details(report: Report) -> str | None:
+    """Where unit code has raised what it did, in the user's own files; None if there is no more than the sentence."""
+    match report:
+        case UnitEvent(events.UnitFailed(text=text) | events.UnitDied(cause=text)) if _TRACEBACK in text:
+            frames = _FRAME.findall(text)
+            own = [frame for frame in frames if _OUR_CODE not in frame.partition("\n")[0]]
+            return "".join(own).rstrip("\n") or None
     return None
 
 
@@ -68,8 +86,8 @@ def review_sentence(review: Review) -> str:
     parts = [f"Review {review.number}: {decision(review)}"]
     if review.unmet:
         parts += [f"{label} is not met: {reason}" for label, reason in sorted(review.unmet.items())]
-    if review.avoided:
-        parts.append(f"without {named(review.avoided)}")
+    elif review.avoided:
+        parts.append(f"without {named(review.avoided)}, which failed or whose host is gone")
     took = {phase: seconds for phase, seconds in review.seconds.items() if seconds >= 0.0005}
     if took:
         total = sum(took.values())
@@ -120,7 +138,7 @@ def _cause(perturbation: kinds.Perturbation) -> str:
         case kinds.UnitKeepsFailing(unit):
             return f"{unit} keeps failing"
         case kinds.SubscriptionLost(unit, port):
-            return f"{unit or 'a topic'} lost {port}"
+            return f"{unit} lost {port}" if unit else f"topic {port} lost its source"
         case kinds.WorldChanged(by):
             return f"{'request' if by == 'request' else 'the file'} changed the world"
         case kinds.HostGone(host):
@@ -190,21 +208,21 @@ def _event(event: events.Event) -> str | None:
             return f"{unit} died: {short(cause)}"
         case events.UnitFailed(unit, kind, step, text, suppressed):
             more = f" (and {_times(suppressed)} more)" if suppressed else ""
-            return f"{unit} failed in step {step} ({kind}): {text.strip()}{more}"
+            return f"{unit} failed in step {step} ({kind}): {short(text)}{more}"
         case events.UnitHung(unit, silent_s):
             return f"{unit} gave no sign of life for {silent_s:.1f} s and is killed"
         case events.UnitTooLarge(unit, memory_bytes):
             return f"{unit} takes {memory_bytes >> 20} MB and is killed"
         case events.UnitPrinted(unit, line):
             return f"{unit} | {line}"
+        case events.InputLost(None, topic, _):
+            return f"topic {topic} lost its source"
         case events.InputLost(unit, port, _):
-            return f"{unit or 'a topic'} lost its input {port}"
+            return f"{unit} lost its input {port}"
         case events.SourceExhausted(unit):
             return f"{unit} has no more to give"
         case events.OutletsLost(cause):
             return f"the topics' addresses were lost and are made anew: {cause}"
-        case events.RolledBack(_, cause):
-            return short(cause)
     return None
 
 
@@ -214,8 +232,8 @@ def _times(number: int) -> str:
 
 def short(text: str) -> str:
     """A cause on one line; of a traceback only what was raised."""
-    before, mark, trace = text.partition("Traceback (most recent call last)")
+    before, mark, trace = text.partition(_TRACEBACK)
     if mark:
         text = before + trace.strip().splitlines()[-1]
-    text = " ".join(text.split())
+    text = " ".join(text.replace(_OUR_ERRORS, "").split())
     return text if len(text) <= _LONGEST_CAUSE else f"{text[: _LONGEST_CAUSE - 3]}..."
