@@ -121,3 +121,23 @@ def placed(
     if survive is not None and transformation is not None and draw(st.sampled_from([False, False, True])):
         return ComputationUnit(plain.id, plain.transformation, host=host, standby=True)
     return replace(plain, host=host)
+
+
+def reordered(problem: Problem, draw: st.DrawFn) -> Problem:
+    """The same problem with all its lists in another order."""
+    environment = problem.environment
+    library = [
+        replace(t, inputs=tuple(draw(st.permutations(t.inputs))), outputs=tuple(draw(st.permutations(t.outputs))))
+        for t in draw(st.permutations(environment.library))
+    ]
+    return replace(
+        problem,
+        environment=replace(
+            environment,
+            units=tuple(draw(st.permutations(environment.units))),
+            library=tuple(library),
+            targets=tuple(draw(st.permutations(environment.targets))),
+            hosts=tuple(draw(st.permutations(environment.hosts))),
+            qualities=tuple(draw(st.permutations(environment.qualities))),
+        ),
+    )

@@ -6,9 +6,10 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 
 import pytest
-from fleets import fleets
+from fleets import fleets, reordered
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from worlds import problems
@@ -69,8 +70,8 @@ def test_survival_of_units_equals_the_oracle(problem: Problem) -> None:
     agree(problem)
 
 
-@some
-@given(fleets(frozenset({Notion.SURVIVAL, Notion.HOSTS})))
+@settings(some, max_examples=EXAMPLES // 2)
+@given(fleets(frozenset({Notion.SURVIVAL, Notion.HOSTS}), most=2))
 def test_survival_of_hosts_equals_the_oracle(problem: Problem) -> None:
     agree(problem)
 
@@ -86,6 +87,29 @@ def test_all_notions_together_equal_the_oracle(problem: Problem) -> None:
 def test_both_oracles_and_the_planner_for_fleets_agree_on_what_the_paper_asks(problem: Problem) -> None:
     plans = [PLANNERS["exhaustive"](problem), exhaustive_fleet.plan(problem), fleet.plan(problem)]
     assert len({quality(plan) for plan in plans}) == 1
+
+
+@settings(some, max_examples=EXAMPLES // 2)
+@given(fleets(frozenset(Notion), most=3), st.data())
+def test_the_plan_for_a_fleet_does_not_depend_on_the_run_or_the_order_of_lists(
+    problem: Problem, data: st.DataObject
+) -> None:
+    plan = PLANNERS["cpsat"](problem)
+    assert PLANNERS["cpsat"](problem) == plan
+    assert PLANNERS["cpsat"](reordered(problem, data.draw)) == plan
+
+
+@settings(some, max_examples=EXAMPLES // 2)
+@given(fleets(frozenset(Notion), most=3))
+def test_the_plan_for_a_fleet_leaves_nothing_to_do(problem: Problem) -> None:
+    plan = PLANNERS["cpsat"](problem)
+    assume(plan.change_set is not None)
+    assert plan.change_set is not None
+    after = problem.environment.update(plan.change_set)
+    again = PLANNERS["cpsat"](replace(problem, environment=after))
+    assert again.change_set is not None
+    assert again.cost_us is not None and plan.cost_us is not None
+    assert again.cost_us <= plan.cost_us
 
 
 @pytest.mark.parametrize("planner", ["branch-and-bound", "branch-and-bound-shared"])
