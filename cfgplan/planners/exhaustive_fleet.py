@@ -11,16 +11,24 @@ from collections.abc import Callable, Iterator, Sequence
 from itertools import chain, combinations, combinations_with_replacement, product
 from math import comb, prod
 
-from cfgplan.domain import ComputationUnit, Environment, Publication, Stream, Subscription, Target, Transformation
+from cfgplan.domain import ComputationUnit, Environment, Publication, Stream, Subscription, Transformation
 from cfgplan.errors import InputError
-from cfgplan.planning import Failures, Plan, Problem, Progress, Status, fresh_units
-from cfgplan.qualities import is_met, price_us, propagated
+from cfgplan.planners.exhaustive_judging import (
+    Key,
+    Units,
+    cost_of_units,
+    is_borne,
+    is_met_by,
+    key_of,
+    needed_by,
+    reached_from,
+    runnable,
+)
+from cfgplan.planning import Plan, Problem, Progress, Status, fresh_units
 
 MOST_SETS = 300_000
 """More sets of units are refused."""
 
-Key = tuple[int, int, int, int]
-Units = tuple[ComputationUnit, ...]
 Kind = tuple[str, str | None, bool]
 """A new unit but for its id: its transformation, its host and whether it is a cold spare."""
 
@@ -38,13 +46,13 @@ def plan(
     for least, units in sorted(_sets(problem), key=lambda entry: (entry[0], [unit.id for unit in entry[1]])):
         if best is not None and least >= best[0]:
             break
-        if not _is_borne(problem, units):
+        if not is_borne(problem, units):
             continue
         for wired in _wirings(problem, units):
             if time_limit_s is not None and time.monotonic() - began > time_limit_s:
                 return _answer(problem, best, began, tried, stopped=True)
             tried += 1
-            key = _key(problem, wired)
+            key = key_of(problem, wired)
             if key is not None and (best is None or key < best[0]):
                 best = (key, wired)
                 if report is not None:
@@ -58,11 +66,11 @@ def _answer(problem: Problem, best: tuple[Key, Units] | None, began: float, trie
     if best is None:
         if stopped:
             return Plan("exhaustive", Status.UNKNOWN, seconds=seconds, counts=counts)
-        possible = _runnable(problem, [ComputationUnit(t.label, t.label) for t in environment.library])
+        possible = runnable(problem, [ComputationUnit(t.label, t.label) for t in environment.library])
         alone = {
             target.label: "no wiring of any set of units meets it"
             for target in environment.targets
-            if not _meets(problem, possible, target)
+            if not is_met_by(problem, possible, target)
         }
         joint = {target.label: "no configuration meets all that is asked" for target in environment.targets}
         return Plan("exhaustive", Status.INFEASIBLE, reasons=alone or joint, seconds=seconds, counts=counts)
@@ -71,7 +79,7 @@ def _answer(problem: Problem, best: tuple[Key, Units] | None, began: float, trie
     if problem.max_cost_us is not None and cost_us > problem.max_cost_us:
         status = Status.UNKNOWN if stopped else Status.TOO_EXPENSIVE
         return Plan("exhaustive", status, None, None if stopped else cost_us, bound_us, seconds=seconds, counts=counts)
-    used = {unit.transformation for unit in _needed(units, [unit for unit in units if unit.publications])}
+    used = {unit.transformation for unit in needed_by(units, [unit for unit in units if unit.publications])}
     return Plan(
         "exhaustive",
         Status.FEASIBLE if stopped else Status.OPTIMAL,
@@ -150,7 +158,7 @@ def _is_allowed(problem: Problem, units: Units) -> bool:
             return False
     pinned = {u.id for u in environment.units if _may_stay(problem, u) and library[u.transformation].pinned}
     if pinned:
-        possible = _runnable(problem, [ComputationUnit(t.label, t.label) for t in environment.library])
+        possible = runnable(problem, [ComputationUnit(t.label, t.label) for t in environment.library])
         labels = {unit.transformation for unit in possible}
         pinned = {u.id for u in environment.units if u.id in pinned and u.transformation in labels and not u.standby}
     return pinned <= {unit.id for unit in units}
@@ -161,43 +169,7 @@ def _least(problem: Problem, units: Units) -> Key:
     there = {unit.transformation for unit in units if not unit.standby}
     unused = sum(t.required and t.label not in there for t in environment.library)
     started = sum(unit.id not in environment.unit for unit in units)
-    return unused, _cost_of_units(problem, units), 0, started
-
-
-def _cost_of_units(problem: Problem, units: Units) -> int:
-    cost = 0
-    for unit in units:
-        transformation = problem.environment.transformation[unit.transformation]
-        if unit.standby:
-            cost += (transformation.standby_us or 0) * problem.horizon_s
-            continue
-        cost += transformation.upkeep_us * problem.horizon_s
-        if unit.id not in problem.environment.unit:
-            cost += transformation.labor_us
-    return cost
-
-
-def _is_borne(problem: Problem, units: Sequence[ComputationUnit]) -> bool:
-    """Whether no single failure leaves a target without a stream."""
-    environment = problem.environment
-    if problem.survive is None:
-        return True
-    failures: list[tuple[list[ComputationUnit], list[Target]]] = [
-        ([left for left in units if left != unit], list(environment.targets)) for unit in units if not unit.standby
-    ]
-    if problem.survive is Failures.HOSTS:
-        failures += [
-            (
-                [left for left in units if left.host != host.name],
-                [t for t in environment.targets if t.host != host.name],
-            )
-            for host in environment.hosts
-        ]
-    return all(
-        all(_meets(problem, possible, target) for target in targets)
-        for left, targets in failures
-        for possible in [_runnable(problem, left)]
-    )
+    return unused, cost_of_units(problem, units), 0, started
 
 
 def _wirings(problem: Problem, units: Units) -> Iterator[Units]:
@@ -234,7 +206,7 @@ def _wirings(problem: Problem, units: Units) -> Iterator[Units]:
         edges = [(s.unit, d[0]) for d, s in done if d[0] is not None and not d[4]]
         for stream in streams[len(choice)]:
             is_distinct = label_of[stream.unit] not in feeders
-            if is_distinct and (unit is None or feedback or stream.unit not in _reached(edges, unit)):
+            if is_distinct and (unit is None or feedback or stream.unit not in reached_from(edges, unit)):
                 yield from extend((*choice, stream))
 
     for choice in extend(()) if all(streams) else ():
@@ -250,135 +222,3 @@ def _wirings(problem: Problem, units: Units) -> Iterator[Units]:
             )
             for unit in units
         )
-
-
-def _key(problem: Problem, units: Units) -> Key | None:
-    """How good a wiring is, or None if a bound is missed or a unit is there that nothing needs."""
-    environment = problem.environment
-    prices = _prices_us(problem, units)
-    if prices is None or not _is_lean(problem, units):
-        return None
-    used = {unit.transformation for unit in _needed(units, [unit for unit in units if unit.publications])}
-    unused = sum(t.required and t.label not in used for t in environment.library)
-    cost = _cost_of_units(problem, units) + _carried_us(problem, units) + prices
-    changes = environment.change_to(units)
-    return unused, cost, len(changes.rewired), len(changes.started)
-
-
-def _is_lean(problem: Problem, units: Units) -> bool:
-    environment = problem.environment
-    number = Counter(unit.transformation for unit in units if not unit.standby)
-    roots = []
-    for unit in units:
-        transformation = environment.transformation[unit.transformation]
-        is_pinned = transformation.pinned and unit.id in environment.unit and not unit.standby
-        is_asked_for = not unit.standby and number[unit.transformation] <= transformation.min_instances
-        is_spare = not _is_borne(problem, [other for other in units if other != unit])
-        if unit.publications or is_pinned or is_asked_for or is_spare:
-            roots.append(unit)
-    return len(_needed(units, roots)) == len(units)
-
-
-def _prices_us(problem: Problem, units: Units) -> int | None:
-    """What the targets charge for quality; None if a bound is missed."""
-    environment = problem.environment
-    by_id = {unit.id: unit for unit in units}
-
-    def value(attribute_name: str, stream: Stream) -> int:
-        unit = by_id[stream.unit]
-        transformation = environment.transformation[unit.transformation]
-        inputs = [value(attribute_name, unit.feeds[p.name]) for p in transformation.inputs if not p.feedback]
-        stated = [c for c in transformation.output[stream.port].quality if c.attribute == attribute_name]
-        return propagated(environment.quality[attribute_name], stated[0] if stated else None, inputs)
-
-    total = 0
-    for unit in units:
-        for publication in unit.publications:
-            target = next(t for t in environment.targets if t.topic == publication.topic)
-            for wish in target.quality:
-                reached = value(wish.attribute, Stream(unit.id, publication.port))
-                if not is_met(environment.quality[wish.attribute], wish, reached):
-                    return None
-                total += price_us(environment.quality[wish.attribute], wish, reached)
-    return total
-
-
-def _carried_us(problem: Problem, units: Units) -> int:
-    environment = problem.environment
-    by_id = {unit.id: unit for unit in units}
-    cost = 0
-    for unit in units:
-        for port in environment.transformation[unit.transformation].outputs:
-            stream = Stream(unit.id, port.name)
-            to = {u.host for u in units for s in u.subscriptions if s.stream == stream}
-            topics = {p.topic for p in by_id[unit.id].publications if p.port == port.name}
-            to |= {t.host for t in environment.targets if t.topic in topics}
-            bytes_carried = -(-port.rate_uhz * port.size_bytes // 1_000_000) * problem.horizon_s
-            cost += len(to - {None, unit.host}) * -(-bytes_carried * environment.transfer_us // 1_000_000)
-    return cost
-
-
-def _needed(units: Sequence[ComputationUnit], roots: Sequence[ComputationUnit]) -> list[ComputationUnit]:
-    by_id = {unit.id: unit for unit in units}
-    needed = {unit.id: unit for unit in roots}
-    ahead = list(roots)
-    while ahead:
-        for subscription in ahead.pop().subscriptions:
-            feeder = by_id[subscription.stream.unit]
-            if feeder.id not in needed:
-                needed[feeder.id] = feeder
-                ahead.append(feeder)
-    return list(needed.values())
-
-
-def _reached(edges: list[tuple[str, str]], start: str) -> set[str]:
-    """What is reached from a unit along the streams, itself too."""
-    seen, ahead = {start}, [start]
-    while ahead:
-        here = ahead.pop()
-        new = {to for source, to in edges if source == here} - seen
-        seen |= new
-        ahead += new
-    return seen
-
-
-def _runnable(problem: Problem, units: Sequence[ComputationUnit]) -> list[ComputationUnit]:
-    """The largest part of the units that can be wired with each other: found by removing what can't be fed."""
-    alive = list(units)
-    while True:
-        order: list[ComputationUnit] = []
-        while True:
-            more = [unit for unit in alive if unit not in order and _feeds_exist(problem, unit, order, alive)]
-            if not more:
-                break
-            order += more
-        if len(order) == len(alive):
-            return alive
-        alive = order
-
-
-def _feeds_exist(
-    problem: Problem, unit: ComputationUnit, before: list[ComputationUnit], alive: list[ComputationUnit]
-) -> bool:
-    """Whether the inputs of a unit can be fed, by trying every choice of transformations that feed them."""
-    inputs = problem.environment.transformation[unit.transformation].inputs
-    choices = [
-        {other.transformation for other in (alive if port.feedback else before) if _gives(problem, other, port.tag)}
-        for port in inputs
-    ]
-    return any(
-        all(
-            first.distinct is None or first.distinct != second.distinct or one != other
-            for (first, one), (second, other) in combinations(list(zip(inputs, feeders, strict=True)), 2)
-        )
-        for feeders in product(*choices)
-    )
-
-
-def _gives(problem: Problem, unit: ComputationUnit, tag: str) -> bool:
-    outputs = problem.environment.transformation[unit.transformation].outputs
-    return any(problem.similarity.holds(port.tag, tag) for port in outputs)
-
-
-def _meets(problem: Problem, units: Sequence[ComputationUnit], target: Target) -> bool:
-    return any(_gives(problem, unit, target.tag) for unit in units)

@@ -14,7 +14,7 @@ from cfgplan.planners.fleet.candidates import Candidates
 from cfgplan.planners.fleet.flat import Flat
 from cfgplan.planners.fleet.flatness import is_flat
 from cfgplan.planners.fleet.standing import Standing
-from cfgplan.planning import Plan, Problem, Progress, Status
+from cfgplan.planning import Notion, Plan, Problem, Progress, Status
 from cfgplan.reasons import unmet_reasons
 
 __all__ = ["plan"]
@@ -32,7 +32,8 @@ def plan(
     if reasons := unmet_reasons(problem):
         return Plan("cpsat", Status.INFEASIBLE, reasons=reasons, seconds=clock.end("closure"))
     candidates = Candidates(problem)
-    leave_out_what_is_too_bad(candidates)
+    if Notion.SURVIVAL not in problem.notions:  # a hot spare may get any quality
+        leave_out_what_is_too_bad(candidates)
     clock.end("closure")
     if clock.is_over():
         return Plan("cpsat", Status.UNKNOWN, seconds=clock.seconds)
@@ -41,16 +42,20 @@ def plan(
     if is_flat(candidates):
         from cfgplan.planners.fleet.flat_search import FlatSearch  # the solver takes long to import
 
-        flat = FlatSearch(Flat(candidates), standing)
-        flat.run()
+        flat = Flat(candidates)
+        if flat.is_impossible:
+            standing.is_infeasible = True
+            return standing.plan()
+        search = FlatSearch(flat, standing)
+        search.run()
         clock.end("flat")
-        standing.is_optimal = flat.is_done
-        if flat.is_done or standing.is_infeasible or not standing.is_cost_proven:
+        standing.is_optimal = search.is_done
+        if search.is_done or standing.is_infeasible or not standing.is_cost_proven:
             return standing.plan()
     from cfgplan.planners.fleet.search import Search
 
-    search = Search(candidates, standing)
+    explicit = Search(candidates, standing)
     clock.end("model")
-    search.run()
+    explicit.run()
     clock.end("search")
     return standing.plan()

@@ -5,8 +5,11 @@ At best all that can run runs. What would miss every bound even then is of no us
 
 from __future__ import annotations
 
-from cfgplan.domain import InputPort, OutputPort, Stream
+from collections import defaultdict
+
+from cfgplan.domain import OutputPort, Stream
 from cfgplan.planners.fleet.candidates import Candidate, Candidates
+from cfgplan.planning import Notion
 from cfgplan.qualities import Better, Over, QualityAttribute, Rule, price_us, propagated
 
 
@@ -27,6 +30,23 @@ def leave_out_what_is_too_bad(candidates: Candidates) -> None:
         )
 
 
+def range_of_use(candidates: Candidates, attribute: QualityAttribute) -> dict[Stream, tuple[int, int]]:
+    """For each stream that a plan may use its best value, and the worst with which it is of use.
+
+    Where spares may get any quality, that is the worst there is.
+    """
+    best = best_values(candidates, attribute)
+    allowed = _allowed(candidates, attribute) if Notion.SURVIVAL not in candidates.problem.notions else {}
+    used: dict[Stream, int] = {}
+    ports = [port for candidate in candidates.all for port in candidate.transformation.inputs]
+    for tag in {*(port.tag for port in ports), *(target.tag for target in candidates.environment.targets)}:
+        for stream in candidates.streams(tag):
+            worst = allowed.get(tag, attribute.worst)
+            if stream in best and (stream not in used or attribute.is_better(used[stream], worst)):
+                used[stream] = worst
+    return {stream: (best[stream], worst) for stream, worst in used.items()}
+
+
 def least_price_us(candidates: Candidates) -> int:
     """What targets charge for quality at least, whatever the plan."""
     total_us = 0
@@ -45,11 +65,12 @@ def best_values(candidates: Candidates, attribute: QualityAttribute) -> dict[Str
     Round by round for one more unit in a row; no row is longer than there are units.
     """
     best: dict[Stream, int] = {}
+    at: dict[str, int] = {}
+    demands = _demands(candidates)
     for _ in candidates.all:
-        before = dict(best)
+        grew = False
         for candidate in candidates.all:
-            ordinary = [port for port in candidate.transformation.inputs if not port.feedback]
-            inputs = [_best_at(candidates, attribute, port, best) for port in ordinary]
+            inputs = [at.get(port.tag) for port in candidate.transformation.inputs if not port.feedback]
             fed = [value for value in inputs if value is not None]
             if len(fed) < len(inputs) or not candidate.may_run:
                 continue
@@ -57,19 +78,23 @@ def best_values(candidates: Candidates, attribute: QualityAttribute) -> dict[Str
                 value = propagated(attribute, {c.attribute: c for c in port.quality}.get(attribute.name), fed)
                 stream = Stream(candidate.id, port.name)
                 if stream not in best or attribute.is_better(value, best[stream]):
+                    grew = True
                     best[stream] = value
-        if before == best:
+                    for tag in demands.get(port.tag, ()):
+                        if tag not in at or attribute.is_better(value, at[tag]):
+                            at[tag] = value
+        if not grew:
             break
     return best
 
 
-def _best_at(
-    candidates: Candidates, attribute: QualityAttribute, port: InputPort, best: dict[Stream, int]
-) -> int | None:
-    values = [best[stream] for stream in candidates.streams(port.tag) if stream in best]
-    if not values:
-        return None
-    return min(values) if attribute.better is Better.LOWER else max(values)
+def _demands(candidates: Candidates) -> dict[str, list[str]]:
+    """For each offered tag the demanded ones that it meets."""
+    demands: dict[str, list[str]] = defaultdict(list)
+    for tag, offered in candidates.problem.similarity.offers.items():
+        for one in offered:
+            demands[one].append(tag)
+    return demands
 
 
 def _allowed(candidates: Candidates, attribute: QualityAttribute) -> dict[str, int]:
@@ -89,28 +114,20 @@ def _allowed(candidates: Candidates, attribute: QualityAttribute) -> dict[str, i
     for i in asked:
         for port in candidates.all[i].transformation.inputs:
             allow(port.tag, attribute.worst)
+    demands = _demands(candidates)
     grew = True
     while grew:
         grew = False
         for candidate in candidates.all:
             for output in candidate.transformation.outputs:
-                out = _allowed_at(candidates, output, attribute, allowed)
-                if out is None:
+                wanted = [allowed[tag] for tag in demands.get(output.tag, ()) if tag in allowed]
+                if not wanted:
                     continue
+                out = max(wanted) if attribute.better is Better.LOWER else min(wanted)
                 for port in candidate.transformation.inputs:
                     value = attribute.worst if port.feedback else _allowed_before(attribute, candidate, output, out)
                     grew |= allow(port.tag, value)
     return allowed
-
-
-def _allowed_at(
-    candidates: Candidates, output: OutputPort, attribute: QualityAttribute, allowed: dict[str, int]
-) -> int | None:
-    """The worst value of an output that is of use; None if it is of none."""
-    values = [value for tag, value in allowed.items() if candidates.problem.similarity.holds(output.tag, tag)]
-    if not values:
-        return None
-    return max(values) if attribute.better is Better.LOWER else min(values)
 
 
 def _allowed_before(attribute: QualityAttribute, candidate: Candidate, output: OutputPort, out: int) -> int:

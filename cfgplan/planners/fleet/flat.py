@@ -79,13 +79,44 @@ class Flat:
                 for host in hosts:
                     if candidate.hosts != (host,):
                         self._add(Carried(i, port.name, host), price_us)
-        self.number = {label: n for n, label in enumerate(self.labels)}
         self.wanted: list[Fact] = [Met(target.tag, target.host) for target in environment.targets]
         self.wanted += [Runs(i) for i in range(len(candidates.all)) if candidates.is_pinned(i)]
-        self.needs: list[list[Fact]] = [self._needs(label) for label in self.labels]
+        self._link()
+        alive = self._alive()
+        if len(alive) < len(self.labels):
+            self.labels = [self.labels[n] for n in alive]
+            self.cost_us = [self.cost_us[n] for n in alive]
+            self._link()
+        self.is_impossible = any(not self.givers[fact] for fact in self.wanted)
+
+    def _link(self) -> None:
+        self.number = {label: n for n, label in enumerate(self.labels)}
+        self.needs = [self._needs(label) for label in self.labels]
         self.facts: list[Fact] = list(dict.fromkeys([*self.wanted, *(fact for row in self.needs for fact in row)]))
         self.givers = {fact: self._givers(fact) for fact in self.facts}
-        self.graph = Graph(self._core())
+
+    def _alive(self) -> list[int]:
+        """The labels that can be grounded at all."""
+        giving: dict[int, list[Fact]] = defaultdict(list)
+        needing: dict[Fact, list[int]] = defaultdict(list)
+        for fact, givers in self.givers.items():
+            for label in givers:
+                giving[label].append(fact)
+        for label, needs in enumerate(self.needs):
+            for fact in needs:
+                needing[fact].append(label)
+        missing = [len(needs) for needs in self.needs]
+        ahead = [label for label, count in enumerate(missing) if count == 0]
+        there: set[Fact] = set()
+        for label in ahead:
+            for fact in giving[label]:
+                if fact not in there:
+                    there.add(fact)
+                    for consumer in needing[fact]:
+                        missing[consumer] -= 1
+                        if missing[consumer] == 0:
+                            ahead.append(consumer)
+        return sorted(ahead)
 
     def _add(self, label: Label, cost_us: int) -> None:
         self.labels.append(label)
@@ -100,7 +131,7 @@ class Flat:
     def _givers(self, fact: Fact) -> dict[int, list[Stream]]:
         """The labels that give a fact, each with the streams that do."""
         if isinstance(fact, Runs):
-            return {self.number[Placed(fact.unit, host)]: [] for host in self.candidates.all[fact.unit].hosts}
+            return {place: [] for place in self.places(fact.unit)}
         givers: dict[int, list[Stream]] = defaultdict(list)
         for stream in self.candidates.streams(fact.tag):
             for label in self._offering(stream, fact.host):
@@ -112,23 +143,29 @@ class Flat:
         unit = self.candidates.index_of[stream.unit]
         hosts = self.candidates.all[unit].hosts
         if host is None:
-            return [self.number[Placed(unit, own)] for own in hosts]
+            return self.places(unit)
         ways: list[Label] = [Placed(unit, host)] if host in hosts else []
         if hosts != (host,):
             ways.append(Carried(unit, stream.port, host))
-        return [self.number[way] for way in ways]
+        return [self.number[way] for way in ways if way in self.number]
 
-    def _core(self) -> Core:
+    def places(self, unit: int) -> list[int]:
+        """The labels of a candidate on its hosts."""
+        hosts = self.candidates.all[unit].hosts
+        return [self.number[place] for host in hosts if (place := Placed(unit, host)) in self.number]
+
+    def graph(self) -> Graph:
         """The problem as arrays; facts with the same givers are one."""
         merged: dict[tuple[int, ...], int] = {}
         fact_of = {fact: merged.setdefault(tuple(sorted(givers)), len(merged)) for fact, givers in self.givers.items()}
         rows = [*self.needs, self.wanted]
-        return Core(
+        core = Core(
             Rows.of([sorted({fact_of[fact] for fact in row}) for row in rows]),
             Rows.of(list(merged)),
             np.arange(len(self.labels)),
             np.arange(len(merged)),
         )
+        return Graph(core)
 
     def costs(self) -> Ints:
         return np.array(self.cost_us, np.int64)

@@ -25,10 +25,7 @@ class FlatModel:
         self.holds = {fact: self.cp.new_bool_var("") for fact in flat.facts}
         self.feeds: dict[Fact, dict[tuple[int, Stream], IntVar]] = {}
         self.more_costs: list[LinearExprT] = []
-        self.runs = {
-            i: [self.uses[flat.number[Placed(i, host)]] for host in candidate.hosts]
-            for i, candidate in enumerate(flat.candidates.all)
-        }
+        self.runs = {i: [self.uses[place] for place in flat.places(i)] for i in range(len(flat.candidates.all))}
 
         a_label_needs_its_facts(self)
         for fact in flat.wanted:
@@ -53,6 +50,10 @@ class FlatModel:
             self.cp.add_bool_or([holds.negated(), *(self.uses[label] for label in first)])
             if fact not in self.feeds:
                 self.support.rests_on_any(holds.index, [self.uses[label].index for label in first])
+
+    def ways_to_run(self, unit: int) -> list[IntVar]:
+        """Booleans one of which holds if the candidate runs."""
+        return self.runs[unit]
 
     def cost(self) -> LinearExprT:
         return LinearExpr.sum([LinearExpr.weighted_sum(self.uses, self.flat.cost_us), *self.more_costs])

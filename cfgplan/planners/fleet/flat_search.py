@@ -14,13 +14,13 @@ from cfgplan.planners.cpsat.greedy import first_plan
 from cfgplan.planners.cpsat.tightening import tightened
 from cfgplan.planners.fleet.best_case import least_price_us
 from cfgplan.planners.fleet.decode import lean, named
-from cfgplan.planners.fleet.flat import Fact, Flat, Met, Placed
+from cfgplan.planners.fleet.flat import Fact, Flat, Met
 from cfgplan.planners.fleet.flat_model import FlatModel
 from cfgplan.planners.fleet.quality import Values, targets_get_the_quality_they_ask_for, value_of_choice
 from cfgplan.planners.fleet.standing import Standing
 from cfgplan.qualities import QualityAttribute
 
-SMALL = 1000
+SMALL = 20000
 """With fewer booleans than this, probing and looking for symmetries take longer than they save."""
 SLICE_S = 20.0
 """The engine's own seconds for the first round; each that was too short is followed by one of twice the length."""
@@ -39,12 +39,12 @@ class FlatSearch:
         self.flat = flat
         self.standing = standing
         self.is_done = False
-        cost = flat.costs()
+        cost, graph = flat.costs(), flat.graph()
         self.least_price_us = least_price_us(flat.candidates)
-        plan = first_plan(flat.graph, cost, ATTEMPTS, standing.clock.is_over)
+        plan = first_plan(graph, cost, ATTEMPTS, standing.clock.is_over)
         most = int(cost.sum())
         enough = most if plan is None else int(cost[sorted(plan)].sum())
-        self.bound = tightened(Bound(flat.graph.core, cost), enough, most, standing.clock)
+        self.bound = tightened(Bound(graph.core, cost), enough, most, standing.clock)
         standing.raise_bound(self.bound.value + self.least_price_us)
         self.greedy = plan or set()
         standing.counts |= {"landmarks": len(self.bound.landmarks), "rounds": 0, "cuts": 0}
@@ -136,15 +136,15 @@ class FlatSearch:
             return value_of[fact]
 
         def value_at(attribute: QualityAttribute, unit: int, port: InputPort, values: Values) -> IntVar:
-            hosts = flat.candidates.all[unit].hosts
-            if len(hosts) == 1:
-                return value_of_fact(attribute, Met(port.tag, hosts[0]), values)
+            places = flat.places(unit)
+            if len(flat.candidates.all[unit].hosts) == 1 and places:
+                return value_of_fact(attribute, Met(port.tag, flat.labels[places[0]].host), values)
             low, high = sorted((attribute.worst, attribute.best))
             value = model.cp.new_int_var(low, high, "")
-            for host in hosts:
-                there = value_of_fact(attribute, Met(port.tag, host), values)
+            for place in places:
+                there = value_of_fact(attribute, Met(port.tag, flat.labels[place].host), values)
                 no_better = value >= there if attribute.worst > attribute.best else value <= there
-                model.cp.add(no_better).only_enforce_if(model.uses[flat.number[Placed(unit, host)]])
+                model.cp.add(no_better).only_enforce_if(model.uses[place])
             return value
 
         targets_get_the_quality_they_ask_for(
@@ -161,7 +161,7 @@ class FlatSearch:
         wanted = [*self.flat.wanted]
         for i, runs in self.model.runs.items():
             if candidates.all[i].transformation.min_instances and any(holds(run) for run in runs):
-                wanted += self.flat.needs[next(n for n in self._places(i) if holds(self.model.uses[n]))]
+                wanted += self.flat.needs[next(n for n in self.flat.places(i) if holds(self.model.uses[n]))]
         if any(self.model.holds[fact].index not in rank for fact in wanted):
             return None
         topics: dict[str, list[Publication]] = {}
@@ -170,7 +170,7 @@ class FlatSearch:
             topics.setdefault(stream.unit, []).append(Publication(stream.port, target.topic))
         units = []
         for i in self.model.runs:
-            place = next((n for n in self._places(i) if self.model.uses[n].index in rank), None)
+            place = next((n for n in self.flat.places(i) if self.model.uses[n].index in rank), None)
             if place is None:
                 continue
             candidate, host = candidates.all[i], self.flat.labels[place].host
@@ -181,9 +181,6 @@ class FlatSearch:
             published = tuple(topics.get(candidate.id, ()))
             units.append(ComputationUnit(candidate.id, candidate.transformation.label, subscriptions, published, host))
         return named(candidates, lean(candidates.problem, units))
-
-    def _places(self, unit: int) -> list[int]:
-        return [self.flat.number[Placed(unit, host)] for host in self.flat.candidates.all[unit].hosts]
 
     def _stream(self, fact: Met, holds: Callable[[IntVar], bool], rank: dict[int, int]) -> Stream:
         """The stream by which a grounded fact is met: the one chosen, or else the first to be there."""
@@ -233,8 +230,10 @@ class FlatSearch:
         if self.standing.best is not None:
             there = {(unit.id, unit.host) for unit in self.standing.best[1]}
             for i, candidate in enumerate(self.flat.candidates.all):
-                for host, run in zip(candidate.hosts, self.model.runs[i], strict=True):
-                    self.model.cp.add_hint(run, (candidate.id, host) in there)
+                for place in self.flat.places(i):
+                    self.model.cp.add_hint(
+                        self.model.uses[place], (candidate.id, self.flat.labels[place].host) in there
+                    )
         else:
             for label, uses in enumerate(self.model.uses):
                 self.model.cp.add_hint(uses, label in self.greedy)

@@ -24,14 +24,15 @@ def is_flat(candidates: Candidates) -> bool:
         or any(t.required or distinct_groups(t) or any(p.feedback for p in t.inputs) for t in transformations)
     ):
         return False
-    ring_of = _rings(candidates)
-    return all(
-        _is_no_better_than_its_inputs(problem.environment.quality[name], t, port)
+    better = [
+        (t, port)
         for name in asked
         for t in transformations
         for port in t.outputs
-        if t.inputs and any(ring_of.get(port.tag) == ring_of.get(one.tag) for one in t.inputs)
-    )
+        if t.inputs and not _is_no_better_than_its_inputs(problem.environment.quality[name], t, port)
+    ]
+    ring_of = _rings(candidates) if better else {}
+    return not any(ring_of[port.tag] == ring_of[one.tag] for t, port in better for one in t.inputs)
 
 
 def _is_no_better_than_its_inputs(attribute: QualityAttribute, of: Transformation, port: OutputPort) -> bool:
@@ -57,6 +58,7 @@ def _rings(candidates: Candidates) -> dict[str, int]:
     from networkx import DiGraph, strongly_connected_components
 
     graph: DiGraph[str] = DiGraph()
+    graph.add_nodes_from(port.tag for candidate in candidates.all for port in candidate.transformation.outputs)
     library = candidates.environment.transformation
     for t in {candidate.transformation.label for candidate in candidates.all}:
         for one in library[t].inputs:

@@ -72,6 +72,10 @@ class Model:
     def needs_any(self, literal: IntVar, choices: Sequence[IntVar]) -> None:
         self.cp.add_bool_or([literal.negated(), *choices])
 
+    def ways_to_run(self, unit: int) -> list[IntVar]:
+        """Booleans one of which holds if the candidate runs."""
+        return [self.runs[unit]]
+
     def cost(self) -> LinearExprT:
         """Labor, upkeep and standby, and what the other rooms have added."""
         candidates = self.candidates.all

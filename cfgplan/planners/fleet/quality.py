@@ -7,12 +7,14 @@ good values are asked for, the solver makes them as good as they are.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from math import gcd
 from typing import Protocol
 
 from ortools.sat.python.cp_model import CpModel, IntVar, LinearExpr, LinearExprT
 
 from cfgplan.domain import Environment, InputPort, Stream, Target
+from cfgplan.planners.fleet.best_case import range_of_use
 from cfgplan.planners.fleet.candidates import Candidates
 from cfgplan.qualities import MICRO, Better, Over, QualityAttribute, Rule, Wish
 
@@ -24,6 +26,9 @@ class Model(Protocol):
     environment: Environment
     cp: CpModel
     more_costs: list[LinearExprT]
+
+    def ways_to_run(self, unit: int) -> list[IntVar]:
+        """Booleans one of which holds if the candidate runs."""
 
 
 Values = dict[Stream, IntVar]
@@ -48,17 +53,18 @@ def targets_get_the_quality_they_ask_for(
             if wish.attribute == attribute.name
         ]
         if asked:
-            values = _values(model, attribute, value_at)
+            values = _values(model, attribute, value_at, range_of_use(model.candidates, attribute))
             for target, wish in asked:
                 _grant(model, attribute, wish, published(target), values)
 
 
 def value_of_choice(model: Model, attribute: QualityAttribute, choices: Choices, values: Values) -> IntVar:
     """A variable no better than the value of the stream taken."""
-    low, high = sorted((attribute.worst, attribute.best))
-    value = model.cp.new_int_var(low, high, "")
+    choices = [(stream, taken) for stream, taken in choices if stream in values]
+    is_low = attribute.better is Better.LOWER
+    ends = [end for stream, _ in choices for end in values[stream].proto.domain]
+    value = model.cp.new_int_var(min(ends), max(ends), "") if ends else model.cp.new_constant(attribute.worst)
     for stream, taken in choices:
-        is_low = attribute.better is Better.LOWER
         model.cp.add(value >= values[stream] if is_low else value <= values[stream]).only_enforce_if(taken)
     return value
 
@@ -66,6 +72,8 @@ def value_of_choice(model: Model, attribute: QualityAttribute, choices: Choices,
 def _grant(model: Model, attribute: QualityAttribute, wish: Wish, choices: Choices, values: Values) -> None:
     missed_by = model.cp.new_int_var(0, abs(attribute.worst - attribute.best), "")
     for stream, published in choices:
+        if stream not in values:
+            continue
         distance = _badness(attribute, values[stream])
         model.cp.add(missed_by >= distance).only_enforce_if(published)
     if wish.bound is not None:
@@ -84,32 +92,30 @@ def _values(
     model: Model,
     attribute: QualityAttribute,
     value_at: Callable[[QualityAttribute, int, InputPort, Values], IntVar],
+    ranges: dict[Stream, tuple[int, int]],
 ) -> Values:
-    """A variable for the value of each candidate's streams."""
-    low, high = sorted((attribute.worst, attribute.best))
-    running = [(i, candidate) for i, candidate in enumerate(model.candidates.all) if candidate.may_run]
-    values = {
-        Stream(candidate.id, port.name): model.cp.new_int_var(low, high, "")
-        for _, candidate in running
-        for port in candidate.transformation.outputs
-    }
-    for i, candidate in running:
-        inputs = [value_at(attribute, i, port, values) for port in candidate.transformation.inputs if not port.feedback]
-        for port in candidate.transformation.outputs:
+    """A variable for the value of each stream that is of use."""
+    values = {stream: model.cp.new_int_var(min(ends), max(ends), "") for stream, ends in ranges.items()}
+    for i, candidate in enumerate(model.candidates.all):
+        outputs = [port for port in candidate.transformation.outputs if Stream(candidate.id, port.name) in values]
+        ordinary = [port for port in candidate.transformation.inputs if not port.feedback] if outputs else []
+        inputs = [value_at(attribute, i, port, values) for port in ordinary]
+        for port in outputs:
             stated = {c.attribute: c for c in port.quality}.get(attribute.name)
             value = values[Stream(candidate.id, port.name)]
+            no_better = _NoBetter(model, attribute, value, ranges[Stream(candidate.id, port.name)][1], i)
             if not inputs:
-                _no_better(model, attribute, value, attribute.worst if stated is None else stated.value)
+                no_better.than(attribute.worst if stated is None else stated.value)
                 continue
             theirs = _combined(model, attribute, Over.WORST if stated is None else stated.over, inputs)
             rule, own = (Rule.ADD, 0) if stated is None else (stated.rule, stated.value)
             if rule in (Rule.SET, Rule.LIMIT):
-                _no_better(model, attribute, value, own)
+                no_better.than(own)
             if rule is Rule.SCALE:
                 common = gcd(own, MICRO)
-                _no_better(model, attribute, value, own // common * theirs, MICRO // common)
+                no_better.than(own // common * theirs, MICRO // common)
             elif rule is not Rule.SET:
-                _no_better(model, attribute, value, theirs + (own if rule is Rule.ADD else 0))
+                no_better.than(theirs + (own if rule is Rule.ADD else 0))
     return values
 
 
@@ -134,12 +140,31 @@ def _combined(model: Model, attribute: QualityAttribute, over: Over, inputs: Seq
     return result
 
 
-def _no_better(model: Model, attribute: QualityAttribute, value: IntVar, than: LinearExprT, by: int = 1) -> None:
-    """`value` times `by` is not better than `than`, unless it is as bad as can be."""
-    is_worst = model.cp.new_bool_var("")
-    model.cp.add(value == attribute.worst).only_enforce_if(is_worst)
-    is_low = attribute.better is Better.LOWER
-    model.cp.add(by * value >= than if is_low else by * value <= than).only_enforce_if(is_worst.negated())
+@dataclass(frozen=True)
+class _NoBetter:
+    """Keeps a candidate's value from being better than something; `end` is the worst value it can have.
+
+    Values worse than the scale count as its worst. Where the end is before that, the candidate does not run
+    unless its value is good enough.
+    """
+
+    model: Model
+    attribute: QualityAttribute
+    value: IntVar
+    end: int
+    unit: int
+
+    def than(self, other: LinearExprT, by: int = 1) -> None:
+        """The value times `by` is not better."""
+        cp, is_low = self.model.cp, self.attribute.better is Better.LOWER
+        no_better = by * self.value >= other if is_low else by * self.value <= other
+        if self.end != self.attribute.worst:
+            for runs in self.model.ways_to_run(self.unit):
+                cp.add(no_better).only_enforce_if(runs)
+        else:
+            is_worst = cp.new_bool_var("")
+            cp.add(self.value == self.attribute.worst).only_enforce_if(is_worst)
+            cp.add(no_better).only_enforce_if(is_worst.negated())
 
 
 def _badness(attribute: QualityAttribute, value: IntVar) -> LinearExprT:
