@@ -9,7 +9,7 @@ from collections.abc import Callable
 from threading import Event
 
 from cfgplan.planners.cpsat.clock import Clock
-from cfgplan.planners.fleet.best_case import leave_out_what_is_too_bad
+from cfgplan.planners.fleet.best_case import bound_by_price, leave_out_what_is_too_bad
 from cfgplan.planners.fleet.candidates import Candidates
 from cfgplan.planners.fleet.flat import Flat
 from cfgplan.planners.fleet.flatness import is_flat
@@ -18,6 +18,12 @@ from cfgplan.planning import Notion, Plan, Problem, Progress, Status
 from cfgplan.reasons import unmet_reasons
 
 __all__ = ["plan"]
+
+SLICE_S, GROWTH = 2.0, 4.0
+"""The engine's own seconds for the first round, and how much longer each next one is.
+
+After a round that was too short, all that costs more than the best plan by then is left out.
+"""
 
 
 def plan(
@@ -42,12 +48,18 @@ def plan(
     if is_flat(candidates):
         from cfgplan.planners.fleet.flat_search import FlatSearch  # the solver takes long to import
 
-        flat = Flat(candidates)
-        if flat.is_impossible:
-            standing.is_infeasible = True
-            return standing.plan()
-        search = FlatSearch(flat, standing)
-        search.run()
+        slice_s = SLICE_S
+        while True:
+            flat = Flat(candidates)
+            if flat.is_impossible:
+                standing.is_infeasible = True
+                return standing.plan()
+            search = FlatSearch(flat, standing, slice_s)
+            if search.run() or clock.is_over():
+                break
+            slice_s *= GROWTH
+            if standing.best is not None:
+                bound_by_price(candidates, standing.best[0][1] - search.least_us)
         clock.end("flat")
         standing.is_optimal = search.is_done
         if search.is_done or standing.is_infeasible or not standing.is_cost_proven:

@@ -10,13 +10,12 @@ from collections import defaultdict
 from cfgplan.domain import OutputPort, Stream
 from cfgplan.planners.fleet.candidates import Candidate, Candidates
 from cfgplan.planning import Notion
-from cfgplan.qualities import Better, Over, QualityAttribute, Rule, price_us, propagated
+from cfgplan.qualities import MICRO, Better, Over, QualityAttribute, Rule, price_us, propagated
 
 
 def leave_out_what_is_too_bad(candidates: Candidates) -> None:
     """Streams that no plan can take where a tag is demanded, since they would miss the bounds of all targets."""
-    bounded = {w.attribute for t in candidates.environment.targets for w in t.quality if w.bound is not None}
-    for name in sorted(bounded):
+    for name in sorted({attribute for _, attribute in candidates.bounds}):
         attribute = candidates.environment.quality[name]
         best = best_values(candidates, attribute)
         allowed = _allowed(candidates, attribute)
@@ -47,16 +46,40 @@ def range_of_use(candidates: Candidates, attribute: QualityAttribute) -> dict[St
     return {stream: (best[stream], worst) for stream, worst in used.items()}
 
 
-def least_price_us(candidates: Candidates) -> int:
-    """What targets charge for quality at least, whatever the plan."""
-    total_us = 0
+def least_prices_us(candidates: Candidates) -> dict[tuple[str, str], int]:
+    """What each target charges for an attribute at least, whatever the plan."""
+    prices: dict[tuple[str, str], int] = {}
     for attribute in candidates.environment.qualities:
-        asked = [(t, w) for t in candidates.environment.targets for w in t.quality if w.attribute == attribute.name]
-        best = best_values(candidates, attribute) if any(wish.weight_us for _, wish in asked) else {}
-        for target, wish in asked:
+        weighed = [
+            (target, wish)
+            for target in candidates.environment.targets
+            for wish in target.quality
+            if wish.attribute == attribute.name and wish.weight_us
+        ]
+        best = best_values(candidates, attribute) if weighed else {}
+        for target, wish in weighed:
             values = [best[stream] for stream in candidates.streams(target.tag) if stream in best]
-            total_us += min((price_us(attribute, wish, value) for value in values), default=0)
-    return total_us
+            found = min((price_us(attribute, wish, value) for value in values), default=0)
+            prices[target.label, attribute.name] = found
+    return prices
+
+
+def bound_by_price(candidates: Candidates, most_us: int) -> None:
+    """Bound what targets weigh, where all else and the best quality leave at most `most_us` for all prices."""
+    least = least_prices_us(candidates)
+    for target in candidates.environment.targets:
+        for wish in target.quality:
+            place = target.label, wish.attribute
+            if place not in least:
+                continue
+            attribute = candidates.environment.quality[wish.attribute]
+            missed_by = (most_us - sum(least.values()) + least[place]) * MICRO // wish.weight_us
+            is_low = attribute.better is Better.LOWER
+            value = attribute.best + missed_by if is_low else attribute.best - missed_by
+            low, high = sorted((attribute.best, attribute.worst))
+            known = candidates.bounds.get(place, attribute.worst)
+            candidates.bounds[place] = min(known, max(value, low)) if is_low else max(known, min(value, high))
+    leave_out_what_is_too_bad(candidates)
 
 
 def best_values(candidates: Candidates, attribute: QualityAttribute) -> dict[Stream, int]:
@@ -108,8 +131,7 @@ def _allowed(candidates: Candidates, attribute: QualityAttribute) -> dict[str, i
         return True
 
     for target in candidates.environment.targets:
-        bounds = [w.bound for w in target.quality if w.attribute == attribute.name and w.bound is not None]
-        allow(target.tag, bounds[0] if bounds else attribute.worst)
+        allow(target.tag, candidates.bounds.get((target.label, attribute.name), attribute.worst))
     asked = [i for i, c in enumerate(candidates.all) if candidates.is_pinned(i) or c.transformation.min_instances]
     for i in asked:
         for port in candidates.all[i].transformation.inputs:

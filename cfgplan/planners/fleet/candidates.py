@@ -42,6 +42,13 @@ class Candidates:
         self.all = tuple(c for c in self.all if c.transformation.label in labels)
         self.index_of = {candidate.id: i for i, candidate in enumerate(self.all)}
         self._streams: dict[str, tuple[Stream, ...]] = {}
+        self.bounds = {
+            (target.label, wish.attribute): wish.bound
+            for target in problem.environment.targets
+            for wish in target.quality
+            if wish.bound is not None
+        }
+        """The worst value that a target may get of an attribute, as far as is known."""
         self._by_label: dict[str, list[Candidate]] = defaultdict(list)
         for candidate in self.all:
             self._by_label[candidate.transformation.label].append(candidate)

@@ -12,7 +12,7 @@ from cfgplan.planners.cpsat.bounds import Bound
 from cfgplan.planners.cpsat.engine import OnSolution, repeatable_solver, solve
 from cfgplan.planners.cpsat.greedy import first_plan
 from cfgplan.planners.cpsat.tightening import tightened
-from cfgplan.planners.fleet.best_case import least_price_us
+from cfgplan.planners.fleet.best_case import least_prices_us
 from cfgplan.planners.fleet.decode import lean, named
 from cfgplan.planners.fleet.flat import Fact, Flat, Met
 from cfgplan.planners.fleet.flat_model import FlatModel
@@ -22,10 +22,6 @@ from cfgplan.qualities import QualityAttribute
 
 SMALL = 20000
 """With fewer booleans than this, probing and looking for symmetries take longer than they save."""
-SLICE_S = 20.0
-"""The engine's own seconds for the first round; each that was too short is followed by one of twice the length."""
-MOST_KEPT = 0.9
-"""If more than this share of the labels would stay, none is left out."""
 ATTEMPTS = 30
 """How many members of the first plan are tried to be done without."""
 EXACT = 2**50
@@ -35,20 +31,27 @@ EXACT = 2**50
 class FlatSearch:
     """Finds the least cost and the fewest started units for it; `is_done` if that is proven."""
 
-    def __init__(self, flat: Flat, standing: Standing) -> None:
+    def __init__(self, flat: Flat, standing: Standing, slice_s: float) -> None:
         self.flat = flat
         self.standing = standing
         self.is_done = False
+        self.slice_s = slice_s
         cost, graph = flat.costs(), flat.graph()
-        self.least_price_us = least_price_us(flat.candidates)
+        price_us = sum(least_prices_us(flat.candidates).values())
         plan = first_plan(graph, cost, ATTEMPTS, standing.clock.is_over)
-        most = int(cost.sum())
-        enough = most if plan is None else int(cost[sorted(plan)].sum())
-        self.bound = tightened(Bound(graph.core, cost), enough, most, standing.clock)
-        standing.raise_bound(self.bound.value + self.least_price_us)
+        most = int(cost.sum()) if standing.best is None else standing.best[0][1] - price_us
+        enough = most if plan is None else min(most, int(cost[sorted(plan)].sum()))
+        bound = tightened(Bound(graph.core, cost), enough, most, standing.clock)
+        standing.raise_bound(bound.value + price_us)
+        self.least_us = bound.value
         self.greedy = plan or set()
-        standing.counts |= {"landmarks": len(self.bound.landmarks), "rounds": 0, "cuts": 0}
-        self.model = FlatModel(flat, [one.members.tolist() for one in self.bound.landmarks])
+        landmarks = [bound.core.labels[one.members].tolist() for one in bound.landmarks]
+        self.model = FlatModel(flat, landmarks)
+        left = set(bound.core.labels[bound.may_be_used(most)].tolist())
+        for label, uses in enumerate(self.model.uses):
+            if label not in left:
+                self.model.cp.add_bool_or([uses.negated()])
+        standing.counts |= {"landmarks": len(landmarks), "left by bounds": len(left)}
         if any(target.quality for target in flat.candidates.environment.targets):
             self._ask_for_quality()
         self.model.ground()
@@ -59,31 +62,28 @@ class FlatSearch:
         self.objective = LinearExpr.weighted_sum(terms, [self.scale, int(weighed)])
         self.is_weighed = weighed
 
-    def run(self) -> None:
-        """Rounds of solving and cutting until the cost is proven or the time is over.
-
-        A round that takes long is stopped; what costs more than the best plan by then is left out of the next one.
-        """
+    def run(self) -> bool:
+        """Rounds of solving and cutting until the cost is proven; False if a round takes too long."""
         self.model.cp.minimize(self.objective)
-        slice_s = SLICE_S
         while not self.standing.clock.is_over():
-            solver = self._solver(slice_s)
+            solver = self._solver()
             self._hint()
-            self.standing.counts["rounds"] += 1
+            self.standing.counts["rounds"] = self.standing.counts.get("rounds", 0) + 1
             solver.best_bound_callback = self._learn
             status = solve(solver, self.model.cp, OnSolution(self._look_at), self.standing.clock)
             self.standing.counts["conflicts"] += solver.num_conflicts
+            if status == INFEASIBLE and self.standing.best is not None:
+                raise AssertionError("the best plan is a solution")
             if status in (MODEL_INVALID, INFEASIBLE):
-                self.standing.is_infeasible = status == INFEASIBLE and self.standing.best is None
-                return
+                self.standing.is_infeasible = status == INFEASIBLE
+                return True
             self._learn(solver.best_objective_bound)
-            if status == OPTIMAL:
-                if self._is_proven_by(solver):
-                    return
-                self._cut(solver.boolean_value)
-            else:
-                slice_s *= 2
-                self._leave_out_what_costs_more()
+            if status != OPTIMAL:
+                return False
+            if self._is_proven_by(solver):
+                return True
+            self._cut(solver.boolean_value)
+        return True
 
     def _is_proven_by(self, solver: CpSolver) -> bool:
         """Whether the optimum of a round is a plan."""
@@ -98,25 +98,6 @@ class FlatSearch:
         best = self.standing.best[0]
         self.is_done = self.is_weighed and best[2] == 0 and best[3] == key[3]
         return True
-
-    def _leave_out_what_costs_more(self) -> None:
-        """Fix what can't be in a plan as cheap as the best one, and look for landmarks among the rest."""
-        if self.standing.best is None:
-            return
-        limit = self.standing.best[0][1] - self.least_price_us
-        keep = self.bound.may_be_used(limit)
-        if keep.sum() > MOST_KEPT * len(keep):
-            return
-        labels = self.bound.core.labels
-        for label in labels[~keep].tolist():
-            self.model.cp.add_bool_or([self.model.uses[label].negated()])
-        known = len(self.bound.landmarks)
-        self.bound = tightened(self.bound.restricted(keep), limit, limit, self.standing.clock)
-        for one in self.bound.landmarks:
-            self.model.cp.add_bool_or([self.model.uses[i] for i in self.bound.core.labels[one.members].tolist()])
-        self.standing.raise_bound(self.bound.value + self.least_price_us)
-        self.standing.counts["landmarks"] += max(0, len(self.bound.landmarks) - known)
-        self.standing.counts["left by bounds"] = len(self.bound.core.labels)
 
     def _ask_for_quality(self) -> None:
         model, flat = self.model, self.flat
@@ -212,16 +193,16 @@ class FlatSearch:
         ways = [cp.get_bool_var_from_proto_index(way) for way in ways_in]
         for proposition in unfounded:
             cp.add_bool_or([cp.get_bool_var_from_proto_index(proposition).negated(), *ways])
-        self.standing.counts["cuts"] += len(unfounded)
+        self.standing.counts["cuts"] = self.standing.counts.get("cuts", 0) + len(unfounded)
 
     def _learn(self, bound: float) -> None:
         self.standing.raise_bound(ceil(bound - 0.5) // self.scale)
 
-    def _solver(self, slice_s: float) -> CpSolver:
+    def _solver(self) -> CpSolver:
         """An engine for one round, of a length that does not depend on the machine."""
         small = len(self.model.cp.proto.variables) < SMALL
         solver = repeatable_solver(small=small, time_limit_s=self.standing.clock.left_s())
-        solver.parameters.max_deterministic_time = slice_s
+        solver.parameters.max_deterministic_time = self.slice_s
         return solver
 
     def _hint(self) -> None:
