@@ -15,9 +15,13 @@ from cfgplan.planners.fleet.survivors import bears_all_failures
 from cfgplan.planning import Problem, fresh_units
 
 
-def decode(model: Model, holds: Callable[[IntVar], bool]) -> list[ComputationUnit]:
-    """The lean configuration of a solution; it costs no more than the solution says."""
-    units = [unit for i, there in model.is_there.items() if holds(there) for unit in [_unit(model, i, holds)]]
+def solution(model: Model, holds: Callable[[IntVar], bool]) -> list[ComputationUnit]:
+    """The units of a solution as they stand."""
+    return [unit for i, there in model.is_there.items() if holds(there) for unit in [_unit(model, i, holds)]]
+
+
+def decode(model: Model, units: list[ComputationUnit]) -> list[ComputationUnit]:
+    """The lean configuration of a solution that survives what it has to; it costs no more than the solution says."""
     return named(model.candidates, lean(model.problem, units))
 
 
