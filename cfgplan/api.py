@@ -8,10 +8,10 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from tempfile import NamedTemporaryFile
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from cfgplan import validity
@@ -391,12 +391,27 @@ def _cache_folder() -> Path:
 
 
 def write_file(path: Path, content: bytes) -> None:
-    """Write a whole file, or nothing of it; raises InputError if that can't be done."""
+    """Write a whole file, or nothing of it; raises InputError if that can't be done.
+
+    What is no plain file (a device, a pipe, a link) is written through: it must not be replaced by one.
+    """
     try:
-        with NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as temporary:
-            temporary.write(content)
-        Path(temporary.name).chmod(0o644)
-        Path(temporary.name).replace(path)
+        if path.is_symlink() or (path.exists() and not path.is_file()):
+            path.write_bytes(content)
+        else:
+            _replace(path, content)
     except OSError as error:
         mend = "check that the folder exists and may be written to"
         raise InputError.of(f"can't be written: {error.strerror}", file=str(path), mend=mend) from None
+
+
+def _replace(path: Path, content: bytes) -> None:
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.new")
+    try:
+        with temporary.open("xb") as file:
+            file.write(content)
+        temporary.replace(path)
+    except OSError:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        raise

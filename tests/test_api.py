@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import networkx
 import pytest
 
 import cfgplan
+from cfgplan.errors import InputError
 
 NAO = Path(__file__).parent.parent / "models" / "nao"
 
@@ -60,3 +62,26 @@ def test_an_answer_that_the_judge_does_not_accept_never_reaches_the_user(monkeyp
     problem = cfgplan.match(cfgplan.load(NAO / "2-segmenter-lost.yaml"))
     with pytest.raises(cfgplan.UntruthfulPlanError, match="no stream is published on /result"):
         cfgplan.plan(problem, planner="liar")
+
+
+def test_a_device_or_a_link_is_written_through_and_never_replaced(tmp_path: Path) -> None:
+    """`--out /dev/null` as root once made a plain file of the device."""
+    pipe, link, file = tmp_path / "pipe", tmp_path / "link", tmp_path / "file"
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    cfgplan.api.write_file(pipe, b"through")
+    assert os.read(reader, 100) == b"through"
+    os.close(reader)
+    assert pipe.is_fifo()
+    link.symlink_to(file)
+    cfgplan.api.write_file(link, b"content")
+    assert link.is_symlink()
+    assert file.read_bytes() == b"content"
+
+
+def test_a_file_that_can_not_be_written_leaves_nothing_behind(tmp_path: Path) -> None:
+    (tmp_path / "folder").mkdir()
+    for path in (tmp_path / "folder", tmp_path / "nowhere" / "file", Path("/")):
+        with pytest.raises(InputError, match="can't be written"):
+            cfgplan.api.write_file(path, b"content")
+    assert [path.name for path in tmp_path.iterdir()] == ["folder"]

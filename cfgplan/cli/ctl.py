@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import time
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from cfgplan.cli import options as shared
 from cfgplan.cli.durations import duration
 from cfgplan.cli.exits import Exit
+from cfgplan.cli.run_output import printable
 from cfgplan.cli.screen import FORMAT_VERSION, Screen
 from cfgplan.errors import Fault, InputError
 
@@ -131,9 +133,8 @@ def _events(control: Control, screen: Screen) -> Exit:
         for event in control.events():
             if screen.json:
                 screen.write(json.dumps({"format_version": FORMAT_VERSION, **event}) + "\n")
-            else:
-                facts = ", ".join(f"{key} {_brief(value)}" for key, value in event.items() if key != "kind" and value)
-                screen.write(f"{event['kind']}: {facts}\n" if facts else f"{event['kind']}\n")
+            elif event["says"] is not None:
+                screen.write(f"{time.strftime('%H:%M:%S')}  {printable(event['says'])}\n")
             screen.flush()
     except KeyboardInterrupt:
         screen.note("stopped")
@@ -197,8 +198,3 @@ def _faults(error: RefusedError, options: argparse.Namespace) -> Iterable[Fault]
         return error.faults
     name = options.name or _name(options.operand)
     return [replace(fault, file=options.operand) if fault.file == name else fault for fault in error.faults]
-
-
-def _brief(value: Any) -> str:
-    text = value if isinstance(value, str) else json.dumps(value)
-    return " ".join(text.split())

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM, counted: the first asks for a clean end, the second for one at once, the third has one."""
+"""Ctrl-C, SIGTERM and a closed terminal: one asks for a clean end, a second for one at once, a third has one."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from types import FrameType, TracebackType
 
 from cfgplan.cli.exits import Exit
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 _MOST_PATIENT = 2
 
 
 class Interrupts:
-    """Counts both signals while it is entered; until `only_count`, they raise KeyboardInterrupt."""
+    """Counts such signals while it is entered; until `only_count`, they raise KeyboardInterrupt."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -24,13 +24,16 @@ class Interrupts:
         self._raises = False
 
     def __enter__(self) -> Interrupts:
-        self._before = [signal.signal(one, self._hear) for one in _SIGNALS]
+        # Windows has no SIGHUP, and under nohup it is ignored.
+        signals = [getattr(signal, name) for name in _SIGNALS if hasattr(signal, name)]
+        wanted = [one for one in signals if one == signal.SIGINT or signal.getsignal(one) != signal.SIG_IGN]
+        self._before = {one: signal.signal(one, self._hear) for one in wanted}
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        for one, handler in zip(_SIGNALS, self._before, strict=True):
+        for one, handler in self._before.items():
             signal.signal(one, handler)
 
     def _hear(self, _number: int, _frame: FrameType | None) -> None:

@@ -15,7 +15,7 @@ from cfgplan.cli.durations import duration
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.query_text import as_json, as_text
 from cfgplan.cli.screen import Screen
-from cfgplan.errors import Fault, InputError
+from cfgplan.errors import Fault, InputError, InvalidValueError
 
 if TYPE_CHECKING:
     from cfgplan_runtime.reasoning.features import Declared
@@ -85,7 +85,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         from cfgplan_runtime.operating.control_client import connect
         from cfgplan_runtime.reasoning.managed import RemoteSubscriptions
 
-        with connect(options.run_id) as control:
+        with _interruptible(), connect(options.run_id) as control:
             remote = RemoteSubscriptions(control)
             return _answered(options, screen, _read(options, screen, remote.declared()), remote)
     world = shared.load(options, screen)
@@ -132,12 +132,15 @@ def _read(options: argparse.Namespace, screen: Screen, known: Declared) -> Query
     elif beside is not None and beside.is_file():
         known = known.with_more(features.of_file(beside))
     known = known.with_more(features.of_options(options.feature, options.region))
-    timing = Timing(
-        hold_ns=round(options.hold * 1e9),
-        delay_ns=round(options.delay * 1e9),
-        tolerance_ns=round(options.tolerance * 1e9),
-        rate_hz=options.rate,
-    )
+    try:
+        timing = Timing(
+            hold_ns=round(options.hold * 1e9),
+            delay_ns=round(options.delay * 1e9),
+            tolerance_ns=round(options.tolerance * 1e9),
+            rate_hz=options.rate,
+        )
+    except InvalidValueError as error:
+        raise InputError.of(str(error), file="--rate", mend="write a number up to 1000000") from None
     try:
         return query(options.formula, known, timing)
     except InputError as error:

@@ -3,8 +3,8 @@
 python experiments/lifecycle/reaction.py [--repeat 50] [--library 10] [--library 1000] [--json FILE]
 
 A source at 500 Hz, a chain of three workers and the target /result run as processes, among so many transformations
-that could do the same. The gap is the longest time in which the consumer of /result had no element; restored is when
-that was over, counted from the perturbation. Read times as orders of magnitude.
+that could do the same. `without results` is the longest time after the perturbation in which a consumer of /result had
+no element. Read times as orders of magnitude.
 """
 
 from __future__ import annotations
@@ -85,10 +85,10 @@ class Consumer:
         for _ in subscribe(self._topic, run=self._run, wait_s=PATIENCE_S):
             self.came.append(time.time_ns())
 
-    def longest_gap(self, since_ns: int) -> tuple[int, int] | None:
-        """The ends of the longest time without an element after a moment; None if nothing has come since."""
+    def longest_gap_ns(self, since_ns: int) -> int | None:
+        """The longest time without an element after a moment; None if nothing has come since."""
         came = [since_ns, *self.came[bisect(self.came, since_ns) :]]
-        return max(pairwise(came), key=lambda ends: ends[1] - ends[0], default=None)
+        return max((end - begin for begin, end in pairwise(came)), default=None)
 
 
 class Run:
@@ -184,12 +184,12 @@ def measure(run: Run, name: str, perturb: Callable[[], None], after: Callable[[]
         time.sleep(0.001)
     run.manager.settle(PATIENCE_S)
     time.sleep(0.1)
-    while (gap := consumer.longest_gap(start_ns)) is None:
+    while (gap_ns := consumer.longest_gap_ns(start_ns)) is None:
         assert time.monotonic() < deadline, f"{name}: nothing came"
         time.sleep(0.001)
     review = _applied(run.reviews[before:])
     assert review is not None
-    row: Row = {"kind": name, "restored": (gap[1] - start_ns) / 1e6, "gap": (gap[1] - gap[0]) / 1e6}
+    row: Row = {"kind": name, "gap": gap_ns / 1e6}
     row["noticed"] = (review.time_s * 1e9 - start_ns) / 1e6
     row |= {phase: review.seconds.get(phase, 0.0) * 1e3 for phase in PHASES}
     if after is not None:
@@ -236,18 +236,19 @@ def rows(size: int, repeat: int) -> list[Row]:
 
 
 def table(found: list[Row]) -> str:
-    """Medians, and the 99th percentile of the time to restored results, in milliseconds.
+    """Medians, and the 99th percentile of the time without results, in milliseconds.
 
-    `noticed` is from the perturbation to the beginning of the review, `detect` included; the other phases
-    follow.
+    `noticed after` is from the perturbation to the beginning of the review; the planner's share is of the time from the
+    perturbation to the end of the update.
     """
-    heads = ["perturbation", "restored, median", "p99", "gap, median", "p99", "noticed", *PHASES]
+    phases = ("match", "estimate", "plan", "judge", "apply")
+    heads = ["perturbation", "without results: median", "p99", "noticed after", *phases, "planner's share"]
     lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
     for kind in dict.fromkeys(row["kind"] for row in found):
         some = [row for row in found if row["kind"] == kind]
-        numbers = [_median(some, "restored"), _p99(some, "restored"), _median(some, "gap"), _p99(some, "gap")]
-        numbers += [_median(some, phase) for phase in ("noticed", *PHASES)]
-        lines.append(f"| {kind} | " + " | ".join(f"{number:.1f}" for number in numbers) + " |")
+        numbers = [_median(some, "gap"), _p99(some, "gap"), *(_median(some, key) for key in ("noticed", *phases))]
+        share = statistics.median(row["plan"] / (row["noticed"] + sum(row[p] for p in phases)) for row in some)
+        lines.append(f"| {kind} | " + " | ".join(f"{number:.1f}" for number in numbers) + f" | {share:.0%} |")
     return "\n".join(lines)
 
 

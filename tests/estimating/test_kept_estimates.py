@@ -132,6 +132,18 @@ def test_a_folder_that_may_not_be_written_to_is_told(tmp_path: Path) -> None:
         load(make_estimator(), tmp_path / "state" / "estimates.json", 0.0)
 
 
+def test_a_pipe_or_a_folder_is_neither_read_nor_renamed_nor_replaced(tmp_path: Path) -> None:
+    (tmp_path / "folder").mkdir()
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "folder", tmp_path / "pipe"):
+        with pytest.raises(EstimatesError, match="it is no file"):
+            load(make_estimator(), path, 0.0)
+        with pytest.raises(EstimatesError, match="it is no file"):
+            save(make_estimator(), path, 0.0)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["folder", "pipe"]
+    assert (tmp_path / "pipe").is_fifo()
+
+
 def test_a_transformation_that_was_changed_meanwhile_is_learned_anew(file: Path) -> None:
     estimator = make_estimator()
     estimator.estimated([WORK], HORIZON_S)

@@ -58,12 +58,16 @@ def test_a_cheaper_transformation_takes_over_at_the_horizon_and_not_before(run_f
     assert_nothing_is_missing(run_for_real)
 
 
-def test_a_transformation_in_use_can_be_removed(run_for_real: RealRun) -> None:
+def test_a_transformation_in_use_can_be_removed_or_changed_without_a_loss(run_for_real: RealRun) -> None:
     run_for_real.start(source(), worker(), worker("spare", upkeep=0.5))
     assert set(run_for_real.givers()) == {"work"}
     run_for_real.write(source(), worker("spare", upkeep=0.5))
     run_for_real.await_result("spare")
     assert set(run_for_real.runtime.environment.unit) == {"count.1", "spare.1"}
+    run_for_real.write(source(), worker("spare", upkeep=0.5, host="here"))
+    eventually(lambda: "spare.2" in run_for_real.runtime.environment.unit)
+    run_for_real.await_result("spare")
+    assert_nothing_is_missing(run_for_real)
 
 
 def test_an_impossible_target_and_a_broken_file_leave_the_others_alone(run_for_real: RealRun) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import select
 import signal
 import subprocess
 from collections.abc import Iterator
@@ -122,6 +123,24 @@ def test_what_is_refused_says_where_and_why(env: Path, capsys: pytest.CaptureFix
     assert "there is no such file" in capsys.readouterr().err
 
 
+def test_what_happens_can_be_followed(run: subprocess.Popen[str], capsys: pytest.CaptureFixture[str]) -> None:
+    following = [
+        subprocess.Popen(command("ctl", "events", *more), stdout=subprocess.PIPE, text=True)
+        for more in ((), ("--json",))
+    ]
+    with following[0] as people, following[1] as program:
+        assert people.stdout is not None and program.stdout is not None
+        # Both have subscribed when they have heard of something.
+        while not select.select([people.stdout], [], [], 0)[0] or not select.select([program.stdout], [], [], 0)[0]:
+            assert ctl(capsys, "review")
+        ctl(capsys, "stop")
+        told = [json.loads(line) for line in program.stdout]
+        assert any(" Review " in line for line in people.stdout)
+    assert told[-1]["kind"] == "Ended"
+    assert {"ReviewBegan", "Reviewed", "UnitStopped"} <= {event["kind"] for event in told}
+    assert run.wait(PATIENCE_S) == 0
+
+
 def test_without_a_run_ctl_says_so(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["ctl", "state"]) == 30
     assert "no run is live" in capsys.readouterr().err
@@ -148,6 +167,14 @@ def test_editing_the_file_changes_what_runs(run: subprocess.Popen[str], env: Pat
     assert await_event(run, "WorldRefused")["faults"][0]["file"] == str(env)
 
 
+def test_a_horizon_that_was_given_holds_whatever_the_file_says(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with running(env, "--horizon", "50") as process:
+        await_event(process, "Running")
+        env.write_text(ENVIRONMENT.replace("/result", "/elsewhere").replace("600", "700"))
+        eventually(lambda: ctl(capsys, "state")["targets"][0]["topic"] == "/elsewhere")
+        assert ctl(capsys, "state")["horizon_s"] == 50
+
+
 def test_a_killed_run_takes_its_units_along_and_the_next_begins_anew(
     run: subprocess.Popen[str], env: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -161,7 +188,7 @@ def test_a_killed_run_takes_its_units_along_and_the_next_begins_anew(
         assert json.loads(capsys.readouterr().out)["value"]["robot"] == "piff"
 
 
-@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGHUP])
 def test_the_first_interrupt_lets_units_finish_and_the_second_does_not_wait(env: Path, end: signal.Signals) -> None:
     slow = (
         UNITS
@@ -245,10 +272,13 @@ def test_a_recorded_run_is_read_back_with_streams_and_reviews(env: Path, tmp_pat
     assert (recorded["lost"], recorded["failure"]) == (0, None)
     numbers, topics = [], set()
     with file.open("rb") as stream:
-        for _, channel, message in make_reader(stream).iter_messages():
+        reader = make_reader(stream, validate_crcs=True)
+        (metadata,) = reader.iter_metadata()
+        for _, channel, message in reader.iter_messages():
             topics.add(channel.topic)
             if channel.topic == "/result":
                 numbers.append(json.loads(message.data)["number"])
+    assert metadata.metadata["environment"] == str(env)
     assert topics >= {"/result", "/result/image", "/cfgplan/reviews", "/cfgplan/events", "/cfgplan/log"}
     assert len(numbers) > 30
     assert numbers == [(numbers[0] + count) % 200 for count in range(len(numbers))]

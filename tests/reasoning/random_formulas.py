@@ -45,7 +45,7 @@ def _larger(parts: st.SearchStrategy[Formula]) -> st.SearchStrategy[Formula]:
     )
 
 
-late_intervals = st.builds(_interval, st.integers(4, 12), st.integers(0, 12))
+late_intervals = st.builds(_interval, st.integers(4, 12), st.one_of(st.none(), st.integers(0, 12)))
 
 
 def formulas_that_look_far(parts: Sequence[Formula]) -> st.SearchStrategy[Formula]:

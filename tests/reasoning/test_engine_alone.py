@@ -48,6 +48,12 @@ def test_an_answer_comes_with_the_state_that_decides_and_takes_the_targets_down(
     assert told[0].topics == {"ball": "/query/q/ball"}
 
 
+def test_a_formula_without_features_needs_no_stream() -> None:
+    fake = FakeSubscriptions({})
+    assert answer(ask("true or false", fake)).verdict is Verdict.TRUE
+    assert fake.log == []
+
+
 def test_only_the_features_that_the_formula_names_are_subscribed_to() -> None:
     fake = FakeSubscriptions({"/robot": stream({"ok": True})})
     assert answer(ask("eventually robot.ok", fake)).verdict is Verdict.TRUE

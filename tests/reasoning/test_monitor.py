@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from cfgplan_runtime.reasoning import monitor as monitor_module
-from cfgplan_runtime.reasoning import obligations
+from cfgplan_runtime.reasoning import automaton, obligations
 from cfgplan_runtime.reasoning.monitor import Monitor
 from cfgplan_runtime.reasoning.obligations import TooManyObligationsError
 from cfgplan_runtime.reasoning.syntax import Always, And, Atom, Eventually, Formula, Implies, Interval, Not, Or, Until
@@ -116,7 +115,7 @@ def test_feeding_many_states_at_once_is_the_same_as_one_at_a_time(formula: Formu
 @given(formulas, traces(three_values, 30))
 def test_forgetting_transitions_changes_nothing(formula: Formula, trace: list[State]) -> None:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(monitor_module, "MOST_REMEMBERED", 8)
+        patch.setattr(automaton, "MOST_REMEMBERED", 8)
         monitor = Monitor(formula)
         follow(monitor, trace)
         assert monitor.ended() == VERDICT[holds(formula, trace)]
@@ -153,6 +152,47 @@ def test_what_is_left_does_not_grow_with_the_stream(formula: Formula, seed: int,
     assert max(sizes) <= 500
 
 
+def test_a_queue_that_was_short_when_a_step_was_learnt_may_be_long_the_next_time() -> None:
+    formula = Always(Implies(P, Eventually(Q, Interval(10, 12))))
+    times = [0, 1, 11, 12, 20, 21, 22, 31, 36, 40]
+    trace = [(time, {"p": time in (0, 1, 20, 21, 22), "q": time in (11, 31)}) for time in times]
+    monitor = Monitor(formula)
+    follow(monitor, trace)
+    assert (monitor.verdict, monitor.time_ns) == (Verdict.FALSE, 36)
+
+
+def test_later_promises_for_ever_are_not_kept_by_what_kept_the_earlier() -> None:
+    formula = Always(Implies(P, Eventually(Q, Interval(5))))
+    monitor = Monitor(formula)
+    follow(monitor, [(time, {"p": time in (0, 3), "q": time == 6}) for time in range(12)])
+    assert monitor.ended() is Verdict.FALSE
+
+
+def test_a_queue_that_falls_apart_is_followed_one_by_one() -> None:
+    formula = Eventually(Until(P, Q, Interval(10, 10)))
+    trace: list[State] = []
+    for time in range(25):
+        trace.append((time, {"p": None if time == 8 else True, "q": time == 17}))
+        monitor = Monitor(formula)
+        follow(monitor, trace)
+        assert monitor.ended() == VERDICT[holds(formula, trace)]
+    shared = Monitor(formula)
+    for count, (time, state) in enumerate(trace, 1):
+        shared.step(time, truths(shared, state))
+        assert shared.ended() == VERDICT[holds(formula, trace[:count])]
+
+
+def test_members_that_come_again_deeper_inside_are_not_kept_twice() -> None:
+    always_p, always_q = Always(P, Interval(1)), Always(Eventually(Q, Interval(4)), Interval(7))
+    monitor = Monitor(Until(Eventually(always_p, Interval(3)), always_q))
+    random = np.random.default_rng(3)
+    sizes = []
+    for time in range(200):
+        monitor.step(time, [bool(each) for each in random.random(2) < 0.5])
+        sizes.append(monitor.size)
+    assert max(sizes) < 100
+
+
 def test_times_must_rise() -> None:
     monitor = Monitor(Always(P))
     monitor.step(5, [TRUE])
@@ -187,7 +227,7 @@ def test_obligations_without_end_are_refused_rather_than_kept(monkeypatch: pytes
 
 
 def test_moments_without_end_are_refused_rather_than_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(monitor_module, "MOST_MOMENTS", 20)
+    monkeypatch.setattr(automaton, "MOST_MOMENTS", 20)
     monitor = Monitor(Always(Implies(P, Eventually(Q, Interval(50, 60)))))
     with pytest.raises(TooManyObligationsError, match="shorten them"):
         follow(monitor, states("p " * 40))

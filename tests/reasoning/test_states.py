@@ -107,20 +107,25 @@ def test_states_are_as_the_definition_says_whatever_arrives_when(
         clock[feature] += step + 1
         events.append((clock[feature] + latency, feature, clock[feature]))
     arrived: dict[str, list[int]] = {"a": [], "b": []}
+    in_time: list[int] = []
+    given_at: list[int] = []
     streams = Synchroniser({"a": None, "b": None}, timing, begin_ns=0)
-    last = -1
-    for now, feature, time in [*sorted(events), (10_000, "", 0)]:
-        for state in streams.ready(now * MS) if feature else ():
-            assert state.time_ns > last
-            last = state.time_ns
-            known = {name: [t for t in times if t * MS <= last] for name, times in arrived.items()}
-            expected = {n: max(ts) for n, ts in known.items() if ts and last - max(ts) * MS <= timing.hold_ns}
+    for now, feature, time in sorted(events):
+        for state in streams.ready(now * MS):
+            at = state.time_ns
+            assert not given_at or at > given_at[-1]
+            given_at.append(at)
+            known = {name: [t for t in times if t * MS <= at] for name, times in arrived.items()}
+            expected = {n: max(ts) for n, ts in known.items() if ts and at - max(ts) * MS <= timing.hold_ns}
             assert state.values == expected
-            passed = all(times and max(times) * MS >= last for times in arrived.values())
-            assert passed or last <= now * MS - timing.delay_ns
+            passed = all(times and max(times) * MS >= at for times in arrived.values())
+            assert passed or at <= now * MS - timing.delay_ns
             assert state.is_forced != passed
-        if feature and (not arrived[feature] or time > max(arrived[feature])):
+        if not arrived[feature] or time > max(arrived[feature]):
             arrived[feature].append(time)
-        if feature:
-            streams.push(feature, time * MS, time)
+            if not given_at or time * MS > given_at[-1]:
+                in_time.append(time * MS)
+        streams.push(feature, time * MS, time)
         assert streams.due_ns() >= 0
+    if given_at and rate_hz is None:
+        assert {time for time in in_time if given_at[0] < time <= given_at[-1]} <= set(given_at)

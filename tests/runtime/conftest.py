@@ -19,6 +19,7 @@ from cfgplan.domain import Transformation
 def nothing_is_left_behind(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     base = tmp_path_factory.mktemp("run")
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(base))
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
     me = psutil.Process()
     children = set(me.children(recursive=True))
     descriptors = me.num_fds()

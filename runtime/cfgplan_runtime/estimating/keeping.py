@@ -43,6 +43,7 @@ def save(estimator: LearningEstimator, path: Path, now_s: float) -> None:
     """Write what was learned, as a whole or not at all, through to the disk. Raises EstimatesError."""
     known = {label: one.moved(-now_s) for label, one in sorted(estimator.evidence.items()) if not one.is_empty}
     data = msgspec.json.format(msgspec.json.encode(_Kept(FORMAT, known)), indent=1)
+    _refuse_what_is_no_file(path)
     new = path.with_name(f".{path.name}.{os.getpid()}.new")
     try:
         path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -64,6 +65,7 @@ def load(estimator: LearningEstimator, path: Path, now_s: float) -> None:
     Raises EstimatesError if it can't be used; a damaged one has then been renamed to `….damaged`, and a new one can
     be saved.
     """
+    _refuse_what_is_no_file(path)
     try:
         data = path.read_bytes()
     except FileNotFoundError:
@@ -90,6 +92,16 @@ def load(estimator: LearningEstimator, path: Path, now_s: float) -> None:
         evidence.upkeep.take_limits(fresh.upkeep())
         evidence.failures.forget_s = fresh.forget_s
     estimator.take_over({label: evidence.moved(now_s) for label, evidence in kept.evidence.items()})
+
+
+def _refuse_what_is_no_file(path: Path) -> None:
+    """A device, a pipe or a folder must be neither waited for nor replaced by a file."""
+    try:
+        is_other = path.exists() and not path.is_file()
+    except OSError:
+        return  # reading or writing says what is wrong
+    if is_other:
+        raise EstimatesError(f"{path}: what was learned can't be kept here: it is no file")
 
 
 def _sync_folder(folder: Path) -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, TypeAlias
 
+from cfgplan import __version__
 from cfgplan.api import World
 from cfgplan.errors import InputError
 from cfgplan_runtime.errors import RuntimeFaultError
@@ -30,6 +31,7 @@ from cfgplan_runtime.operating.methods import Methods
 from cfgplan_runtime.operating.recorder import Recorder
 from cfgplan_runtime.operating.records import report_record
 from cfgplan_runtime.operating.report_log import logging_to
+from cfgplan_runtime.operating.sentences import sentence
 from cfgplan_runtime.runtime import Runtime
 from cfgplan_runtime.streams.run_folder import base_folder
 from cfgplan_runtime.supervision.run_log import RunLog
@@ -152,6 +154,9 @@ class Operation:
             stack.callback(log.close)
         folder = self._path if self._path.is_dir() else self._path.parent
         self.runtime = stack.enter_context(Runtime(folder=folder.resolve(), preload=settings.preload))
+        if self.recorder is not None:
+            facts = {"run": self.id, "environment": str(self._path.resolve()), "version": __version__}
+            self.recorder.recording.describe(facts)
         self._estimator = make_estimator(settings.estimator, settings.guess)
         self._load_estimates()
         self.flows = Flows(self.id, None if self.recorder is None else self.recorder.element)
@@ -198,7 +203,7 @@ class Operation:
                 self.failure = "" if self._is_closed_at_once else cause
                 self.begun.set()
         if self._server.has_subscribers:
-            self._server.publish(report_record(report))
+            self._server.publish({**report_record(report), "says": sentence(report)})
         self._show(report)
 
     def _show(self, news: News) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -52,6 +52,12 @@ class Recording:
         self._forms: dict[str, int] = {}
         self._writer = Writer(self._output, chunk_size=_CHUNK_BYTES)  # type: ignore[arg-type]
         self._do(lambda: self._writer.start(profile="", library="cfgplan"))
+
+    def describe(self, facts: Mapping[str, str]) -> None:
+        """Say what is recorded, as the file's metadata `cfgplan`."""
+        with self._lock:
+            if not self._is_closed and self.failure is None:
+                self._do(lambda: self._writer.add_metadata("cfgplan", dict(facts)))
 
     def write(self, message: Message, time_ns: int) -> None:
         """Record a message that was made at `time_ns` since the epoch."""

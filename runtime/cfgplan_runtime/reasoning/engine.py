@@ -148,6 +148,8 @@ class Engine:
         begin_ns = self._clock_ns()
         end = None if for_s is None else begin + for_s
         told = begin
+        if not self._query.features:
+            self._begin(begin_ns, begin_ns)
         with suppress(KeyboardInterrupt):
             while (end is None or time.monotonic() < end) and not self._is_over.is_set():
                 now = time.monotonic()
