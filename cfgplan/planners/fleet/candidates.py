@@ -32,12 +32,15 @@ class Candidate:
 class Candidates:
     """The candidates by index, in canonical order; the new ones of a transformation stand side by side."""
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: Problem, among: Collection[str] | None = None) -> None:
+        """All candidates, or those of the transformations in `among`."""
         self.problem = problem
         self.environment = problem.environment
         self.givers = Givers(problem.environment.library, problem.similarity)
         self.possible = startable(problem.environment, self.givers)
         labels = _relevant(problem, self.givers, self.possible)
+        if among is not None:
+            labels = labels.intersection(among)
         self.all = (*_present(problem), *_new(problem, labels))
         self.all = tuple(c for c in self.all if c.transformation.label in labels)
         self.index_of = {candidate.id: i for i, candidate in enumerate(self.all)}

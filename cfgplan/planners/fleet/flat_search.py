@@ -31,19 +31,26 @@ EXACT = 2**50
 class FlatSearch:
     """Finds the least cost and the fewest started units for it; `is_done` if that is proven."""
 
-    def __init__(self, flat: Flat, standing: Standing, slice_s: float) -> None:
+    def __init__(
+        self, flat: Flat, standing: Standing, hostless_us: int, slice_s: float, *, is_all: bool = True
+    ) -> None:
+        """With `is_all` false some candidates are left out: nothing is learned but plans."""
         self.flat = flat
         self.standing = standing
         self.is_done = False
         self.slice_s = slice_s
+        self.is_all = is_all
         cost, graph = flat.costs(), flat.graph()
         price_us = sum(least_prices_us(flat.candidates).values())
         plan = first_plan(graph, cost, ATTEMPTS, standing.clock.is_over)
         most = int(cost.sum()) if standing.best is None else standing.best[0][1] - price_us
         enough = most if plan is None else min(most, int(cost[sorted(plan)].sum()))
         bound = tightened(Bound(graph.core, cost), enough, most, standing.clock)
-        standing.raise_bound(bound.value + price_us)
+        if is_all:
+            standing.raise_bound(bound.value + price_us)
         self.least_us = bound.value
+        self._bound = bound
+        self._price_us = price_us
         self.greedy = plan or set()
         landmarks = [bound.core.labels[one.members].tolist() for one in bound.landmarks]
         self.model = FlatModel(flat, landmarks)
@@ -55,6 +62,8 @@ class FlatSearch:
         if any(target.quality for target in flat.candidates.environment.targets):
             self._ask_for_quality()
         self.model.ground()
+        if hostless_us:
+            self.model.cp.add(self.model.cost_but_transfers() >= hostless_us)
         started = self.model.started()
         weighed = (len(started) + 1) * (sum(flat.cost_us) + 1) < EXACT
         self.scale = len(started) + 1 if weighed else 1
@@ -72,10 +81,8 @@ class FlatSearch:
             solver.best_bound_callback = self._learn
             status = solve(solver, self.model.cp, OnSolution(self._look_at), self.standing.clock)
             self.standing.counts["conflicts"] += solver.num_conflicts
-            if status == INFEASIBLE and self.standing.best is not None:
-                raise AssertionError("the best plan is a solution")
             if status in (MODEL_INVALID, INFEASIBLE):
-                self.standing.is_infeasible = status == INFEASIBLE
+                self.standing.is_infeasible = self.is_all and status == INFEASIBLE and self.standing.best is None
                 return True
             self._learn(solver.best_objective_bound)
             if status != OPTIMAL:
@@ -85,6 +92,13 @@ class FlatSearch:
             self._cut(solver.boolean_value)
         return True
 
+    def left(self) -> frozenset[str]:
+        """The transformations that may be in a plan as cheap as the best one."""
+        assert self.standing.best is not None
+        keep = self._bound.may_be_used(self.standing.best[0][1] - self._price_us)
+        units = {self.flat.labels[label].unit for label in self._bound.core.labels[keep].tolist()}
+        return frozenset(self.flat.candidates.all[unit].transformation.label for unit in units)
+
     def _is_proven_by(self, solver: CpSolver) -> bool:
         """Whether the optimum of a round is a plan."""
         units = self._decoded(solver.boolean_value)
@@ -93,6 +107,8 @@ class FlatSearch:
         key = self.standing.offer(units)
         if self.scale * key[1] + (key[3] if self.is_weighed else 0) > round(solver.objective_value):
             return False
+        if not self.is_all:
+            return True
         self.standing.prove_cost()
         assert self.standing.best is not None
         best = self.standing.best[0]
@@ -196,7 +212,8 @@ class FlatSearch:
         self.standing.counts["cuts"] = self.standing.counts.get("cuts", 0) + len(unfounded)
 
     def _learn(self, bound: float) -> None:
-        self.standing.raise_bound(ceil(bound - 0.5) // self.scale)
+        if self.is_all:
+            self.standing.raise_bound(ceil(bound - 0.5) // self.scale)
 
     def _solver(self) -> CpSolver:
         """An engine for one round, of a length that does not depend on the machine."""

@@ -66,6 +66,12 @@ def value_of_choice(model: Model, attribute: QualityAttribute, choices: Choices,
     value = model.cp.new_int_var(min(ends), max(ends), "") if ends else model.cp.new_constant(attribute.worst)
     for stream, taken in choices:
         model.cp.add(value >= values[stream] if is_low else value <= values[stream]).only_enforce_if(taken)
+    if choices:  # implied, but what the linear relaxation needs
+        best_of = min if is_low else max
+        start = best_of(ends)
+        at_best = LinearExpr.sum([(best_of(values[stream].proto.domain) - start) * taken for stream, taken in choices])
+        at_best += start
+        model.cp.add(value >= at_best if is_low else value <= at_best)
     return value
 
 
@@ -76,6 +82,10 @@ def _grant(model: Model, attribute: QualityAttribute, wish: Wish, choices: Choic
             continue
         distance = _badness(attribute, values[stream])
         model.cp.add(missed_by >= distance).only_enforce_if(published)
+    known = [(stream, published) for stream, published in choices if stream in values]
+    best_of = min if attribute.better is Better.LOWER else max
+    at_best = [_badness_of(attribute, best_of(values[s].proto.domain)) * published for s, published in known]
+    model.cp.add(missed_by >= LinearExpr.sum(at_best))
     if wish.bound is not None:
         model.cp.add(missed_by <= max(0, _badness_of(attribute, wish.bound)))
         if _badness_of(attribute, wish.bound) < 0:
