@@ -12,6 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
+from threading import Event
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from cfgplan import validity
@@ -194,7 +195,10 @@ def plan(
 
     Raises UntruthfulPlanError if the judge does not accept it.
     """
-    answer = PLANNERS[planner](problem, time_limit_s=time_limit_s, report=report)
+    return _accepted(problem, PLANNERS[planner](problem, time_limit_s=time_limit_s, report=report))
+
+
+def _accepted(problem: Problem, answer: Plan) -> Plan:
     found = plan_violations(problem, answer)
     if found:
         raise UntruthfulPlanError(answer, found)
@@ -297,8 +301,17 @@ def _judged(planner: str, limit_s: float | None) -> Planner:
         time_limit_s: float | None = None,
         report: Callable[[Progress], None] | None = None,
     ) -> Plan:
-        limits = [limit for limit in (limit_s, time_limit_s) if limit is not None]
-        return plan(problem, planner=planner, time_limit_s=min(limits, default=None), report=report)
+        limit = min((limit for limit in (limit_s, time_limit_s) if limit is not None), default=None)
+        if planner != "cpsat":
+            return plan(problem, planner=planner, time_limit_s=limit, report=report)
+        from cfgplan.planners import cpsat
+
+        # A single plan that is stopped by Ctrl-C is the best so far; what asks for many of them has to end.
+        stop = Event()
+        found = _accepted(problem, cpsat.plan(problem, time_limit_s=limit, report=report, stop=stop))
+        if stop.is_set():
+            raise KeyboardInterrupt
+        return found
 
     return judged
 

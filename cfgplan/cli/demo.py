@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -45,8 +46,12 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
     stage = open_stage(options.world)
     out = Path(options.report)
+    if out.is_dir():
+        raise InputError.of("can't be written: this is a folder", file=str(out), mend="name a file, such as nao.html")
     if not out.absolute().parent.is_dir():
-        raise InputError.of("can't be written: there is no such folder", file=str(out))
+        raise InputError.of("can't be written: there is no such folder", file=str(out), mend="make the folder first")
+    if not os.access(out.absolute().parent, os.W_OK):
+        raise InputError.of("can't be written: the folder is read-only", file=str(out), mend="name another --report")
     with Interrupts(), _Narrator(screen) as narrator:
         played = play(stage, SECTION_V, options.step, narrator)
     with screen.phase("compare robots and draw the page"):

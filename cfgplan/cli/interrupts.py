@@ -4,12 +4,32 @@ from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from threading import current_thread, main_thread
 from types import FrameType, TracebackType
 
 from cfgplan.cli.exits import Exit
 
 _SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 _MOST_PATIENT = 2
+
+
+@contextmanager
+def ended_cleanly() -> Iterator[None]:
+    """SIGTERM and a closed terminal end a command by an exception, so that its folders and processes are removed."""
+
+    def end(number: int, _frame: FrameType | None) -> None:
+        raise SystemExit(128 + number)
+
+    names = _SIGNALS[1:] if current_thread() is main_thread() else ()
+    signals = [getattr(signal, name) for name in names if hasattr(signal, name)]
+    before = {one: signal.signal(one, end) for one in signals if signal.getsignal(one) == signal.SIG_DFL}
+    try:
+        yield
+    finally:
+        for one, handler in before.items():
+            signal.signal(one, handler)
 
 
 class Interrupts:

@@ -24,7 +24,7 @@ def add_to(verbs: shared.Subparsers) -> None:
     )
     parser.add_argument("topic", metavar="TOPIC", help="the topic of a target, such as /result")
     parser.add_argument("--run", dest="run_id", metavar="ID", help="the run, if several have the topic")
-    parser.add_argument("--count", type=int, metavar="N", help="end after N elements")
+    parser.add_argument("--count", type=shared.count, metavar="N", help="end after N elements")
     parser.add_argument("--for", dest="span", type=duration, metavar="TIME", help="end after 30s, 5m, 1h")
     parser.add_argument(
         "--wait", type=duration, default=0.0, metavar="TIME", help="wait so long for the topic to be there"

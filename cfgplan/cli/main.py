@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import errno
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -25,17 +27,32 @@ from cfgplan.cli import (
     solve,
 )
 from cfgplan.cli.exits import Exit
+from cfgplan.cli.interrupts import ended_cleanly
 from cfgplan.cli.screen import Screen
 from cfgplan.errors import CfgplanError, Fault, InputError
 
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+_EXTRA_OF = {"cv2": "demo", "jinja2": "demo", "matplotlib": "plots", "prometheus_client": "metrics"}
 VERBS = (check, match, solve, explain, sensitivity, graph, run, ctl, listen, query, demo, compare, importing, exporting)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns its exit code."""
-    options = _parser().parse_args(arguments)
-    screen = Screen(json=getattr(options, "json", False))
+    _stand_in_for_closed_streams()
+    with ended_cleanly():
+        return _main(arguments)
+
+
+def _main(arguments: Sequence[str] | None) -> int:
+    screen, options = Screen(json=False), argparse.Namespace()
     try:
+        parser = _parser()
+        options = parser.parse_args(arguments)
+        if not hasattr(options, "run"):
+            parser.print_help(sys.stderr)
+            return Exit.BAD_INPUT
+        screen = Screen(json=getattr(options, "json", False))
+        _say_every_character(screen)
         code = int(options.run(options, screen))
         sys.stdout.flush()
         return code
@@ -49,13 +66,49 @@ def main(arguments: Sequence[str] | None = None) -> int:
         screen.note("interrupted")
         return Exit.INTERRUPTED
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _say_no_more()
         return Exit.OK
+    except ModuleNotFoundError as error:
+        if (error.name or "").startswith("cfgplan"):
+            raise
+        screen.faults([Fault(f"the package {error.name} is not installed", mend=_install(error.name or ""))])
+        return Exit.BAD_INPUT
     except Exception as error:
         if os.environ.get("CFGPLAN_TRACEBACK"):
             raise
+        if isinstance(error, OSError) and error.errno in _FULL and not error.filename:
+            _say_no_more()
+            screen.faults([Fault(f"what was found can't be written: {error.strerror}", file="standard output")])
+            return Exit.BAD_INPUT
         screen.internal_error(error)
         return Exit.INTERNAL
+
+
+def _stand_in_for_closed_streams() -> None:
+    """A command may be started with stdout or stderr closed; no file or socket must get their numbers."""
+    for number in (0, 1, 2):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
+    sys.stdout = sys.stdout or os.fdopen(1, "w", encoding="utf-8")
+    sys.stderr = sys.stderr or os.fdopen(2, "w", encoding="utf-8")
+
+
+def _say_every_character(screen: Screen) -> None:
+    """What a terminal without Unicode can't show is escaped; JSON is UTF-8 everywhere."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(encoding="utf-8" if screen.json else None, errors="backslashreplace")
+
+
+def _say_no_more() -> None:
+    """Nothing more can be written: not even what is flushed at the end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _install(package: str) -> str:
+    extra = _EXTRA_OF.get(package.partition(".")[0])
+    return f"pip install 'cfgplan[{extra}]'" if extra else "install cfgplan again, with all that it needs"
 
 
 class Parser(argparse.ArgumentParser):
@@ -78,7 +131,7 @@ def _parser() -> Parser:
         "20 stopped with an unproven plan, 21 stopped with none, 30 bad input, 31 internal error.",
     )
     parser.add_argument("--version", action="version", version=f"cfgplan {__version__}")
-    verbs = parser.add_subparsers(metavar="VERB", required=True)
+    verbs = parser.add_subparsers(metavar="VERB")
     for verb in VERBS:
         verb.add_to(verbs)
     return parser

@@ -169,7 +169,7 @@ def whole_seconds(text: str) -> int:
 def positive(text: str) -> float:
     value = _decimal(text)
     if value <= 0:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number of seconds")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
     return float(value)
 
 
@@ -210,7 +210,7 @@ def put(text: str, out: str | None, screen: Screen) -> None:
     from cfgplan import api
 
     if out is None:
-        screen.write(text)
+        screen.write_bytes(text.encode())
     else:
         api.write_file(Path(out), text.encode())
         screen.note(f"Wrote {out}.")

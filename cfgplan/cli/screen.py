@@ -103,9 +103,14 @@ class Screen:
     def _out(self) -> Console:
         from rich.console import Console
 
+        class Out(Console):
+            def on_broken_pipe(self) -> None:
+                """Leave it to `main`, as with everything else that is written."""
+                raise BrokenPipeError
+
         # What goes to a file or a program is not cut at the edge of a screen that is not there.
         width = None if sys.stdout.isatty() else _WIDTH_OF_A_FILE
-        return Console(highlight=False, markup=False, emoji=False, width=width)
+        return Out(highlight=False, markup=False, emoji=False, width=width)
 
     @cached_property
     def _err(self) -> Console:

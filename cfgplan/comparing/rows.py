@@ -86,23 +86,36 @@ class Row:
 def read_rows(path: Path) -> list[Row]:
     """The rows of a file, of equal runs the last; none if there is no file.
 
-    A last line that an interruption cut short is passed over. Raises InputError for any other that is no row.
+    A last line that an interruption cut short is passed over. Raises InputError for any other that is no row, and
+    for a file that can't be read.
     """
     if not path.exists():
         return []
-    lines = path.read_text(encoding="utf-8").split("\n")
+    try:
+        lines = path.read_text(encoding="utf-8").split("\n")
+    except UnicodeDecodeError:
+        raise InputError.of("this is no results file", file=str(path), mend="use another results file") from None
+    except OSError as error:
+        raise InputError.of(f"can't be read: {error.strerror}", file=str(path), mend="use another file") from None
     rows = {row.key: row for number, line in enumerate(lines[:-1], 1) if line for row in [_row(path, number, line)]}
     return list(rows.values())
 
 
 def append_row(path: Path, row: Row) -> None:
-    """Add a row at the end of the file, which is made if need be; a line cut short before it is removed."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a+b") as file:
-        file.seek(0)
-        whole = file.read().rfind(b"\n") + 1
-        file.truncate(whole)
-        file.write(json.dumps(asdict(row), ensure_ascii=False).encode() + b"\n")
+    """Add a row at the end of the file, which is made if need be; a line cut short before it is removed.
+
+    Raises InputError if it can't be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("a+b") as file:
+            file.seek(0)
+            whole = file.read().rfind(b"\n") + 1
+            file.truncate(whole)
+            file.write(json.dumps(asdict(row), ensure_ascii=False).encode() + b"\n")
+    except OSError as error:
+        mend = "check that the folder may be written to"
+        raise InputError.of(f"can't be written: {error.strerror}", file=str(path), mend=mend) from None
 
 
 def thinned(trace: Iterable[Point], most: int = 40) -> tuple[Point, ...]:

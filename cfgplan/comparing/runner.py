@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
@@ -173,11 +174,13 @@ def _run_process(task: str, limit_s: float) -> tuple[str, str, int | None]:
     try:
         out, err = process.communicate(task, timeout=limit_s)
     except subprocess.TimeoutExpired:
-        os.killpg(process.pid, signal.SIGKILL)
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
         out, err = process.communicate()
         return out, err, None
     except BaseException:
-        os.killpg(process.pid, signal.SIGKILL)
+        with suppress(ProcessLookupError):  # Ctrl-C may come when it has just ended
+            os.killpg(process.pid, signal.SIGKILL)
         process.wait()
         raise
     return out, err, process.returncode

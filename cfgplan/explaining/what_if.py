@@ -121,4 +121,6 @@ def _number(value: str) -> Decimal:
 
 def _mend(name: str, known: Collection[str]) -> str | None:
     close = get_close_matches(name, known, n=1)
-    return f"did you mean {close[0]!r}?" if close else None
+    if close:
+        return f"did you mean {close[0]!r}?"
+    return f"there are {len(known)}, such as {', '.join(sorted(known)[:3])}" if known else None

@@ -11,10 +11,11 @@ from real_run import RealRun
 
 
 @pytest.fixture
-def run_for_real(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[RealRun]:
+def run_for_real(
+    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[RealRun]:
     """An environment file that is watched, a manager, a runtime of processes, and a listener to /result."""
-    base = tmp_path / "run"
-    base.mkdir()
+    base = tmp_path_factory.mktemp("r")  # short: a socket's path may have about 100 characters
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(base))
     me = psutil.Process()
     before = set(me.children(recursive=True))

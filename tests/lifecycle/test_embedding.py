@@ -173,11 +173,14 @@ def test_without_its_middleware_a_manager_ends_and_tells_who_waits() -> None:
 
 
 def test_the_few_lines_of_the_readme_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path,
+    tmp_path_factory: pytest.TempPathFactory,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     (tmp_path / "units.py").write_text(block("python", "def camera"))
     (tmp_path / "env.yaml").write_text(block("yaml", "label: camera"))
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("r")))
     monkeypatch.chdir(tmp_path)
     exec(block("python", "watch_file"), {})
     assert capsys.readouterr().out.startswith("applied ('ball',) {")

@@ -16,9 +16,9 @@ RUN = [sys.executable, "-c", "from cfgplan.cli import main; main()", "run", "--j
 
 
 def test_nothing_outlives_a_killed_supervisor_and_another_goes_on_from_the_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("r")))
     files = RealRun(tmp_path)
     files.write(source(), worker())
     first = subprocess.Popen([*RUN, str(files.file)], stdout=subprocess.DEVNULL)

@@ -48,6 +48,13 @@ def ctl(capsys: pytest.CaptureFixture[str], *arguments: object, code: int = 0) -
     return json.loads(capsys.readouterr().out)
 
 
+def state_now(capsys: pytest.CaptureFixture[str]) -> Any:
+    """The state at any moment, perhaps between a change and its review."""
+    capsys.readouterr()
+    assert main(["ctl", "--json", "state"]) in (0, 12)
+    return json.loads(capsys.readouterr().out)
+
+
 @pytest.mark.usefixtures("run")
 def test_a_robot_registers_itself_is_used_and_leaves_again(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (env.parent / "robot2.yaml").write_text(ROBOT)
@@ -61,7 +68,7 @@ def test_a_robot_registers_itself_is_used_and_leaves_again(env: Path, capsys: py
     assert [(target["label"], target["met"]) for target in state["targets"]] == [("ball", True), ("paffs ball", True)]
     # What was added stays when the file changes.
     env.write_text(ENVIRONMENT.replace("horizon: 600", "horizon: 500"))
-    eventually(lambda: ctl(capsys, "state")["horizon_s"] == 500)
+    eventually(lambda: state_now(capsys)["horizon_s"] == 500)
     assert len(ctl(capsys, "state")["targets"]) == 2
     withdrawn = ctl(capsys, "withdraw", "robot2")
     assert set(withdrawn["review"]["change_set"]["stopped"]) >= {"camera(paff).1", "detector(paff).1"}
@@ -100,7 +107,7 @@ def test_a_review_can_be_forced_and_the_run_be_stopped(
 
 @pytest.mark.usefixtures("run")
 def test_people_are_shown_the_state(capsys: pytest.CaptureFixture[str]) -> None:
-    eventually(lambda: all("upkeep_us" in unit for unit in ctl(capsys, "state")["units"]))
+    eventually(lambda: all("upkeep_us" in unit for unit in state_now(capsys)["units"]))
     assert main(["ctl", "state"]) == 0
     out = capsys.readouterr().out
     for part in ("Run ", "env.yaml", "ball", "/result", " Hz", "image <- camera(piff).1/image", "Review 1: started"):
@@ -171,8 +178,8 @@ def test_a_horizon_that_was_given_holds_whatever_the_file_says(env: Path, capsys
     with running(env, "--horizon", "50") as process:
         await_event(process, "Running")
         env.write_text(ENVIRONMENT.replace("/result", "/elsewhere").replace("600", "700"))
-        eventually(lambda: ctl(capsys, "state")["targets"][0]["topic"] == "/elsewhere")
-        assert ctl(capsys, "state")["horizon_s"] == 50
+        eventually(lambda: state_now(capsys)["targets"][0]["topic"] == "/elsewhere")
+        assert state_now(capsys)["horizon_s"] == 50
 
 
 def test_a_killed_run_takes_its_units_along_and_the_next_begins_anew(
@@ -248,7 +255,7 @@ def test_what_was_learned_is_kept_from_run_to_run(
     for _ in range(2):
         with running(env, "--estimates", estimates) as process:
             await_event(process, "Running")
-            eventually(lambda: all("upkeep_us" in unit for unit in ctl(capsys, "state")["units"]))
+            eventually(lambda: all("upkeep_us" in unit for unit in state_now(capsys)["units"]))
             ctl(capsys, "stop")
             assert process.wait(PATIENCE_S) == 0
         assert "camera(piff)" in estimates.read_text()

@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 import psutil
 import pytest
 from cfgplan_runtime import ApplyError, Patience, StaleChangeSetError, subscribe
-from cfgplan_runtime.errors import NoSuchTopicError, UnsupportedPlatformError
+from cfgplan_runtime.errors import NoSuchTopicError, RuntimeFaultError, UnsupportedPlatformError
 from cfgplan_runtime.supervision.events import (
     OutletsLost,
     RolledBack,
@@ -304,6 +304,14 @@ def test_another_user_can_not_connect_to_a_topic(run_units: StartRuntime, monkey
         for path in sockets:
             assert subprocess.run([sys.executable, "-c", script, path], check=False).returncode == 7
         runtime.close()
+
+
+def test_a_folder_whose_name_is_too_long_for_sockets_is_refused_with_the_mend(
+    run_units: StartRuntime, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / ("x" * 100)))
+    with pytest.raises(RuntimeFaultError, match="set XDG_RUNTIME_DIR to a shorter folder"):
+        run_units(source())
 
 
 def test_only_the_user_can_reach_the_topics(run_units: StartRuntime, nothing_is_left_behind: Path) -> None:

@@ -13,6 +13,7 @@ import secrets
 import shutil
 import socket
 import stat
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -21,7 +22,9 @@ from urllib.parse import quote
 
 from cfgplan_runtime.errors import RuntimeFaultError
 
-_LONGEST_NAME = 40
+_LONGEST_NAME = 24
+_LONGEST_BASE = (107 if sys.platform == "linux" else 103) - len("/01234567/.socket") - _LONGEST_NAME
+"""In bytes: the system limits the path of a socket."""
 _BACKLOG = 64
 
 
@@ -59,9 +62,16 @@ class RunFolder:
 
 
 def base_folder() -> Path:
-    """The folder of this user's runs, made if need be. Raises RuntimeFaultError if someone else's is in its place."""
+    """The folder of this user's runs, made if need be.
+
+    Raises RuntimeFaultError if someone else's is in its place, or if its name is too long for sockets.
+    """
     given = os.environ.get("XDG_RUNTIME_DIR")
     base = Path(given) / "cfgplan" if given else Path(tempfile.gettempdir()) / f"cfgplan-{os.getuid()}"
+    if len(os.fsencode(base)) > _LONGEST_BASE:
+        raise RuntimeFaultError(
+            f"{base}: too long a name for the run's sockets: set XDG_RUNTIME_DIR to a shorter folder"
+        )
     try:
         base.mkdir(mode=0o700, parents=True, exist_ok=True)
         found = base.lstat()
@@ -110,7 +120,7 @@ def address(run: Path, topic: str) -> Path:
     """Where a topic's socket is; short enough for a socket's path."""
     name = quote(topic, safe="")
     if len(name) > _LONGEST_NAME:
-        name = f"{name[:20]}-{hashlib.sha256(topic.encode()).hexdigest()[:16]}"
+        name = f"{name[:11]}-{hashlib.sha256(topic.encode()).hexdigest()[:12]}"
     return run / f"{name}.socket"
 
 

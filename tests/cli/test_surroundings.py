@@ -1,0 +1,116 @@
+"""What a command does where it is started: closed, full or plain streams, signals, missing packages."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from command import MODELS, Run
+
+from cfgplan.cli.interrupts import ended_cleanly
+from cfgplan.planners import cpsat
+
+NAO = MODELS / "nao"
+UNMET = NAO / "0-target-only.yaml"
+FUSION = NAO / "4-fusion-available.yaml"
+COMMAND = [sys.executable, "-c", "import sys; from cfgplan.cli import main; sys.exit(main())"]
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals, pipes and devices of POSIX")
+
+
+def start(*arguments: object, **more: Any) -> subprocess.CompletedProcess[bytes]:
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **more}
+    return subprocess.run([*COMMAND, *map(str, arguments)], check=False, timeout=120, **streams)
+
+
+def test_without_a_verb_there_is_help(run: Run) -> None:
+    result = run()
+    assert result.code == 30
+    assert "solve" in result.err
+
+
+def test_a_terminal_without_unicode_gets_escapes_and_json_is_utf_8_everywhere() -> None:
+    ascii_only = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    text = start("explain", UNMET, env=ascii_only)
+    assert text.returncode == 10
+    assert b"target ball wants Position \\u2293 \\u2203hasSource.Ball" in text.stdout
+    found = start("explain", UNMET, "--json", env=ascii_only)
+    assert found.returncode == 10
+    assert "∃hasSource.Ball" in json.dumps(json.loads(found.stdout.decode()), ensure_ascii=False)
+
+
+@pytest.mark.parametrize("verb", [["solve", FUSION], ["graph", FUSION, "--format", "mermaid"]])
+def test_closed_streams_are_no_errors(verb: list[object]) -> None:
+    line = [*COMMAND, *map(str, verb)]
+    done = subprocess.run(["sh", "-c", '"$@" >&- 2>&-', "sh", *line], check=False, timeout=120)
+    assert done.returncode == 0
+
+
+def test_a_reader_that_has_gone_is_no_error() -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = start("solve", FUSION, stdout=writer)
+    os.close(writer)
+    assert (done.returncode, b"error" in done.stderr) == (0, False)
+
+
+@pytest.mark.skipif(not Path("/dev/full").is_char_device(), reason="this system has no /dev/full")
+def test_a_full_disk_is_told() -> None:
+    with Path("/dev/full").open("wb") as full:
+        done = start("export", "schema", stdout=full)
+    assert done.returncode == 30
+    assert b"error: standard output: what was found can't be written: No space left" in done.stderr
+
+
+def test_a_package_that_is_missing_is_named(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pygraphviz", None)
+    result = run("graph", FUSION)
+    assert result.code == 30
+    assert "the package pygraphviz is not installed" in result.err
+
+
+@pytest.mark.parametrize("arguments", [["--alternatives", "3"], ["--best-effort"]])
+def test_ctrl_c_ends_what_asks_for_many_plans(run: Run, monkeypatch: pytest.MonkeyPatch, arguments: list[str]) -> None:
+    """The planner turns Ctrl-C into its best plan so far, with which nothing more may be asked."""
+    plan = cpsat.plan
+
+    def interrupted(*given: Any, **more: Any) -> Any:
+        more["stop"].set()
+        return plan(*given, **more)
+
+    monkeypatch.setattr(cpsat, "plan", interrupted)
+    result = run("solve", FUSION, *arguments)
+    assert (result.code, result.out) == (130, "")
+    assert "interrupted" in result.err
+
+
+def test_sigterm_lets_a_command_clear_away_what_it_has_made() -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(SystemExit, match="143"), ended_cleanly():
+        signal.raise_signal(signal.SIGTERM)
+    assert signal.getsignal(signal.SIGTERM) == before
+
+
+def test_results_that_can_not_be_kept_are_told(run: Run, write: Callable[[str], Path], tmp_path: Path) -> None:
+    env = write("transformations: [{label: a, outputs: {o: A}}]\ntargets: [{label: t, topic: /t, tag: A}]\n")
+    picture = tmp_path / "picture.png"
+    picture.write_bytes(b"\x89PNG\n")
+    for results, says in ((picture, "this is no results file"), (tmp_path, "Is a directory")):
+        result = run("compare", env, "--planner", "cpsat", "--results", results)
+        assert result.code == 30
+        assert f"error: {results}: " in result.err
+        assert says in result.err
+    assert picture.read_bytes() == b"\x89PNG\n"
+
+
+def test_the_demo_is_not_played_for_a_page_that_can_not_be_written(run: Run, tmp_path: Path) -> None:
+    for page in (tmp_path, tmp_path / "nowhere" / "page.html"):
+        result = run("demo", "nao", "--report", page)
+        assert (result.code, result.out) == (30, "")
+        assert str(page) in result.err
