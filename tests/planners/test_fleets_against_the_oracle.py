@@ -16,7 +16,13 @@ from worlds import problems
 
 from cfgplan.errors import InputError
 from cfgplan.planners import PLANNERS, exhaustive_fleet, fleet
+from cfgplan.planners.cpsat.clock import Clock
+from cfgplan.planners.fleet.candidates import Candidates
+from cfgplan.planners.fleet.flatness import is_flat
+from cfgplan.planners.fleet.search import Search
+from cfgplan.planners.fleet.standing import Standing
 from cfgplan.planning import Notion, Plan, Problem
+from cfgplan.reasons import unmet_reasons
 from cfgplan.validity import plan_violations
 
 EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "40"))
@@ -118,3 +124,19 @@ def test_the_plan_for_a_fleet_leaves_nothing_to_do(problem: Problem) -> None:
 def test_planners_that_do_not_know_the_notions_refuse_them(planner: str, problem: Problem) -> None:
     with pytest.raises(InputError, match="does not know hosts"):
         PLANNERS[planner](problem)
+
+
+FLAT = frozenset({Notion.QUALITY, Notion.HOSTS, Notion.CONFLICTS, Notion.INSTANCES})
+
+
+@some
+@given(st.frozensets(st.sampled_from(sorted(FLAT)), min_size=1).flatmap(lambda notions: fleets(notions, most=9)))
+def test_the_fast_way_equals_the_explicit_model_beyond_the_oracles_reach(problem: Problem) -> None:
+    candidates = Candidates(problem)
+    assume(is_flat(candidates) and not unmet_reasons(problem))
+    standing = Standing(problem, Clock(), None)
+    standing.counts = {"conflicts": 0}
+    Search(candidates, standing).run()
+    fast = fleet.plan(problem)
+    assert plan_violations(problem, fast) == []
+    assert quality(fast) == quality(standing.plan())

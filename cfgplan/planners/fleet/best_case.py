@@ -5,7 +5,7 @@ At best all that can run runs. What would miss every bound even then is of no us
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 
 from cfgplan.domain import OutputPort, Stream
 from cfgplan.planners.fleet.candidates import Candidate, Candidates
@@ -30,9 +30,10 @@ def leave_out_what_is_too_bad(candidates: Candidates) -> None:
 
 
 def range_of_use(candidates: Candidates, attribute: QualityAttribute) -> dict[Stream, tuple[int, int]]:
-    """For each stream that a plan may use its best value, and the worst with which it is of use.
+    """For each stream that a plan may use its best value, and the worst with which its unit is of use.
 
-    Where spares may get any quality, that is the worst there is.
+    That is the worst there is for spares, which may get any quality, for units that are asked for whatever
+    they give, and for those of which another stream may be used instead.
     """
     best = best_values(candidates, attribute)
     allowed = _allowed(candidates, attribute) if Notion.SURVIVAL not in candidates.problem.notions else {}
@@ -43,6 +44,12 @@ def range_of_use(candidates: Candidates, attribute: QualityAttribute) -> dict[St
             worst = allowed.get(tag, attribute.worst)
             if stream in best and (stream not in used or attribute.is_better(used[stream], worst)):
                 used[stream] = worst
+    streams_of = Counter(stream.unit for stream in used)
+    for stream, worst in used.items():
+        i = candidates.index_of[stream.unit]
+        is_asked_for = candidates.is_pinned(i) or candidates.all[i].transformation.min_instances
+        if is_asked_for or streams_of[stream.unit] > 1 or attribute.is_better(worst, best[stream]):
+            used[stream] = attribute.worst
     return {stream: (best[stream], worst) for stream, worst in used.items()}
 
 
