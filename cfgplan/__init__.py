@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from cfgplan.api import World as World
     from cfgplan.api import alternatives as alternatives
     from cfgplan.api import best_effort as best_effort
+    from cfgplan.api import front as front
     from cfgplan.api import load as load
     from cfgplan.api import match as match
     from cfgplan.api import match_ports as match_ports
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from cfgplan.domain import ChangeSet as ChangeSet
     from cfgplan.domain import ComputationUnit as ComputationUnit
     from cfgplan.domain import Environment as Environment
+    from cfgplan.domain import Host as Host
     from cfgplan.domain import InputPort as InputPort
     from cfgplan.domain import OutputPort as OutputPort
     from cfgplan.domain import Publication as Publication
@@ -46,24 +48,32 @@ if TYPE_CHECKING:
     from cfgplan.errors import InputError as InputError
     from cfgplan.errors import InvalidValueError as InvalidValueError
     from cfgplan.graphs import computation_graph as computation_graph
+    from cfgplan.planning import Failures as Failures
+    from cfgplan.planning import Notion as Notion
     from cfgplan.planning import Plan as Plan
     from cfgplan.planning import Planner as Planner
     from cfgplan.planning import Problem as Problem
     from cfgplan.planning import Progress as Progress
     from cfgplan.planning import Status as Status
+    from cfgplan.qualities import Better as Better
+    from cfgplan.qualities import Contribution as Contribution
+    from cfgplan.qualities import Over as Over
+    from cfgplan.qualities import QualityAttribute as QualityAttribute
+    from cfgplan.qualities import Wish as Wish
     from cfgplan.validity import Rule as Rule
     from cfgplan.validity import Violation as Violation
 
 __version__ = "0.1.0"
 
 _HOMES = {
-    "cfgplan.api": "UntruthfulPlanError World alternatives best_effort load match match_ports plan plan_violations "
-    "problem sensitivity violations what_if why why_not world",
-    "cfgplan.domain": "ChangeSet ComputationUnit Environment InputPort OutputPort Publication Similarity Stream "
+    "cfgplan.api": "UntruthfulPlanError World alternatives best_effort front load match match_ports plan "
+    "plan_violations problem sensitivity violations what_if why why_not world",
+    "cfgplan.domain": "ChangeSet ComputationUnit Environment Host InputPort OutputPort Publication Similarity Stream "
     "Subscription Target Transformation",
     "cfgplan.errors": "CfgplanError Fault InputError InvalidValueError",
     "cfgplan.graphs": "computation_graph",
-    "cfgplan.planning": "Plan Planner Problem Progress Status",
+    "cfgplan.planning": "Failures Notion Plan Planner Problem Progress Status",
+    "cfgplan.qualities": "Better Contribution Over QualityAttribute Wish",
     "cfgplan.validity": "Rule Violation",
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names.split()}

@@ -20,12 +20,12 @@ from cfgplan.domain import Environment, Similarity
 from cfgplan.errors import CfgplanError, InputError
 from cfgplan.matching import REASONERS, MatchExplanation, Matching, Nearest, Ontology, load_ontology, read_owlready
 from cfgplan.planners import PLANNERS
-from cfgplan.planning import Plan, Planner, Problem, Progress
+from cfgplan.planning import Failures, Plan, Planner, Problem, Progress
 from cfgplan.validity import Violation
 
 if TYPE_CHECKING:
     from cfgplan import formats
-    from cfgplan.explaining import Alternatives, BestEffort, Sensitivity, Why, WhyNot
+    from cfgplan.explaining import Alternatives, BestEffort, Front, Sensitivity, Why, WhyNot
 
 PLANNER_NAMES = tuple(PLANNERS)
 REASONER_NAMES = tuple(REASONERS)
@@ -45,7 +45,8 @@ class UntruthfulPlanError(CfgplanError):
 class World:
     """An environment with the ontology that gives its tags their meaning, and what planning needs besides.
 
-    `horizon_s` is in seconds, `max_cost_us` in microseconds of CPU time. `file` is what it was read from.
+    `horizon_s` is in seconds, `max_cost_us` in microseconds of CPU time. `file` is what it was read from. `survive`
+    says which single failures a plan has to bear.
     """
 
     environment: Environment
@@ -53,13 +54,16 @@ class World:
     horizon_s: int
     max_cost_us: int | None = None
     file: formats.EnvironmentFile | None = None
+    survive: Failures | None = None
 
     @cached_property
     def digest(self) -> str:
         """A hash of all that a plan depends on; a plan file carries it, so that a stale plan is noticed."""
         from cfgplan import formats
 
-        file = self.file or formats.EnvironmentFile(Path(), self.environment, self.horizon_s, self.max_cost_us)
+        file = self.file or formats.EnvironmentFile(
+            Path(), self.environment, self.horizon_s, self.max_cost_us, survive=self.survive
+        )
         return file.digest
 
 
@@ -86,7 +90,7 @@ def world_of(document: formats.Document, ontology: Ontology) -> World:
     from cfgplan.formats import build
 
     file = build(document, _OntologyVocabulary(ontology))
-    return World(file.environment, ontology, file.horizon_s, file.max_cost_us, file)
+    return World(file.environment, ontology, file.horizon_s, file.max_cost_us, file, file.survive)
 
 
 def what_if(world: World, *, without: Collection[str] = (), settings: Mapping[str, str] | None = None) -> World:
@@ -104,7 +108,7 @@ def what_if(world: World, *, without: Collection[str] = (), settings: Mapping[st
     file = world.file
     if file is not None:
         file = replace(file, environment=environment, horizon_s=horizon_s, max_cost_us=max_cost_us)
-    return World(environment, world.ontology, horizon_s, max_cost_us, file)
+    return World(environment, world.ontology, horizon_s, max_cost_us, file, world.survive)
 
 
 def world(
@@ -151,20 +155,33 @@ def nearest_offers(world: World, demanded: str, *, reasoner: str = "auto") -> tu
 
 
 def problem(
-    world: World, similarity: Similarity, *, horizon_s: int | None = None, max_cost_us: int | None = None
+    world: World,
+    similarity: Similarity,
+    *,
+    horizon_s: int | None = None,
+    max_cost_us: int | None = None,
+    survive: Failures | Literal[0] | None = None,
 ) -> Problem:
-    """The planning problem of a matched world; the horizon and largest cost given here win over the file's."""
+    """The planning problem of a matched world; what is given here wins over the file (0: survive no failure)."""
     return Problem(
         world.environment,
         similarity,
         world.horizon_s if horizon_s is None else horizon_s,
         world.max_cost_us if max_cost_us is None else max_cost_us,
+        world.survive if survive is None else (survive or None),
     )
 
 
-def match(world: World, *, horizon_s: int | None = None, max_cost_us: int | None = None) -> Problem:
+def match(
+    world: World,
+    *,
+    horizon_s: int | None = None,
+    max_cost_us: int | None = None,
+    survive: Failures | Literal[0] | None = None,
+) -> Problem:
     """Match a world's tags and state its planning problem."""
-    return problem(world, match_ports(world).similarity, horizon_s=horizon_s, max_cost_us=max_cost_us)
+    similarity = match_ports(world).similarity
+    return problem(world, similarity, horizon_s=horizon_s, max_cost_us=max_cost_us, survive=survive)
 
 
 def plan(
@@ -230,6 +247,15 @@ def why(
     return explaining.why_stream(problem, ask, plan, label, port)
 
 
+def front(
+    problem: Problem, target: str, attribute: str, *, planner: str = "cpsat", time_limit_s: float | None = None
+) -> Front:
+    """What better quality of a target's stream costs; see `cfgplan.explaining`."""
+    from cfgplan import explaining
+
+    return explaining.front(problem, _judged(planner, None), target, attribute, time_limit_s=time_limit_s)
+
+
 def alternatives(
     problem: Problem, count: int, *, planner: str = "cpsat", time_limit_s: float | None = None
 ) -> Alternatives:
@@ -290,9 +316,9 @@ def _judged(planner: str, limit_s: float | None) -> Planner:
     return judged
 
 
-def violations(environment: Environment, similarity: Similarity) -> list[Violation]:
+def violations(environment: Environment, similarity: Similarity, survive: Failures | None = None) -> list[Violation]:
     """Every rule that a running configuration violates (Definition 9); see `cfgplan.validity`."""
-    return validity.violations(environment, similarity)
+    return validity.violations(environment, similarity, survive)
 
 
 def plan_violations(problem: Problem, plan: Plan) -> list[Violation]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from decimal import Decimal
 
-from cfgplan.domain import Transformation
+from cfgplan.domain import OutputPort, Transformation
 from cfgplan.errors import InvalidValueError
 
 MICROSECONDS = 1_000_000
@@ -39,3 +39,13 @@ def keep_cost_us(transformation: Transformation, horizon_s: int) -> int:
 def start_cost_us(transformation: Transformation, horizon_s: int) -> int:
     """What a new unit costs over the horizon: its labor, then its upkeep."""
     return transformation.labor_us + keep_cost_us(transformation, horizon_s)
+
+
+def standby_cost_us(transformation: Transformation, horizon_s: int) -> int:
+    """What a cold spare costs over the horizon: being ready. Its labor is paid when it has to start."""
+    return (transformation.standby_us or 0) * horizon_s
+
+
+def transfer_cost_us(output: OutputPort, horizon_s: int, price_us: int) -> int:
+    """What a stream costs over the horizon for each host it is carried to, at a price for a megabyte, rounded up."""
+    return -(-output.bytes_per_s * horizon_s * price_us // 1_000_000)

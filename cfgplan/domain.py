@@ -15,6 +15,7 @@ from types import MappingProxyType
 from typing import TypeVar
 
 from cfgplan.errors import InvalidValueError
+from cfgplan.qualities import Contribution, QualityAttribute, Wish
 
 T = TypeVar("T")
 
@@ -54,10 +55,29 @@ class InputPort:
 
 @dataclass(frozen=True, slots=True, order=True)
 class OutputPort:
-    """A named output of a transformation and the tag that says what it gives."""
+    """A named output of a transformation and the tag that says what it gives.
+
+    `quality` says what it makes of each quality attribute. The stream has `rate_uhz` elements in a million
+    seconds, of `size_bytes` each: that is what it costs to cross from host to host.
+    """
 
     name: str
     tag: str
+    quality: tuple[Contribution, ...] = ()
+    rate_uhz: int = 0
+    size_bytes: int = 0
+
+    def __post_init__(self) -> None:
+        if self.quality:
+            _store_sorted(self, "quality", self.quality, attrgetter("attribute"))
+            _refuse_duplicates(f"quality attribute of output {self.name!r}", [q.attribute for q in self.quality])
+        if self.rate_uhz < 0 or self.size_bytes < 0:
+            raise InvalidValueError(f"output {self.name!r} has a negative rate or size")
+
+    @property
+    def bytes_per_s(self) -> int:
+        """What the stream carries, rounded up to a whole byte a second."""
+        return -(-self.rate_uhz * self.size_bytes // 1_000_000)
 
 
 START_MODES = ("all", "any", "aligned")
@@ -65,7 +85,7 @@ START_MODES = ("all", "any", "aligned")
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """How the units of a transformation run; planning never looks at it.
+    """How the units of a transformation run; planning looks at `memory_mb` only, and where there are hosts only.
 
     `start` says what starts a step: `all` inputs fresh, `any` input, inputs `aligned` in time within
     `tolerance_us`, or a port's name. `rate_hz` is a source's. `queue` elements wait at each input; when full,
@@ -92,6 +112,11 @@ class Transformation:
     microseconds that a running unit takes each second. The running units of a `pinned`
     transformation are kept even where no target needs them; a `required` one is used by some target
     wherever that is possible at all (section V-C).
+
+    Where an environment has hosts, units run on `host`, or on one of `hosts` if that is None, or anywhere if
+    both are empty, and take `needs_mb` megabytes there. No unit is beside one of a transformation in `conflicts`.
+    At least `min_instances` units run; at most `max_instances` are there, cold spares counted. A cold spare takes
+    `standby_us` each second; None: it has none.
     """
 
     label: str
@@ -106,6 +131,12 @@ class Transformation:
     kind: str | None = None
     params: Mapping[str, object] = field(default_factory=dict, hash=False)
     run: RunOptions = RunOptions()
+    hosts: tuple[str, ...] = ()
+    memory_mb: int | None = None
+    conflicts: tuple[str, ...] = ()
+    min_instances: int = 0
+    max_instances: int | None = None
+    standby_us: int | None = None
 
     def __post_init__(self) -> None:
         _store_sorted(self, "inputs", self.inputs, attrgetter("name"))
@@ -115,6 +146,21 @@ class Transformation:
         )
         if self.labor_us < 0 or self.upkeep_us < 0:
             raise InvalidValueError(f"transformation {self.label!r} has a negative cost")
+        if self.hosts or self.conflicts:
+            _store_sorted(self, "hosts", self.hosts, str)
+            _store_sorted(self, "conflicts", self.conflicts, str)
+            _refuse_duplicates(f"host of transformation {self.label!r}", list(self.hosts))
+        if self.host is not None and self.hosts:
+            raise InvalidValueError(f"transformation {self.label!r} has a host and a choice of hosts")
+        if (self.memory_mb or 0) < 0 or (self.standby_us or 0) < 0:
+            raise InvalidValueError(f"transformation {self.label!r} takes less than nothing")
+        if self.min_instances < 0 or (self.max_instances is not None and self.max_instances < self.min_instances):
+            raise InvalidValueError(f"transformation {self.label!r} asks for more instances than it allows")
+
+    @property
+    def needs_mb(self) -> int:
+        """The megabytes that a unit takes on its host: `memory_mb`, or else the most that it may take."""
+        return (self.run.memory_mb or 0) if self.memory_mb is None else self.memory_mb
 
     @cached_property
     def input(self) -> Mapping[str, InputPort]:
@@ -147,19 +193,24 @@ class Publication:
 class ComputationUnit:
     """A running instance of a transformation (Definition 3).
 
-    An input port without a subscription is the paper's `none`: a gap.
+    An input port without a subscription is the paper's `none`: a gap. `host` is where it runs, if the
+    environment has hosts. A unit in `standby` is a cold spare: it is neither wired nor running, only ready.
     """
 
     id: str
     transformation: str
     subscriptions: tuple[Subscription, ...] = ()
     publications: tuple[Publication, ...] = ()
+    host: str | None = None
+    standby: bool = False
 
     def __post_init__(self) -> None:
         _store_sorted(self, "subscriptions", self.subscriptions, attrgetter("port", "stream"))
         _store_sorted(self, "publications", self.publications, attrgetter("port", "topic"))
         _refuse_duplicates(f"subscribed port of unit {self.id!r}", [s.port for s in self.subscriptions])
         _refuse_duplicates(f"topic of unit {self.id!r}", [p.topic for p in self.publications])
+        if self.standby and (self.subscriptions or self.publications):
+            raise InvalidValueError(f"unit {self.id!r} is in standby: it can't subscribe or publish")
 
     @cached_property
     def feeds(self) -> Mapping[str, Stream]:
@@ -169,12 +220,31 @@ class ComputationUnit:
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """A semantic subscription from outside (Definition 4); a larger `priority` matters more."""
+    """A semantic subscription from outside (Definition 4); a larger `priority` matters more.
+
+    `quality` is what it asks of its stream. With a `host`, the stream has to come there.
+    """
 
     label: str
     tag: str
     topic: str
     priority: int = 0
+    quality: tuple[Wish, ...] = ()
+    host: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.quality:
+            _store_sorted(self, "quality", self.quality, attrgetter("attribute"))
+            _refuse_duplicates(f"quality attribute of target {self.label!r}", [q.attribute for q in self.quality])
+
+
+@dataclass(frozen=True, slots=True)
+class Host:
+    """A computer: the CPU time (microseconds each second) and megabytes that units may take; None: no limit."""
+
+    name: str
+    cpu_us: int | None = None
+    memory_mb: int | None = None
 
 
 @dataclass(frozen=True)
@@ -225,11 +295,18 @@ class ChangeSet:
 
 @dataclass(frozen=True)
 class Environment:
-    """Computation units, library and targets (Definition 5); ~ is a `Similarity` beside it."""
+    """Computation units, library and targets (Definition 5); ~ is a `Similarity` beside it.
+
+    Without `hosts` nothing is placed; with them every unit has one. `transfer_us` is what it costs to carry a megabyte
+    (10**6 bytes) from host to host, in microseconds of CPU time.
+    """
 
     units: tuple[ComputationUnit, ...] = ()
     library: tuple[Transformation, ...] = ()
     targets: tuple[Target, ...] = ()
+    hosts: tuple[Host, ...] = ()
+    qualities: tuple[QualityAttribute, ...] = ()
+    transfer_us: int = 0
 
     def __post_init__(self) -> None:
         _store_sorted(self, "units", self.units, attrgetter("id"))
@@ -239,6 +316,19 @@ class Environment:
         _refuse_duplicates("transformation", [transformation.label for transformation in self.library])
         _refuse_duplicates("target", [target.label for target in self.targets])
         _refuse_duplicates("topic of a target", [target.topic for target in self.targets])
+        _store_sorted(self, "hosts", self.hosts, attrgetter("name"))
+        _store_sorted(self, "qualities", self.qualities, attrgetter("name"))
+        _refuse_duplicates("host", [host.name for host in self.hosts])
+        _refuse_duplicates("quality attribute", [attribute.name for attribute in self.qualities])
+        placed = next((unit for unit in self.units if unit.host is not None), None)
+        if placed is not None and not self.hosts:
+            raise InvalidValueError(f"unit {placed.id!r} runs on {placed.host}, but the environment has no hosts")
+        for target in self.targets:
+            for wish in target.quality:
+                if wish.attribute not in self.quality:
+                    raise InvalidValueError(f"target {target.label!r} asks for {wish.attribute}, which is no attribute")
+            if target.host is not None and target.host not in self.host:
+                raise InvalidValueError(f"target {target.label!r} is at {target.host}, which is no host")
 
     @cached_property
     def unit(self) -> Mapping[str, ComputationUnit]:
@@ -254,6 +344,23 @@ class Environment:
     def target(self) -> Mapping[str, Target]:
         """The targets by label."""
         return MappingProxyType({target.label: target for target in self.targets})
+
+    @cached_property
+    def host(self) -> Mapping[str, Host]:
+        """The hosts by name."""
+        return MappingProxyType({host.name: host for host in self.hosts})
+
+    @cached_property
+    def quality(self) -> Mapping[str, QualityAttribute]:
+        """The quality attributes by name."""
+        return MappingProxyType({attribute.name: attribute for attribute in self.qualities})
+
+    def hosts_for(self, transformation: Transformation) -> tuple[str | None, ...]:
+        """Where units of a transformation may run, in order; only None if there are no hosts."""
+        if not self.hosts:
+            return (None,)
+        wanted = transformation.hosts if transformation.host is None else (transformation.host,)
+        return tuple(host.name for host in self.hosts if not wanted or host.name in wanted)
 
     def update(self, change_set: ChangeSet) -> Environment:
         """The environment after the update by `change_set` (Definition 7): additions, then removals.
@@ -274,6 +381,9 @@ class Environment:
                 change_set.removed_transformations,
             ),
             _updated(self.target, {t.label: t for t in change_set.added_targets}, change_set.removed_targets),
+            self.hosts,
+            self.qualities,
+            self.transfer_us,
         )
 
     def change_to(self, units: Iterable[ComputationUnit]) -> ChangeSet:

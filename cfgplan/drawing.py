@@ -15,6 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Publication, Subscription
+from cfgplan.figures import qualities_of_targets
+from cfgplan.qualities import QualityAttribute
+from cfgplan.qualities import units as units_of
 
 FORMATS = ("svg", "png", "dot", "mermaid")
 
@@ -38,12 +41,13 @@ class Mark(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """A unit or, where `is_target`, a target."""
+    """A unit or, where `is_target`, a target; on a `host` if there are any."""
 
     key: str
     lines: tuple[str, ...]
     mark: Mark
     is_target: bool = False
+    host: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,10 +76,15 @@ class Picture:
         """The picture as a Mermaid flowchart, which code hosts draw inside Markdown."""
         names = {node.key: f"n{number}" for number, node in enumerate(self.nodes)}
         lines = ["flowchart LR"]
-        for node in self.nodes:
-            text = "<br/>".join(line.replace('"', "#quot;") for line in node.lines)
-            shape = f'(["{text}"])' if node.is_target else f'["{text}"]'
-            lines.append(f"  {names[node.key]}{shape}:::{node.mark.name.lower()}")
+        for number, (host, nodes) in enumerate(self._by_host().items()):
+            if host is not None:
+                lines.append(f'  subgraph h{number}["{host.replace(chr(34), "#quot;")}"]')
+            for node in nodes:
+                text = "<br/>".join(line.replace('"', "#quot;") for line in node.lines)
+                shape = f'(["{text}"])' if node.is_target else f'["{text}"]'
+                lines.append(f"  {names[node.key]}{shape}:::{node.mark.name.lower()}")
+            if host is not None:
+                lines.append("  end")
         for arrow in self.arrows:
             stroke = "-.->" if arrow.mark is Mark.STOPPED else "-->"
             lines.append(f'  {names[arrow.tail]} {stroke}|"{_arrow_text(arrow)}"| {names[arrow.head]}')
@@ -92,6 +101,11 @@ class Picture:
         with _silent_stderr():
             graph.layout(prog="dot")
             return bytes(graph.draw(format=format))
+
+    def _by_host(self) -> dict[str | None, list[Node]]:
+        """The nodes of each host in order; those of none first."""
+        hosts = sorted({node.host for node in self.nodes if node.host is not None})
+        return {host: [node for node in self.nodes if node.host == host] for host in (None, *hosts)}
 
     def _graph(self) -> Any:
         import pygraphviz
@@ -119,6 +133,16 @@ class Picture:
                 fillcolor=node.mark.fill,
                 penwidth=width,
             )
+        for number, (host, nodes) in enumerate(self._by_host().items()):
+            if host is not None:
+                graph.add_subgraph(
+                    [node.key for node in nodes],
+                    name=f"cluster_{number}",
+                    label=host,
+                    style="rounded",
+                    color="#d0d7de",
+                    fontsize="11",
+                )
         for number, arrow in enumerate(self.arrows):
             graph.add_edge(
                 arrow.tail,
@@ -141,7 +165,8 @@ def picture(environment: Environment, change_set: ChangeSet | None = None) -> Pi
     mark |= {unit.id: Mark.STARTED for unit in change_set.started}
     mark |= dict.fromkeys(change_set.stopped, Mark.STOPPED)
     units = {**environment.unit, **after.unit}
-    nodes = [Node(unit.id, (unit.id,), mark[unit.id]) for unit in units.values()]
+    nodes = [Node(unit.id, _unit_lines(unit), mark[unit.id], host=unit.host) for unit in units.values()]
+    reached_qualities = qualities_of_targets(after, after.units)
     arrows = [
         *_arrows(environment, before=environment, after=after),
         *(arrow for arrow in _arrows(after, before=environment, after=after) if arrow.mark is Mark.STARTED),
@@ -149,13 +174,25 @@ def picture(environment: Environment, change_set: ChangeSet | None = None) -> Pi
     served = {arrow.head for arrow in arrows if arrow.mark is not Mark.STOPPED}
     for target in environment.targets:
         reached = Mark.KEPT if _target_key(target.topic) in served else Mark.STOPPED
-        lines = (target.label, target.topic) if reached is Mark.KEPT else (target.label, target.topic, "(not met)")
-        nodes.append(Node(_target_key(target.topic), lines, reached, is_target=True))
+        lines: tuple[str, ...] = (
+            (target.label, target.topic) if reached is Mark.KEPT else (target.label, target.topic, "(not met)")
+        )
+        values = reached_qualities.get(target.label, {}) if reached is Mark.KEPT else {}
+        lines += tuple(_quality_line(after.quality[name], value) for name, value in values.items())
+        nodes.append(Node(_target_key(target.topic), lines, reached, is_target=True, host=target.host))
     known = {node.key for node in nodes}
     gone = {arrow.tail for arrow in arrows if arrow.tail not in known}
     nodes += [Node(key, (key, "(gone)"), Mark.STOPPED) for key in sorted(gone)]
     drawn = {node.key for node in nodes}
     return Picture(tuple(nodes), tuple(arrow for arrow in arrows if arrow.head in drawn))
+
+
+def _unit_lines(unit: ComputationUnit) -> tuple[str, ...]:
+    return (unit.id, "(cold spare)") if unit.standby else (unit.id,)
+
+
+def _quality_line(attribute: QualityAttribute, value: int) -> str:
+    return f"{attribute.name} {units_of(value):f}{' ' + attribute.unit if attribute.unit else ''}"
 
 
 def _arrows(drawn: Environment, *, before: Environment, after: Environment) -> Iterator[Arrow]:

@@ -5,17 +5,41 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import cached_property
 from typing import Protocol
 
-from cfgplan.costs import LARGEST_COST_US, start_cost_us
-from cfgplan.domain import ChangeSet, Environment, Similarity
-from cfgplan.errors import InvalidValueError
+from cfgplan.costs import LARGEST_COST_US, start_cost_us, transfer_cost_us
+from cfgplan.domain import ChangeSet, Environment, Similarity, Transformation
+from cfgplan.errors import InputError, InvalidValueError
+from cfgplan.qualities import price_us
+
+MOST_INSTANCES = 8
+"""A plan starts at most so many units of one transformation, whatever `max_instances` says."""
+
+
+class Failures(StrEnum):
+    """Which single failures a configuration survives."""
+
+    UNITS = "units"
+    HOSTS = "hosts"
+    """Of a host, with all its units, or of a unit."""
+
+
+class Notion(StrEnum):
+    """What a problem may ask beyond the paper, in the words of an error message."""
+
+    QUALITY = "quality of streams"
+    HOSTS = "hosts"
+    CONFLICTS = "conflicts"
+    INSTANCES = "numbers of instances"
+    SURVIVAL = "survival of failures"
 
 
 @dataclass(frozen=True)
 class Problem:
     """Find the optimal update of `environment` over `horizon_s` seconds, at most `max_cost_us` dear.
 
+    With `survive`, no single failure of that kind may leave a target without a stream.
     Raises InvalidValueError if costs could add up to more than can be computed exactly.
     """
 
@@ -23,6 +47,7 @@ class Problem:
     similarity: Similarity
     horizon_s: int
     max_cost_us: int | None = None
+    survive: Failures | None = None
 
     def __post_init__(self) -> None:
         if self.horizon_s < 0:
@@ -31,10 +56,52 @@ class Problem:
             raise InvalidValueError("the largest cost allowed is negative")
         library = self.environment.transformation
         labels = [*library, *(u.transformation for u in self.environment.units if u.transformation in library)]
-        if sum(start_cost_us(library[label], self.horizon_s) for label in labels) > LARGEST_COST_US:
+        total = sum(start_cost_us(library[label], self.horizon_s) for label in labels)
+        if (total if self.is_plain else self._largest_cost_us(total)) > LARGEST_COST_US:
             raise InvalidValueError(
                 "the costs add up to more than can be computed exactly: shorten the horizon or lower the costs"
             )
+        if self.survive is Failures.HOSTS and not self.environment.hosts:
+            raise InvalidValueError("the failure of a host can't be survived where no hosts are declared")
+
+    @cached_property
+    def notions(self) -> frozenset[Notion]:
+        """What the problem asks beyond the paper; quality counts only if a target asks for it."""
+        environment = self.environment
+        asked = {
+            Notion.QUALITY: any(target.quality for target in environment.targets),
+            Notion.HOSTS: bool(environment.hosts),
+            Notion.CONFLICTS: any(t.conflicts for t in environment.library),
+            Notion.INSTANCES: any(t.min_instances or t.max_instances is not None for t in environment.library),
+            Notion.SURVIVAL: self.survive is not None or any(unit.standby for unit in environment.units),
+        }
+        return frozenset(notion for notion, is_asked in asked.items() if is_asked)
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether the problem asks nothing beyond the paper."""
+        return not self.notions
+
+    def most_new(self, transformation: Transformation) -> int:
+        """How many units of a transformation a plan may start: one, unless more are asked for or allowed."""
+        if transformation.max_instances is not None:
+            return min(transformation.max_instances, MOST_INSTANCES)
+        usual = 1 if self.survive is None else 2
+        return min(max(usual, transformation.min_instances), MOST_INSTANCES)
+
+    def _largest_cost_us(self, once_us: int) -> int:
+        environment = self.environment
+        copies = max((self.most_new(t) for t in environment.library), default=1)
+        outputs = [port for t in environment.library for port in t.outputs]
+        carried = sum(transfer_cost_us(port, self.horizon_s, environment.transfer_us) for port in outputs)
+        prices = sum(
+            price_us(attribute, wish, attribute.worst)
+            for target in environment.targets
+            for wish in target.quality
+            for attribute in [environment.quality[wish.attribute]]
+        )
+        units = copies + len(environment.units)
+        return copies * once_us + units * len(environment.hosts) * carried + prices
 
 
 class Status(StrEnum):
@@ -107,6 +174,24 @@ def fresh_unit_ids(environment: Environment, labels: list[str]) -> dict[str, str
     taken = {unit.id for unit in environment.units}
     taken.update(s.stream.unit for unit in environment.units for s in unit.subscriptions)
     return {label: _free_id(label, taken) for label in labels}
+
+
+def fresh_units(environment: Environment, numbers: Mapping[str, int]) -> dict[str, tuple[str, ...]]:
+    """Ids for several new units of each label, the first of which is that of `fresh_unit_ids`."""
+    taken = {unit.id for unit in environment.units}
+    taken.update(s.stream.unit for unit in environment.units for s in unit.subscriptions)
+    first = {label: _free_id(label, taken) for label, number in numbers.items() if number}
+    return {
+        label: (first[label], *(_free_id(label, taken) for _ in range(number - 1))) if number else ()
+        for label, number in numbers.items()
+    }
+
+
+def refuse_notions(problem: Problem, who: str) -> None:
+    """Raise InputError if a problem asks for what only `cpsat` and `exhaustive` know."""
+    if problem.notions:
+        known = " and ".join(sorted(problem.notions))
+        raise InputError.of(f"{who} does not know {known}", mend="use the planner cpsat")
 
 
 def _free_id(label: str, taken: set[str]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,8 @@ import yaml
 
 import cfgplan
 from cfgplan.costs import microseconds
+from cfgplan.figures import cost_parts, qualities_of_targets
+from cfgplan.qualities import micro_units
 
 MODELS = Path(__file__).parent.parent / "models"
 CASES = [
@@ -37,6 +40,18 @@ def test_the_answer_is_the_one_beside_the_environment(expected_file: Path, numbe
     assert [unit.id for unit in plan.change_set.started] == expected["started"]
     assert [unit.id for unit in plan.change_set.rewired] == expected["rewired"]
     assert list(plan.change_set.stopped) == expected["stopped"]
+    after = problem.environment.update(plan.change_set)
+    reached = qualities_of_targets(after, after.units)
+    for target, values in expected.get("quality", {}).items():
+        assert {name: reached[target][name] for name in values} == {
+            name: micro_units(Decimal(value)) for name, value in values.items()
+        }
+    if "hosts" in expected:
+        number = Counter(unit.host for unit in after.units)
+        assert number == {host: int(count) for host, count in expected["hosts"].items()}
+    assert sum(unit.standby for unit in after.units) == int(expected.get("spares", 0))
+    parts = cost_parts(problem, after.units)
+    assert parts.transfer_us == microseconds(Decimal(expected.get("transfers", 0)))
 
 
 def test_each_stage_of_the_case_study_starts_where_the_last_one_ended() -> None:

@@ -22,6 +22,7 @@ def add_to(verbs: shared.Subparsers) -> None:
         "  cfgplan check models/nao/2-segmenter-lost.yaml",
     )
     shared.add_environment(parser)
+    shared.add_survive(parser)
     shared.add_matching(parser)
     shared.add_json(parser)
     parser.set_defaults(run=run)
@@ -34,7 +35,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
     world = shared.load(options, screen)
     problem = shared.problem(options, screen, world)
-    found = api.violations(problem.environment, problem.similarity)
+    found = api.violations(problem.environment, problem.similarity, problem.survive)
     if screen.json:
         screen.show_json(
             {

@@ -29,6 +29,7 @@ def add_to(verbs: shared.Subparsers) -> None:
     subject.add_argument("--transformation", metavar="T", help="why this transformation is used, or not")
     subject.add_argument("--stream", metavar="S", help="why this output is used: unit/port or transformation/port")
     shared.add_planning(parser)
+    shared.add_survive(parser)
     shared.add_matching(parser)
     shared.add_json(parser)
     parser.set_defaults(run=run)

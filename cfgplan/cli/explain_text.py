@@ -21,6 +21,8 @@ def why_not_text(environment: Environment, why: WhyNot) -> Text:
         lines += [Text(line) for line in unreachable_lines(environment, reason, f"target {reason.target} wants")]
     if why.clash is not None:
         lines.append(Text(clash_line(why.clash)))
+        told = {reason.target for reason in why.unreachable}
+        lines += [Text(f"  {reason}") for label, reason in why.plan.reasons.items() if label not in told]
     for unused in why.unused:
         lines += [Text(line) for line in unused_lines(environment, unused)]
     return Text("\n").join(lines)
@@ -65,7 +67,8 @@ def why_text(why: Why) -> Text:
     lines = []
     if why.units:
         named = [] if why.units == (why.subject,) else [f"runs as {_some(why.units)}"]
-        served = f"serves {_named('target', why.targets)}" if why.targets else "serves no target"
+        idle = "is a spare for when something fails" if why.is_spare else "serves no target"
+        served = f"serves {_named('target', why.targets)}" if why.targets else idle
         through = [f"feeds {_some(why.consumers)}"] if why.consumers else []
         lines.append(Text(f"{why.subject} {', '.join([*named, served, *through])}."))
     lines.append(Text(choice_line(why), style="bold"))

@@ -27,6 +27,7 @@ def add_to(verbs: shared.Subparsers) -> None:
     parser.add_argument("--format", choices=FORMATS, help="format, where no file's ending says it (svg)")
     parser.add_argument("--running", action="store_true", help="draw only what runs now; do not plan")
     shared.add_planning(parser)
+    shared.add_survive(parser)
     shared.add_matching(parser)
     parser.set_defaults(run=run)
 

@@ -8,14 +8,14 @@ from collections.abc import Callable, Iterable
 from dataclasses import asdict
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from cfgplan.cli.screen import Screen
 from cfgplan.errors import InputError, InvalidValueError
 
 if TYPE_CHECKING:
     from cfgplan import api
-    from cfgplan.planning import Problem, Progress
+    from cfgplan.planning import Failures, Problem, Progress
 
 Subparsers: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
@@ -94,6 +94,14 @@ def add_planning(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_survive(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--survive",
+        choices=("0", "1", "units", "hosts"),
+        help="single failures to survive, instead of the file's: 0 none, 1 of hosts where there are any, else of units",
+    )
+
+
 def load(options: argparse.Namespace, screen: Screen) -> api.World:
     """The world that the options name."""
     from cfgplan import api
@@ -122,7 +130,18 @@ def problem(options: argparse.Namespace, screen: Screen, world: api.World) -> Pr
         matching.similarity,
         horizon_s=getattr(options, "horizon", None),
         max_cost_us=getattr(options, "max_cost", None),
+        survive=_failures(getattr(options, "survive", None), world),
     )
+
+
+def _failures(asked: str | None, world: api.World) -> Failures | Literal[0] | None:
+    from cfgplan.planning import Failures
+
+    if asked is None or asked == "0":
+        return None if asked is None else 0
+    if asked == "1":
+        return Failures.HOSTS if world.environment.hosts else Failures.UNITS
+    return Failures(asked)
 
 
 def setting(text: str) -> tuple[str, str]:

@@ -82,6 +82,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         mend = "add --dry-run; or edit the file, or use `cfgplan ctl` while it runs"
         raise InputError.of("--without, --with and --set are for trying out what would be planned", mend=mend)
     loaded = shared.load(options, screen)
+    _refuse_what_only_plans_know(loaded)
     if loaded.environment.units:
         count = counted(len(loaded.environment.units), "running unit")
         screen.note(f"The file names {count}, but a run starts from nothing: `units:` does not count.")
@@ -98,6 +99,19 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
             dry_run.show(found, world.digest, screen)
             return code
     return _operate(options, world, screen)
+
+
+def _refuse_what_only_plans_know(world: World) -> None:
+    """Units run on this computer: nothing is placed, no spare waits, and quality is not measured."""
+    asked = {
+        "hosts": bool(world.environment.hosts),
+        "survive": world.survive is not None,
+        "quality": any(target.quality for target in world.environment.targets),
+    }
+    found = [key for key, is_asked in asked.items() if is_asked]
+    if found:
+        message = f"a run does not know {' and '.join(found)}: all units run on this computer"
+        raise InputError.of(message, file=str(world.file.path) if world.file else None, mend="plan it with `solve`")
 
 
 def _operate(options: argparse.Namespace, world: World, screen: Screen) -> Exit:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import OF_STATUS, Exit
+from cfgplan.cli.front import add_front, show_front
 from cfgplan.cli.screen import Screen
 from cfgplan.planning import Status
 
@@ -29,6 +30,7 @@ def add_to(verbs: shared.Subparsers) -> None:
     )
     shared.add_environment(parser)
     shared.add_planning(parser)
+    shared.add_survive(parser)
     shared.add_matching(parser)
     parser.add_argument("--out", metavar="FILE", help="write the plan to FILE (JSON)")
     parser.add_argument(
@@ -41,11 +43,13 @@ def add_to(verbs: shared.Subparsers) -> None:
     also.add_argument(
         "--alternatives", type=shared.count, metavar="K", help="show the K best configurations that differ in what runs"
     )
+    add_front(also)
     also.add_argument(
         "--best-effort",
         action="store_true",
         help="if not all targets can be met, meet the most important ones; exits with 12 if some are not met",
     )
+    parser.add_argument("--plot", metavar="FILE", help="with --front: draw it (SVG, PNG or PDF; extra `plots`)")
     parser.add_argument("-v", "--verbose", action="store_true", help="show what each step of the planner did")
     shared.add_json(parser)
     parser.set_defaults(run=run)
@@ -56,6 +60,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
     world = shared.load(options, screen)
     problem = shared.problem(options, screen, world)
+    if options.front is not None:
+        return show_front(options, screen, problem)
     if options.alternatives:
         return _alternatives(options, screen, world, problem)
     is_proven = True

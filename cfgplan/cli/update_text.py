@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from rich.text import Text
 
+from cfgplan.cli.fleet_text import fleet_lines
 from cfgplan.costs import keep_cost_us, seconds
 from cfgplan.domain import ComputationUnit, Environment
 from cfgplan.planning import Plan, Problem, Status
@@ -63,10 +64,15 @@ def with_the_stream(environment: Environment) -> list[ComputationUnit]:
 
 def _headline(sign: str, unit: ComputationUnit, width: int, environment: Environment) -> Text:
     transformation = environment.transformation.get(unit.transformation)
-    line = Text(f"  {sign} {_VERB[sign]:6}  {unit.id:{width}}", style=_STYLE[sign])
+    verb = "ready" if sign == "+" and unit.standby else _VERB[sign]
+    line = Text(f"  {sign} {verb:6}  {unit.id:{width}}", style=_STYLE[sign])
     if transformation is not None:
+        where = "" if unit.host is None else f"on {unit.host}, "
         labor = f"labor {cpu(transformation.labor_us)}, " if sign == "+" else ""
-        line.append(f"   {labor}upkeep {cpu(transformation.upkeep_us)}/s", style="dim")
+        figures = f"{labor}upkeep {cpu(transformation.upkeep_us)}/s"
+        if unit.standby:
+            figures = f"a cold spare, standby {cpu(transformation.standby_us or 0)}/s"
+        line.append(f"   {where}{figures}", style="dim")
     return line
 
 
@@ -95,21 +101,27 @@ def _summary(problem: Problem, plan: Plan) -> Iterator[Text]:
     if plan.change_set is not None:
         changes = plan.change_set
         kept = len(before.units) - len(changes.stopped) - len(changes.rewired)
+        spares = sum(unit.standby for unit in changes.started)
+        ready = f"{spares} to make ready, " if spares else ""
         yield Text(
-            f"Update: {len(changes.started)} to start, {len(changes.rewired)} to rewire, "
+            f"Update: {len(changes.started) - spares} to start, {ready}{len(changes.rewired)} to rewire, "
             f"{len(changes.stopped)} to stop, {kept} kept as they are.",
             style="bold",
         )
         library = before.transformation
-        labor = sum(library[unit.transformation].labor_us for unit in changes.started)
+        labor = sum(library[unit.transformation].labor_us for unit in changes.started if not unit.standby)
         now = sum(
-            keep_cost_us(library[u.transformation], horizon_s) for u in before.units if u.transformation in library
+            keep_cost_us(library[u.transformation], horizon_s)
+            for u in before.units
+            if u.transformation in library and not u.standby
         )
         assert plan.cost_us is not None
+        rest = "upkeep" if problem.is_plain else "all else"
         yield Text(
             f"Cost over the horizon of {horizon_s} s: {cpu(plan.cost_us)} of CPU = labor {cpu(labor)} "
-            f"+ upkeep {cpu(plan.cost_us - labor)}. What runs now costs {cpu(now)} of upkeep."
+            f"+ {rest} {cpu(plan.cost_us - labor)}. What runs now costs {cpu(now)} of upkeep."
         )
+        yield from fleet_lines(problem, before.update(changes))
     yield verdict(problem, plan)
     if plan.change_set is not None and plan.reasons:
         asked = len(before.targets) + len(plan.reasons)

@@ -17,11 +17,12 @@ from cfgplan.domain import (
     Target,
     Transformation,
 )
-from cfgplan.planning import Problem
+from cfgplan.planning import Problem, refuse_notions
 
 
 def document(problem: Problem) -> dict[str, Any]:
-    """The problem as data; `restored` is the way back."""
+    """The problem as data; `restored` is the way back. Raises InputError if it asks more than the paper."""
+    refuse_notions(problem, "a comparison with other planners")
     environment = problem.environment
     return {
         "units": [
@@ -37,7 +38,7 @@ def document(problem: Problem) -> dict[str, Any]:
             {
                 "label": t.label,
                 "inputs": [asdict(port) for port in t.inputs],
-                "outputs": [asdict(port) for port in t.outputs],
+                "outputs": [{"name": port.name, "tag": port.tag} for port in t.outputs],
                 "labor_us": t.labor_us,
                 "upkeep_us": t.upkeep_us,
                 "pinned": t.pinned,
@@ -45,7 +46,9 @@ def document(problem: Problem) -> dict[str, Any]:
             }
             for t in environment.library
         ],
-        "targets": [asdict(target) for target in environment.targets],
+        "targets": [
+            {"label": t.label, "tag": t.tag, "topic": t.topic, "priority": t.priority} for t in environment.targets
+        ],
         "offers": {tag: sorted(offered) for tag, offered in sorted(problem.similarity.offers.items())},
         "horizon_s": problem.horizon_s,
         "max_cost_us": problem.max_cost_us,

@@ -5,6 +5,7 @@ Everything is asked of a planner (`planning.Planner`), of which nothing is known
 
 from cfgplan.explaining.alternatives import Alternatives, alternatives
 from cfgplan.explaining.best_effort import BestEffort, best_effort
+from cfgplan.explaining.front import Front, FrontPoint, front
 from cfgplan.explaining.plain import plain
 from cfgplan.explaining.sensitivity import Line, Sensitivity, Span, horizon_sensitivity, upkeep_sensitivity
 from cfgplan.explaining.together import Clash, Demands, demanding
@@ -19,6 +20,8 @@ __all__ = [
     "Choice",
     "Clash",
     "Demands",
+    "Front",
+    "FrontPoint",
     "Line",
     "Sensitivity",
     "Span",
@@ -30,6 +33,7 @@ __all__ = [
     "alternatives",
     "best_effort",
     "demanding",
+    "front",
     "horizon_sensitivity",
     "named_alone",
     "plain",

@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from cfgplan.costs import keep_cost_us, start_cost_us
+from cfgplan.errors import InputError
 from cfgplan.explaining.together import REFUSED
-from cfgplan.planning import Plan, Planner, Problem, Status
+from cfgplan.planning import Notion, Plan, Planner, Problem, Status
 from cfgplan.reasons import Givers, startable
 
 FIRST_LOOK_S = 1.0
@@ -41,6 +42,10 @@ def alternatives(problem: Problem, planner: Planner, count: int, *, time_limit_s
     and must not run, and the part that can hold the cheapest is looked at next. None if there is no plan; the plan
     alone if it is not proven optimal.
     """
+    unknown = problem.notions & {Notion.INSTANCES, Notion.SURVIVAL}
+    if unknown:
+        asked = " and ".join(sorted(unknown))
+        raise InputError.of(f"alternatives are not known with {asked}", mend="ask for the plan alone")
     end_s = None if time_limit_s is None else time.monotonic() + time_limit_s
     best = planner(problem, time_limit_s=time_limit_s)
     if best.status is not Status.OPTIMAL:

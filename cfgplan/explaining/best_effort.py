@@ -173,5 +173,6 @@ class _Search:
                 allowed = f"{seconds(self._problem.max_cost_us or 0):f} s is allowed"
                 return f"{wanted} would cost {seconds(dear_us):f} s, and {allowed}"
             if plan.status is Status.INFEASIBLE:
-                return f"{wanted} can't be met"
+                known = plan.reasons.get(target.label)
+                return f"{wanted} can't be met" + (f": {known}" if known else "")
         return f"target {target.label} wants {target.tag}, but time ran out"

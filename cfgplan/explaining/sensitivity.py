@@ -10,6 +10,7 @@ from itertools import pairwise
 
 from cfgplan.costs import LARGEST_COST_US, start_cost_us
 from cfgplan.domain import Environment, Transformation
+from cfgplan.errors import InputError
 from cfgplan.explaining.why_this import after_update
 from cfgplan.planning import Plan, Planner, Problem, Status
 
@@ -72,8 +73,10 @@ class Sensitivity:
 def horizon_sensitivity(problem: Problem, planner: Planner) -> Sensitivity:
     """Which plan is optimal for which horizon, from 0 on for ever, whatever the largest cost is.
 
-    No spans if there is no plan. The planner is asked about three times for each span.
+    No spans if there is no plan. The planner is asked about three times for each span. Raises InputError for a
+    problem that asks more than the paper: its costs are no straight lines.
     """
+    _refuse_notions(problem)
     environment = problem.environment
     library = environment.transformation
 
@@ -97,8 +100,9 @@ def horizon_sensitivity(problem: Problem, planner: Planner) -> Sensitivity:
 def upkeep_sensitivity(problem: Problem, planner: Planner, label: str) -> Sensitivity:
     """Which plan is optimal for which upkeep of a transformation, from 0 on for ever, whatever the largest cost is.
 
-    Where the horizon is 0, upkeep does not matter and there is one span.
+    Where the horizon is 0, upkeep does not matter and there is one span. Raises InputError, see above.
     """
+    _refuse_notions(problem)
     environment = problem.environment
     library = environment.transformation
 
@@ -205,3 +209,9 @@ def _running(environment: Environment) -> Iterator[Transformation]:
     """The transformation of each running unit."""
     library = environment.transformation
     return (library[u.transformation] for u in environment.units if u.transformation in library)
+
+
+def _refuse_notions(problem: Problem) -> None:
+    if problem.notions:
+        asked = " and ".join(sorted(problem.notions))
+        raise InputError.of(f"sensitivity is not known with {asked}", mend="ask for plans with several values instead")

@@ -81,7 +81,8 @@ def named_alone(problem: Problem, target: str, named: Collection[tuple[str, str]
         replace(t, inputs=tuple(port for port in t.inputs if (t.label, port.name) in named))
         for t in environment.library
     )
-    return replace(problem, environment=Environment((), library, (environment.target[target],)), max_cost_us=None)
+    alone = replace(environment, units=(), library=library, targets=(environment.target[target],))
+    return replace(problem, environment=alone, max_cost_us=None)
 
 
 class DeadEnds:

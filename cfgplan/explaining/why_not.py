@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 
-from cfgplan.domain import Environment, OutputPort, Similarity, Target
+from cfgplan.domain import OutputPort, Similarity, Target
 from cfgplan.explaining.together import Clash, clash, only_targets
 from cfgplan.explaining.unfed import NearestOffers, Unreachable, unreachable
 from cfgplan.planning import Plan, Planner, Problem, Status
@@ -69,7 +69,8 @@ def running(problem: Problem, label: str) -> Problem:
     used = OutputPort(_USED, _USED)
     library = tuple(replace(t, outputs=(*t.outputs, used)) if t.label == label else t for t in environment.library)
     similarity = Similarity({**problem.similarity.offers, _USED: frozenset({_USED})})
-    return replace(problem, environment=Environment((), library, (Target(label, _USED, _USED),)), similarity=similarity)
+    alone = replace(environment, units=(), library=library, targets=(Target(label, _USED, _USED),))
+    return replace(problem, environment=alone, similarity=similarity)
 
 
 def requiring(problem: Problem, labels: Collection[str]) -> Problem:

@@ -39,7 +39,7 @@ class Why:
     `units` are those concerned that run after the update; if there are none, it is not used. They serve `targets`
     and feed `consumers` (as unit/port). `otherwise` is the next best plan: without the subject, or with it if it
     is not used. It costs `difference_us` more, whatever the largest cost is; then it runs the transformations
-    `more`, and not those in `less`.
+    `more`, and not those in `less`. If `is_spare`, the units are there for when something fails.
     """
 
     subject: str
@@ -51,6 +51,7 @@ class Why:
     difference_us: int | None = None
     more: tuple[str, ...] = ()
     less: tuple[str, ...] = ()
+    is_spare: bool = False
 
 
 def why_unit(problem: Problem, planner: Planner, plan: Plan, unit: str) -> Why:
@@ -130,7 +131,8 @@ def _why(
     if not units and (lost or not usable):
         choice = Choice.IMPOSSIBLE
     targets, consumers = _served(after, units, port), _readers(after, units, port)
-    why = Why(subject, tuple(u.id for u in units), targets, consumers, choice, otherwise)
+    is_spare = bool(units) and not targets and problem.survive is not None
+    why = Why(subject, tuple(u.id for u in units), targets, consumers, choice, otherwise, is_spare=is_spare)
     if otherwise.change_set is None or choice is Choice.IMPOSSIBLE:
         return why
     assert plan.cost_us is not None and otherwise.cost_us is not None

@@ -9,10 +9,12 @@ from cfgplan.errors import Fault, InputError
 from cfgplan.formats.document import Document, File
 from cfgplan.formats.environment_file import EnvironmentFile
 from cfgplan.formats.expansion import Expander
+from cfgplan.formats.fleet import Fleet
 from cfgplan.formats.garbage import no_garbage_collection
 from cfgplan.formats.left_out import LeftOut
 from cfgplan.formats.places import Path, Source
 from cfgplan.formats.references import UnitChecker
+from cfgplan.formats.suggestions import did_you_mean
 from cfgplan.formats.tags import TagChecker
 from cfgplan.formats.vocabulary import Vocabulary
 
@@ -30,17 +32,32 @@ def _build(document: Document, vocabulary: Vocabulary) -> EnvironmentFile:
     origins: Origins = {}
     left_out = LeftOut(document)
     tags = TagChecker(vocabulary, faults)
-    expander = Expander(document.defaults, vocabulary, tags, left_out, faults)
+    fleet = Fleet(document, left_out, faults)
+    expander = Expander(document.defaults, vocabulary, tags, fleet, left_out, faults)
     library = _library(document, expander, origins, faults)
-    targets = _targets(document, tags, origins, faults)
-    units = UnitChecker(document, left_out, library, targets, origins, faults).units()
+    targets = _targets(document, tags, fleet, origins, faults)
+    units = UnitChecker(document, left_out, library, targets, fleet, origins, faults).units()
+    _check_conflicts(library, left_out, origins, faults)
     for file in document.files:
         _check_broken_tags(file, tags)
     if faults:
         raise InputError(_in_file_order(faults, document))
-    environment = Environment(tuple(units), tuple(library.values()), tuple(targets.values()))
+    environment = Environment(
+        tuple(units),
+        tuple(library.values()),
+        tuple(targets.values()),
+        tuple(fleet.hosts.values()),
+        tuple(fleet.attributes.values()),
+        fleet.transfer_us,
+    )
     return EnvironmentFile(
-        document.path, environment, document.horizon_s, document.max_cost_us, document.ontology_paths, origins
+        document.path,
+        environment,
+        document.horizon_s,
+        document.max_cost_us,
+        document.ontology_paths,
+        fleet.survive,
+        origins,
     )
 
 
@@ -57,7 +74,9 @@ def _library(
     return library
 
 
-def _targets(document: Document, tags: TagChecker, origins: Origins, faults: list[Fault]) -> dict[str, Target]:
+def _targets(
+    document: Document, tags: TagChecker, fleet: Fleet, origins: Origins, faults: list[Fault]
+) -> dict[str, Target]:
     targets: dict[str, Target] = {}
     topics: Origins = {}
     for file in document.files:
@@ -66,8 +85,25 @@ def _targets(document: Document, tags: TagChecker, origins: Origins, faults: lis
             tags.check(part.tag, file.source, (*path, "tag"))
             is_new = _is_new(("target", part.label), file.source, path, "label", origins, faults)
             if _is_new(("topic", part.topic), file.source, path, "topic", topics, faults) and is_new:
-                targets[part.label] = Target(part.label, part.tag, part.topic, part.priority)
+                wishes = fleet.wishes(file.source, path, part)
+                if part.host is not None:
+                    fleet.check_host(file.source, (*path, "host"), part.host, is_choice=True)
+                targets[part.label] = Target(part.label, part.tag, part.topic, part.priority, wishes, part.host)
     return targets
+
+
+def _check_conflicts(
+    library: dict[str, Transformation], left_out: LeftOut, origins: Origins, faults: list[Fault]
+) -> None:
+    for transformation in library.values():
+        for other in transformation.conflicts:
+            source, path = origins["transformation", transformation.label]
+            if other == transformation.label:
+                mend = "write `max_instances: 1` if only one unit may be there"
+                faults.append(source.fault((*path, "conflicts"), f"`{other}` conflicts with itself", mend))
+            elif other not in library and not left_out.may_have("transformations", other):
+                mend = did_you_mean(other, library, "write the label of another transformation, templates expanded")
+                faults.append(source.fault((*path, "conflicts"), f"there is no transformation `{other}`", mend))
 
 
 def _check_broken_tags(file: File, tags: TagChecker) -> None:

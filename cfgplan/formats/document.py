@@ -16,8 +16,10 @@ from cfgplan.formats.garbage import no_garbage_collection
 from cfgplan.formats.places import Path, Source, Spot
 from cfgplan.formats.schema import (
     DEFAULT_HORIZON_S,
+    AttributePart,
     DefaultsPart,
     EnvironmentPart,
+    HostPart,
     IncludedPart,
     TargetPart,
     TransformationPart,
@@ -62,6 +64,10 @@ class Document:
     ontology_paths: tuple[FilePath, ...]
     files: tuple[File, ...]
     faults: tuple[Fault, ...]
+    hosts: tuple[HostPart, ...] = ()
+    transfer_us: int = 0
+    qualities: tuple[AttributePart, ...] = ()
+    survive: int | str = 0
 
 
 def read_document(path: str | os.PathLike[str], also: Sequence[str | os.PathLike[str]] = ()) -> Document:
@@ -96,6 +102,10 @@ def _read_document(main: FilePath) -> Document:
         tuple(main.parent / name for name in names),
         (file, *files),
         (*faults, *more),
+        tuple(header.hosts or ()),
+        header.transfer,
+        tuple(header.qualities or ()),
+        header.survive,
     )
 
 
@@ -170,6 +180,7 @@ def _file(source: Source, model: Any, data: Mapping[str, Any], bad: Mapping[Any,
         for key in names
         if key in bad
     }
+    broken |= {key: (Broken(),) for key in ("hosts", "qualities") if key in bad}
     return File(source, tuple(indexed("transformations")), tuple(indexed("units")), tuple(indexed("targets")), broken)
 
 

@@ -11,15 +11,23 @@ import yaml
 from cfgplan.domain import Environment
 from cfgplan.formats.plain import plain_environment
 from cfgplan.formats.scalars import resolve
+from cfgplan.planning import Failures
 
 _DUMPER: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
 def dump_environment(
-    environment: Environment, *, horizon_s: int, max_cost_us: int | None = None, ontology: Iterable[str] = ()
+    environment: Environment,
+    *,
+    horizon_s: int,
+    max_cost_us: int | None = None,
+    ontology: Iterable[str] = (),
+    survive: Failures | None = None,
 ) -> str:
     """The YAML text of an environment; `ontology` holds the ontology files as the text is to name them."""
-    return dump_yaml(plain_environment(environment, horizon_s=horizon_s, max_cost_us=max_cost_us, ontology=ontology))
+    return dump_yaml(
+        plain_environment(environment, horizon_s=horizon_s, max_cost_us=max_cost_us, ontology=ontology, survive=survive)
+    )
 
 
 def dump_yaml(data: object) -> str:

@@ -11,6 +11,7 @@ from pathlib import Path as FilePath
 
 from cfgplan.domain import Environment
 from cfgplan.formats.places import Path, Place, Source
+from cfgplan.planning import Failures
 
 
 @dataclass(frozen=True)
@@ -25,12 +26,13 @@ class EnvironmentFile:
     horizon_s: int
     max_cost_us: int | None = None
     ontology_paths: tuple[FilePath, ...] = ()
+    survive: Failures | None = None
     origins: Mapping[tuple[str, str], tuple[Source, Path]] = field(default_factory=dict, repr=False, compare=False)
 
     @cached_property
     def digest(self) -> str:
         """What tells this world from others, see `environment_digest`."""
-        return environment_digest(self.environment, self.horizon_s, self.max_cost_us, self.ontology_paths)
+        return environment_digest(self.environment, self.horizon_s, self.max_cost_us, self.ontology_paths, self.survive)
 
     def place(
         self,
@@ -61,13 +63,17 @@ def _port_path(source: Source, path: Path, port: str) -> Path:
 
 
 def environment_digest(
-    environment: Environment, horizon_s: int, max_cost_us: int | None = None, ontology_paths: Sequence[FilePath] = ()
+    environment: Environment,
+    horizon_s: int,
+    max_cost_us: int | None = None,
+    ontology_paths: Sequence[FilePath] = (),
+    survive: Failures | None = None,
 ) -> str:
     """SHA-256 (hex) of all that a plan depends on, the ontology files too.
 
     Comments, the order of lists and what only running needs (source, params, kind) don't count.
     """
-    content = [
+    content: list[object] = [
         horizon_s,
         max_cost_us,
         [
@@ -90,8 +96,47 @@ def environment_digest(
         ],
         [[t.label, t.tag, t.topic, t.priority] for t in environment.targets],
     ]
+    more = _beyond_the_paper(environment, survive)
+    if any(more):
+        content.append(more)
     hashed = hashlib.sha256(json.dumps(content, separators=(",", ":")).encode())
     for path in ontology_paths:
         if path.is_file():
             hashed.update(hashlib.sha256(path.read_bytes()).digest())
     return hashed.hexdigest()
+
+
+def _beyond_the_paper(environment: Environment, survive: Failures | None) -> list[object]:
+    """What only some environments have: it counts where it is there, and is empty in all others."""
+    placed = bool(environment.hosts)
+    measured = bool(environment.qualities)
+    return [
+        survive,
+        [[h.name, h.cpu_us, h.memory_mb] for h in environment.hosts],
+        environment.transfer_us if placed else 0,
+        [[a.name, a.better, a.worst, a.best] for a in environment.qualities],
+        [[t.label, t.hosts, t.needs_mb] for t in environment.library if placed and (t.hosts or t.needs_mb)],
+        [
+            [t.label, t.conflicts, t.min_instances, t.max_instances]
+            for t in environment.library
+            if t.conflicts or t.min_instances or t.max_instances is not None
+        ],
+        [[t.label, t.standby_us] for t in environment.library if survive is not None and t.standby_us is not None],
+        [
+            [
+                t.label,
+                p.name,
+                p.bytes_per_s if placed else 0,
+                [[q.attribute, q.rule, q.value, q.over] for q in p.quality],
+            ]
+            for t in environment.library
+            for p in t.outputs
+            if (placed and p.bytes_per_s) or (measured and p.quality)
+        ],
+        [
+            [t.label, t.host, [[w.attribute, w.bound, w.weight_us] for w in t.quality]]
+            for t in environment.targets
+            if t.host or t.quality
+        ],
+        [[u.id, u.host, u.standby] for u in environment.units if u.host or u.standby],
+    ]

@@ -8,6 +8,7 @@ from typing import cast
 
 from cfgplan.domain import START_MODES, InputPort, OutputPort, RunOptions, Transformation
 from cfgplan.errors import Fault
+from cfgplan.formats.fleet import Fleet
 from cfgplan.formats.left_out import LeftOut
 from cfgplan.formats.places import Path, Source
 from cfgplan.formats.schema import (
@@ -37,12 +38,19 @@ class Expander:
     """Makes transformations from their written form; what is wrong goes into `faults`."""
 
     def __init__(
-        self, defaults: DefaultsPart, vocabulary: Vocabulary, tags: TagChecker, left_out: LeftOut, faults: list[Fault]
+        self,
+        defaults: DefaultsPart,
+        vocabulary: Vocabulary,
+        tags: TagChecker,
+        fleet: Fleet,
+        left_out: LeftOut,
+        faults: list[Fault],
     ) -> None:
         self._labor_us = DEFAULT_LABOR_US if defaults.labor is None else defaults.labor
         self._upkeep_us = DEFAULT_UPKEEP_US if defaults.upkeep is None else defaults.upkeep
         self._vocabulary = vocabulary
         self._tags = tags
+        self._fleet = fleet
         self._left_out = left_out
         self._faults = faults
         self._instances: dict[str, tuple[str, ...] | BadClassError] = {}
@@ -131,12 +139,22 @@ class Expander:
             InputPort(name, tag, substitute(written.distinct, values) if written.distinct else None, written.feedback)
             if isinstance(written, InputPart)
             else InputPort(name, tag)
-            for name, tag, written in self._ports(source, path, "inputs", part, values)
+            for _, name, tag, written in self._ports(source, path, "inputs", part, values)
         )
-        outputs = tuple(OutputPort(name, tag) for name, tag, _ in self._ports(source, path, "outputs", part, values))
+        outputs = tuple(
+            self._output(source, place, name, tag, written)
+            if isinstance(written, OutputPart)
+            else OutputPort(name, tag)
+            for place, name, tag, written in self._ports(source, path, "outputs", part, values)
+        )
         names = [*(port.name for port in inputs), *(port.name for port in outputs)]
         if len(set(names)) != len(names):
             self._note_repeated_port(source, path, part, names, values)
+            self._left_out.add("transformations", label)
+            return
+        host = part.host if isinstance(part.host, str) else None
+        hosts = part.host if isinstance(part.host, list) else []
+        if self._is_misnumbered(source, path, part):
             self._left_out.add("transformations", label)
             return
         yield Transformation(
@@ -148,11 +166,40 @@ class Expander:
             part.pinned,
             part.required,
             _optional(part.source, values),
-            _optional(part.host, values),
+            None if host is None else self._host(source, (*path, "host"), host, values),
             _optional(part.kind, values),
             cast("dict[str, object]", substitute_all(part.params, values)) if part.params else {},
             self._run_options(source, path, part, [port.name for port in inputs], values),
+            tuple(
+                dict.fromkeys(
+                    self._host(source, (*path, "host", index), name, values, is_choice=True)
+                    for index, name in enumerate(hosts)
+                )
+            ),
+            part.memory,
+            tuple(dict.fromkeys(substitute(other, values) for other in part.conflicts or ())),
+            part.min_instances,
+            part.max_instances,
+            part.standby,
         )
+
+    def _output(self, source: Source, place: Path, name: str, tag: str, part: OutputPart) -> OutputPort:
+        stated = self._fleet.contributions(source, (*place, "quality"), part.quality) if part.quality else ()
+        return OutputPort(name, tag, stated, part.rate, part.size)
+
+    def _host(
+        self, source: Source, path: Path, text: str, values: Mapping[Variable, str], *, is_choice: bool = False
+    ) -> str:
+        name = substitute(text, values)
+        self._fleet.check_host(source, path, name, is_choice=is_choice)
+        return name
+
+    def _is_misnumbered(self, source: Source, path: Path, part: TransformationPart) -> bool:
+        wrong = part.max_instances is not None and part.max_instances < part.min_instances
+        if wrong:
+            message = f"it asks for {part.min_instances} units, but allows {part.max_instances}"
+            self._faults.append(source.fault((*path, "max_instances"), message, "raise max_instances"))
+        return wrong
 
     def _run_options(
         self, source: Source, path: Path, part: TransformationPart, inputs: list[str], values: Mapping[Variable, str]
@@ -170,12 +217,12 @@ class Expander:
 
     def _ports(
         self, source: Source, path: Path, key: str, part: TransformationPart, values: Mapping[Variable, str]
-    ) -> Iterator[tuple[str, str, str | InputPart | OutputPart]]:
+    ) -> Iterator[tuple[Path, str, str, str | InputPart | OutputPart]]:
         for name, written in (getattr(part, key) or {}).items():
             tag_path, template = _tag_of(written, (*path, key, name))
             tag = substitute(template, values)
             self._tags.check(tag, source, tag_path, template, values)
-            yield substitute(name, values), tag, written
+            yield (*path, key, name), substitute(name, values), tag, written
 
     def _check_plain_tags(self, source: Source, path: Path, part: TransformationPart) -> None:
         """Check what can be checked of a template that has no expansion, so that all its faults are told at once."""
@@ -211,8 +258,11 @@ def _texts(part: TransformationPart, path: Path) -> Iterator[tuple[Path, str]]:
     yield (*path, "label"), part.label
     for key in ("source", "kind", "host"):
         text = getattr(part, key)
-        if text is not None:
+        if isinstance(text, str):
             yield (*path, key), text
+    for key, texts in (("host", part.host), ("conflicts", part.conflicts)):
+        if isinstance(texts, list):
+            yield from (((*path, key, index), text) for index, text in enumerate(texts))
     if part.run is not None:
         yield (*path, "run", "start"), part.run.start
     for key in ("inputs", "outputs"):

@@ -7,13 +7,29 @@ from decimal import Decimal
 from typing import Any
 
 from cfgplan.costs import seconds
-from cfgplan.domain import ComputationUnit, Environment, InputPort, RunOptions, Target, Transformation
+from cfgplan.domain import (
+    ComputationUnit,
+    Environment,
+    Host,
+    InputPort,
+    OutputPort,
+    RunOptions,
+    Target,
+    Transformation,
+)
 from cfgplan.formats.schema import FORMAT
 from cfgplan.formats.templates import escape
+from cfgplan.planning import Failures
+from cfgplan.qualities import Better, Contribution, Over, QualityAttribute, Wish, units
 
 
 def plain_environment(
-    environment: Environment, *, horizon_s: int, max_cost_us: int | None = None, ontology: Iterable[str] = ()
+    environment: Environment,
+    *,
+    horizon_s: int,
+    max_cost_us: int | None = None,
+    ontology: Iterable[str] = (),
+    survive: Failures | None = None,
 ) -> dict[str, Any]:
     """What an environment file says, as mappings and lists; costs are Decimal or int.
 
@@ -26,9 +42,13 @@ def plain_environment(
             "ontology": ontologies[0] if len(ontologies) == 1 else ontologies,
             "horizon": horizon_s,
             "max_cost": None if max_cost_us is None else plain_cost(max_cost_us),
-            "transformations": [_transformation(t) for t in environment.library],
+            "hosts": [_host(host) for host in environment.hosts],
+            "transfer": plain_cost(environment.transfer_us) if environment.transfer_us else None,
+            "qualities": [_attribute(attribute) for attribute in environment.qualities],
+            "survive": None if survive is None else survive.value,
+            "transformations": [_transformation(t, environment) for t in environment.library],
             "units": [plain_unit(unit) for unit in environment.units],
-            "targets": [_target(target) for target in environment.targets],
+            "targets": [_target(target, environment) for target in environment.targets],
         }
     )
 
@@ -39,21 +59,32 @@ def plain_cost(cost_us: int) -> Decimal | int:
     return int(value) if value == value.to_integral_value() else value
 
 
-def _transformation(transformation: Transformation) -> dict[str, Any]:
+def plain_quality(micro: int) -> Decimal | int:
+    """A value of a quality attribute, whole where it is."""
+    value = units(micro)
+    return int(value) if value == value.to_integral_value() else value
+
+
+def _transformation(transformation: Transformation, environment: Environment) -> dict[str, Any]:
     return _without_nothing(
         {
             "label": escape(transformation.label),
             "source": _escaped(transformation.source),
             "kind": _escaped(transformation.kind),
-            "host": _escaped(transformation.host),
+            "host": _escaped(transformation.host) or [escape(host) for host in transformation.hosts],
             "params": _escaped_inside(dict(transformation.params)),
             "labor": plain_cost(transformation.labor_us),
             "upkeep": plain_cost(transformation.upkeep_us),
             "pinned": transformation.pinned,
             "required": transformation.required,
+            "memory": transformation.memory_mb,
+            "conflicts": [escape(other) for other in transformation.conflicts],
+            "min_instances": transformation.min_instances or None,
+            "max_instances": transformation.max_instances,
+            "standby": None if transformation.standby_us is None else plain_cost(transformation.standby_us),
             "run": _run_options(transformation.run),
             "inputs": {escape(port.name): _input(port) for port in transformation.inputs},
-            "outputs": {escape(port.name): escape(port.tag) for port in transformation.outputs},
+            "outputs": {escape(port.name): _output(port, environment) for port in transformation.outputs},
         }
     )
 
@@ -80,6 +111,57 @@ def _input(port: InputPort) -> Any:
     return _without_nothing({"tag": escape(port.tag), "distinct": _escaped(port.distinct), "feedback": port.feedback})
 
 
+def _output(port: OutputPort, environment: Environment) -> Any:
+    if not (port.quality or port.rate_uhz or port.size_bytes):
+        return escape(port.tag)
+    return _without_nothing(
+        {
+            "tag": escape(port.tag),
+            "quality": {q.attribute: _contribution(q, environment) for q in port.quality},
+            "rate": plain_quality(port.rate_uhz) if port.rate_uhz else None,
+            "size": port.size_bytes or None,
+        }
+    )
+
+
+def _contribution(contribution: Contribution, environment: Environment) -> Any:
+    attribute = environment.quality.get(contribution.attribute)
+    value = plain_quality(contribution.value)
+    if attribute is not None and attribute.rule is contribution.rule and contribution.over is Over.WORST:
+        return value
+    over = {} if contribution.over is Over.WORST else {"of": contribution.over.value}
+    return {contribution.rule.value: value, **over}
+
+
+def _host(host: Host) -> dict[str, Any]:
+    cpu = None if host.cpu_us is None else plain_cost(host.cpu_us)
+    return _without_nothing({"name": host.name, "cpu": cpu, "memory": host.memory_mb})
+
+
+def _attribute(attribute: QualityAttribute) -> dict[str, Any]:
+    usual = QualityAttribute(attribute.name, attribute.better)
+    return _without_nothing(
+        {
+            "name": attribute.name,
+            "better": attribute.better.value,
+            "rule": None if attribute.rule is usual.rule else attribute.rule.value,
+            "unit": attribute.unit,
+            "worst": None if attribute.worst == usual.worst else plain_quality(attribute.worst),
+            "best": None if attribute.best == usual.best else plain_quality(attribute.best),
+        }
+    )
+
+
+def _wish(wish: Wish, environment: Environment) -> dict[str, Any]:
+    is_low = environment.quality[wish.attribute].better is Better.LOWER
+    return _without_nothing(
+        {
+            "at_most" if is_low else "at_least": None if wish.bound is None else plain_quality(wish.bound),
+            "weight": plain_cost(wish.weight_us) if wish.weight_us else None,
+        }
+    )
+
+
 def plain_unit(unit: ComputationUnit) -> dict[str, Any]:
     """A unit as an environment file says it."""
     topics: dict[str, list[str]] = {}
@@ -91,17 +173,21 @@ def plain_unit(unit: ComputationUnit) -> dict[str, Any]:
             "transformation": unit.transformation,
             "inputs": {subscription.port: str(subscription.stream) for subscription in unit.subscriptions},
             "topics": topics,
+            "host": unit.host,
+            "standby": unit.standby,
         }
     )
 
 
-def _target(target: Target) -> dict[str, Any]:
+def _target(target: Target, environment: Environment) -> dict[str, Any]:
     return _without_nothing(
         {
             "label": target.label,
             "topic": target.topic,
             "tag": target.tag,
             "priority": target.priority if target.priority else None,
+            "quality": {wish.attribute: _wish(wish, environment) for wish in target.quality},
+            "host": target.host,
         }
     )
 

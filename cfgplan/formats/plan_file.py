@@ -15,14 +15,16 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from cfgplan.costs import seconds
-from cfgplan.domain import ChangeSet, ComputationUnit, Publication, Stream, Subscription
+from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Publication, Stream, Subscription
 from cfgplan.errors import InputError, InvalidValueError
+from cfgplan.figures import cost_parts, loads, qualities_of_targets, transfers
 from cfgplan.formats.files import read_text
 from cfgplan.formats.json_text import read_json
 from cfgplan.formats.plain import plain_unit
 from cfgplan.formats.schema import json_schema
 from cfgplan.formats.schema_faults import schema_faults
 from cfgplan.planning import Plan, Problem, Status
+from cfgplan.qualities import units
 
 FORMAT_VERSION = 1
 
@@ -40,6 +42,8 @@ class PlannedUnit(_Part):
     topics: dict[str, list[str]] = Field(default={}, description="output port to the topics it is published on")
     labor_us: int = Field(default=0, ge=0, description="CPU time of its start; 0 if it runs already")
     upkeep_us: int = Field(default=0, ge=0, description="CPU time that it takes each second")
+    host: str | None = Field(default=None, description="where it runs")
+    standby: bool = Field(default=False, description="it is a cold spare: ready, but not running")
 
 
 class ChangeSetPart(_Part):
@@ -71,6 +75,8 @@ class PlanPart(_Part):
     unused_required: list[str] = []
     seconds: dict[str, Any] = Field(default={}, description="wall time of each phase")
     counts: dict[str, int] = Field(default={}, description="the planner's own figures")
+    survive: Literal["units", "hosts"] | None = Field(default=None, description="single failures that it bears")
+    figures: Any = Field(default=None, description="cost by parts, quality, hosts and transfers, beyond the paper")
 
 
 def plan_schema() -> dict[str, Any]:
@@ -105,6 +111,7 @@ def plain_plan(plan: Plan, problem: Problem, digest: str) -> dict[str, Any]:
         "unused_required": list(plan.unused_required),
         "seconds": dict(plan.seconds),
         "counts": dict(plan.counts),
+        **_beyond_the_paper(plan, problem),
     }
 
 
@@ -143,8 +150,43 @@ def _unit(unit: ComputationUnit, problem: Problem, *, starts: bool) -> dict[str,
     transformation = problem.environment.transformation[unit.transformation]
     return {
         **plain_unit(unit),
-        "labor_us": transformation.labor_us if starts else 0,
-        "upkeep_us": transformation.upkeep_us,
+        "labor_us": transformation.labor_us if starts and not unit.standby else 0,
+        "upkeep_us": (transformation.standby_us or 0) if unit.standby else transformation.upkeep_us,
+    }
+
+
+def _beyond_the_paper(plan: Plan, problem: Problem) -> dict[str, Any]:
+    """Figures for people and other programs, where a problem asks for them; they are not read back."""
+    if problem.is_plain:
+        return {}
+    found: dict[str, Any] = {"survive": None if problem.survive is None else problem.survive.value}
+    if plan.change_set is not None:
+        found["figures"] = _figures(problem, problem.environment.update(plan.change_set))
+    return found
+
+
+def _figures(problem: Problem, after: Environment) -> dict[str, Any]:
+    parts = cost_parts(problem, after.units)
+    reached = qualities_of_targets(after, after.units)
+    return {
+        "cost_us": {
+            "labor": parts.labor_us,
+            "upkeep": parts.upkeep_us,
+            "standby": parts.standby_us,
+            "transfers": parts.transfer_us,
+            "quality": parts.quality_us,
+        },
+        "quality": {
+            label: {name: float(units(value)) for name, value in values.items()} for label, values in reached.items()
+        },
+        "hosts": {
+            name: {"cpu_us": load.cpu_us, "memory_mb": load.memory_mb}
+            for name, load in loads(after, after.units).items()
+        },
+        "transfers": [
+            {"stream": str(t.stream), "from": t.origin, "to": t.to, "cost_us": t.cost_us}
+            for t in transfers(problem, after.units)
+        ],
     }
 
 
@@ -174,6 +216,8 @@ def _units(parts: Sequence[PlannedUnit]) -> tuple[ComputationUnit, ...]:
             part.transformation,
             tuple(Subscription(port, Stream.parse(stream)) for port, stream in part.inputs.items()),
             tuple(Publication(port, topic) for port, topics in part.topics.items() for topic in topics),
+            part.host,
+            part.standby,
         )
         for part in parts
     )

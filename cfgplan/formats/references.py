@@ -9,6 +9,7 @@ from graphlib import CycleError, TopologicalSorter
 from cfgplan.domain import ComputationUnit, Publication, Stream, Subscription, Target, Transformation
 from cfgplan.errors import Fault, InvalidValueError
 from cfgplan.formats.document import Document
+from cfgplan.formats.fleet import Fleet
 from cfgplan.formats.left_out import LeftOut
 from cfgplan.formats.places import Path, Source
 from cfgplan.formats.schema import UnitPart
@@ -29,6 +30,7 @@ class UnitChecker:
         left_out: LeftOut,
         library: Mapping[str, Transformation],
         targets: Mapping[str, Target],
+        fleet: Fleet,
         origins: dict[tuple[str, str], tuple[Source, Path]],
         faults: list[Fault],
     ) -> None:
@@ -36,6 +38,7 @@ class UnitChecker:
         self._left_out = left_out
         self._library = library
         self._topics = {target.topic for target in targets.values()}
+        self._fleet = fleet
         self._origins = origins
         self._faults = faults
         self._parts: dict[str, tuple[Source, Path, UnitPart]] = {}
@@ -68,7 +71,19 @@ class UnitChecker:
             self._faults.append(source.fault((*path, "transformation"), message, mend))
         subscriptions = tuple(self._subscriptions(source, path, part, transformation))
         publications = tuple(self._publications(source, path, part, transformation))
-        return ComputationUnit(part.id, part.transformation, subscriptions, publications)
+        if part.standby and (subscriptions or publications):
+            message = f"unit `{part.id}` is a spare that does not run, so it can't have inputs or topics"
+            self._faults.append(source.fault((*path, "standby"), message, "remove them, or `standby`"))
+            subscriptions = publications = ()
+        host = self._host(source, path, part, transformation)
+        return ComputationUnit(part.id, part.transformation, subscriptions, publications, host, part.standby)
+
+    def _host(self, source: Source, path: Path, part: UnitPart, transformation: Transformation | None) -> str | None:
+        if transformation is None:
+            return None
+        allowed = transformation.hosts if transformation.host is None else (transformation.host,)
+        only = allowed[0] if len(allowed) == 1 else None
+        return self._fleet.host_of(source, path, part, only)
 
     def _subscriptions(
         self, source: Source, path: Path, part: UnitPart, transformation: Transformation | None

@@ -2,105 +2,33 @@
 
 from __future__ import annotations
 
-from decimal import Decimal, DecimalException
-from functools import lru_cache
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, PlainValidator, Tag, WithJsonSchema
-from pydantic_core import PydanticCustomError
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
 
-from cfgplan.costs import microseconds
-from cfgplan.errors import InvalidValueError
+from cfgplan.formats.schema_values import (
+    FULL_FORM,
+    SHORT_FORM,
+    Cost,
+    Micro,
+    Name,
+    Params,
+    PortName,
+    PositiveMicro,
+    Rate,
+    Seconds,
+    TagText,
+    form_of,
+)
+from cfgplan.planning import MOST_INSTANCES
 
 FORMAT = "cfgplan/1"
 LONGEST_HORIZON_S = 1_000_000_000
-LARGEST_RATE_HZ = 100_000
 LONGEST_QUEUE = 1_000_000
-NAME = r"^[^\s\x00-\x1f\x7f]([^\x00-\x1f\x7f]*[^\s\x00-\x1f\x7f])?$"
-PORT = r"^[^\s\x00-\x1f\x7f/]([^\x00-\x1f\x7f/]*[^\s\x00-\x1f\x7f/])?$"
 
 DEFAULT_HORIZON_S = 600
 DEFAULT_LABOR_US = 1_000_000
 DEFAULT_UPKEEP_US = 0
-
-SHORT_FORM = "(short)"
-"""How errors name the form of a port that is only a tag, or of a list that is one text."""
-FULL_FORM = "(full)"
-"""How errors name the form of a port that is a mapping, or of a list that is a list."""
-
-
-@lru_cache(maxsize=65536)
-def _microseconds(value: Decimal | int) -> int:
-    try:
-        return microseconds(value)
-    except InvalidValueError as error:
-        message, _, mend = str(error).partition(": ")
-        raise PydanticCustomError("cost", "{text}", {"text": message, "mend": mend or "write a number"}) from None
-    except DecimalException:
-        raise PydanticCustomError(
-            "cost", "{text}", {"text": "the number is too large", "mend": "write CPU seconds"}
-        ) from None
-
-
-def _cost(value: object) -> int:
-    if type(value) is int or type(value) is Decimal:
-        return _microseconds(value)
-    raise PydanticCustomError("cost_type", "a cost is a number of CPU seconds")
-
-
-def _seconds(value: object) -> int:
-    if type(value) is int or type(value) is Decimal:
-        return _microseconds(value)
-    raise PydanticCustomError("number_type", "a time is a number of seconds")
-
-
-def _rate(value: object) -> float:
-    if type(value) is not int and type(value) is not Decimal:
-        raise PydanticCustomError("number_type", "a rate is a number")
-    if not 0 < value <= LARGEST_RATE_HZ:
-        mend = f"write a number above 0 and up to {LARGEST_RATE_HZ:,}"
-        raise PydanticCustomError("rate", "{text}", {"text": f"a rate of {value} is out of range", "mend": mend})
-    return float(value)
-
-
-def _finite(value: object) -> object:
-    """Parameters as plain values: Decimal becomes float, which every file format can say again."""
-    if type(value) is Decimal:
-        number = float(value)
-        if number - number != 0:
-            raise PydanticCustomError(
-                "params", "{text}", {"text": f"{value} is not a finite number", "mend": "quote it"}
-            )
-        return number
-    if type(value) is dict:
-        return {key: _finite(item) for key, item in value.items()}
-    if type(value) is list:
-        return [_finite(item) for item in value]
-    return value
-
-
-def _params(value: object) -> object:
-    if value is None:
-        return {}
-    if type(value) is not dict:
-        raise PydanticCustomError("dict_type", "params must be a mapping")
-    return _finite(value)
-
-
-def _form(value: object) -> str:
-    """Which of two forms an author chose, so that errors are about that one only."""
-    return FULL_FORM if isinstance(value, dict | list | BaseModel) else SHORT_FORM
-
-
-Name = Annotated[str, Field(pattern=NAME)]
-PortName = Annotated[str, Field(pattern=PORT)]
-TagText = Annotated[str, Field(min_length=1, description="a concept in description logic, or the paper's P(a)")]
-Cost = Annotated[int, PlainValidator(_cost), WithJsonSchema({"type": "number", "minimum": 0})]
-Seconds = Annotated[int, PlainValidator(_seconds), WithJsonSchema({"type": "number", "minimum": 0})]
-Rate = Annotated[
-    float, PlainValidator(_rate), WithJsonSchema({"type": "number", "exclusiveMinimum": 0, "maximum": LARGEST_RATE_HZ})
-]
-Params = Annotated[dict[str, Any], PlainValidator(_params), WithJsonSchema({"type": ["object", "null"]})]
 
 
 class _Part(BaseModel):
@@ -115,25 +43,44 @@ class InputPart(_Part):
     feedback: bool = Field(default=False, description="this input may close a cycle of the wiring")
 
 
+class ContributionPart(_Part):
+    """What an output makes of a quality attribute: exactly one of `add`, `limit`, `scale` and `set`."""
+
+    add: Micro | None = Field(default=None, description="added to the value of the inputs")
+    limit: PositiveMicro | None = Field(default=None, description="the value is no better than this")
+    scale: PositiveMicro | None = Field(default=None, description="a factor on the value of the inputs")
+    set: PositiveMicro | None = Field(default=None, description="the value, whatever the inputs are")
+    of: Literal["worst", "best", "mean", "sum"] = Field(default="worst", description="how several inputs count")
+
+
+Quality = Annotated[
+    Annotated[Micro, Tag(SHORT_FORM)] | Annotated[ContributionPart, Tag(FULL_FORM)],
+    Discriminator(form_of),
+]
+
+
 class OutputPart(_Part):
-    """An output port in its long form."""
+    """An output port that says more than a tag."""
 
     tag: TagText
+    quality: dict[Name, Quality] | None = Field(default=None, description="attribute to what it makes of it")
+    rate: PositiveMicro = Field(default=0, description="elements per second, for what it costs to change hosts")
+    size: int = Field(default=0, ge=0, le=LONGEST_HORIZON_S, description="bytes of one element")
 
 
 Input = Annotated[
     Annotated[TagText, Tag(SHORT_FORM)] | Annotated[InputPart, Tag(FULL_FORM)],
-    Discriminator(_form),
+    Discriminator(form_of),
 ]
 Output = Annotated[
     Annotated[TagText, Tag(SHORT_FORM)] | Annotated[OutputPart, Tag(FULL_FORM)],
-    Discriminator(_form),
+    Discriminator(form_of),
 ]
 
 
 Names = Annotated[
     Annotated[Name, Tag(SHORT_FORM)] | Annotated[list[Name], Tag(FULL_FORM)],
-    Discriminator(_form),
+    Discriminator(form_of),
 ]
 
 
@@ -166,13 +113,23 @@ class TransformationPart(_Part):
         default=None, description="package.module:Class, or units.py:Class relative to this file"
     )
     kind: Name | None = Field(default=None, description="free text, the paper's type attribute")
-    host: Name | None = Field(default=None, description="where its units run")
+    host: Names | None = Field(default=None, description="where its units run: a host, or a list to choose from")
     params: Params = Field(default={}, description="the configuration its units are started with")
     labor: Cost | None = Field(default=None, description="CPU seconds of one start")
     upkeep: Cost | None = Field(default=None, description="CPU seconds that a running unit takes per second")
     pinned: bool = Field(default=False, description="running units are kept even where no target needs them")
     required: bool = Field(default=False, description="must be used wherever that is possible at all")
-    run: RunPart | None = Field(default=None, description="how its units run; planning never looks at it")
+    memory: int | None = Field(
+        default=None,
+        ge=0,
+        le=LONGEST_QUEUE,
+        description="megabytes that a unit takes on its host; run.memory if absent",
+    )
+    conflicts: list[Name] | None = Field(default=None, description="transformations that may not be there beside it")
+    min_instances: int = Field(default=0, ge=0, le=MOST_INSTANCES, description="at least so many of its units run")
+    max_instances: int | None = Field(default=None, ge=0, description="at most so many of its units are there")
+    standby: Cost | None = Field(default=None, description="CPU seconds per second of a spare that does not run")
+    run: RunPart | None = Field(default=None, description="how its units run")
     inputs: dict[PortName, Input] | None = Field(default=None, description="input ports: name to tag")
     outputs: dict[PortName, Output] | None = Field(default=None, description="output ports: name to tag")
 
@@ -188,6 +145,16 @@ class UnitPart(_Part):
     topics: dict[PortName, list[Name]] | None = Field(
         default=None, description="output port to the topics it is published on"
     )
+    host: Name | None = Field(default=None, description="where it runs, if hosts are declared")
+    standby: bool = Field(default=False, description="it is a spare that does not run")
+
+
+class WishPart(_Part):
+    """What a target asks of a quality attribute."""
+
+    at_least: PositiveMicro | None = Field(default=None, description="where higher is better: a bound")
+    at_most: PositiveMicro | None = Field(default=None, description="where lower is better: a bound")
+    weight: Cost = Field(default=0, description="CPU seconds for each unit by which the best is missed")
 
 
 class TargetPart(_Part):
@@ -197,6 +164,31 @@ class TargetPart(_Part):
     topic: Name
     tag: TagText
     priority: int = Field(default=0, ge=-LONGEST_HORIZON_S, le=LONGEST_HORIZON_S, description="larger matters more")
+    quality: dict[Name, WishPart] | None = Field(default=None, description="attribute to what is asked of it")
+    host: Name | None = Field(default=None, description="the host that the stream has to come to")
+
+
+class HostPart(_Part):
+    """A computer that units run on."""
+
+    name: Name
+    cpu: Cost | None = Field(default=None, description="CPU seconds per second that units may take; no limit if absent")
+    memory: int | None = Field(default=None, ge=0, description="megabytes that units may take; no limit if absent")
+
+
+class AttributePart(_Part):
+    """A quality attribute of streams."""
+
+    name: Name
+    better: Literal["lower", "higher"] = Field(description="which values are better")
+    rule: Literal["add", "limit", "scale", "set"] = Field(
+        default="add", description="what an output that states a number does with it"
+    )
+    unit: Name | None = Field(default=None, description="what it is measured in, free text")
+    worst: PositiveMicro | None = Field(
+        default=None, description="the worst value, and that of sources that state none"
+    )
+    best: PositiveMicro | None = Field(default=None, description="the best value, from which weights count")
 
 
 class DefaultsPart(_Part):
@@ -228,6 +220,12 @@ class EnvironmentPart(_Part):
     defaults: DefaultsPart | None = None
     include: list[Name] | None = Field(
         default=None, description="files and folders with more transformations and targets"
+    )
+    hosts: list[HostPart] | None = Field(default=None, description="where units run; if absent, nothing is placed")
+    transfer: Cost = Field(default=0, description="CPU seconds for each megabyte that goes from host to host")
+    qualities: list[AttributePart] | None = Field(default=None, description="the quality attributes of streams")
+    survive: Literal[0, 1, "units", "hosts"] = Field(
+        default=0, description="single failures to survive; 1: of hosts where hosts are declared, else of units"
     )
     transformations: list[TransformationPart] | None = None
     units: list[UnitPart] | None = None

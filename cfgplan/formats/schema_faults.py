@@ -11,14 +11,8 @@ from pydantic import BaseModel
 from cfgplan.errors import Fault
 from cfgplan.formats.places import Path, Source
 from cfgplan.formats.scalars import resolve
-from cfgplan.formats.schema import (
-    FORMAT,
-    FULL_FORM,
-    PORT,
-    SHORT_FORM,
-    EnvironmentPart,
-    IncludedPart,
-)
+from cfgplan.formats.schema import FORMAT, EnvironmentPart, IncludedPart
+from cfgplan.formats.schema_values import FULL_FORM, PORT, SHORT_FORM
 from cfgplan.formats.suggestions import did_you_mean
 
 _KINDS = {

@@ -14,12 +14,28 @@ from cfgplan.errors import InvalidValueError
 _BLANK = " \t\r\n"
 _NO_XML = re.compile("[\0-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
 
+_YAML_ONLY = {
+    "environment": ("hosts", "transfer", "qualities", "survive"),
+    "transformations": ("conflicts",),
+    "units": ("host", "standby"),
+    "targets": ("quality", "host"),
+}
+"""What the XML format does not carry; the qualities of outputs and a choice of hosts mean nothing without these."""
+
 
 def dump_xml(data: Mapping[str, Any]) -> str:
     """The XML text of plain data in the environment file's form, such as `plain_environment` gives.
 
-    Raises InvalidValueError for a name or tag with a character that XML can't say.
+    Raises InvalidValueError for a name or tag with a character that XML can't say, and for what the XML has no
+    words for: hosts, quality, conflicts and what is to be survived.
     """
+    if any(isinstance(part.get("host"), list) for part in data.get("transformations") or ()):
+        raise InvalidValueError("the XML format has no choice of hosts: keep this environment in YAML")
+    for part, keys in _YAML_ONLY.items():
+        for written in [data] if part == "environment" else data.get(part) or ():
+            for key in keys:
+                if written.get(key):
+                    raise InvalidValueError(f"the XML format has no `{key}`: keep this environment in YAML")
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + "\n".join(_environment(data)) + "\n"
 
 
@@ -46,7 +62,7 @@ def _environment(data: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _transformation(part: Mapping[str, Any]) -> Iterator[str]:
-    names = ("labor", "upkeep", "host", "pinned", "required")
+    names = ("labor", "upkeep", "host", "pinned", "required", "memory", "min_instances", "max_instances", "standby")
     attributes = {"type": part.get("kind")} | {name: part.get(name) for name in names}
     yield f"  {_opened('transformation', **attributes)}"
     for name in ("label", "source"):

@@ -1,7 +1,8 @@
 """The paper's XML specifications (Listings 1 and 2) as plain data in the environment file's form.
 
-What the paper's XML lacks is added as attributes (labor, upkeep, host, pinned, required, distinct, feedback,
-priority) and elements (run, unit, ontology, include, and the root environment with horizon and max_cost).
+What the paper's XML lacks is added as attributes (labor, upkeep, host, pinned, required, memory, min_instances,
+max_instances, standby, distinct, feedback, priority) and elements (run, unit, ontology, include, and the root
+environment with horizon and max_cost).
 """
 
 from __future__ import annotations
@@ -19,7 +20,10 @@ from cfgplan.formats.suggestions import did_you_mean
 from cfgplan.formats.xml_elements import Element, parse_xml
 
 _ATTRIBUTES = {
-    "transformation": ("type", "labor", "upkeep", "host", "pinned", "required"),
+    "transformation": (
+        *("type", "labor", "upkeep", "host", "pinned", "required"),
+        *("memory", "min_instances", "max_instances", "standby"),
+    ),
     "run": ("start", "tolerance", "rate", "queue", "when_full", "hang", "memory", "state"),
     "target": ("priority",),
     "unit": ("id", "transformation"),
@@ -93,7 +97,7 @@ class _Reading:
         return data
 
     def _transformation(self, element: Element, path: Path) -> dict[str, Any]:
-        numbers = {"labor": resolve, "upkeep": resolve, "pinned": resolve, "required": resolve}
+        numbers = {name: resolve for name in _ATTRIBUTES["transformation"] if name not in ("type", "host")}
         part = self._texts(element, path, ("label", "source"))
         part |= self._attributes(element, path, {"host": str, **numbers})
         if "type" in element.attributes:

@@ -24,7 +24,7 @@ from dataclasses import dataclass, field
 
 from cfgplan.costs import keep_cost_us, start_cost_us
 from cfgplan.domain import ComputationUnit, Publication, Stream, Subscription, Transformation
-from cfgplan.planning import Plan, Problem, Progress, Status, fresh_unit_ids
+from cfgplan.planning import Plan, Problem, Progress, Status, fresh_unit_ids, refuse_notions
 from cfgplan.reasons import unmet_reasons
 from cfgplan.validity import plan_violations
 
@@ -64,6 +64,7 @@ def plan(
 ) -> Plan:
     """The paper's approximation of the optimal update; see `planning.Planner` and the module's text."""
     began = time.monotonic()
+    refuse_notions(problem, "branch-and-bound")
     reasons = unmet_reasons(problem)
     if reasons:
         return Plan("branch-and-bound", Status.INFEASIBLE, reasons=reasons)

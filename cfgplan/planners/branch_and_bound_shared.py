@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable
 
 from cfgplan.planners.selection import Selection
-from cfgplan.planning import Plan, Problem, Progress, Status
+from cfgplan.planning import Plan, Problem, Progress, Status, refuse_notions
 from cfgplan.reasons import unmet_reasons
 
 DIVE_EVERY = 500
@@ -33,6 +33,7 @@ def plan(
     """The cheapest update, proven so unless the time runs out; see `planning.Planner`."""
     began = time.monotonic()
     until = began + (float("inf") if time_limit_s is None else time_limit_s)
+    refuse_notions(problem, NAME)
     if reasons := unmet_reasons(problem):
         return Plan(NAME, Status.INFEASIBLE, reasons=reasons)
     selection = Selection(problem, NAME)

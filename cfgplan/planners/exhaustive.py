@@ -14,6 +14,7 @@ from itertools import combinations
 
 from cfgplan.domain import ComputationUnit, Environment, Publication, Stream, Subscription
 from cfgplan.errors import InputError
+from cfgplan.planners import exhaustive_fleet
 from cfgplan.planning import Plan, Problem, Progress, Status, fresh_unit_ids
 
 MOST_UNITS = 16
@@ -30,6 +31,8 @@ def plan(
     report: Callable[[Progress], None] | None = None,
 ) -> Plan:
     """The optimal plan by enumeration. Raises InputError for more than `MOST_UNITS` candidate units."""
+    if problem.notions:
+        return exhaustive_fleet.plan(problem, time_limit_s=time_limit_s, report=report)
     began = time.monotonic()
     candidates = _candidates(problem.environment)
     if len(candidates) > MOST_UNITS:

@@ -7,19 +7,31 @@ from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 
 from cfgplan.domain import Environment, Similarity, Stream
+from cfgplan.planning import Failures
+from cfgplan.validity.instances import asked_by_number, instance_violations
+from cfgplan.validity.placing import placing_violations
+from cfgplan.validity.quality import quality_violations
 from cfgplan.validity.reading import known_units, needed_by, publishers, tag_of
 from cfgplan.validity.rules import Rule, Violation
+from cfgplan.validity.survival import justified_spares, survival_violations
 
 
-def violations(environment: Environment, similarity: Similarity) -> list[Violation]:
-    """Every rule that the running configuration violates; empty when it is valid (Definition 9)."""
+def violations(environment: Environment, similarity: Similarity, survive: Failures | None = None) -> list[Violation]:
+    """Every rule that the running configuration violates; empty when it is valid (Definition 9).
+
+    With `survive`, it must bear every single failure of that kind too.
+    """
     return [
         *_unknown_transformations(environment),
         *_bad_subscriptions(environment, similarity),
         *_bad_publications(environment, similarity),
         *_cycles(environment),
         *_indistinct_feeds(environment),
-        *_needless_units(environment),
+        *quality_violations(environment),
+        *placing_violations(environment),
+        *instance_violations(environment),
+        *survival_violations(environment, similarity, survive),
+        *_needless_units(environment, similarity, survive),
     ]
 
 
@@ -33,7 +45,7 @@ def _unknown_transformations(environment: Environment) -> Iterator[Violation]:
 
 def _bad_subscriptions(environment: Environment, similarity: Similarity) -> Iterator[Violation]:
     for unit, transformation in known_units(environment):
-        for port in transformation.inputs:
+        for port in transformation.inputs if not unit.standby else ():
             if port.name not in unit.feeds:
                 text = f"input {port.name} of unit {unit.id} has no subscription"
                 yield Violation(Rule.FED, text, unit.id, port.name)
@@ -104,9 +116,12 @@ def _indistinct_feeds(environment: Environment) -> Iterator[Violation]:
                 yield Violation(Rule.DISTINCT, text, unit.id, ports[0])
 
 
-def _needless_units(environment: Environment) -> Iterator[Violation]:
-    pinned = {unit.id for unit, transformation in known_units(environment) if transformation.pinned}
-    needed = needed_by(environment, publishers(environment) | pinned)
+def _needless_units(environment: Environment, similarity: Similarity, survive: Failures | None) -> Iterator[Violation]:
+    kept = {unit.id for unit, transformation in known_units(environment) if transformation.pinned and not unit.standby}
+    kept |= asked_by_number(environment)
+    needed = needed_by(environment, publishers(environment) | kept)
+    if len(needed) < len(environment.units):
+        needed |= needed_by(environment, justified_spares(environment, similarity, survive))
     for unit in environment.units:
         if unit.id not in needed:
             yield Violation(Rule.LEAN, f"unit {unit.id} runs, but no target needs it", unit.id)

@@ -8,6 +8,8 @@ from cfgplan.domain import Environment
 from cfgplan.errors import InvalidValueError
 from cfgplan.planning import Plan, Problem, Status
 from cfgplan.validity.environments import violations
+from cfgplan.validity.placing import carried_us
+from cfgplan.validity.quality import priced_us
 from cfgplan.validity.reading import known_units, needed_by, publishers
 from cfgplan.validity.rules import Rule, Violation
 from cfgplan.validity.startable import givers_by_tag, startable
@@ -28,7 +30,7 @@ def plan_violations(problem: Problem, plan: Plan) -> list[Violation]:
     except InvalidValueError as error:
         return [Violation(Rule.CONSISTENT, str(error))]
     return [
-        *violations(after, problem.similarity),
+        *violations(after, problem.similarity, problem.survive),
         *_bad_change_set(problem.environment, plan, after),
         *_dropped_pinned_units(problem, after),
         *_misreported_required(plan, after),
@@ -42,6 +44,9 @@ def _bad_refusal(problem: Problem, plan: Plan) -> Iterator[Violation]:
     impossible = {
         target.label for target in problem.environment.targets if possible.isdisjoint(givers.get(target.tag, set()))
     }
+    labels = {target.label for target in problem.environment.targets}
+    if plan.status is Status.INFEASIBLE and not impossible and not problem.is_plain and set(plan.reasons) <= labels:
+        return
     if plan.status is Status.INFEASIBLE and set(plan.reasons) != impossible:
         text = f"the targets that can't be met are {sorted(impossible)}, but the plan names {sorted(plan.reasons)}"
         yield Violation(Rule.MET, text)
@@ -69,13 +74,17 @@ def _bad_change_set(before: Environment, plan: Plan, after: Environment) -> Iter
             yield Violation(Rule.CONSISTENT, f"unit {unit.id} is said to be rewired, but stays as it is", unit.id)
         if unit.transformation != was.transformation:
             yield Violation(Rule.CONSISTENT, f"unit {unit.id} can't change its transformation", unit.id)
+        if (unit.host, unit.standby) != (was.host, was.standby):
+            text = f"unit {unit.id} can't be moved, started or put in standby by rewiring it"
+            yield Violation(Rule.CONSISTENT, text, unit.id)
 
 
 def _dropped_pinned_units(problem: Problem, after: Environment) -> Iterator[Violation]:
     dropped = [
         (unit, transformation)
         for unit, transformation in known_units(problem.environment)
-        if transformation.pinned and unit.id not in after.unit
+        if transformation.pinned and unit.id not in after.unit and not unit.standby
+        if not after.hosts or unit.host in after.hosts_for(transformation)
     ]
     possible = startable(problem.environment, problem.similarity) if dropped else set()
     for unit, transformation in dropped:
@@ -95,8 +104,13 @@ def _misreported_required(plan: Plan, after: Environment) -> Iterator[Violation]
 
 
 def _bad_cost(problem: Problem, plan: Plan, after: Environment) -> Iterator[Violation]:
-    cost = 0
+    cost = carried_us(after, problem.horizon_s) + priced_us(after)
     for unit, transformation in known_units(after):
+        if unit.standby:
+            cost += (transformation.standby_us or 0) * problem.horizon_s
+            if transformation.standby_us is None:
+                yield Violation(Rule.COST, f"unit {unit.id} is in standby, which its transformation does not know")
+            continue
         cost += transformation.upkeep_us * problem.horizon_s
         if unit.id not in problem.environment.unit:
             cost += transformation.labor_us

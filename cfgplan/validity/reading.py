@@ -15,7 +15,7 @@ def known_units(environment: Environment) -> Iterator[tuple[ComputationUnit, Tra
 
 def tag_of(environment: Environment, stream: Stream) -> str | None:
     unit = environment.unit.get(stream.unit)
-    transformation = environment.transformation.get(unit.transformation) if unit else None
+    transformation = environment.transformation.get(unit.transformation) if unit and not unit.standby else None
     port = transformation.output.get(stream.port) if transformation else None
     return port.tag if port else None
 

@@ -15,12 +15,20 @@ class Rule(StrEnum):
     MATCHING = "every stream's tag is subsumed by the tag of what it feeds (Definition 9.4)"
     GROUNDED = "every unit's data comes from sources: no cycle without a feedback input"
     DISTINCT = "inputs of one distinct group are fed by different transformations"
-    LEAN = "no unit runs that no target needs, unless it is pinned"
+    LEAN = "no unit runs that no target needs, unless it is pinned, a needed spare or asked for by number"
     PUBLISHED = "a topic carries only what a target asks for"
+    QUALITY = "every target's stream is as good as the target asks"
+    PLACED = "every unit runs on a host that its transformation allows"
+    CAPACITY = "the units on a host take no more CPU time and memory than it has"
+    APART = "units of transformations that conflict are not there together"
+    INSTANCES = "of each transformation as many units run as it asks for and allows"
+    SURVIVES = "no single failure leaves a target without a stream"
     PINNED = "a running unit of a pinned transformation is kept where it can be fed"
     REQUIRED = "a plan says which required transformations it leaves unused"
     CONSISTENT = "a change set can be applied and says exactly what changes"
-    COST = "cost is labor of what starts plus upkeep of what runs over the horizon (Definition 8)"
+    COST = (
+        "cost is labor of what starts plus upkeep of what runs over the horizon (Definition 8), and what else is priced"
+    )
     BOUND = "the bound is at most the cost, and equal to it when the plan is optimal"
 
 

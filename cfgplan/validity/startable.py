@@ -40,7 +40,7 @@ def _can_be_fed(
         group = port.distinct if port.distinct is not None else f"\0{port.name}"
         allowed = anywhere if port.feedback else before
         choices[group][port.name] = givers.get(port.tag, set()) & allowed
-    return all(_different_choices_exist(group) for group in choices.values())
+    return all(different_choices_exist(group) for group in choices.values())
 
 
 def givers_by_tag(environment: Environment, similarity: Similarity) -> dict[str, set[str]]:
@@ -55,7 +55,7 @@ def givers_by_tag(environment: Environment, similarity: Similarity) -> dict[str,
     }
 
 
-def _different_choices_exist(choices: Mapping[str, set[str]]) -> bool:
+def different_choices_exist(choices: Mapping[str, set[str]]) -> bool:
     """Whether each port can have a feeder of its own (a matching, by augmenting paths)."""
     port_of: dict[str, str] = {}
 

@@ -9,11 +9,11 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from cfgplan.planners.cpsat.network import Floats, Ints, Network
+from cfgplan.planners.cpsat.network import Floats, Graph, Ints
 from cfgplan.reasons import assign_different, distinct_groups
 
 
-def first_plan(network: Network, cost: Ints, attempts: int, is_over: Callable[[], bool]) -> set[int] | None:
+def first_plan(network: Graph, cost: Ints, attempts: int, is_over: Callable[[], bool]) -> set[int] | None:
     """A plan, after up to `attempts` attempts to do without one of its members; None if none was found."""
     best = _supported(network, cost, set())
     tried: set[int] = set()
@@ -26,7 +26,7 @@ def first_plan(network: Network, cost: Ints, attempts: int, is_over: Callable[[]
     return best
 
 
-def improved(network: Network, cost: Ints, plan: set[int], doubtful: set[int]) -> set[int]:
+def improved(network: Graph, cost: Ints, plan: set[int], doubtful: set[int]) -> set[int]:
     """The plan, or a cheaper one without some of its doubtful members."""
     for label in sorted(doubtful):
         if label in plan:
@@ -34,7 +34,7 @@ def improved(network: Network, cost: Ints, plan: set[int], doubtful: set[int]) -
     return plan
 
 
-def _without(network: Network, cost: Ints, plan: set[int], label: int) -> set[int]:
+def _without(network: Graph, cost: Ints, plan: set[int], label: int) -> set[int]:
     """The plan, or a cheaper one around a member, with the other members for nothing."""
     other = _supported(network, cost, plan - {label}, avoid=label)
     return other if other is not None and _cost(cost, other) < _cost(cost, plan) else plan
@@ -44,7 +44,7 @@ def _cost(cost: Ints, labels: Iterable[int]) -> int:
     return int(cost[list(labels)].sum())
 
 
-def _supported(network: Network, cost: Ints, free: set[int], avoid: int | None = None) -> set[int] | None:
+def _supported(network: Graph, cost: Ints, free: set[int], avoid: int | None = None) -> set[int] | None:
     """The cheapest support of the goal by h_add, where `free` labels cost nothing and `avoid` is not to be had."""
     price = cost.astype(np.float64) + 1.0
     price[list(free)] = 1e-3
@@ -57,13 +57,13 @@ def _supported(network: Network, cost: Ints, free: set[int], avoid: int | None =
     return _without_redundant(network, cost, chosen) if is_plan(network, chosen) else None
 
 
-def support_of(network: Network, cost: Ints, label: int) -> set[int]:
+def support_of(network: Graph, cost: Ints, label: int) -> set[int]:
     """The labels by which the label is fed most cheaply, by h_add."""
     total = _total(network, cost.astype(np.float64) + 1.0)
     return set() if total is None else _below(network, [label], total) - {label}
 
 
-def _total(network: Network, price: Floats) -> Floats | None:
+def _total(network: Graph, price: Floats) -> Floats | None:
     """h_add of each label with its own price; None if the goal is out of reach."""
     facts = np.full(len(network.core.givers), np.inf)
     while True:
@@ -75,7 +75,7 @@ def _total(network: Network, price: Floats) -> Floats | None:
         facts = better
 
 
-def _below(network: Network, labels: list[int], total: Floats) -> set[int]:
+def _below(network: Graph, labels: list[int], total: Floats) -> set[int]:
     """The cheapest giver of each fact that some labels need, and so on down, and these labels but the goal."""
     chosen = set(labels)
     fed: set[int] = set()
@@ -88,7 +88,7 @@ def _below(network: Network, labels: list[int], total: Floats) -> set[int]:
     return chosen - {network.core.goal}
 
 
-def _feeders(network: Network, label: int, total: Floats, fed: set[int]) -> list[int]:
+def _feeders(network: Graph, label: int, total: Floats, fed: set[int]) -> list[int]:
     feeders = []
     for fact in network.core.needs[label].tolist():
         if fact not in fed:
@@ -112,12 +112,12 @@ def _feeders(network: Network, label: int, total: Floats, fed: set[int]) -> list
     return feeders
 
 
-def _assigned(network: Network, by_price: dict[str, list[int]]) -> list[str]:
+def _assigned(network: Graph, by_price: dict[str, list[int]]) -> list[str]:
     chosen = assign_different({name: [network.labels[i] for i in order] for name, order in by_price.items()})
     return sorted(chosen.values()) if chosen is not None else []
 
 
-def _without_redundant(network: Network, cost: Ints, chosen: set[int]) -> set[int]:
+def _without_redundant(network: Graph, cost: Ints, chosen: set[int]) -> set[int]:
     """Drop, the dearest first, what the rest can do without."""
     givers_left: dict[int, int] = {}
     for label in chosen:
@@ -137,7 +137,7 @@ def _without_redundant(network: Network, cost: Ints, chosen: set[int]) -> set[in
     return chosen
 
 
-def is_plan(network: Network, chosen: set[int]) -> bool:
+def is_plan(network: Graph, chosen: set[int]) -> bool:
     """Whether the labels have a grounded wiring among themselves that meets the goal."""
     waiting: dict[int, list[int]] = {}
     missing: dict[int, int] = {}
@@ -162,7 +162,7 @@ def is_plan(network: Network, chosen: set[int]) -> bool:
     return len(before) == len(chosen) + 1
 
 
-def _special_inputs_are_fed(network: Network, label: int, before: set[int], chosen: set[int]) -> bool:
+def _special_inputs_are_fed(network: Graph, label: int, before: set[int], chosen: set[int]) -> bool:
     """Whether distinct groups can be filled and feedback inputs fed; in doubt (a later feeder) no."""
     transformation = network.transformations[label]
 

@@ -143,11 +143,24 @@ class Core:
         )
 
 
-class Network:
-    """The core of a problem with the names of its labels and the facts of its tags.
+class Graph:
+    """A core by itself: labels without names, of which none has to run, and no distinct or feedback inputs.
 
     `special` are the labels with distinct or feedback inputs, `pinned` those that have to run.
     """
+
+    def __init__(self, core: Core) -> None:
+        self.core = core
+        self.transformations: Sequence[Transformation] = ()
+        self.labels: list[str] = []
+        self.number: dict[str, int] = {}
+        self.fact_of_tag: dict[str, int] = {}
+        self.pinned: list[int] = []
+        self.special: frozenset[int] = frozenset()
+
+
+class Network(Graph):
+    """The core of a problem with the names of its labels and the facts of its tags."""
 
     def __init__(
         self,

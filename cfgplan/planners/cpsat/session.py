@@ -48,6 +48,10 @@ class PlannerSession:
         stop: Event | None = None,
     ) -> Plan:
         """The optimal update. Stopped by the clock, by `stop` or by Ctrl-C it is the best one so far."""
+        if problem.notions:
+            from cfgplan.planners import fleet
+
+            return fleet.plan(problem, time_limit_s=time_limit_s, report=report, stop=stop)
         clock = Clock(time_limit_s, stop)
         if self._structure is None or not self._structure.serves(problem):
             try:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from cfgplan.domain import ComputationUnit, Environment, Stream, Subscription
 from cfgplan_runtime.supervision.backend import Backend, Inlet
@@ -136,22 +136,17 @@ def _starves(unit: ComputationUnit, environment: Environment, starved: set[str])
 def without_unit(environment: Environment, unit_id: str) -> Environment:
     """The environment after a unit has died: what it fed has a gap."""
     left = tuple(
-        ComputationUnit(
-            unit.id,
-            unit.transformation,
-            tuple(s for s in unit.subscriptions if s.stream.unit != unit_id),
-            unit.publications,
-        )
+        replace(unit, subscriptions=tuple(s for s in unit.subscriptions if s.stream.unit != unit_id))
         for unit in environment.units
         if unit.id != unit_id
     )
-    return Environment(left, environment.library, environment.targets)
+    return replace(environment, units=left)
 
 
 def without_feed(environment: Environment, inlet: Inlet) -> Environment:
     """The environment with a gap at one inlet."""
     left = tuple(_with_gap(unit, inlet) for unit in environment.units)
-    return Environment(left, environment.library, environment.targets)
+    return replace(environment, units=left)
 
 
 def _with_gap(unit: ComputationUnit, inlet: Inlet) -> ComputationUnit:
@@ -161,7 +156,7 @@ def _with_gap(unit: ComputationUnit, inlet: Inlet) -> ComputationUnit:
         publications = tuple(p for p in publications if p.topic != inlet.port)
     elif unit.id == inlet.unit:
         subscriptions = tuple(s for s in subscriptions if s.port != inlet.port)
-    return ComputationUnit(unit.id, unit.transformation, subscriptions, publications)
+    return replace(unit, subscriptions=subscriptions, publications=publications)
 
 
 def _room(inlet: Inlet, environment: Environment) -> tuple[int, bool]:

@@ -1,0 +1,147 @@
+"""`cfgplan solve --front`: what better quality costs, as a table, JSON or a plot."""
+
+from __future__ import annotations
+
+import argparse
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cfgplan.cli.exits import OF_STATUS, Exit
+from cfgplan.cli.screen import Screen, counted
+from cfgplan.errors import InputError
+from cfgplan.planning import Problem, Status
+from cfgplan.qualities import units
+
+if TYPE_CHECKING:
+    from cfgplan.explaining import Front
+
+PLOTS = (".svg", ".png", ".pdf")
+
+
+def add_front(parser: argparse._MutuallyExclusiveGroup) -> None:
+    parser.add_argument(
+        "--front",
+        nargs="?",
+        const="",
+        metavar="TARGET:ATTRIBUTE",
+        help="show what better quality costs instead of one plan; the name may be left out if there is only one",
+    )
+
+
+def show_front(options: argparse.Namespace, screen: Screen, problem: Problem) -> Exit:
+    """Compute the front and show it; exit code 0 only if it is complete."""
+    from cfgplan import api
+
+    if options.plot and Path(options.plot).suffix.lower() not in PLOTS:
+        mend = f"use one of {', '.join(PLOTS)}"
+        raise InputError.of("no plot format ends so", file=options.plot, mend=mend)
+    target, attribute = _asked(options.front, problem)
+    with screen.phase("plan"):
+        found = api.front(problem, target, attribute, planner=options.planner, time_limit_s=options.timeout)
+    if screen.json:
+        screen.show_json(_plain(found))
+    else:
+        _show(screen, problem, found)
+    if options.plot:
+        api.write_file(Path(options.plot), _plotted(found, Path(options.plot).suffix[1:].lower()))
+        screen.note(f"Wrote {options.plot}.")
+    if not found.points:
+        return OF_STATUS[Status.INFEASIBLE] if found.complete else Exit.NO_ANSWER
+    return Exit.OK if found.complete else Exit.NOT_PROVEN
+
+
+def _asked(text: str, problem: Problem) -> tuple[str, str]:
+    """The target and attribute that are meant. Raises InputError."""
+    environment = problem.environment
+    label, _, name = text.rpartition(":")
+    targets = [label] if label else [target.label for target in environment.targets]
+    names = [name] if name else [attribute.name for attribute in environment.qualities]
+    pairs = [
+        (target, attribute)
+        for target in targets
+        for attribute in names
+        if target in environment.target and attribute in environment.quality
+    ]
+    asked = [(t, a) for t, a in pairs if any(wish.attribute == a for wish in environment.target[t].quality)]
+    if len(pairs) != 1 and len(asked) == 1:
+        return asked[0]
+    if len(pairs) == 1:
+        return pairs[0]
+    if not environment.qualities:
+        raise InputError.of("no quality attribute is declared", mend="declare one under `qualities:`")
+    known = [f"{t.label}:{a.name}" for t in environment.targets for a in environment.qualities]
+    message = "several targets and attributes could be meant" if pairs else f"there is no {text!r}"
+    raise InputError.of(message, mend=f"write --front with one of {', '.join(known)}")
+
+
+def _show(screen: Screen, problem: Problem, found: Front) -> None:
+    from rich.table import Table
+    from rich.text import Text
+
+    from cfgplan.cli.fleet_text import cpu, quality
+
+    table = Table("cost", found.attribute.name, "start", "rewire", "stop", "started units", box=None)
+    for point in found.points:
+        changes = point.plan.change_set
+        assert changes is not None
+        table.add_row(
+            cpu(point.cost_us),
+            quality(found.attribute, point.value),
+            str(len(changes.started)),
+            str(len(changes.rewired)),
+            str(len(changes.stopped)),
+            ", ".join(unit.id for unit in changes.started),
+        )
+    screen.show(table)
+    how = "all that are not dominated, proven" if found.complete else "there may be more of better quality"
+    points = counted(len(found.points), "configuration")
+    screen.show(Text(f"Target {found.target}, horizon {problem.horizon_s} s: {points}; {how}.", style="bold"))
+    screen.times()
+
+
+def _plain(found: Front) -> dict[str, object]:
+    return {
+        "target": found.target,
+        "attribute": found.attribute.name,
+        "unit": found.attribute.unit,
+        "better": found.attribute.better.value,
+        "complete": found.complete,
+        "points": [
+            {
+                "cost_us": point.cost_us,
+                "quality": float(units(point.value)),
+                "started": [unit.id for unit in point.plan.change_set.started],
+                "rewired": [unit.id for unit in point.plan.change_set.rewired],
+                "stopped": list(point.plan.change_set.stopped),
+            }
+            for point in found.points
+            if point.plan.change_set is not None
+        ],
+    }
+
+
+def _plotted(found: Front, kind: str) -> bytes:
+    try:
+        import matplotlib
+    except ImportError:
+        raise InputError.of("plots need matplotlib", mend="pip install 'cfgplan[plots]'") from None
+    matplotlib.use("Agg")
+    matplotlib.rcParams["svg.hashsalt"] = "cfgplan"
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6, 4), layout="constrained")
+    axis = figure.subplots()
+    costs = [point.cost_us / 1e6 for point in found.points]
+    values = [float(units(point.value)) for point in found.points]
+    axis.step(costs, values, where="post", color="#0072b2", linewidth=1)
+    axis.scatter(costs, values, s=28, color="#0072b2", zorder=3)
+    unit = f" ({found.attribute.unit})" if found.attribute.unit else ""
+    axis.set_xlabel("cost over the horizon (CPU seconds)")
+    axis.set_ylabel(f"{found.attribute.name}{unit}, {found.attribute.better} is better")
+    axis.set_title(f"What better quality of {found.target} costs", fontsize=11)
+    axis.grid(alpha=0.3)
+    content = BytesIO()
+    when = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {"Software": None}}[kind]
+    figure.savefig(content, format=kind, metadata=when)
+    return content.getvalue()

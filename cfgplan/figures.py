@@ -1,0 +1,148 @@
+"""What a configuration comes to: the parts of its cost, the quality of targets, the load of hosts, transfers.
+
+For planners and for those who show plans; the judge reckons for itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+from cfgplan.costs import keep_cost_us, standby_cost_us, transfer_cost_us
+from cfgplan.domain import ComputationUnit, Environment, Stream
+from cfgplan.planning import Problem
+from cfgplan.qualities import QualityAttribute, price_us, propagated
+
+
+@dataclass(frozen=True, slots=True)
+class CostParts:
+    """The cost of an update in microseconds of CPU time over the horizon, by what it is for."""
+
+    labor_us: int
+    upkeep_us: int
+    standby_us: int = 0
+    transfer_us: int = 0
+    quality_us: int = 0
+
+    @property
+    def total_us(self) -> int:
+        return self.labor_us + self.upkeep_us + self.standby_us + self.transfer_us + self.quality_us
+
+
+@dataclass(frozen=True, slots=True)
+class Transfer:
+    """A stream that is carried to a host, and what that costs over the horizon."""
+
+    stream: Stream
+    origin: str | None
+    to: str
+    cost_us: int
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """What the units on a host take, in microseconds of CPU time a second and in megabytes; cold spares too."""
+
+    cpu_us: int
+    memory_mb: int
+
+
+def cost_parts(problem: Problem, units: Collection[ComputationUnit]) -> CostParts:
+    """The cost of an update that leaves these units, by parts."""
+    library, running = problem.environment.transformation, problem.environment.unit
+    hot = [unit for unit in units if not unit.standby]
+    prices = 0
+    if any(target.quality for target in problem.environment.targets):
+        reached = qualities_of_targets(problem.environment, units)
+        for target in problem.environment.targets:
+            for wish in target.quality if target.label in reached else ():
+                attribute = problem.environment.quality[wish.attribute]
+                prices += price_us(attribute, wish, reached[target.label][wish.attribute])
+    return CostParts(
+        sum(library[unit.transformation].labor_us for unit in hot if unit.id not in running),
+        sum(keep_cost_us(library[unit.transformation], problem.horizon_s) for unit in hot),
+        sum(standby_cost_us(library[u.transformation], problem.horizon_s) for u in units if u.standby),
+        sum(transfer.cost_us for transfer in transfers(problem, units)),
+        prices,
+    )
+
+
+def transfers(problem: Problem, units: Collection[ComputationUnit]) -> list[Transfer]:
+    """The streams that leave their hosts, each once for each host that it is wanted on."""
+    environment = problem.environment
+    if not environment.hosts:
+        return []
+    host_of = {unit.id: unit.host for unit in units}
+    target_host = {target.topic: target.host for target in environment.targets}
+    wanted = {(s.stream, unit.host) for unit in units for s in unit.subscriptions}
+    wanted |= {(Stream(unit.id, p.port), target_host.get(p.topic)) for unit in units for p in unit.publications}
+    transformation_of = {unit.id: environment.transformation[unit.transformation] for unit in units}
+    return [
+        Transfer(
+            stream,
+            host_of[stream.unit],
+            to,
+            transfer_cost_us(
+                transformation_of[stream.unit].output[stream.port], problem.horizon_s, environment.transfer_us
+            ),
+        )
+        for stream, to in sorted((stream, to) for stream, to in wanted if to is not None)
+        if host_of[stream.unit] != to
+    ]
+
+
+def loads(environment: Environment, units: Collection[ComputationUnit]) -> Mapping[str, Load]:
+    """What the units take on each host."""
+    library = environment.transformation
+    found = {}
+    for host in environment.hosts:
+        there = [library[u.transformation] for u in units if u.host == host.name and u.transformation in library]
+        found[host.name] = Load(sum(t.upkeep_us for t in there), sum(t.needs_mb for t in there))
+    return found
+
+
+def qualities_of_targets(environment: Environment, units: Collection[ComputationUnit]) -> dict[str, dict[str, int]]:
+    """The value of each attribute (micro-units) at each target that has a stream, by labels; gaps count as worst."""
+    by_id = {unit.id: unit for unit in units}
+    topic_stream = {p.topic: Stream(unit.id, p.port) for unit in units for p in unit.publications}
+    found: dict[str, dict[str, int]] = {
+        target.label: {} for target in environment.targets if target.topic in topic_stream
+    }
+    for attribute in environment.qualities:
+        values: dict[Stream, int] = {}
+        for target in environment.targets:
+            if target.label in found:
+                stream = topic_stream[target.topic]
+                found[target.label][attribute.name] = _value(environment, by_id, attribute, stream, values)
+    return found
+
+
+def _value(
+    environment: Environment,
+    units: Mapping[str, ComputationUnit],
+    attribute: QualityAttribute,
+    wanted: Stream,
+    values: dict[Stream, int],
+) -> int:
+    """The value of a stream, without recursion: a chain of units may be long."""
+    ahead = [wanted]
+    opened: set[Stream] = set()
+    while ahead:
+        stream = ahead[-1]
+        unit = units.get(stream.unit)
+        transformation = environment.transformation.get(unit.transformation) if unit else None
+        if stream in values or unit is None or transformation is None or stream.port not in transformation.output:
+            values.setdefault(stream, attribute.worst)
+            ahead.pop()
+            continue
+        feeds = [unit.feeds.get(port.name) for port in transformation.inputs if not port.feedback]
+        waiting = [feed for feed in feeds if feed is not None and feed not in values and feed not in opened]
+        if waiting and stream not in opened:
+            opened.add(stream)
+            ahead += waiting
+            continue
+        inputs = [attribute.worst if feed is None else values.get(feed, attribute.worst) for feed in feeds]
+        stated = {c.attribute: c for c in transformation.output[stream.port].quality}
+        values[stream] = propagated(attribute, stated.get(attribute.name), inputs)
+        ahead.pop()
+    return values[wanted]

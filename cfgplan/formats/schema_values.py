@@ -1,0 +1,119 @@
+"""The values of the environment file: names, tags, costs, qualities, each with its validation and JSON Schema."""
+
+from __future__ import annotations
+
+from decimal import Decimal, DecimalException
+from functools import lru_cache
+from typing import Annotated, Any
+
+from pydantic import BaseModel, Field, PlainValidator, WithJsonSchema
+from pydantic_core import PydanticCustomError
+
+from cfgplan.costs import microseconds
+from cfgplan.errors import InvalidValueError
+from cfgplan.qualities import micro_units
+
+LARGEST_RATE_HZ = 100_000
+NAME = r"^[^\s\x00-\x1f\x7f]([^\x00-\x1f\x7f]*[^\s\x00-\x1f\x7f])?$"
+PORT = r"^[^\s\x00-\x1f\x7f/]([^\x00-\x1f\x7f/]*[^\s\x00-\x1f\x7f/])?$"
+
+SHORT_FORM = "(short)"
+"""How errors name the form of a port that is only a tag, or of a list that is one text."""
+FULL_FORM = "(full)"
+"""How errors name the form of a port that is a mapping, or of a list that is a list."""
+
+
+@lru_cache(maxsize=65536)
+def _microseconds(value: Decimal | int) -> int:
+    try:
+        return microseconds(value)
+    except InvalidValueError as error:
+        message, _, mend = str(error).partition(": ")
+        raise PydanticCustomError("cost", "{text}", {"text": message, "mend": mend or "write a number"}) from None
+    except DecimalException:
+        raise PydanticCustomError(
+            "cost", "{text}", {"text": "the number is too large", "mend": "write CPU seconds"}
+        ) from None
+
+
+def _cost(value: object) -> int:
+    if type(value) is int or type(value) is Decimal:
+        return _microseconds(value)
+    raise PydanticCustomError("cost_type", "a cost is a number of CPU seconds")
+
+
+def _seconds(value: object) -> int:
+    if type(value) is int or type(value) is Decimal:
+        return _microseconds(value)
+    raise PydanticCustomError("number_type", "a time is a number of seconds")
+
+
+def _rate(value: object) -> float:
+    if type(value) is not int and type(value) is not Decimal:
+        raise PydanticCustomError("number_type", "a rate is a number")
+    if not 0 < value <= LARGEST_RATE_HZ:
+        mend = f"write a number above 0 and up to {LARGEST_RATE_HZ:,}"
+        raise PydanticCustomError("rate", "{text}", {"text": f"a rate of {value} is out of range", "mend": mend})
+    return float(value)
+
+
+def _micro(value: object) -> int:
+    if type(value) is not int and type(value) is not Decimal:
+        raise PydanticCustomError("number_type", "a quality is a number")
+    try:
+        return micro_units(value)
+    except (InvalidValueError, DecimalException) as error:
+        message, _, mend = str(error).partition(": ")
+        text = message if isinstance(error, InvalidValueError) else "the number is too large"
+        raise PydanticCustomError("quality", "{text}", {"text": text, "mend": mend or "write a number"}) from None
+
+
+def _positive_micro(value: object) -> int:
+    micro = _micro(value)
+    if micro < 0:
+        raise PydanticCustomError(
+            "quality", "{text}", {"text": f"{value} is negative", "mend": "write a number of 0 or more"}
+        )
+    return micro
+
+
+def _finite(value: object) -> object:
+    """Parameters as plain values: Decimal becomes float, which every file format can say again."""
+    if type(value) is Decimal:
+        number = float(value)
+        if number - number != 0:
+            raise PydanticCustomError(
+                "params", "{text}", {"text": f"{value} is not a finite number", "mend": "quote it"}
+            )
+        return number
+    if type(value) is dict:
+        return {key: _finite(item) for key, item in value.items()}
+    if type(value) is list:
+        return [_finite(item) for item in value]
+    return value
+
+
+def _params(value: object) -> object:
+    if value is None:
+        return {}
+    if type(value) is not dict:
+        raise PydanticCustomError("dict_type", "params must be a mapping")
+    return _finite(value)
+
+
+def form_of(value: object) -> str:
+    """Which of two forms an author chose, so that errors are about that one only."""
+    return FULL_FORM if isinstance(value, dict | list | BaseModel) else SHORT_FORM
+
+
+Name = Annotated[str, Field(pattern=NAME)]
+PortName = Annotated[str, Field(pattern=PORT)]
+TagText = Annotated[str, Field(min_length=1, description="a concept in description logic, or the paper's P(a)")]
+Cost = Annotated[int, PlainValidator(_cost), WithJsonSchema({"type": "number", "minimum": 0})]
+Seconds = Annotated[int, PlainValidator(_seconds), WithJsonSchema({"type": "number", "minimum": 0})]
+Rate = Annotated[
+    float, PlainValidator(_rate), WithJsonSchema({"type": "number", "exclusiveMinimum": 0, "maximum": LARGEST_RATE_HZ})
+]
+Micro = Annotated[int, PlainValidator(_micro), WithJsonSchema({"type": "number"})]
+PositiveMicro = Annotated[int, PlainValidator(_positive_micro), WithJsonSchema({"type": "number", "minimum": 0})]
+Params = Annotated[dict[str, Any], PlainValidator(_params), WithJsonSchema({"type": ["object", "null"]})]

@@ -1,0 +1,182 @@
+"""How the oracle judges a finished configuration of a fleet: cost, quality, leanness, failures."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from itertools import combinations, product
+
+from cfgplan.domain import ComputationUnit, Stream, Target
+from cfgplan.planning import Failures, Problem
+from cfgplan.qualities import is_met, price_us, propagated
+
+Key = tuple[int, int, int, int]
+Units = tuple[ComputationUnit, ...]
+
+
+def cost_of_units(problem: Problem, units: Units) -> int:
+    cost = 0
+    for unit in units:
+        transformation = problem.environment.transformation[unit.transformation]
+        if unit.standby:
+            cost += (transformation.standby_us or 0) * problem.horizon_s
+            continue
+        cost += transformation.upkeep_us * problem.horizon_s
+        if unit.id not in problem.environment.unit:
+            cost += transformation.labor_us
+    return cost
+
+
+def is_borne(problem: Problem, units: Sequence[ComputationUnit]) -> bool:
+    """Whether no single failure leaves a target without a stream."""
+    environment = problem.environment
+    if problem.survive is None:
+        return True
+    failures: list[tuple[list[ComputationUnit], list[Target]]] = [
+        ([left for left in units if left != unit], list(environment.targets)) for unit in units if not unit.standby
+    ]
+    if problem.survive is Failures.HOSTS:
+        failures += [
+            (
+                [left for left in units if left.host != host.name],
+                [t for t in environment.targets if t.host != host.name],
+            )
+            for host in environment.hosts
+        ]
+    return all(
+        all(is_met_by(problem, possible, target) for target in targets)
+        for left, targets in failures
+        for possible in [runnable(problem, left)]
+    )
+
+
+def key_of(problem: Problem, units: Units) -> Key | None:
+    """How good a wiring is, or None if a bound is missed or a unit is there that nothing needs."""
+    environment = problem.environment
+    prices = _prices_us(problem, units)
+    if prices is None or not _is_lean(problem, units):
+        return None
+    used = {unit.transformation for unit in needed_by(units, [unit for unit in units if unit.publications])}
+    unused = sum(t.required and t.label not in used for t in environment.library)
+    cost = cost_of_units(problem, units) + _carried_us(problem, units) + prices
+    changes = environment.change_to(units)
+    return unused, cost, len(changes.rewired), len(changes.started)
+
+
+def _is_lean(problem: Problem, units: Units) -> bool:
+    environment = problem.environment
+    number = Counter(unit.transformation for unit in units if not unit.standby)
+    roots = []
+    for unit in units:
+        transformation = environment.transformation[unit.transformation]
+        is_pinned = transformation.pinned and unit.id in environment.unit and not unit.standby
+        is_asked_for = not unit.standby and number[unit.transformation] <= transformation.min_instances
+        is_spare = not is_borne(problem, [other for other in units if other != unit])
+        if unit.publications or is_pinned or is_asked_for or is_spare:
+            roots.append(unit)
+    return len(needed_by(units, roots)) == len(units)
+
+
+def _prices_us(problem: Problem, units: Units) -> int | None:
+    """What the targets charge for quality; None if a bound is missed."""
+    environment = problem.environment
+    by_id = {unit.id: unit for unit in units}
+
+    def value(attribute_name: str, stream: Stream) -> int:
+        unit = by_id[stream.unit]
+        transformation = environment.transformation[unit.transformation]
+        inputs = [value(attribute_name, unit.feeds[p.name]) for p in transformation.inputs if not p.feedback]
+        stated = [c for c in transformation.output[stream.port].quality if c.attribute == attribute_name]
+        return propagated(environment.quality[attribute_name], stated[0] if stated else None, inputs)
+
+    total = 0
+    for unit in units:
+        for publication in unit.publications:
+            target = next(t for t in environment.targets if t.topic == publication.topic)
+            for wish in target.quality:
+                reached = value(wish.attribute, Stream(unit.id, publication.port))
+                if not is_met(environment.quality[wish.attribute], wish, reached):
+                    return None
+                total += price_us(environment.quality[wish.attribute], wish, reached)
+    return total
+
+
+def _carried_us(problem: Problem, units: Units) -> int:
+    environment = problem.environment
+    by_id = {unit.id: unit for unit in units}
+    cost = 0
+    for unit in units:
+        for port in environment.transformation[unit.transformation].outputs:
+            stream = Stream(unit.id, port.name)
+            to = {u.host for u in units for s in u.subscriptions if s.stream == stream}
+            topics = {p.topic for p in by_id[unit.id].publications if p.port == port.name}
+            to |= {t.host for t in environment.targets if t.topic in topics}
+            bytes_carried = -(-port.rate_uhz * port.size_bytes // 1_000_000) * problem.horizon_s
+            cost += len(to - {None, unit.host}) * -(-bytes_carried * environment.transfer_us // 1_000_000)
+    return cost
+
+
+def needed_by(units: Sequence[ComputationUnit], roots: Sequence[ComputationUnit]) -> list[ComputationUnit]:
+    by_id = {unit.id: unit for unit in units}
+    needed = {unit.id: unit for unit in roots}
+    ahead = list(roots)
+    while ahead:
+        for subscription in ahead.pop().subscriptions:
+            feeder = by_id[subscription.stream.unit]
+            if feeder.id not in needed:
+                needed[feeder.id] = feeder
+                ahead.append(feeder)
+    return list(needed.values())
+
+
+def reached_from(edges: list[tuple[str, str]], start: str) -> set[str]:
+    """What is reached from a unit along the streams, itself too."""
+    seen, ahead = {start}, [start]
+    while ahead:
+        here = ahead.pop()
+        new = {to for source, to in edges if source == here} - seen
+        seen |= new
+        ahead += new
+    return seen
+
+
+def runnable(problem: Problem, units: Sequence[ComputationUnit]) -> list[ComputationUnit]:
+    """The largest part of the units that can be wired with each other: found by removing what can't be fed."""
+    alive = list(units)
+    while True:
+        order: list[ComputationUnit] = []
+        while True:
+            more = [unit for unit in alive if unit not in order and _feeds_exist(problem, unit, order, alive)]
+            if not more:
+                break
+            order += more
+        if len(order) == len(alive):
+            return alive
+        alive = order
+
+
+def _feeds_exist(
+    problem: Problem, unit: ComputationUnit, before: list[ComputationUnit], alive: list[ComputationUnit]
+) -> bool:
+    """Whether the inputs of a unit can be fed, by trying every choice of transformations that feed them."""
+    inputs = problem.environment.transformation[unit.transformation].inputs
+    choices = [
+        {other.transformation for other in (alive if port.feedback else before) if _gives(problem, other, port.tag)}
+        for port in inputs
+    ]
+    return any(
+        all(
+            first.distinct is None or first.distinct != second.distinct or one != other
+            for (first, one), (second, other) in combinations(list(zip(inputs, feeders, strict=True)), 2)
+        )
+        for feeders in product(*choices)
+    )
+
+
+def _gives(problem: Problem, unit: ComputationUnit, tag: str) -> bool:
+    outputs = problem.environment.transformation[unit.transformation].outputs
+    return any(problem.similarity.holds(port.tag, tag) for port in outputs)
+
+
+def is_met_by(problem: Problem, units: Sequence[ComputationUnit], target: Target) -> bool:
+    return any(_gives(problem, unit, target.tag) for unit in units)

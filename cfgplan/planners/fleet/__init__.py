@@ -1,0 +1,102 @@
+"""The exact planner for what the paper leaves to the future: quality, hosts, conflicts, instances, spares.
+
+One constraint model in which every possible subscription has a boolean, solved objective by objective.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from threading import Event
+from typing import TYPE_CHECKING
+
+from cfgplan.planners.cpsat.clock import Clock
+from cfgplan.planners.fleet.best_case import bound_by_price, leave_out_what_is_too_bad
+from cfgplan.planners.fleet.candidates import Candidates
+from cfgplan.planners.fleet.flat import Flat
+from cfgplan.planners.fleet.flatness import is_flat
+from cfgplan.planners.fleet.hostless import hostless
+from cfgplan.planners.fleet.standing import Standing
+from cfgplan.planning import Notion, Plan, Problem, Progress, Status
+from cfgplan.reasons import unmet_reasons
+
+if TYPE_CHECKING:
+    from cfgplan.planners.fleet.flat_search import FlatSearch
+
+__all__ = ["plan"]
+
+SLICE_S, GROWTH = 2.0, 4.0
+"""The engine's own seconds for the first round, and how much longer each next one is.
+
+After a round that was too short, all that costs more than the best plan by then is left out.
+"""
+
+
+def plan(
+    problem: Problem,
+    *,
+    time_limit_s: float | None = None,
+    report: Callable[[Progress], None] | None = None,
+    stop: Event | None = None,
+) -> Plan:
+    """The optimal update, see `planning.Planner`; `stop` ends it early with the best plan so far, as Ctrl-C does."""
+    clock = Clock(time_limit_s, stop)
+    if reasons := unmet_reasons(problem):
+        return Plan("cpsat", Status.INFEASIBLE, reasons=reasons, seconds=clock.end("closure"))
+    candidates = Candidates(problem)
+    if Notion.SURVIVAL not in problem.notions:  # a hot spare may get any quality
+        leave_out_what_is_too_bad(candidates)
+    clock.end("closure")
+    if clock.is_over():
+        return Plan("cpsat", Status.UNKNOWN, seconds=clock.seconds)
+    standing = Standing(problem, clock, report)
+    standing.counts = {"candidates": len(candidates.all), "conflicts": 0}
+    try:
+        _search(candidates, standing)
+    except KeyboardInterrupt:
+        clock.stop.set()
+    clock.end("search")
+    return standing.plan()
+
+
+def _search(candidates: Candidates, standing: Standing) -> None:
+    """The fast way where it is exact; what it leaves open, and all else, in the explicit model."""
+    problem, clock = candidates.problem, standing.clock
+    if is_flat(candidates):
+        search = _solve_flat(candidates, standing)
+        clock.end("flat")
+        standing.is_optimal = search is not None and search.is_done
+        if search is None or standing.is_optimal or standing.is_infeasible or clock.is_over():
+            return
+        if standing.is_cost_proven:
+            candidates = Candidates(problem, search.left())
+    from cfgplan.planners.fleet.search import Search
+
+    explicit = Search(candidates, standing)
+    clock.end("model")
+    explicit.run()
+
+
+def _solve_flat(candidates: Candidates, standing: Standing) -> FlatSearch | None:
+    """The search that proved the cost, or the last one; None if no plan is possible."""
+    from cfgplan.planners.fleet.flat_search import FlatSearch  # the solver takes long to import
+
+    problem, clock = candidates.problem, standing.clock
+    hostless_us = 0
+    if problem.environment.hosts:
+        hostless_us, labels = hostless(candidates, clock)
+        standing.raise_bound(hostless_us)
+        few = Flat(Candidates(problem, labels))
+        if labels and not few.is_impossible:
+            FlatSearch(few, standing, hostless_us, SLICE_S, is_all=False).run()
+    slice_s = SLICE_S
+    while True:
+        flat = Flat(candidates)
+        if flat.is_impossible:
+            standing.is_infeasible = standing.best is None
+            return None
+        search = FlatSearch(flat, standing, hostless_us, slice_s)
+        if search.run() or clock.is_over():
+            return search
+        slice_s *= GROWTH
+        if standing.best is not None:
+            bound_by_price(candidates, standing.best[0][1] - search.least_us)

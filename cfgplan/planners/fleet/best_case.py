@@ -1,0 +1,177 @@
+"""How good streams can be at best, and how bad they may be at worst, attribute by attribute.
+
+At best all that can run runs. What would miss every bound even then is of no use anywhere.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+
+from cfgplan.domain import OutputPort, Stream
+from cfgplan.planners.fleet.candidates import Candidate, Candidates
+from cfgplan.planning import Notion
+from cfgplan.qualities import MICRO, Better, Over, QualityAttribute, Rule, price_us, propagated
+
+
+def leave_out_what_is_too_bad(candidates: Candidates) -> None:
+    """Streams that no plan can take where a tag is demanded, since they would miss the bounds of all targets."""
+    for name in sorted({attribute for _, attribute in candidates.bounds}):
+        attribute = candidates.environment.quality[name]
+        best = best_values(candidates, attribute)
+        allowed = _allowed(candidates, attribute)
+        candidates.leave_out(
+            {
+                (tag, stream)
+                for tag, worst in allowed.items()
+                for stream in candidates.streams(tag)
+                if stream not in best or attribute.is_better(worst, best[stream])
+            }
+        )
+
+
+def range_of_use(candidates: Candidates, attribute: QualityAttribute) -> dict[Stream, tuple[int, int]]:
+    """For each stream that a plan may use its best value, and the worst with which its unit is of use.
+
+    That is the worst there is for spares, which may get any quality, for units that are asked for whatever
+    they give, and for those of which another stream may be used instead.
+    """
+    best = best_values(candidates, attribute)
+    allowed = _allowed(candidates, attribute) if Notion.SURVIVAL not in candidates.problem.notions else {}
+    used: dict[Stream, int] = {}
+    ports = [port for candidate in candidates.all for port in candidate.transformation.inputs]
+    for tag in {*(port.tag for port in ports), *(target.tag for target in candidates.environment.targets)}:
+        for stream in candidates.streams(tag):
+            worst = allowed.get(tag, attribute.worst)
+            if stream in best and (stream not in used or attribute.is_better(used[stream], worst)):
+                used[stream] = worst
+    streams_of = Counter(stream.unit for stream in used)
+    for stream, worst in used.items():
+        i = candidates.index_of[stream.unit]
+        is_asked_for = candidates.is_pinned(i) or candidates.all[i].transformation.min_instances
+        if is_asked_for or streams_of[stream.unit] > 1 or attribute.is_better(worst, best[stream]):
+            used[stream] = attribute.worst
+    return {stream: (best[stream], worst) for stream, worst in used.items()}
+
+
+def least_prices_us(candidates: Candidates) -> dict[tuple[str, str], int]:
+    """What each target charges for an attribute at least, whatever the plan."""
+    prices: dict[tuple[str, str], int] = {}
+    for attribute in candidates.environment.qualities:
+        weighed = [
+            (target, wish)
+            for target in candidates.environment.targets
+            for wish in target.quality
+            if wish.attribute == attribute.name and wish.weight_us
+        ]
+        best = best_values(candidates, attribute) if weighed else {}
+        for target, wish in weighed:
+            values = [best[stream] for stream in candidates.streams(target.tag) if stream in best]
+            found = min((price_us(attribute, wish, value) for value in values), default=0)
+            prices[target.label, attribute.name] = found
+    return prices
+
+
+def bound_by_price(candidates: Candidates, most_us: int) -> None:
+    """Bound what targets weigh, where all else and the best quality leave at most `most_us` for all prices."""
+    least = least_prices_us(candidates)
+    for target in candidates.environment.targets:
+        for wish in target.quality:
+            place = target.label, wish.attribute
+            if place not in least:
+                continue
+            attribute = candidates.environment.quality[wish.attribute]
+            missed_by = (most_us - sum(least.values()) + least[place]) * MICRO // wish.weight_us
+            is_low = attribute.better is Better.LOWER
+            value = attribute.best + missed_by if is_low else attribute.best - missed_by
+            low, high = sorted((attribute.best, attribute.worst))
+            known = candidates.bounds.get(place, attribute.worst)
+            candidates.bounds[place] = min(known, max(value, low)) if is_low else max(known, min(value, high))
+    leave_out_what_is_too_bad(candidates)
+
+
+def best_values(candidates: Candidates, attribute: QualityAttribute) -> dict[Stream, int]:
+    """No wiring gives a stream a better value. Streams that nothing can feed are left out.
+
+    Round by round for one more unit in a row; no row is longer than there are units.
+    """
+    best: dict[Stream, int] = {}
+    at: dict[str, int] = {}
+    demands = _demands(candidates)
+    for _ in candidates.all:
+        grew = False
+        for candidate in candidates.all:
+            inputs = [at.get(port.tag) for port in candidate.transformation.inputs if not port.feedback]
+            fed = [value for value in inputs if value is not None]
+            if len(fed) < len(inputs) or not candidate.may_run:
+                continue
+            for port in candidate.transformation.outputs:
+                value = propagated(attribute, {c.attribute: c for c in port.quality}.get(attribute.name), fed)
+                stream = Stream(candidate.id, port.name)
+                if stream not in best or attribute.is_better(value, best[stream]):
+                    grew = True
+                    best[stream] = value
+                    for tag in demands.get(port.tag, ()):
+                        if tag not in at or attribute.is_better(value, at[tag]):
+                            at[tag] = value
+        if not grew:
+            break
+    return best
+
+
+def _demands(candidates: Candidates) -> dict[str, list[str]]:
+    """For each offered tag the demanded ones that it meets."""
+    demands: dict[str, list[str]] = defaultdict(list)
+    for tag, offered in candidates.problem.similarity.offers.items():
+        for one in offered:
+            demands[one].append(tag)
+    return demands
+
+
+def _allowed(candidates: Candidates, attribute: QualityAttribute) -> dict[str, int]:
+    """For each demanded tag the worst value that anybody who demands it may take, if it is of use at all."""
+    allowed: dict[str, int] = {}
+
+    def allow(tag: str, value: int) -> bool:
+        if tag in allowed and not attribute.is_better(allowed[tag], value):
+            return False
+        allowed[tag] = value
+        return True
+
+    for target in candidates.environment.targets:
+        allow(target.tag, candidates.bounds.get((target.label, attribute.name), attribute.worst))
+    asked = [i for i, c in enumerate(candidates.all) if candidates.is_pinned(i) or c.transformation.min_instances]
+    for i in asked:
+        for port in candidates.all[i].transformation.inputs:
+            allow(port.tag, attribute.worst)
+    demands = _demands(candidates)
+    grew = True
+    while grew:
+        grew = False
+        for candidate in candidates.all:
+            for output in candidate.transformation.outputs:
+                wanted = [allowed[tag] for tag in demands.get(output.tag, ()) if tag in allowed]
+                if not wanted:
+                    continue
+                out = max(wanted) if attribute.better is Better.LOWER else min(wanted)
+                for port in candidate.transformation.inputs:
+                    value = attribute.worst if port.feedback else _allowed_before(attribute, candidate, output, out)
+                    grew |= allow(port.tag, value)
+    return allowed
+
+
+def _allowed_before(attribute: QualityAttribute, candidate: Candidate, output: OutputPort, out: int) -> int:
+    """The worst value of an input with which an output is still good enough, as far as the rule says that."""
+    stated = {c.attribute: c for c in output.quality}.get(attribute.name)
+    if stated is None:
+        return out
+    ordinary = sum(not port.feedback for port in candidate.transformation.inputs)
+    if out == attribute.worst or (stated.over is not Over.WORST and ordinary > 1):
+        return attribute.worst
+    match stated.rule:
+        case Rule.ADD:
+            low, high = sorted((attribute.worst, attribute.best))
+            return min(max(out - stated.value, low), high)
+        case Rule.LIMIT:
+            return out
+        case Rule.SCALE | Rule.SET:
+            return attribute.worst

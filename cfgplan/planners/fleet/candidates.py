@@ -1,0 +1,152 @@
+"""The units that a configuration of a fleet may have, and who may feed whom."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass
+
+from cfgplan.costs import keep_cost_us, standby_cost_us, start_cost_us
+from cfgplan.domain import ComputationUnit, Environment, Stream, Transformation
+from cfgplan.planning import Problem, fresh_units
+from cfgplan.reasons import Givers, startable
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A unit of the environment, or one of the new ones of a transformation; `may_run` or `may_wait` as a cold spare.
+
+    `hosts` are those it may be on: its own if it is there already, only None where there are no hosts.
+    """
+
+    id: str
+    transformation: Transformation
+    running: ComputationUnit | None
+    hosts: tuple[str | None, ...]
+    may_run: bool
+    may_wait: bool
+    cost_us: int
+    waiting_cost_us: int
+
+
+class Candidates:
+    """The candidates by index, in canonical order; the new ones of a transformation stand side by side."""
+
+    def __init__(self, problem: Problem, among: Collection[str] | None = None) -> None:
+        """All candidates, or those of the transformations in `among`."""
+        self.problem = problem
+        self.environment = problem.environment
+        self.givers = Givers(problem.environment.library, problem.similarity)
+        self.possible = startable(problem.environment, self.givers)
+        labels = _relevant(problem, self.givers, self.possible)
+        if among is not None:
+            labels = labels.intersection(among)
+        self.all = (*_present(problem), *_new(problem, labels))
+        self.all = tuple(c for c in self.all if c.transformation.label in labels)
+        self.index_of = {candidate.id: i for i, candidate in enumerate(self.all)}
+        self._streams: dict[str, tuple[Stream, ...]] = {}
+        self.bounds = {
+            (target.label, wish.attribute): wish.bound
+            for target in problem.environment.targets
+            for wish in target.quality
+            if wish.bound is not None
+        }
+        """The worst value that a target may get of an attribute, as far as is known."""
+        self._by_label: dict[str, list[Candidate]] = defaultdict(list)
+        for candidate in self.all:
+            self._by_label[candidate.transformation.label].append(candidate)
+
+    def streams(self, tag: str) -> tuple[Stream, ...]:
+        """The streams of candidates that may run and match the demanded tag."""
+        if tag not in self._streams:
+            self._streams[tag] = tuple(
+                Stream(candidate.id, port.name)
+                for label in self.givers.of(tag)
+                for candidate in self._by_label.get(label, ())
+                if candidate.may_run
+                for port in candidate.transformation.outputs
+                if self.problem.similarity.holds(port.tag, tag)
+            )
+        return self._streams[tag]
+
+    def leave_out(self, useless: Collection[tuple[str, Stream]]) -> None:
+        """Streams that no plan uses where a tag is demanded."""
+        for tag in {tag for tag, _ in useless}:
+            self._streams[tag] = tuple(stream for stream in self.streams(tag) if (tag, stream) not in useless)
+
+    def feeders(self, tag: str) -> list[int]:
+        """The candidates that have such a stream, each once."""
+        return sorted({self.index_of[stream.unit] for stream in self.streams(tag)})
+
+    def is_pinned(self, index: int) -> bool:
+        """Whether the candidate is a running unit that must be kept."""
+        candidate = self.all[index]
+        return (
+            candidate.transformation.pinned
+            and candidate.running is not None
+            and candidate.may_run
+            and candidate.transformation.label in self.possible
+        )
+
+
+def _relevant(problem: Problem, givers: Givers, possible: frozenset[str]) -> frozenset[str]:
+    """The transformations that can be fed at all and that a target, a pinned unit or a number asks for."""
+    environment = problem.environment
+    asked = {t.label for t in environment.library if t.min_instances}
+    asked |= {u.transformation for u in environment.units if _is_pinned(environment, u)}
+    found = asked & possible
+    ahead = [target.tag for target in environment.targets]
+    ahead += [port.tag for label in sorted(found) for port in environment.transformation[label].inputs]
+    seen = set(ahead)
+    for tag in ahead:
+        for label in givers.of(tag):
+            if label in possible and label not in found:
+                found.add(label)
+            new = [p.tag for p in environment.transformation[label].inputs if p.tag not in seen]
+            seen.update(new)
+            ahead += new
+    return frozenset(found)
+
+
+def _is_pinned(environment: Environment, unit: ComputationUnit) -> bool:
+    transformation = environment.transformation.get(unit.transformation)
+    return transformation is not None and transformation.pinned
+
+
+def _present(problem: Problem) -> Iterable[Candidate]:
+    environment = problem.environment
+    for unit in environment.units:
+        transformation = environment.transformation.get(unit.transformation)
+        if transformation is None or (environment.hosts and unit.host not in environment.hosts_for(transformation)):
+            continue
+        if unit.standby and (problem.survive is None or transformation.standby_us is None):
+            continue
+        yield Candidate(
+            unit.id,
+            transformation,
+            unit,
+            (unit.host,),
+            not unit.standby,
+            unit.standby,
+            keep_cost_us(transformation, problem.horizon_s),
+            standby_cost_us(transformation, problem.horizon_s),
+        )
+
+
+def _new(problem: Problem, labels: frozenset[str]) -> Iterable[Candidate]:
+    environment = problem.environment
+    numbers = {t.label: problem.most_new(t) for t in environment.library if t.label in labels}
+    for label, unit_ids in fresh_units(environment, numbers).items():
+        transformation = environment.transformation[label]
+        hosts = environment.hosts_for(transformation)
+        for unit_id in unit_ids if hosts else ():
+            yield Candidate(
+                unit_id,
+                transformation,
+                None,
+                hosts,
+                may_run=True,
+                may_wait=problem.survive is not None and transformation.standby_us is not None,
+                cost_us=start_cost_us(transformation, problem.horizon_s),
+                waiting_cost_us=standby_cost_us(transformation, problem.horizon_s),
+            )

@@ -1,0 +1,237 @@
+"""The search over a flat fleet: landmarks, then rounds of solving and cutting what is not grounded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import ceil
+
+from ortools.sat.python.cp_model import INFEASIBLE, MODEL_INVALID, OPTIMAL, CpSolver, IntVar, LinearExpr
+
+from cfgplan.domain import ComputationUnit, InputPort, Publication, Stream, Subscription
+from cfgplan.planners.cpsat.bounds import Bound
+from cfgplan.planners.cpsat.engine import OnSolution, repeatable_solver, solve
+from cfgplan.planners.cpsat.greedy import first_plan
+from cfgplan.planners.cpsat.tightening import tightened
+from cfgplan.planners.fleet.best_case import least_prices_us
+from cfgplan.planners.fleet.decode import lean, named
+from cfgplan.planners.fleet.flat import Fact, Flat, Met
+from cfgplan.planners.fleet.flat_model import FlatModel
+from cfgplan.planners.fleet.quality import Values, targets_get_the_quality_they_ask_for, value_of_choice
+from cfgplan.planners.fleet.standing import Standing
+from cfgplan.qualities import QualityAttribute
+
+SMALL = 20000
+"""With fewer booleans than this, probing and looking for symmetries take longer than they save."""
+ATTEMPTS = 30
+"""How many members of the first plan are tried to be done without."""
+EXACT = 2**50
+"""Up to here the solver's bound, a double, is exact."""
+
+
+class FlatSearch:
+    """Finds the least cost and the fewest started units for it; `is_done` if that is proven."""
+
+    def __init__(
+        self, flat: Flat, standing: Standing, hostless_us: int, slice_s: float, *, is_all: bool = True
+    ) -> None:
+        """With `is_all` false some candidates are left out: nothing is learned but plans."""
+        self.flat = flat
+        self.standing = standing
+        self.is_done = False
+        self.slice_s = slice_s
+        self.is_all = is_all
+        cost, graph = flat.costs(), flat.graph()
+        price_us = sum(least_prices_us(flat.candidates).values())
+        plan = first_plan(graph, cost, ATTEMPTS, standing.clock.is_over)
+        most = int(cost.sum()) if standing.best is None else standing.best[0][1] - price_us
+        enough = most if plan is None else min(most, int(cost[sorted(plan)].sum()))
+        bound = tightened(Bound(graph.core, cost), enough, most, standing.clock)
+        if is_all:
+            standing.raise_bound(bound.value + price_us)
+        self.least_us = bound.value
+        self._bound = bound
+        self._price_us = price_us
+        self.greedy = plan or set()
+        landmarks = [bound.core.labels[one.members].tolist() for one in bound.landmarks]
+        self.model = FlatModel(flat, landmarks)
+        left = set(bound.core.labels[bound.may_be_used(most)].tolist())
+        for label, uses in enumerate(self.model.uses):
+            if label not in left:
+                self.model.cp.add_bool_or([uses.negated()])
+        standing.counts |= {"landmarks": len(landmarks), "left by bounds": len(left)}
+        if any(target.quality for target in flat.candidates.environment.targets):
+            self._ask_for_quality()
+        self.model.ground()
+        if hostless_us:
+            self.model.cp.add(self.model.cost_but_transfers() >= hostless_us)
+        started = self.model.started()
+        weighed = (len(started) + 1) * (sum(flat.cost_us) + 1) < EXACT
+        self.scale = len(started) + 1 if weighed else 1
+        terms = [self.model.cost(), LinearExpr.sum(started)]
+        self.objective = LinearExpr.weighted_sum(terms, [self.scale, int(weighed)])
+        self.is_weighed = weighed
+
+    def run(self) -> bool:
+        """Rounds of solving and cutting until the cost is proven; False if a round takes too long."""
+        self.model.cp.minimize(self.objective)
+        while not self.standing.clock.is_over():
+            solver = self._solver()
+            self._hint()
+            self.standing.counts["rounds"] = self.standing.counts.get("rounds", 0) + 1
+            solver.best_bound_callback = self._learn
+            status = solve(solver, self.model.cp, OnSolution(self._look_at), self.standing.clock)
+            self.standing.counts["conflicts"] += solver.num_conflicts
+            if status in (MODEL_INVALID, INFEASIBLE):
+                self.standing.is_infeasible = self.is_all and status == INFEASIBLE and self.standing.best is None
+                return True
+            self._learn(solver.best_objective_bound)
+            if status != OPTIMAL:
+                return False
+            if self._is_proven_by(solver):
+                return True
+            self._cut(solver.boolean_value)
+        return True
+
+    def left(self) -> frozenset[str]:
+        """The transformations that may be in a plan as cheap as the best one."""
+        assert self.standing.best is not None
+        keep = self._bound.may_be_used(self.standing.best[0][1] - self._price_us)
+        units = {self.flat.labels[label].unit for label in self._bound.core.labels[keep].tolist()}
+        return frozenset(self.flat.candidates.all[unit].transformation.label for unit in units)
+
+    def _is_proven_by(self, solver: CpSolver) -> bool:
+        """Whether the optimum of a round is a plan."""
+        units = self._decoded(solver.boolean_value)
+        if units is None:
+            return False
+        key = self.standing.offer(units)
+        if self.scale * key[1] + (key[3] if self.is_weighed else 0) > round(solver.objective_value):
+            return False
+        if not self.is_all:
+            return True
+        self.standing.prove_cost()
+        assert self.standing.best is not None
+        best = self.standing.best[0]
+        self.is_done = self.is_weighed and best[2] == 0 and best[3] == key[3]
+        return True
+
+    def _ask_for_quality(self) -> None:
+        model, flat = self.model, self.flat
+        value_of: dict[Fact, IntVar] = {}
+        for fact in flat.facts:
+            if isinstance(fact, Met):
+                model.feeds[fact] = {
+                    (label, stream): model.cp.new_bool_var("")
+                    for label, streams in flat.givers[fact].items()
+                    if fact not in flat.needs[label]
+                    for stream in streams
+                }
+
+        def value_of_fact(attribute: QualityAttribute, fact: Met, values: Values) -> IntVar:
+            if fact not in value_of:
+                value_of[fact] = value_of_choice(model, attribute, self._streams(fact), values)
+            return value_of[fact]
+
+        def value_at(attribute: QualityAttribute, unit: int, port: InputPort, values: Values) -> IntVar:
+            places = flat.places(unit)
+            if len(flat.candidates.all[unit].hosts) == 1 and places:
+                return value_of_fact(attribute, Met(port.tag, flat.labels[places[0]].host), values)
+            low, high = sorted((attribute.worst, attribute.best))
+            value = model.cp.new_int_var(low, high, "")
+            for place in places:
+                there = value_of_fact(attribute, Met(port.tag, flat.labels[place].host), values)
+                no_better = value >= there if attribute.worst > attribute.best else value <= there
+                model.cp.add(no_better).only_enforce_if(model.uses[place])
+            return value
+
+        targets_get_the_quality_they_ask_for(
+            model, lambda target: self._streams(Met(target.tag, target.host)), value_at
+        )
+
+    def _streams(self, fact: Met) -> list[tuple[Stream, IntVar]]:
+        return [(stream, feeds) for (_, stream), feeds in self.model.feeds[fact].items()]
+
+    def _decoded(self, holds: Callable[[IntVar], bool]) -> list[ComputationUnit] | None:
+        """The units of a solution; None if what is wanted or asked for is not grounded."""
+        rank = self.model.support.grounded(self._true(holds))
+        candidates = self.flat.candidates
+        wanted = [*self.flat.wanted]
+        for i, runs in self.model.runs.items():
+            if candidates.all[i].transformation.min_instances and any(holds(run) for run in runs):
+                wanted += self.flat.needs[next(n for n in self.flat.places(i) if holds(self.model.uses[n]))]
+        if any(self.model.holds[fact].index not in rank for fact in wanted):
+            return None
+        topics: dict[str, list[Publication]] = {}
+        for target in candidates.environment.targets:
+            stream = self._stream(Met(target.tag, target.host), holds, rank)
+            topics.setdefault(stream.unit, []).append(Publication(stream.port, target.topic))
+        units = []
+        for i in self.model.runs:
+            place = next((n for n in self.flat.places(i) if self.model.uses[n].index in rank), None)
+            if place is None:
+                continue
+            candidate, host = candidates.all[i], self.flat.labels[place].host
+            subscriptions = tuple(
+                Subscription(port.name, self._stream(Met(port.tag, host), holds, rank))
+                for port in candidate.transformation.inputs
+            )
+            published = tuple(topics.get(candidate.id, ()))
+            units.append(ComputationUnit(candidate.id, candidate.transformation.label, subscriptions, published, host))
+        return named(candidates, lean(candidates.problem, units))
+
+    def _stream(self, fact: Met, holds: Callable[[IntVar], bool], rank: dict[int, int]) -> Stream:
+        """The stream by which a grounded fact is met: the one chosen, or else the first to be there."""
+        if fact in self.model.feeds:
+            return next(stream for stream, feeds in self._streams(fact) if holds(feeds))
+        givers = self.flat.givers[fact]
+        label = min(
+            (label for label in givers if self.model.uses[label].index in rank),
+            key=lambda label: rank[self.model.uses[label].index],
+        )
+        return givers[label][0]
+
+    def _true(self, holds: Callable[[IntVar], bool]) -> set[int]:
+        model = self.model
+        literals = [*model.uses, *model.holds.values()]
+        literals += [feeds for choices in model.feeds.values() for feeds in choices.values()]
+        return {literal.index for literal in literals if holds(literal)}
+
+    def _look_at(self, holds: Callable[[IntVar], bool]) -> None:
+        units = self._decoded(holds)
+        if units is not None:
+            self.standing.offer(units)
+
+    def _cut(self, holds: Callable[[IntVar], bool]) -> None:
+        """Forbid a solution that is not grounded, and all others that fail for the same reason."""
+        true, cp = self._true(holds), self.model.cp
+        unfounded, ways_in = self.model.support.cut(true, self.model.support.grounded(true))
+        assert unfounded, "a solution without a plan has something that is not grounded"
+        ways = [cp.get_bool_var_from_proto_index(way) for way in ways_in]
+        for proposition in unfounded:
+            cp.add_bool_or([cp.get_bool_var_from_proto_index(proposition).negated(), *ways])
+        self.standing.counts["cuts"] = self.standing.counts.get("cuts", 0) + len(unfounded)
+
+    def _learn(self, bound: float) -> None:
+        if self.is_all:
+            self.standing.raise_bound(ceil(bound - 0.5) // self.scale)
+
+    def _solver(self) -> CpSolver:
+        """An engine for one round, of a length that does not depend on the machine."""
+        small = len(self.model.cp.proto.variables) < SMALL
+        solver = repeatable_solver(small=small, time_limit_s=self.standing.clock.left_s())
+        solver.parameters.max_deterministic_time = self.slice_s
+        return solver
+
+    def _hint(self) -> None:
+        """Start from the best plan's units and hosts."""
+        self.model.cp.clear_hints()  # type: ignore[no-untyped-call]
+        if self.standing.best is not None:
+            there = {(unit.id, unit.host) for unit in self.standing.best[1]}
+            for i, candidate in enumerate(self.flat.candidates.all):
+                for place in self.flat.places(i):
+                    self.model.cp.add_hint(
+                        self.model.uses[place], (candidate.id, self.flat.labels[place].host) in there
+                    )
+        else:
+            for label, uses in enumerate(self.model.uses):
+                self.model.cp.add_hint(uses, label in self.greedy)

@@ -1,0 +1,100 @@
+"""Why no configuration meets all that is asked, where every target alone could have a stream."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from cfgplan.domain import Environment, Target
+from cfgplan.planning import Failures, Problem
+from cfgplan.qualities import Better, is_met, propagated, units
+from cfgplan.reasons import Givers, startable
+
+
+def joint_reasons(problem: Problem) -> dict[str, str]:
+    """A reason for each target that can't be met for itself; else one for all targets together."""
+    unreachable = {
+        target.label: reason
+        for target in problem.environment.targets
+        for reason in [_missed_bound(problem, target) or _fatal_failure(problem, target)]
+        if reason
+    }
+    asked = ", ".join(sorted(problem.notions))
+    joint = f"no configuration meets all that is asked together ({asked})"
+    return unreachable or {target.label: joint for target in problem.environment.targets}
+
+
+def _missed_bound(problem: Problem, target: Target) -> str | None:
+    for wish in target.quality:
+        attribute = problem.environment.quality[wish.attribute]
+        best = _best_values(problem, wish.attribute)
+        values = [value for tag, value in best.items() if problem.similarity.holds(tag, target.tag)]
+        if values and wish.bound is not None and not any(is_met(attribute, wish, value) for value in values):
+            is_low = attribute.better is Better.LOWER
+            reached = min(values) if is_low else max(values)
+            return (
+                f"target {target.label} asks for {attribute.name} of {'at most' if is_low else 'at least'} "
+                f"{units(wish.bound):f}, but the best that any wiring reaches is {units(reached):f}"
+            )
+    return None
+
+
+def _fatal_failure(problem: Problem, target: Target) -> str | None:
+    """A failure after which no units that there could be give a target's stream."""
+    environment = problem.environment
+    if problem.survive is None:
+        return None
+    lost: dict[str, set[str]] = {}
+    if problem.survive is Failures.HOSTS:
+        for host in environment.hosts:
+            bound = {t.label for t in environment.library if environment.hosts_for(t) == (host.name,)}
+            if host.name != target.host:
+                lost[f"host {host.name} fails"] = bound
+    number = Counter(unit.transformation for unit in environment.units if not unit.standby)
+    for t in environment.library:
+        if t.max_instances == 1 or number[t.label] + problem.most_new(t) == 1:
+            lost[f"the only unit of {t.label} fails"] = {t.label}
+    for what, labels in lost.items():
+        library = tuple(t for t in environment.library if t.label not in labels)
+        givers = Givers(library, problem.similarity)
+        if startable(Environment((), library), givers).isdisjoint(givers.of(target.tag)):
+            return f"target {target.label} would have no stream if {what}"
+    return None
+
+
+def _best_values(problem: Problem, name: str) -> dict[str, int]:
+    """For each offered tag a value that no stream with it can beat: rules are monotone, so best feeds best.
+
+    A transformation of which there can be only one unit does not feed itself, longer rings are not looked for.
+    """
+    environment = problem.environment
+    attribute = environment.quality[name]
+    pick = min if attribute.better is Better.LOWER else max
+    number = Counter(unit.transformation for unit in environment.units)
+    number.update({t.label: problem.most_new(t) for t in environment.library})
+    best: dict[tuple[str, str], int] = {}
+    for _ in range(number.total()):
+        before = dict(best)
+        for transformation in environment.library:
+            label = transformation.label
+            inputs = [
+                [
+                    value
+                    for (feeder, output), value in before.items()
+                    if (feeder != label or number[label] > 1)
+                    and problem.similarity.holds(environment.transformation[feeder].output[output].tag, port.tag)
+                ]
+                for port in transformation.inputs
+                if not port.feedback
+            ]
+            if all(inputs):
+                for output in transformation.outputs:
+                    stated = {c.attribute: c for c in output.quality}.get(name)
+                    value = propagated(attribute, stated, [pick(fit) for fit in inputs])
+                    best[label, output.name] = pick(value, best.get((label, output.name), value))
+        if best == before:
+            break
+    found: dict[str, int] = {}
+    for (label, port_name), value in best.items():
+        tag = environment.transformation[label].output[port_name].tag
+        found[tag] = pick(value, found.get(tag, value))
+    return found

@@ -1,0 +1,185 @@
+"""How good a stream is: attributes, how they propagate along the wiring, and what targets ask of them.
+
+All values are integers in micro-units of the attribute. Every rule is monotone: a better input never gives a
+worse output. So the best value that a stream can have is well defined, attribute by attribute, and a bound
+that the best wiring misses is missed by all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from decimal import Decimal
+from enum import StrEnum
+
+from cfgplan.errors import InvalidValueError
+
+MICRO = 1_000_000
+LARGEST_QUALITY = 100_000 * MICRO
+"""The end of every scale, in micro-units; with the largest factor it stays far below 2**63."""
+LARGEST_FACTOR = 10 * MICRO
+
+
+def micro_units(value: Decimal | int) -> int:
+    """A value in micro-units, exactly; raises InvalidValueError for a non-finite, too large or too fine one."""
+    number = Decimal(value)
+    if not number.is_finite():
+        raise InvalidValueError(f"{value} is not a finite number")
+    if abs(number) > LARGEST_QUALITY // MICRO:
+        raise InvalidValueError(f"{value} is too large: the limit is {LARGEST_QUALITY // MICRO:,}")
+    if number != round(number, 6):
+        raise InvalidValueError(f"{value} is finer than a millionth: write at most six decimals")
+    return int(number * MICRO)
+
+
+def units(micro: int) -> Decimal:
+    """A value in units of its attribute, exactly."""
+    return (Decimal(micro) / MICRO).normalize()
+
+
+class Better(StrEnum):
+    """Which of two values is the better one."""
+
+    LOWER = "lower"
+    HIGHER = "higher"
+
+
+class Rule(StrEnum):
+    """What an output makes of the combined value of its inputs."""
+
+    ADD = "add"
+    """Its own value is added, as latencies add up."""
+    LIMIT = "limit"
+    """The worse of its own value and theirs, as the rate of a stream is that of its slowest part."""
+    SCALE = "scale"
+    """Theirs times its own value, rounded to the worse side, as an error is amplified or damped."""
+    SET = "set"
+    """Its own value, whatever they are."""
+
+
+class Over(StrEnum):
+    """How the values of several inputs become one."""
+
+    WORST = "worst"
+    BEST = "best"
+    MEAN = "mean"
+    SUM = "sum"
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class QualityAttribute:
+    """A measure of streams: rate, latency, accuracy or the user's own.
+
+    Values are kept between `worst` and `best` (micro-units): what is worse counts as `worst`, which is also
+    the value of a source's stream that states none, and what is better as `best`. `rule` is for outputs that state a
+    value alone.
+    """
+
+    name: str
+    better: Better
+    rule: Rule = Rule.ADD
+    unit: str | None = None
+    worst: int = -1
+    best: int = -1
+
+    def __post_init__(self) -> None:
+        low, high = 0, LARGEST_QUALITY
+        is_low = self.better is Better.LOWER
+        if self.worst == -1:
+            object.__setattr__(self, "worst", high if is_low else low)
+        if self.best == -1:
+            object.__setattr__(self, "best", low if is_low else high)
+        if not (low <= self.best <= high and low <= self.worst <= high and not self.is_better(self.worst, self.best)):
+            raise InvalidValueError(f"the scale of {self.name} is wrong: its worst value is better than its best")
+
+    def is_better(self, one: int, other: int) -> bool:
+        """Whether a value is better than another."""
+        return one < other if self.better is Better.LOWER else one > other
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Contribution:
+    """What an output states of one attribute: a rule, its own value (micro-units) and how inputs are combined.
+
+    An output without inputs that count (all but feedback) has its own value, whatever the rule.
+    """
+
+    attribute: str
+    rule: Rule
+    value: int
+    over: Over = Over.WORST
+
+    def __post_init__(self) -> None:
+        largest = LARGEST_FACTOR if self.rule is Rule.SCALE else LARGEST_QUALITY
+        least = -LARGEST_QUALITY if self.rule is Rule.ADD else 0
+        if not least <= self.value <= largest:
+            what = "factor" if self.rule is Rule.SCALE else "value"
+            raise InvalidValueError(
+                f"the {what} {units(self.value):f} of {self.attribute} is out of range: "
+                f"write {units(least):f} to {units(largest):f}"
+            )
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Wish:
+    """What a target asks of one attribute: a `bound` (micro-units) that its stream may not be worse than, or a price.
+
+    The price is `weight_us` microseconds of CPU time for each whole unit by which the value is worse than
+    the best of the scale, rounded up to a microsecond.
+    """
+
+    attribute: str
+    bound: int | None = None
+    weight_us: int = 0
+
+
+def propagated(attribute: QualityAttribute, contribution: Contribution | None, inputs: Sequence[int]) -> int:
+    """The value of an output, from what it states and the values of the inputs that count."""
+    if not inputs:
+        return _within(attribute, attribute.worst if contribution is None else contribution.value)
+    if contribution is None:
+        return _combined(attribute, Over.WORST, inputs)
+    theirs = _combined(attribute, contribution.over, inputs)
+    match contribution.rule:
+        case Rule.ADD:
+            return _within(attribute, theirs + contribution.value)
+        case Rule.LIMIT:
+            is_worse = attribute.is_better(theirs, contribution.value)
+            return _within(attribute, contribution.value if is_worse else theirs)
+        case Rule.SCALE:
+            return _within(attribute, _divided(attribute, theirs * contribution.value, MICRO))
+        case Rule.SET:
+            return _within(attribute, contribution.value)
+
+
+def price_us(attribute: QualityAttribute, wish: Wish, value: int) -> int:
+    """What a target charges for a stream of this value."""
+    return -(-wish.weight_us * abs(value - attribute.best) // MICRO)
+
+
+def is_met(attribute: QualityAttribute, wish: Wish, value: int) -> bool:
+    """Whether a value is within a target's bound."""
+    return wish.bound is None or not attribute.is_better(wish.bound, value)
+
+
+def _combined(attribute: QualityAttribute, over: Over, inputs: Sequence[int]) -> int:
+    is_low = attribute.better is Better.LOWER
+    match over:
+        case Over.WORST:
+            return max(inputs) if is_low else min(inputs)
+        case Over.BEST:
+            return min(inputs) if is_low else max(inputs)
+        case Over.MEAN:
+            return _divided(attribute, sum(inputs), len(inputs))
+        case Over.SUM:
+            return sum(inputs)
+
+
+def _divided(attribute: QualityAttribute, number: int, by: int) -> int:
+    """A quotient, rounded to the worse side."""
+    return -(-number // by) if attribute.better is Better.LOWER else number // by
+
+
+def _within(attribute: QualityAttribute, value: int) -> int:
+    low, high = sorted((attribute.worst, attribute.best))
+    return min(max(value, low), high)

@@ -1,0 +1,51 @@
+"""Where units run, whether their hosts can bear it, and what it costs to carry streams between them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from cfgplan.domain import Environment
+from cfgplan.validity.reading import known_units
+from cfgplan.validity.rules import Rule, Violation
+
+
+def placing_violations(environment: Environment) -> Iterator[Violation]:
+    """Units on no host or a wrong one, and hosts with too many units; nothing where there are no hosts."""
+    if not environment.hosts:
+        return
+    for unit, transformation in known_units(environment):
+        if unit.host is None:
+            yield Violation(Rule.PLACED, f"unit {unit.id} has no host", unit.id)
+        elif unit.host not in environment.host:
+            yield Violation(Rule.PLACED, f"unit {unit.id} is on {unit.host}, which is no host", unit.id)
+        elif unit.host not in environment.hosts_for(transformation):
+            text = f"unit {unit.id} is on {unit.host}, where {transformation.label} may not run"
+            yield Violation(Rule.PLACED, text, unit.id)
+    for host in environment.hosts:
+        there = [transformation for unit, transformation in known_units(environment) if unit.host == host.name]
+        cpu_us, memory_mb = sum(t.upkeep_us for t in there), sum(t.needs_mb for t in there)
+        if host.cpu_us is not None and cpu_us > host.cpu_us:
+            text = f"the units on {host.name} take {cpu_us} us of CPU time each second, but it has {host.cpu_us} us"
+            yield Violation(Rule.CAPACITY, text)
+        if host.memory_mb is not None and memory_mb > host.memory_mb:
+            text = f"the units on {host.name} take {memory_mb} MB of memory, but it has {host.memory_mb} MB"
+            yield Violation(Rule.CAPACITY, text)
+
+
+def carried_us(environment: Environment, horizon_s: int) -> int:
+    """What it costs to carry streams to other hosts, each once for each host that it is wanted on."""
+    at = {unit.id: unit.host for unit in environment.units}
+    topic_host = {target.topic: target.host for target in environment.targets}
+    journeys: set[tuple[str, str, str]] = set()
+    for unit in environment.units:
+        wanted = [(s.stream.unit, s.stream.port, unit.host) for s in unit.subscriptions]
+        wanted += [(unit.id, p.port, topic_host.get(p.topic)) for p in unit.publications]
+        journeys |= {(feeder, port, to) for feeder, port, to in wanted if to is not None and at.get(feeder) != to}
+    cost = 0
+    library = {unit.id: transformation for unit, transformation in known_units(environment)}
+    for feeder, name, _ in journeys:
+        port = library[feeder].output.get(name) if feeder in library else None
+        if port is not None:
+            a_second = -(-port.rate_uhz * port.size_bytes // 1_000_000)
+            cost += -(-a_second * horizon_s * environment.transfer_us // 1_000_000)
+    return cost

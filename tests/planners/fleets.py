@@ -1,0 +1,143 @@
+"""Small environments with quality, hosts, conflicts, instances and spares, drawn by Hypothesis."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from hypothesis import strategies as st
+from worlds import problems
+
+from cfgplan.domain import ComputationUnit, Environment, Host, OutputPort, Target, Transformation
+from cfgplan.planning import Failures, Notion, Problem
+from cfgplan.qualities import Better, Contribution, Over, QualityAttribute, Rule, Wish
+
+MICRO = 1_000_000
+HOSTS = (Host("h0", 9, 4), Host("h1", 6, None), Host("h2"))
+VALUES = st.sampled_from([0, 1, 2, 3, 5, 8])
+FACTORS = st.sampled_from([0, MICRO // 3, MICRO // 2, MICRO, 3 * MICRO // 2])
+
+
+@st.composite
+def fleets(draw: st.DrawFn, notions: frozenset[Notion], *, most: int = 3) -> Problem:
+    """A problem that may use the given notions; with all of them it is small enough for the oracle."""
+    plain = draw(problems(most=most, special=draw(st.booleans())))
+    environment = plain.environment
+    hosts = HOSTS[: draw(st.integers(1, 3))] if Notion.HOSTS in notions else ()
+    qualities = draw(attributes()) if Notion.QUALITY in notions else ()
+    labels = [t.label for t in environment.library]
+    library = [draw(transformations(t, labels, hosts, qualities, notions)) for t in environment.library]
+    targets = [draw(targets_of(target, hosts, qualities)) for target in environment.targets]
+    by_label = {t.label: t for t in library}
+    survive = None
+    if Notion.SURVIVAL in notions:
+        survive = draw(st.sampled_from([Failures.UNITS, Failures.HOSTS if hosts else Failures.UNITS]))
+    units = [draw(placed(unit, by_label.get(unit.transformation), hosts, survive)) for unit in environment.units]
+    transfer_us = draw(st.sampled_from([0, 1, 700_000])) if hosts else 0
+    return Problem(
+        Environment(tuple(units), tuple(library), tuple(targets), hosts, qualities, transfer_us),
+        plain.similarity,
+        plain.horizon_s,
+        plain.max_cost_us,
+        survive,
+    )
+
+
+@st.composite
+def attributes(draw: st.DrawFn) -> tuple[QualityAttribute, ...]:
+    """One or two attributes on short scales."""
+    found = []
+    for name in ("e", "f")[: draw(st.sampled_from([1, 1, 2]))]:
+        better = draw(st.sampled_from(Better))
+        worst, best = (draw(st.sampled_from([9, 20])), 0) if better is Better.LOWER else (0, 20)
+        found.append(QualityAttribute(name, better, worst=worst, best=best))
+    return tuple(found)
+
+
+@st.composite
+def transformations(
+    draw: st.DrawFn,
+    plain: Transformation,
+    labels: list[str],
+    hosts: tuple[Host, ...],
+    qualities: tuple[QualityAttribute, ...],
+    notions: frozenset[Notion],
+) -> Transformation:
+    """A transformation with something added of each notion."""
+    outputs = []
+    for port in plain.outputs:
+        stated = []
+        for attribute in qualities:
+            if draw(st.sampled_from([True, True, True, False])):
+                rule = draw(st.sampled_from(Rule))
+                value = draw(FACTORS if rule is Rule.SCALE else VALUES)
+                stated.append(Contribution(attribute.name, rule, value, draw(st.sampled_from(Over))))
+        rate, size = (
+            (draw(st.sampled_from([0, MICRO, 2_500_000])), draw(st.sampled_from([0, 1, 3]))) if hosts else (0, 0)
+        )
+        outputs.append(OutputPort(port.name, port.tag, tuple(stated), rate, size))
+    changes: dict[str, object] = {"outputs": tuple(outputs)}
+    if hosts:
+        names = [host.name for host in hosts]
+        choice = draw(st.sampled_from(["any", "one", "some"]))
+        changes["host"] = draw(st.sampled_from(names)) if choice == "one" else None
+        changes["hosts"] = tuple(draw(st.sets(st.sampled_from(names), min_size=1))) if choice == "some" else ()
+        changes["memory_mb"] = draw(st.sampled_from([None, 0, 1, 2, 3]))
+    if Notion.CONFLICTS in notions:
+        changes["conflicts"] = tuple(draw(st.sets(st.sampled_from(labels), max_size=1)) - {plain.label})
+    if Notion.INSTANCES in notions:
+        least = draw(st.sampled_from([0, 0, 0, 0, 1]))
+        changes["min_instances"] = least
+        changes["max_instances"] = draw(st.sampled_from([None, None, max(1, least), 2]))
+    if Notion.SURVIVAL in notions:
+        changes["standby_us"] = draw(st.sampled_from([None, 0, 1, 2]))
+    return replace(plain, **changes)  # type: ignore[arg-type]
+
+
+@st.composite
+def targets_of(
+    draw: st.DrawFn, plain: Target, hosts: tuple[Host, ...], qualities: tuple[QualityAttribute, ...]
+) -> Target:
+    """A target that may bound or weigh quality and may be at a host."""
+    wishes = []
+    for attribute in qualities:
+        bound = draw(st.one_of(st.none(), VALUES))
+        weight_us = draw(st.sampled_from([0, 200_000, MICRO]))
+        if bound is not None or weight_us:
+            wishes.append(Wish(attribute.name, bound, weight_us))
+    host = draw(st.sampled_from([None, *(host.name for host in hosts)]))
+    return replace(plain, quality=tuple(wishes), host=host)
+
+
+@st.composite
+def placed(
+    draw: st.DrawFn,
+    plain: ComputationUnit,
+    transformation: Transformation | None,
+    hosts: tuple[Host, ...],
+    survive: Failures | None,
+) -> ComputationUnit:
+    """A running unit on some host, mostly one that its transformation allows; sometimes a cold spare."""
+    host = draw(st.sampled_from([host.name for host in hosts])) if hosts else None
+    if survive is not None and transformation is not None and draw(st.sampled_from([False, False, True])):
+        return ComputationUnit(plain.id, plain.transformation, host=host, standby=True)
+    return replace(plain, host=host)
+
+
+def reordered(problem: Problem, draw: st.DrawFn) -> Problem:
+    """The same problem with all its lists in another order."""
+    environment = problem.environment
+    library = [
+        replace(t, inputs=tuple(draw(st.permutations(t.inputs))), outputs=tuple(draw(st.permutations(t.outputs))))
+        for t in draw(st.permutations(environment.library))
+    ]
+    return replace(
+        problem,
+        environment=replace(
+            environment,
+            units=tuple(draw(st.permutations(environment.units))),
+            library=tuple(library),
+            targets=tuple(draw(st.permutations(environment.targets))),
+            hosts=tuple(draw(st.permutations(environment.hosts))),
+            qualities=tuple(draw(st.permutations(environment.qualities))),
+        ),
+    )

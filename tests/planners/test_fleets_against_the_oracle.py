@@ -1,0 +1,142 @@
+"""The planner for fleets against the oracle and the judge, on small environments that use every notion.
+
+`CFGPLAN_EXAMPLES=5000 pytest tests/planners` runs the long version.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+
+import pytest
+from fleets import fleets, reordered
+from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import strategies as st
+from worlds import problems
+
+from cfgplan.errors import InputError
+from cfgplan.planners import PLANNERS, exhaustive_fleet, fleet
+from cfgplan.planners.cpsat.clock import Clock
+from cfgplan.planners.fleet.candidates import Candidates
+from cfgplan.planners.fleet.flatness import is_flat
+from cfgplan.planners.fleet.search import Search
+from cfgplan.planners.fleet.standing import Standing
+from cfgplan.planning import Notion, Plan, Problem
+from cfgplan.reasons import unmet_reasons
+from cfgplan.validity import plan_violations
+
+EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "40"))
+some = settings(
+    max_examples=EXAMPLES,
+    deadline=None,
+    derandomize="CFGPLAN_EXAMPLES" not in os.environ,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much],
+)
+
+
+def quality(plan: Plan) -> tuple[object, ...]:
+    """What two optimal plans must have in common."""
+    changes = plan.change_set
+    counts = changes and (len(changes.rewired), len(changes.started))
+    return plan.status, len(plan.unused_required), plan.cost_us, counts
+
+
+def agree(problem: Problem) -> None:
+    try:
+        oracle = PLANNERS["exhaustive"](problem)
+    except InputError:
+        assume(False)
+    exact = PLANNERS["cpsat"](problem)
+    assert plan_violations(problem, oracle) == []
+    assert plan_violations(problem, exact) == []
+    assert quality(exact) == quality(oracle)
+
+
+@some
+@given(fleets(frozenset({Notion.QUALITY})))
+def test_quality_equals_the_oracle(problem: Problem) -> None:
+    agree(problem)
+
+
+@some
+@given(fleets(frozenset({Notion.HOSTS})))
+def test_hosts_equal_the_oracle(problem: Problem) -> None:
+    agree(problem)
+
+
+@some
+@given(fleets(frozenset({Notion.CONFLICTS, Notion.INSTANCES})))
+def test_conflicts_and_instances_equal_the_oracle(problem: Problem) -> None:
+    agree(problem)
+
+
+@some
+@given(fleets(frozenset({Notion.SURVIVAL}), most=4))
+def test_survival_of_units_equals_the_oracle(problem: Problem) -> None:
+    agree(problem)
+
+
+@settings(some, max_examples=EXAMPLES // 2)
+@given(fleets(frozenset({Notion.SURVIVAL, Notion.HOSTS}), most=2))
+def test_survival_of_hosts_equals_the_oracle(problem: Problem) -> None:
+    agree(problem)
+
+
+@some
+@given(st.frozensets(st.sampled_from(Notion), min_size=2).flatmap(lambda notions: fleets(notions, most=2)))
+def test_all_notions_together_equal_the_oracle(problem: Problem) -> None:
+    agree(problem)
+
+
+@some
+@given(problems(most=4, special=False))
+def test_both_oracles_and_the_planner_for_fleets_agree_on_what_the_paper_asks(problem: Problem) -> None:
+    plans = [PLANNERS["exhaustive"](problem), exhaustive_fleet.plan(problem), fleet.plan(problem)]
+    assert len({quality(plan) for plan in plans}) == 1
+
+
+@settings(some, max_examples=EXAMPLES // 2)
+@given(fleets(frozenset(Notion), most=3), st.data())
+def test_the_plan_for_a_fleet_does_not_depend_on_the_run_or_the_order_of_lists(
+    problem: Problem, data: st.DataObject
+) -> None:
+    plan = PLANNERS["cpsat"](problem)
+    assert PLANNERS["cpsat"](problem) == plan
+    assert PLANNERS["cpsat"](reordered(problem, data.draw)) == plan
+
+
+@settings(some, max_examples=EXAMPLES // 2)
+@given(fleets(frozenset(Notion), most=3))
+def test_the_plan_for_a_fleet_leaves_nothing_to_do(problem: Problem) -> None:
+    plan = PLANNERS["cpsat"](problem)
+    assume(plan.change_set is not None)
+    assert plan.change_set is not None
+    after = problem.environment.update(plan.change_set)
+    again = PLANNERS["cpsat"](replace(problem, environment=after))
+    assert again.change_set is not None
+    assert again.cost_us is not None and plan.cost_us is not None
+    assert again.cost_us <= plan.cost_us
+
+
+@pytest.mark.parametrize("planner", ["branch-and-bound", "branch-and-bound-shared"])
+@settings(some, max_examples=5)
+@given(problem=fleets(frozenset({Notion.HOSTS})))
+def test_planners_that_do_not_know_the_notions_refuse_them(planner: str, problem: Problem) -> None:
+    with pytest.raises(InputError, match="does not know hosts"):
+        PLANNERS[planner](problem)
+
+
+FLAT = frozenset({Notion.QUALITY, Notion.HOSTS, Notion.CONFLICTS, Notion.INSTANCES})
+
+
+@some
+@given(st.frozensets(st.sampled_from(sorted(FLAT)), min_size=1).flatmap(lambda notions: fleets(notions, most=9)))
+def test_the_fast_way_equals_the_explicit_model_beyond_the_oracles_reach(problem: Problem) -> None:
+    candidates = Candidates(problem)
+    assume(is_flat(candidates) and not unmet_reasons(problem))
+    standing = Standing(problem, Clock(), None)
+    standing.counts = {"conflicts": 0}
+    Search(candidates, standing).run()
+    fast = fleet.plan(problem)
+    assert plan_violations(problem, fast) == []
+    assert quality(fast) == quality(standing.plan())

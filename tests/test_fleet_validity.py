@@ -1,0 +1,181 @@
+"""The judge on quality, hosts, conflicts, instances and failures: each rule broken on purpose once."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from cfgplan.domain import (
+    ChangeSet,
+    ComputationUnit,
+    Environment,
+    Host,
+    InputPort,
+    OutputPort,
+    Publication,
+    Similarity,
+    Stream,
+    Subscription,
+    Target,
+    Transformation,
+)
+from cfgplan.errors import InvalidValueError
+from cfgplan.planning import Failures, Plan, Problem, Status
+from cfgplan.qualities import Better, Contribution, QualityAttribute, Rule, Wish
+from cfgplan.validity import Rule as Broken
+from cfgplan.validity import plan_violations, violations
+
+ERROR = QualityAttribute("error", Better.LOWER, worst=9_000_000)
+IMAGE = OutputPort(
+    "out", "Image", (Contribution("error", Rule.ADD, 200_000),), rate_uhz=2_500_000, size_bytes=1_000_000
+)
+CAMERA = Transformation("camera", (), (IMAGE,), labor_us=5, upkeep_us=4, host="robot", memory_mb=30, standby_us=1)
+BALL = OutputPort("ball", "Ball", (Contribution("error", Rule.SCALE, 500_000),))
+DETECTOR = Transformation(
+    "detector",
+    (InputPort("image", "Image"),),
+    (BALL,),
+    labor_us=3,
+    upkeep_us=2,
+    hosts=("base", "robot"),
+    memory_mb=20,
+)
+TARGET = Target("ball", "Ball", "/ball", quality=(Wish("error", 100_000, weight_us=1_000_000),), host="base")
+SIMILARITY = Similarity({"Image": frozenset({"Image"}), "Ball": frozenset({"Ball"})})
+HOSTS = (Host("robot", 5, 50), Host("base", None, None))
+
+camera = ComputationUnit("camera.1", "camera", host="robot")
+detector = ComputationUnit(
+    "detector.1",
+    "detector",
+    (Subscription("image", Stream("camera.1", "out")),),
+    (Publication("ball", "/ball"),),
+    "base",
+)
+VALID = Environment((camera, detector), (CAMERA, DETECTOR), (TARGET,), HOSTS, (ERROR,), transfer_us=3)
+
+
+def rules(environment: Environment, survive: Failures | None = None) -> set[Broken]:
+    return {violation.rule for violation in violations(environment, SIMILARITY, survive)}
+
+
+def with_library(*library: Transformation) -> Environment:
+    return replace(VALID, library=library)
+
+
+def test_a_fleet_that_keeps_all_rules_has_no_violation() -> None:
+    assert violations(VALID, SIMILARITY) == []
+
+
+def test_a_stream_that_is_worse_than_the_target_asks_is_refused() -> None:
+    strict = replace(TARGET, quality=(Wish("error", 99_999),))
+    assert rules(replace(VALID, targets=(strict,))) == {Broken.QUALITY}
+
+
+def test_a_unit_needs_a_host_that_is_there_and_that_its_transformation_allows() -> None:
+    for host in (None, "moon", "base"):
+        assert rules(replace(VALID, units=(replace(camera, host=host), detector))) == {Broken.PLACED}
+
+
+def test_a_host_that_takes_more_than_it_has_is_overloaded() -> None:
+    there = (camera, replace(detector, host="robot"))
+    assert rules(replace(VALID, units=there)) == {Broken.CAPACITY}
+    roomy = replace(VALID, units=there, hosts=(Host("robot", 6, 49), HOSTS[1]))
+    assert rules(roomy) == {Broken.CAPACITY}
+    assert rules(replace(roomy, hosts=(Host("robot", 6, 50), HOSTS[1]))) == set()
+
+
+def test_memory_that_is_not_stated_is_the_most_that_a_unit_may_take() -> None:
+    assert replace(CAMERA, memory_mb=None, run=replace(CAMERA.run, memory_mb=70)).needs_mb == 70
+    assert replace(CAMERA, memory_mb=None).needs_mb == 0
+
+
+def test_conflicting_transformations_are_not_there_together_whoever_says_so() -> None:
+    assert rules(with_library(CAMERA, replace(DETECTOR, conflicts=("camera",)))) == {Broken.APART}
+    assert rules(with_library(replace(CAMERA, conflicts=("detector",)), DETECTOR)) == {Broken.APART}
+
+
+def test_too_few_and_too_many_instances_are_refused() -> None:
+    assert rules(with_library(replace(CAMERA, min_instances=2), DETECTOR)) == {Broken.INSTANCES}
+    assert rules(with_library(replace(CAMERA, max_instances=0), DETECTOR)) == {Broken.INSTANCES}
+
+
+def test_a_unit_that_is_asked_for_by_number_is_not_needless() -> None:
+    second = replace(camera, id="camera.2", host="robot")
+    two = replace(VALID, units=(camera, second, detector), hosts=(Host("robot"), HOSTS[1]))
+    assert rules(two) == {Broken.LEAN}
+    assert rules(replace(two, library=(replace(CAMERA, min_instances=2), DETECTOR))) == set()
+
+
+def test_what_no_single_failure_may_break_needs_spares() -> None:
+    assert rules(VALID, Failures.UNITS) == {Broken.SURVIVES}
+    spares = (
+        ComputationUnit("camera.2", "camera", host="robot", standby=True),
+        ComputationUnit("detector.2", "detector", host="base", standby=True),
+    )
+    roomy = replace(VALID, units=(camera, detector, *spares), hosts=(Host("robot"), Host("base")))
+    assert rules(roomy, Failures.UNITS) == set()
+    assert rules(roomy, Failures.HOSTS) == {Broken.SURVIVES}
+
+
+def test_a_spare_that_no_failure_needs_is_needless() -> None:
+    spare = ComputationUnit("camera.2", "camera", host="robot", standby=True)
+    roomy = replace(VALID, units=(camera, detector, spare), hosts=(Host("robot"), Host("base")))
+    assert rules(roomy) == {Broken.LEAN}
+
+
+def test_nothing_is_asked_of_a_target_whose_host_has_failed() -> None:
+    at_robot = replace(TARGET, host="robot")
+    only = replace(VALID, units=(camera, replace(detector, host="robot")), targets=(at_robot,), hosts=(Host("robot"),))
+    lost = [v.text for v in violations(only, SIMILARITY, Failures.HOSTS)]
+    assert lost and not any("host robot fails" in text for text in lost)
+
+
+def test_a_cold_spare_gives_no_stream_and_can_not_be_wired() -> None:
+    spare = ComputationUnit("camera.1", "camera", host="robot", standby=True)
+    assert Broken.FED in rules(replace(VALID, units=(spare, detector)))
+    with pytest.raises(InvalidValueError, match="in standby"):
+        replace(detector, standby=True)
+
+
+PROBLEM = Problem(replace(VALID, units=()), SIMILARITY, horizon_s=10)
+# Labor 5 + 3, upkeep 6 x 10, 2.5 MB/s x 10 s x 3, and 0.1 x 1 s for what the ball's error misses.
+COST = 8 + 60 + 75 + 100_000
+PLAN = Plan("test", Status.OPTIMAL, ChangeSet(started=(camera, detector)), COST, COST)
+
+
+def test_the_cost_counts_transfers_and_missed_quality() -> None:
+    assert plan_violations(PROBLEM, PLAN) == []
+    wrong = replace(PLAN, status=Status.FEASIBLE, cost_us=COST - 1, bound_us=0)
+    assert [v.rule for v in plan_violations(PROBLEM, wrong)] == [Broken.COST]
+
+
+def test_a_stream_is_carried_once_to_each_host_and_not_to_its_own() -> None:
+    second = ComputationUnit("detector.2", "detector", (Subscription("image", Stream("camera.1", "out")),), (), "base")
+    two = replace(PLAN, change_set=ChangeSet(started=(camera, detector, second)), cost_us=COST + 23, bound_us=COST + 23)
+    assert [v.rule for v in plan_violations(PROBLEM, two)] == [Broken.LEAN]
+
+
+def test_a_cold_spare_costs_its_standby_and_no_labor() -> None:
+    spares = (
+        ComputationUnit("camera.2", "camera", host="robot", standby=True),
+        replace(detector, id="detector.2", publications=()),
+    )
+    roomy = replace(PROBLEM, environment=replace(PROBLEM.environment, hosts=(Host("robot"), Host("base"))))
+    cost = COST + 10 + 3 + 20
+    plan = replace(PLAN, change_set=ChangeSet(started=(camera, detector, *spares)), cost_us=cost, bound_us=cost)
+    assert plan_violations(replace(roomy, survive=Failures.UNITS), plan) == []
+
+
+def test_rewiring_moves_no_unit() -> None:
+    running = Problem(VALID, SIMILARITY, horizon_s=10)
+    moved = replace(PLAN, change_set=ChangeSet(rewired=(replace(detector, host="robot"),)))
+    assert Broken.CONSISTENT in {v.rule for v in plan_violations(running, moved)}
+
+
+def test_units_are_placed_only_where_there_are_hosts() -> None:
+    with pytest.raises(InvalidValueError, match="has no hosts"):
+        Environment((camera,), (CAMERA,))
+    with pytest.raises(InvalidValueError, match="no hosts are declared"):
+        Problem(Environment(), SIMILARITY, 1, survive=Failures.HOSTS)
