@@ -34,6 +34,9 @@ _REASON: Final = re.compile(
     r'message: "((?:[^"\\]|\\.)*)"|Msg\("((?:[^"\\]|\\.)*)"\)|(?:Validity)?Error\("((?:[^"\\]|\\.)*)"'
 )
 
+_MISSING = "check the path under `ontology:`; it is relative to the environment file, and web addresses are not fetched"
+_NO_TEXT = "name a file in Turtle, RDF/XML, OWL/XML, functional or Manchester syntax"
+
 
 @dataclass(frozen=True)
 class _Document:
@@ -119,11 +122,12 @@ def _read(path: Path, shown: str) -> _Document:
     try:
         text = path.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise InputError.of("is no ontology: the file is not text in UTF-8", file=shown) from None
+        raise InputError.of("is no ontology: the file is not text in UTF-8", file=shown, mend=_NO_TEXT) from None
     except FileNotFoundError:
-        raise InputError.of("the ontology file does not exist", file=shown, mend="check the path") from None
+        raise InputError.of("the ontology file does not exist", file=shown, mend=_MISSING) from None
     except OSError as error:
-        raise InputError.of(f"the ontology can't be read: {error.strerror}", file=shown) from None
+        mend = "name an ontology file that may be read"
+        raise InputError.of(f"the ontology can't be read: {error.strerror}", file=shown, mend=mend) from None
     if not text.strip():
         raise InputError.of("the ontology file is empty", file=shown, mend="write an ontology, or don't name the file")
     syntax = _syntax_of(text, path.suffix.lower())

@@ -103,3 +103,11 @@ def test_the_solver_is_not_even_imported_where_the_bounds_meet() -> None:
         "assert 'ortools' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
+
+
+def test_an_ontology_that_is_not_there_is_told_with_the_key_that_names_it(
+    run: Run, write: Callable[[str], Path]
+) -> None:
+    result = run("solve", write("ontology: https://example.org/robots.ttl\n"))
+    assert result.code == 30
+    assert "web addresses are not fetched" in result.err

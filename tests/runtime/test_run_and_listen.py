@@ -129,6 +129,17 @@ def test_a_topic_that_is_not_there_is_refused(capsys: pytest.CaptureFixture[str]
     assert "nothing publishes topic '/nowhere'" in capsys.readouterr().err
 
 
+def test_a_run_that_is_not_live_is_what_is_told_not_its_topic(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def live(_: Path) -> list[Path]:
+        return [tmp_path / "abc"]
+
+    monkeypatch.setattr("cfgplan_runtime.streams.subscription.live_runs", live)
+    assert main(["listen", "/result", "--run", "zzz"]) == 30
+    assert "no run 'zzz' is live; there is abc" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("span", ["soon", "-1s", "3 days"])
 def test_a_span_of_time_that_is_none_is_refused(env: Path, span: str) -> None:
     with pytest.raises(SystemExit) as refused:

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from cfgplan_runtime.errors import RuntimeFaultError
+from cfgplan_runtime.lifecycle import changes
 from cfgplan_runtime.lifecycle import perturbations as kinds
 from cfgplan_runtime.lifecycle.reports import (
     BackedOff,
@@ -140,7 +141,7 @@ def _cause(perturbation: kinds.Perturbation) -> str:
         case kinds.SubscriptionLost(unit, port):
             return f"{unit} lost {port}" if unit else f"topic {port} lost its source"
         case kinds.WorldChanged(by):
-            return f"{'request' if by == 'request' else 'the file'} changed the world"
+            return f"{'a request' if hasattr(changes, by) else 'the file'} changed the world"
         case kinds.HostGone(host):
             return f"host {host} is gone"
         case kinds.HostBack(host):
@@ -175,7 +176,7 @@ def _perturbation(perturbation: kinds.Perturbation) -> str | None:
         case kinds.UnitKeepsFailing(unit, _, failures, text):
             return f"{unit} failed {_times(failures)} in a row and is given up: {short(text)}"
         case kinds.WorldChanged(by, difference):
-            return f"the {'environment' if by == 'request' else by} changed: {_difference(difference)}"
+            return f"{'a request' if hasattr(changes, by) else by} changed the world: {_difference(difference)}"
         case kinds.HostGone(host, cause):
             return f"host {host} is gone{f': {cause}' if cause else ''}"
         case kinds.HostBack(host):

@@ -130,7 +130,7 @@ def subscribe(
                 if time.monotonic() >= deadline:
                     raise
         elif time.monotonic() >= deadline:
-            raise NoSuchTopicError(_why_not(topic, found))
+            raise NoSuchTopicError(_why_not(topic, run, found))
         time.sleep(_RETRY_S)
 
 
@@ -138,8 +138,13 @@ def _runs_with(topic: str, run: str | None) -> list[Path]:
     return [path for path in live_runs(base_folder()) if run in (None, path.name) and address(path, topic).exists()]
 
 
-def _why_not(topic: str, found: list[Path]) -> str:
+def _why_not(topic: str, run: str | None, found: list[Path]) -> str:
     if found:
-        return f"several runs have topic {topic!r}: name one of {', '.join(path.name for path in found)}"
-    there = sorted({name for path in live_runs(base_folder()) for name in topics_of(path)})
+        return f"several runs have topic {topic!r}: name one of {', '.join(path.name for path in found)} (--run)"
+    live = live_runs(base_folder())
+    if not live:
+        return f"nothing publishes topic {topic!r}: no run is live; start one with `cfgplan run ENV`"
+    if run is not None and run not in {path.name for path in live}:
+        return f"no run {run!r} is live; there is {', '.join(path.name for path in live)}"
+    there = sorted({name for path in live if run in (None, path.name) for name in topics_of(path)})
     return f"nothing publishes topic {topic!r}; there is {', '.join(there) or 'no topic at all'}"
