@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from importlib.machinery import PathFinder
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -78,6 +80,10 @@ def port(text: str) -> int:
 
 
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
+    for name in options.preload:
+        top = name.partition(".")[0]
+        if top not in sys.builtin_module_names and PathFinder.find_spec(top, ["", *sys.path]) is None:
+            raise InputError.of(f"--preload: there is no module {name!r}", mend="name it as after `import`")
     if not options.dry_run and (options.without or options.also or options.settings):
         mend = "add --dry-run; or edit the file, or use `cfgplan ctl` while it runs"
         raise InputError.of("--without, --with and --set are for trying out what would be planned", mend=mend)

@@ -129,6 +129,11 @@ def test_a_topic_that_is_not_there_is_refused(capsys: pytest.CaptureFixture[str]
     assert "nothing publishes topic '/nowhere'" in capsys.readouterr().err
 
 
+def test_a_module_to_preload_that_is_not_there_is_refused(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", str(env), "--preload", "nosuchmodule"]) == 30
+    assert "there is no module 'nosuchmodule'" in capsys.readouterr().err
+
+
 def test_a_run_that_is_not_live_is_what_is_told_not_its_topic(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -195,7 +195,7 @@ def main(arguments: Sequence[str]) -> None:
     os.setpgid(0, 0)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for name in preload:
-        with contextlib.suppress(ImportError):
+        with contextlib.suppress(Exception):  # units that import it say what is wrong with it
             importlib.import_module(name)
     gc.collect()
     gc.freeze()
