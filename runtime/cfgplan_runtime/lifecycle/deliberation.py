@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 
 from cfgplan import validity
 from cfgplan.api import World
 from cfgplan.costs import keep_cost_us
-from cfgplan.domain import ChangeSet, Environment, Similarity
+from cfgplan.domain import ChangeSet, Environment, Similarity, Transformation
 from cfgplan.errors import InvalidValueError
 from cfgplan.explaining.best_effort import BestEffort, best_effort
 from cfgplan.planning import Planner, Problem, Status
@@ -65,19 +65,15 @@ class Deliberation:
         One that only saves cost is put off, unless the review `optimises`.
         """
         start = time.perf_counter()
-        wanted = world.environment
-        avoided = avoided_now(wanted, running, situation)
-        horizon_s = world.horizon_s
-        costs = {t.label: self._library.estimated(t, self._estimator, horizon_s) for t in wanted.library}
-        planned = environment_to_plan(wanted, running, situation, avoided, costs)
+        avoided, costs, planned = self._planned(world, running, situation)
         cost_before_us = sum(
-            keep_cost_us(costs[u.transformation], horizon_s) for u in running.units if u.transformation in costs
+            keep_cost_us(costs[u.transformation], world.horizon_s) for u in running.units if u.transformation in costs
         )
         thought = Thought(running, planned, cost_before_us, avoided)
         thought.seconds["estimate"] = time.perf_counter() - start
         with thought.timed("plan"):
             try:
-                problem = Problem(planned, similarity, horizon_s, world.max_cost_us)
+                problem = Problem(planned, similarity, world.horizon_s, world.max_cost_us)
                 found = best_effort(problem, self._planner, time_limit_s=self._time_limit_s)
             except InvalidValueError as error:
                 thought.cause = str(error)
@@ -88,6 +84,22 @@ class Deliberation:
         with thought.timed("judge"):
             self._judge(thought, found, similarity, optimises=optimises)
         return thought
+
+    def prepare(self, world: World, similarity: Similarity, running: Environment, situation: Situation) -> None:
+        """Plan for what runs as it is: a planner that remembers finds out what repairs will need."""
+        _, _, planned = self._planned(world, running, situation)
+        with suppress(Exception):  # a review would meet it again, and tell
+            problem = Problem(planned, similarity, world.horizon_s, world.max_cost_us)
+            best_effort(problem, self._planner, time_limit_s=self._time_limit_s)
+
+    def _planned(
+        self, world: World, running: Environment, situation: Situation
+    ) -> tuple[Mapping[str, str], Mapping[str, Transformation], Environment]:
+        """What is left out for now, the estimated costs by label, and the environment to plan in."""
+        wanted = world.environment
+        avoided = avoided_now(wanted, running, situation)
+        costs = {t.label: self._library.estimated(t, self._estimator, world.horizon_s) for t in wanted.library}
+        return avoided, costs, environment_to_plan(wanted, running, situation, avoided, costs)
 
     def _judge(self, thought: Thought, found: BestEffort, similarity: Similarity, *, optimises: bool) -> None:
         plan = found.plan

@@ -22,7 +22,7 @@ from cfgplan_runtime.lifecycle.inbox import Outcome
 from cfgplan_runtime.lifecycle.intake import Intake
 from cfgplan_runtime.lifecycle.perturbations import HorizonReached, Started
 from cfgplan_runtime.lifecycle.policy import Policy
-from cfgplan_runtime.lifecycle.reports import Ended, Observed, Phase, Report, Review, Snapshot
+from cfgplan_runtime.lifecycle.reports import Decision, Ended, Observed, Phase, Report, Review, Snapshot
 from cfgplan_runtime.lifecycle.reviewing import Reviewing
 from cfgplan_runtime.lifecycle.seams import Clock, DeclaredCosts, Estimator, Middleware, SystemClock
 from cfgplan_runtime.lifecycle.showing import saving_us, target_views, unit_views
@@ -231,6 +231,8 @@ class Manager:
             self._observe_at_s = self._clock.now() + self._policy.observe_every_s
         self._phase = Phase.STABLE
         self._reviewing.settle_outcomes()
+        if review is not None and review.decision is Decision.APPLIED:
+            self._reviewing.prepare()
 
     def _observe(self) -> None:
         now = self._clock.now()

@@ -113,6 +113,15 @@ class Reviewing:
         self._tell(Reviewed(review))
         return review
 
+    def prepare(self) -> None:
+        """Let the planner see what runs now, so that it repairs that fast; a loss breaks in."""
+        intake = self._intake
+        if self._warm is not None and not intake.interrupt.is_set():
+            self._warm.stop = intake.interrupt
+            self._deliberation.prepare(
+                intake.living.world, intake.matching.similarity, self._middleware.environment, intake.situation
+            )
+
     def warm_up(self) -> None:
         """Do in a thread of its own what the first difficult plan would have to wait for."""
         if self._warm is not None:
