@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from cfgplan.costs import seconds
 from cfgplan.domain import Target
@@ -34,7 +35,13 @@ class BestEffort:
         return tuple(sorted(self.plan.reasons))
 
 
-def best_effort(problem: Problem, planner: Planner, *, time_limit_s: float | None = None) -> BestEffort:
+def best_effort(
+    problem: Problem,
+    planner: Planner,
+    *,
+    time_limit_s: float | None = None,
+    impossible: Mapping[str, str] | None = None,
+) -> BestEffort:
     """Meet as many targets of the highest priority as possible, then of the next ..., then at least cost.
 
     A set of targets can be met if `planner` finds a plan for the problem with these targets alone; of equally
@@ -42,8 +49,11 @@ def best_effort(problem: Problem, planner: Planner, *, time_limit_s: float | Non
     that comes first. Where nothing but missing matches is in the way, this takes one call of the planner, on a
     problem that changes only with the targets that can be met: a `PlannerSession` stays warm. A largest cost
     that is too small takes a search over sets of targets, in the worst case all of them.
+
+    `impossible` are the `reasons.unmet_reasons` of the problem for who knows them already; they depend on library,
+    matching and targets alone.
     """
-    impossible = unmet_reasons(problem)
+    impossible = dict(unmet_reasons(problem) if impossible is None else impossible)
     search = _Search(problem, [t for t in problem.environment.targets if t.label not in impossible], planner)
     if time_limit_s is not None:
         search.end_s = time.monotonic() + time_limit_s
@@ -71,9 +81,14 @@ class _Search:
         self._plans: dict[frozenset[Target], Plan] = {}
         self._freely: dict[frozenset[Target], Plan] = {}
         self._refused: list[frozenset[Target]] = []
-        library = [replace(t, required=False) if t.required else t for t in problem.environment.library]
-        self._free = replace(problem, environment=replace(problem.environment, library=tuple(library)))
         self._is_free = not any(t.required for t in problem.environment.library)
+
+    @cached_property
+    def _free(self) -> Problem:
+        """The problem that requires nothing."""
+        environment = self._problem.environment
+        library = tuple(replace(t, required=False) if t.required else t for t in environment.library)
+        return replace(self._problem, environment=replace(environment, library=library))
 
     def run(self) -> None:
         everything = frozenset(self._targets)

@@ -20,6 +20,7 @@ from cfgplan.explaining.together import only_targets
 from cfgplan.planners import PLANNERS
 from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planning import Plan, Problem, Status
+from cfgplan.reasons import unmet_reasons
 from cfgplan.validity import plan_violations
 
 EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "100"))
@@ -141,3 +142,11 @@ def test_what_nothing_offers_takes_down_no_other_target_and_costs_one_call_of_th
 def test_a_planner_without_time_gives_no_answer_and_no_proof() -> None:
     found = best_effort(offering(5, 2), cpsat, time_limit_s=0)
     assert (found.exact, found.plan.status) == (False, Status.UNKNOWN)
+
+
+@many
+@given(crowded(special=True))
+def test_who_knows_already_what_is_impossible_gets_the_same_answer(problem: Problem) -> None:
+    known = best_effort(problem, cpsat, impossible=unmet_reasons(problem))
+    found = best_effort(problem, cpsat)
+    assert (known.plan, known.problem, known.exact) == (found.plan, found.problem, found.exact)

@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from operator import is_
 
 from cfgplan import validity
 from cfgplan.api import World
@@ -14,6 +15,7 @@ from cfgplan.domain import ChangeSet, Environment, Similarity, Transformation
 from cfgplan.errors import InvalidValueError
 from cfgplan.explaining.best_effort import BestEffort, best_effort
 from cfgplan.planning import Planner, Problem, Status
+from cfgplan.reasons import unmet_reasons
 from cfgplan.validity import Rule
 from cfgplan_runtime.lifecycle.configuration import EstimatedLibrary, Situation, avoided_now, environment_to_plan
 from cfgplan_runtime.lifecycle.reports import Decision
@@ -48,6 +50,24 @@ class Thought:
             self.seconds[phase] = self.seconds.get(phase, 0.0) + time.perf_counter() - start
 
 
+@dataclass(frozen=True)
+class Reach:
+    """Which targets of a problem nothing can meet, and why, whatever runs."""
+
+    problem: Problem
+    unmet_reasons: Mapping[str, str]
+
+    def holds_for(self, problem: Problem) -> bool:
+        """Whether another problem has the same library, matching and targets (and costs: they change rarely)."""
+        known, environment = self.problem.environment, problem.environment
+        return (
+            problem.similarity is self.problem.similarity
+            and environment.targets == known.targets
+            and len(environment.library) == len(known.library)
+            and all(map(is_, environment.library, known.library))
+        )
+
+
 class Deliberation:
     """Plans updates, one after the other, with a planner that may remember."""
 
@@ -56,6 +76,7 @@ class Deliberation:
         self._estimator = estimator
         self._time_limit_s = time_limit_s
         self._library = EstimatedLibrary()
+        self._reach: Reach | None = None
 
     def think(
         self, world: World, similarity: Similarity, running: Environment, situation: Situation, *, optimises: bool
@@ -74,7 +95,7 @@ class Deliberation:
         with thought.timed("plan"):
             try:
                 problem = Problem(planned, similarity, world.horizon_s, world.max_cost_us)
-                found = best_effort(problem, self._planner, time_limit_s=self._time_limit_s)
+                found = self._plan(problem)
             except InvalidValueError as error:
                 thought.cause = str(error)
                 return thought
@@ -89,8 +110,14 @@ class Deliberation:
         """Plan for what runs as it is: a planner that remembers finds out what repairs will need."""
         _, _, planned = self._planned(world, running, situation)
         with suppress(Exception):  # a review would meet it again, and tell
-            problem = Problem(planned, similarity, world.horizon_s, world.max_cost_us)
-            best_effort(problem, self._planner, time_limit_s=self._time_limit_s)
+            self._plan(Problem(planned, similarity, world.horizon_s, world.max_cost_us))
+
+    def _plan(self, problem: Problem) -> BestEffort:
+        if self._reach is None or not self._reach.holds_for(problem):
+            self._reach = Reach(problem, unmet_reasons(problem))
+        return best_effort(
+            problem, self._planner, time_limit_s=self._time_limit_s, impossible=self._reach.unmet_reasons
+        )
 
     def _planned(
         self, world: World, running: Environment, situation: Situation

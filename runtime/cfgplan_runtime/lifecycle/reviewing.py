@@ -116,7 +116,8 @@ class Reviewing:
     def prepare(self) -> None:
         """Let the planner see what runs now, so that it repairs that fast; a loss breaks in."""
         intake = self._intake
-        if self._warm is not None and not intake.interrupt.is_set():
+        intake.interrupt.clear()
+        if self._warm is not None and intake.inbox.is_empty:
             self._warm.stop = intake.interrupt
             self._deliberation.prepare(
                 intake.living.world, intake.matching.similarity, self._middleware.environment, intake.situation
