@@ -176,13 +176,24 @@ def _adjusted(options: argparse.Namespace) -> Callable[[World], World]:
     return adjust
 
 
-def _settings(options: argparse.Namespace) -> Settings:
+def _estimates_file(options: argparse.Namespace) -> Path:
+    """Where estimates are kept. What is damaged there is set aside, so it must not be another file by mistake."""
     from cfgplan_runtime.estimating.keeping import default_file
+
+    if options.estimates is None:
+        return default_file(Path(options.env))
+    path = Path(options.estimates)
+    if path.suffix != ".json":
+        mend = f"name a file of its own, such as {path.stem or 'estimates'}.json"
+        raise InputError.of("estimates are kept as JSON", file=str(path), mend=mend)
+    return path
+
+
+def _settings(options: argparse.Namespace) -> Settings:
     from cfgplan_runtime.lifecycle.policy import Policy
     from cfgplan_runtime.operating.operation import Settings
 
-    path = Path(options.env)
-    kept = default_file(path) if options.estimates is None else Path(options.estimates)
+    kept = _estimates_file(options)
     return Settings(
         planner=None if options.planner is None else _planner(options.planner),
         estimator=options.estimator,

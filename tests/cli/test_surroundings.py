@@ -128,3 +128,12 @@ def test_the_demo_is_not_played_for_a_page_that_can_not_be_written(run: Run, tmp
         result = run("demo", "nao", "--report", page)
         assert (result.code, result.out) == (30, "")
         assert str(page) in result.err
+
+
+def test_no_other_file_is_taken_for_estimates(run: Run, tmp_path: Path) -> None:
+    env = tmp_path / "env.yaml"
+    env.write_text("format: cfgplan/1\n")
+    result = run("run", env, "--estimates", env, "--dry-run")
+    assert result.code == 30
+    assert "name a file of its own, such as env.json" in result.out + result.err
+    assert [path.name for path in tmp_path.iterdir()] == ["env.yaml"]
