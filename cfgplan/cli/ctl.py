@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from cfgplan.cli import options as shared
 from cfgplan.cli.durations import duration
 from cfgplan.cli.exits import Exit
-from cfgplan.cli.run_output import printable
+from cfgplan.cli.run_report import printable
 from cfgplan.cli.screen import FORMAT_VERSION, Screen
 from cfgplan.errors import Fault, InputError
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.live import Live
 
-from cfgplan.cli.run_output import fetched, show_ledger, show_recording
 from cfgplan.cli.run_picture import Line, Picture
+from cfgplan.cli.run_report import fetched, show_ledger, show_recording
 from cfgplan.cli.screen import Screen, counted
 
 if TYPE_CHECKING:

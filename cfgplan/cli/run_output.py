@@ -4,20 +4,15 @@ from __future__ import annotations
 
 import json
 import os
-import queue
-import re
 import sys
-from collections.abc import Iterator
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Protocol
 
+from cfgplan.cli.run_report import fetched, printable, show_ledger, show_recording
 from cfgplan.cli.screen import FORMAT_VERSION, Screen, counted
 
 if TYPE_CHECKING:
-    from cfgplan_runtime.operating.operation import News, Operation
-
-_ESCAPE = re.compile(r"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)|.)")
-"""A terminal's control sequence."""
+    from cfgplan_runtime.operating.operation import Operation
 
 
 class Output(Protocol):
@@ -48,21 +43,6 @@ def output_for(screen: Screen, operation: Operation, *, plain: bool) -> Output:
     from cfgplan.cli.live_view import LiveView
 
     return LiveView(screen, operation)
-
-
-def fetched(operation: Operation, wait_s: float) -> Iterator[News]:
-    """The news that there are, but not without end; waits so long at most for the first of them."""
-    try:
-        yield operation.news.get(timeout=wait_s) if wait_s > 0 else operation.news.get_nowait()
-        for _ in range(operation.news.maxsize):
-            yield operation.news.get_nowait()
-    except queue.Empty:
-        return
-
-
-def printable(text: str) -> str:
-    """A text that does nothing to the terminal but to be shown."""
-    return "".join(c if c.isprintable() else " " for c in _ESCAPE.sub("", text).expandtabs())
 
 
 def running_text(operation: Operation) -> str:
@@ -165,33 +145,3 @@ class JsonLines:
     def _say(self, event: str, **facts: Any) -> None:
         self._screen.write(json.dumps({"format_version": FORMAT_VERSION, "event": event, **facts}) + "\n")
         self._screen.flush()
-
-
-def show_ledger(operation: Operation, screen: Screen) -> None:
-    """What each unit did and cost."""
-    from rich.table import Table
-
-    entries = operation.ledger.entries()
-    if not entries:
-        return
-    table = Table("unit", "labor", "upkeep", "memory", "steps", "dropped", "errors", box=None)
-    for entry in entries:
-        seen = entry.seen
-        upkeep = "" if entry.upkeep_us is None else f"{entry.upkeep_us / 1e6:.4f} s/s"
-        counts = [str(count) for count in (seen.steps, seen.dropped, seen.errors)]
-        table.add_row(seen.unit, f"{seen.labor_us / 1e6:.3f} s", upkeep, f"{seen.memory_bytes >> 20} MB", *counts)
-    screen.show(table)
-
-
-def show_recording(operation: Operation, screen: Screen) -> None:
-    """What was recorded, and what was not."""
-    if operation.recorder is None:
-        return
-    recorder, recording = operation.recorder, operation.recorder.recording
-    screen.note(f"Wrote {recording.path}: {counted(recording.written, 'message')}.")
-    if recording.failure is not None:
-        lost = counted(recorder.lost, "message")
-        screen.warn(f"{recording.path} ends early: {recording.failure}; {lost} after that were not recorded")
-    elif recorder.lost or operation.dropped:
-        lost = counted(recorder.lost + operation.dropped, "message")
-        screen.warn(f"{lost} were not recorded, because the recorder was too slow")
