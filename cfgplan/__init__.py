@@ -14,22 +14,22 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from cfgplan.answers import alternatives as alternatives
+    from cfgplan.answers import best_effort as best_effort
+    from cfgplan.answers import front as front
+    from cfgplan.answers import sensitivity as sensitivity
+    from cfgplan.answers import why as why
+    from cfgplan.answers import why_not as why_not
     from cfgplan.api import UntruthfulPlanError as UntruthfulPlanError
     from cfgplan.api import World as World
-    from cfgplan.api import alternatives as alternatives
-    from cfgplan.api import best_effort as best_effort
-    from cfgplan.api import front as front
     from cfgplan.api import load as load
     from cfgplan.api import match as match
     from cfgplan.api import match_ports as match_ports
     from cfgplan.api import plan as plan
     from cfgplan.api import plan_violations as plan_violations
     from cfgplan.api import problem as problem
-    from cfgplan.api import sensitivity as sensitivity
     from cfgplan.api import violations as violations
     from cfgplan.api import what_if as what_if
-    from cfgplan.api import why as why
-    from cfgplan.api import why_not as why_not
     from cfgplan.api import world as world
     from cfgplan.domain import ChangeSet as ChangeSet
     from cfgplan.domain import ComputationUnit as ComputationUnit
@@ -66,8 +66,9 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOMES = {
-    "cfgplan.api": "UntruthfulPlanError World alternatives best_effort front load match match_ports plan "
-    "plan_violations problem sensitivity violations what_if why why_not world",
+    "cfgplan.answers": "alternatives best_effort front sensitivity why why_not",
+    "cfgplan.api": "UntruthfulPlanError World load match match_ports plan plan_violations problem violations what_if "
+    "world",
     "cfgplan.domain": "ChangeSet ComputationUnit Environment Host InputPort OutputPort Publication Similarity Stream "
     "Subscription Target Transformation",
     "cfgplan.errors": "CfgplanError Fault InputError InvalidValueError",

@@ -10,22 +10,20 @@ import os
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
-from threading import Event
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal
 
 from cfgplan import validity
 from cfgplan.domain import Environment, Similarity
 from cfgplan.errors import CfgplanError, InputError
 from cfgplan.matching import REASONERS, MatchExplanation, Matching, Nearest, Ontology, load_ontology, read_owlready
 from cfgplan.planners import PLANNERS
-from cfgplan.planning import Failures, Plan, Planner, Problem, Progress
+from cfgplan.planning import Failures, Plan, Problem, Progress
 from cfgplan.validity import Violation
 
 if TYPE_CHECKING:
     from cfgplan import formats
-    from cfgplan.explaining import Alternatives, BestEffort, Front, Sensitivity, Why, WhyNot
 
 PLANNER_NAMES = tuple(PLANNERS)
 REASONER_NAMES = tuple(REASONERS)
@@ -195,125 +193,15 @@ def plan(
 
     Raises UntruthfulPlanError if the judge does not accept it.
     """
-    return _accepted(problem, PLANNERS[planner](problem, time_limit_s=time_limit_s, report=report))
+    return accepted(problem, PLANNERS[planner](problem, time_limit_s=time_limit_s, report=report))
 
 
-def _accepted(problem: Problem, answer: Plan) -> Plan:
+def accepted(problem: Problem, answer: Plan) -> Plan:
+    """A planner's answer, if the judge accepts it; raises UntruthfulPlanError."""
     found = plan_violations(problem, answer)
     if found:
         raise UntruthfulPlanError(answer, found)
     return answer
-
-
-def why_not(
-    world: World,
-    problem: Problem,
-    *,
-    planner: str = "cpsat",
-    time_limit_s: float | None = None,
-    reasoner: str = "auto",
-) -> WhyNot:
-    """Why a problem of this world has no plan, or why its plan leaves required transformations unused.
-
-    The time limit is for each call of the planner, of which it takes several.
-    """
-    from cfgplan import explaining
-
-    nearest = partial(nearest_offers, world, reasoner=reasoner)
-    return explaining.why_not(problem, _judged(planner, time_limit_s), nearest)
-
-
-Subject: TypeAlias = Literal["unit", "transformation", "stream"]
-
-
-def why(
-    problem: Problem,
-    plan: Plan,
-    kind: Subject,
-    name: str,
-    *,
-    planner: str = "cpsat",
-    time_limit_s: float | None = None,
-) -> Why:
-    """Why a plan with a change set uses a unit, a transformation or an output (transformation/port), or why not."""
-    from cfgplan import explaining
-
-    ask = _judged(planner, time_limit_s)
-    if kind == "unit":
-        return explaining.why_unit(problem, ask, plan, name)
-    if kind == "transformation":
-        return explaining.why_transformation(problem, ask, plan, name)
-    label, _, port = name.rpartition("/")
-    return explaining.why_stream(problem, ask, plan, label, port)
-
-
-def front(
-    problem: Problem, target: str, attribute: str, *, planner: str = "cpsat", time_limit_s: float | None = None
-) -> Front:
-    """What better quality of a target's stream costs; see `cfgplan.explaining`."""
-    from cfgplan import explaining
-
-    return explaining.front(problem, _judged(planner, None), target, attribute, time_limit_s=time_limit_s)
-
-
-def alternatives(
-    problem: Problem, count: int, *, planner: str = "cpsat", time_limit_s: float | None = None
-) -> Alternatives:
-    """The `count` best configurations that differ in what runs, in order; see `cfgplan.explaining`."""
-    from cfgplan import explaining
-
-    found = explaining.alternatives(problem, _judged(planner, None), count, time_limit_s=time_limit_s)
-    for each in found.plans:
-        wrong = plan_violations(problem, each)
-        if wrong:
-            raise UntruthfulPlanError(each, wrong)
-    return found
-
-
-def sensitivity(
-    problem: Problem, *, upkeep_of: str | None = None, planner: str = "cpsat", time_limit_s: float | None = None
-) -> Sensitivity:
-    """For which horizons, or upkeeps of a transformation, which plan is optimal; see `cfgplan.explaining`.
-
-    The time limit is for each call of the planner.
-    """
-    from cfgplan import explaining
-
-    ask = _judged(planner, time_limit_s)
-    if upkeep_of is None:
-        return explaining.horizon_sensitivity(problem, ask)
-    return explaining.upkeep_sensitivity(problem, ask, upkeep_of)
-
-
-def best_effort(problem: Problem, *, planner: str = "cpsat", time_limit_s: float | None = None) -> BestEffort:
-    """The best update that some of the targets allow, the most important ones; see `cfgplan.explaining`."""
-    from cfgplan import explaining
-
-    return explaining.best_effort(problem, _judged(planner, None), time_limit_s=time_limit_s)
-
-
-def _judged(planner: str, limit_s: float | None) -> Planner:
-    """A planner whose every answer is accepted by the judge."""
-
-    def judged(
-        problem: Problem,
-        *,
-        time_limit_s: float | None = None,
-        report: Callable[[Progress], None] | None = None,
-    ) -> Plan:
-        limit = min((limit for limit in (limit_s, time_limit_s) if limit is not None), default=None)
-        if planner != "cpsat":
-            return plan(problem, planner=planner, time_limit_s=limit, report=report)
-        from cfgplan.planners import cpsat
-
-        # A single plan that is stopped by Ctrl-C is the best so far; what asks for many of them has to end.
-        stop = Event()
-        found = _accepted(problem, cpsat.plan(problem, time_limit_s=limit, report=report, stop=stop))
-        if stop.is_set():
-            raise KeyboardInterrupt
-        return found
-
-    return judged
 
 
 def violations(environment: Environment, similarity: Similarity, survive: Failures | None = None) -> list[Violation]:

@@ -10,7 +10,7 @@ from cfgplan.cli.exits import OF_STATUS, Exit
 from cfgplan.cli.screen import Screen
 
 if TYPE_CHECKING:
-    from cfgplan.api import Subject
+    from cfgplan.answers import Subject
     from cfgplan.explaining import WhyNot
     from cfgplan.planning import Plan, Problem
 
@@ -36,7 +36,7 @@ def add_to(verbs: shared.Subparsers) -> None:
 
 
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
-    from cfgplan import api
+    from cfgplan import answers, api
 
     world = shared.load(options, screen)
     problem = shared.problem(options, screen, world)
@@ -45,12 +45,14 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         plan = api.plan(problem, **chosen)
     if plan.change_set is None:
         with screen.phase("explain"):
-            why = api.why_not(world, problem, reasoner=options.reasoner, **chosen)
+            why = answers.why_not(world, problem, reasoner=options.reasoner, **chosen)
         _show_why_not(problem, why, screen)
         return OF_STATUS[plan.status]
     with screen.phase("explain"):
-        whys = [api.why(problem, plan, kind, name, **chosen) for kind, name in _subjects(options, problem, plan)]
-        unused = api.why_not(world, problem, reasoner=options.reasoner, **chosen).unused if plan.unused_required else ()
+        whys = [answers.why(problem, plan, kind, name, **chosen) for kind, name in _subjects(options, problem, plan)]
+        unused = (
+            answers.why_not(world, problem, reasoner=options.reasoner, **chosen).unused if plan.unused_required else ()
+        )
     if screen.json:
         from cfgplan.explaining import plain
 

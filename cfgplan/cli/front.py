@@ -31,14 +31,14 @@ def add_front(parser: argparse._MutuallyExclusiveGroup) -> None:
 
 def show_front(options: argparse.Namespace, screen: Screen, problem: Problem) -> Exit:
     """Compute the front and show it; exit code 0 only if it is complete."""
-    from cfgplan import api
+    from cfgplan import answers, api
 
     if options.plot and Path(options.plot).suffix.lower() not in PLOTS:
         mend = f"use one of {', '.join(PLOTS)}"
         raise InputError.of("no plot format ends so", file=options.plot, mend=mend)
     target, attribute = _asked(options.front, problem)
     with screen.phase("plan"):
-        found = api.front(problem, target, attribute, planner=options.planner, time_limit_s=options.timeout)
+        found = answers.front(problem, target, attribute, planner=options.planner, time_limit_s=options.timeout)
     if screen.json:
         screen.show_json(_plain(found))
     else:

@@ -31,7 +31,7 @@ def add_to(verbs: shared.Subparsers) -> None:
 
 
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
-    from cfgplan import api
+    from cfgplan import answers, api
 
     if options.out and Path(options.out).suffix.lower() not in _ENDINGS:
         raise InputError.of("not a kind of picture", file=options.out, mend=f"use one of {', '.join(_ENDINGS)}")
@@ -39,7 +39,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     problem = shared.problem(options, screen, world)
     label = options.upkeep_of and shared.known(options.upkeep_of, problem.environment.transformation, "transformation")
     with screen.phase("plan"):
-        found = api.sensitivity(problem, upkeep_of=label, planner=options.planner, time_limit_s=options.timeout)
+        found = answers.sensitivity(problem, upkeep_of=label, planner=options.planner, time_limit_s=options.timeout)
     if screen.json:
         from cfgplan.explaining import plain
 

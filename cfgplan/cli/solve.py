@@ -56,7 +56,7 @@ def add_to(verbs: shared.Subparsers) -> None:
 
 
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
-    from cfgplan import api
+    from cfgplan import answers, api
 
     world = shared.load(options, screen)
     problem = shared.problem(options, screen, world)
@@ -67,7 +67,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     is_proven = True
     with screen.phase("plan"):
         if options.best_effort:
-            found = api.best_effort(problem, planner=options.planner, time_limit_s=options.timeout)
+            found = answers.best_effort(problem, planner=options.planner, time_limit_s=options.timeout)
             problem, plan, is_proven = found.problem, found.plan, found.exact
         else:
             report = shared.progress_report(screen) if options.progress else None
@@ -100,10 +100,12 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
 
 def _alternatives(options: argparse.Namespace, screen: Screen, world: World, problem: Problem) -> Exit:
-    from cfgplan import api
+    from cfgplan import answers, api
 
     with screen.phase("plan"):
-        found = api.alternatives(problem, options.alternatives, planner=options.planner, time_limit_s=options.timeout)
+        found = answers.alternatives(
+            problem, options.alternatives, planner=options.planner, time_limit_s=options.timeout
+        )
     if not found.plans:
         options.alternatives = None
         return run(options, screen)
