@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 from cfgplan.costs import keep_cost_us, start_cost_us
 from cfgplan.domain import ComputationUnit
 from cfgplan.planning import Problem
@@ -23,7 +25,7 @@ def key_of(problem: Problem, units: list[ComputationUnit]) -> Key:
     return len(unused_required(problem, units)), cost_us, len(changes.rewired), len(changes.started)
 
 
-def unused_required(problem: Problem, units: list[ComputationUnit]) -> tuple[str, ...]:
+def unused_required(problem: Problem, units: Collection[ComputationUnit]) -> tuple[str, ...]:
     """The labels of the required transformations without a unit that serves a target."""
     by_id = {unit.id: unit for unit in units}
     ahead = [unit.id for unit in units if unit.publications]

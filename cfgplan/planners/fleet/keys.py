@@ -6,27 +6,12 @@ from collections.abc import Collection
 
 from cfgplan.domain import ComputationUnit
 from cfgplan.figures import cost_parts
+from cfgplan.planners.cpsat.quality import Key, unused_required
 from cfgplan.planning import Problem
-
-Key = tuple[int, int, int, int]
-"""Unused required transformations, cost in microseconds, rewired and started units."""
 
 
 def key_of(problem: Problem, units: Collection[ComputationUnit]) -> Key:
-    """How good a configuration is."""
+    """How good a configuration is; its cost has transfers, spares and missed quality in it."""
     changes = problem.environment.change_to(units)
     cost_us = cost_parts(problem, units).total_us
     return len(unused_required(problem, units)), cost_us, len(changes.rewired), len(changes.started)
-
-
-def unused_required(problem: Problem, units: Collection[ComputationUnit]) -> tuple[str, ...]:
-    """The labels of the required transformations without a unit that serves a target."""
-    by_id = {unit.id: unit for unit in units}
-    ahead = [unit.id for unit in units if unit.publications]
-    serving = set(ahead)
-    for unit_id in ahead:
-        new = {s.stream.unit for s in by_id[unit_id].subscriptions} - serving
-        serving |= new
-        ahead += sorted(new)
-    used = {by_id[unit_id].transformation for unit_id in serving}
-    return tuple(t.label for t in problem.environment.library if t.required and t.label not in used)

@@ -6,7 +6,8 @@ from collections.abc import Callable
 
 from cfgplan.domain import ComputationUnit
 from cfgplan.planners.cpsat.clock import Clock
-from cfgplan.planners.fleet.keys import Key, key_of, unused_required
+from cfgplan.planners.cpsat.quality import Key, unused_required
+from cfgplan.planners.fleet.keys import key_of
 from cfgplan.planners.fleet.reasons import joint_reasons
 from cfgplan.planning import Plan, Problem, Progress, Status
 
