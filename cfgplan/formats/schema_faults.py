@@ -62,7 +62,7 @@ def _fault(source: Source, path: Path, at_key: bool, error: Any, part: type[Base
         return source.fault(path[:-1], f"the key `{path[-1]}` is missing", mend)
     if kind == "literal_error":
         return source.fault(
-            path, f"the {path[-1]} is {_shown(value)}", f"this cfgplan reads `{path[-1]}: {_bare(error)}`"
+            path, f"`{path[-1]}` is {_shown(value)}", f"this cfgplan reads `{path[-1]}: {_bare(error)}`"
         )
     if kind in _KINDS:
         return source.fault(path, *_wrong_kind(source, path, _KINDS[kind], value), at_key=at_key)

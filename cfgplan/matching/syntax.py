@@ -72,7 +72,7 @@ class _Reader:
         rest = self._tokens[self._at]
         if rest:
             mend = "remove it" if rest in ")}" else "join two concepts by ⊓ (and) or ⊔ (or)"
-            raise self._error(f"{rest!r} is not expected here", mend)
+            raise self._error(f"{self._written()!r} is not expected here", mend)
         return concept
 
     def _or_list(self) -> Concept:
@@ -101,7 +101,7 @@ class _Reader:
             raise self._error(f"the tag is nested more than {DEEPEST} deep")
         token = self._tokens[self._at]
         if not token or token in _NO_OPERAND:
-            what = f"{token!r} stands" if token else "the tag ends"
+            what = f"{self._written()!r} stands" if token else "the tag ends"
             raise self._error(f"{what} where a concept is wanted", "write a class, a restriction or {an individual}")
         self._at += 1
         concept = self._compound(token)
@@ -227,9 +227,14 @@ class _Reader:
     def _expect(self, token: str, purpose: str) -> None:
         found = self._tokens[self._at]
         if found != token:
-            stands = f", not {found!r}" if found else ""
+            stands = f", not {self._written()!r}" if found else ""
             raise self._error(f"{token!r} is wanted {purpose}{stands}")
         self._at += 1
+
+    def _written(self) -> str:
+        """The token that is to be read next, as it stands in the text."""
+        tokens: list[str] = _TOKEN.findall(self._text)
+        return tokens[self._at]
 
     def _error(self, message: str, mend: str | None = None, at: int | None = None) -> TagError:
         index = self._at if at is None else at

@@ -169,7 +169,7 @@ def test_other_encodings_are_read_as_they_declare_themselves(tmp_path: Path) -> 
         ("A &amp; B", "A &amp; Bad", (23, 23), "unknown name Bad", None),
         ("<ports>", "<ports>stray", (15, 5), "there is stray text in <ports>", "remove it"),
         ("<label>fuse", "<label>a</label><label>fuse", (6, 21), "<label> is there twice", None),
-        ('format="cfgplan/1"', 'format="cfgplan/2"', (2, 1), "the format is 'cfgplan/2'", "cfgplan/1"),
+        ('format="cfgplan/1"', 'format="cfgplan/2"', (2, 1), "`format` is 'cfgplan/2'", "cfgplan/1"),
         ('horizon="60"', 'horizon="long"', (2, 1), "a whole number", "such as 600"),
         ('transformation="fuse(piff)"', 'transformation="fuse(pif)"', (26, 3), "no transformation `fuse(pif)`", None),
         ('stream="fuse.1/out"', 'stream="fuse.1/ou"', (28, 5), "has no output `ou`", "did you mean `out`?"),

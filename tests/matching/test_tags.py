@@ -118,3 +118,12 @@ def test_the_package_gives_each_of_its_names_and_imports_no_reasoner_for_it() ->
         "assert not heavy, heavy; [getattr(m, name) for name in m.__all__]"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize("text", ["A and and B", "A and or B", "(A or and B)"])
+def test_an_error_shows_the_word_that_was_written(text: str) -> None:
+    with pytest.raises(TagError) as caught:
+        parse_tag(text, load_ontology([]))
+    word, column = caught.value.message.split("'")[1], caught.value.column
+    assert word in ("and", "or")
+    assert text[column - 1 :].startswith(word)
