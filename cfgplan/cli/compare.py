@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 import sys
 from dataclasses import asdict
+from importlib.util import find_spec
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, TemporaryFile
 from typing import TYPE_CHECKING
 
 from cfgplan.cli import options as shared
@@ -58,8 +59,13 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan.comparing.invariants import breaches
 
     entrants = [comparing.entrant(name) for name in options.planner or comparing.REGISTERED]
-    instances = _instances(options, screen)
     limits = comparing.Limits(time_limit_s=options.timeout, memory_mb=options.memory)
+    for planner in entrants:
+        if planner.function:
+            comparing.require(planner, limits)
+    if options.report:
+        _require_report(Path(options.report))
+    instances = _instances(options, screen)
     with TemporaryDirectory() as folder, progress_bar(Console(stderr=True)) as watch:
         results = Path(options.results or Path(folder, "results.jsonl"))
         rows = comparing.run(instances, entrants, limits, results, watch=watch)
@@ -123,13 +129,24 @@ def _drawn(table: Table) -> RenderableType:
     return drawn
 
 
+def _require_report(folder: Path) -> None:
+    """Raises InputError if no report can be written there: before hours of runs, not after."""
+    if find_spec("matplotlib") is None:
+        raise InputError.of("the report can't be drawn without matplotlib", mend="pip install 'cfgplan[plots]'")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        mend = "name a folder that may be written to"
+        raise InputError.of(f"can't write the report: {error.strerror}", file=str(folder), mend=mend) from None
+
+
 def _write_report(rows: list[Row], folder: Path, screen: Screen) -> None:
     from cfgplan.comparing.report import write_report
 
     try:
         files = write_report(rows, folder)
-    except ImportError as error:
-        raise InputError.of(f"the report can't be drawn: {error}", mend="pip install 'cfgplan[plots]'") from None
     except OSError as error:
         raise InputError.of(f"can't write the report: {error.strerror}", file=str(folder)) from None
     screen.note(f"Wrote {', '.join(map(str, files))}.")

@@ -3,7 +3,7 @@
 from cfgplan.comparing.entrants import REGISTERED, Entrant, entrant
 from cfgplan.comparing.instances import Instance, generated, given, named
 from cfgplan.comparing.rows import Failure, Row, read_rows
-from cfgplan.comparing.runner import Limits, Standing, run, run_one
+from cfgplan.comparing.runner import Limits, Standing, require, run, run_one
 
 __all__ = [
     "REGISTERED",
@@ -18,6 +18,7 @@ __all__ = [
     "given",
     "named",
     "read_rows",
+    "require",
     "run",
     "run_one",
 ]

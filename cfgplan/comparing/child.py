@@ -1,5 +1,7 @@
 """The process of one run: a task comes in on stdin, progress and the answer go out as JSON lines.
 
+A task without a problem only asks whether there is such a planner.
+
 What the planner prints itself goes to stderr. Nothing is written where the process is killed, and the
 parent makes a row of that too.
 """
@@ -30,7 +32,12 @@ def main() -> None:
         limit = task["memory_mb"] * 2**20
         resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     try:
-        answer = _run(Entrant(**task["entrant"]), restored(task["problem"]), task["time_limit_s"], out)
+        entrant = Entrant(**task["entrant"])
+        if task["problem"] is None:
+            entrant.planner()
+            answer: dict[str, Any] = {"outcome": "ready"}
+        else:
+            answer = _run(entrant, restored(task["problem"]), task["time_limit_s"], out)
     except ImportError as error:
         answer = {"outcome": Failure.UNAVAILABLE, "message": str(error)}
     except MemoryError:

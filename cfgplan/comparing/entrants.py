@@ -28,13 +28,15 @@ class Entrant:
     distributions: tuple[str, ...] = ()
 
     def planner(self) -> Planner:
-        """The planner itself, its engines imported. Raises ImportError where an engine is not installed."""
+        """The planner itself, its engines imported. Raises ImportError where an engine or the function is missing."""
         for engine in self.engines:
             import_module(engine)
         if not self.function:
             return PLANNERS[self.name]
         module, _, name = self.function.partition(":")
-        planner: Planner = getattr(import_module(module), name)
+        planner: Planner | None = getattr(import_module(module), name, None)
+        if not callable(planner):
+            raise ImportError(f"module {module} has no function {name}")
         return planner
 
     def versions(self) -> dict[str, str]:
@@ -51,7 +53,8 @@ def _version(distribution: str) -> str:
 def _registered(name: str) -> Entrant:
     module = f"cfgplan.planners.{name.replace('-', '_')}"
     if name == "cpsat":
-        return Entrant(name, engines=("ortools.sat.python.cp_model", module), distributions=("ortools",))
+        engines = ("ortools.sat.python.cp_model", "ortools.linear_solver.pywraplp", f"{module}.search")
+        return Entrant(name, engines=engines, distributions=("ortools",))
     return Entrant(name, engines=(module,) if find_spec(module) else ())
 
 
@@ -63,7 +66,7 @@ def entrant(name: str) -> Entrant:
     """The registered planner of that name, or the one at `module:function`. Raises InputError."""
     if name in REGISTERED:
         return REGISTERED[name]
-    if ":" in name:
+    if all(name.partition(":")):
         return Entrant(name, function=name)
     known = ", ".join(REGISTERED)
     raise InputError.of(f"there is no planner {name!r}", mend=f"name one of {known}, or module:function")

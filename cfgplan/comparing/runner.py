@@ -20,7 +20,7 @@ from typing import Any
 from cfgplan.comparing.entrants import Entrant
 from cfgplan.comparing.instances import Instance
 from cfgplan.comparing.rows import PROVEN, Failure, Key, Point, Row, append_row, read_rows, thinned
-from cfgplan.errors import InvalidValueError
+from cfgplan.errors import InputError, InvalidValueError
 from cfgplan.planning import Status
 
 
@@ -126,6 +126,17 @@ def run_one(instance: Instance, entrant: Entrant, limits: Limits) -> Row:
         versions=entrant.versions() | {"python": platform.python_version()},
         machine=machine(),
     )
+
+
+def require(entrant: Entrant, limits: Limits) -> None:
+    """Find out, in a process like that of a run, whether there is such a planner. Raises InputError."""
+    task = {"problem": None, "entrant": asdict(entrant), "memory_mb": limits.memory_mb}
+    out, err, code = _run_process(json.dumps(task), limits.time_limit_s + limits.grace_s)
+    _, answer = _parsed(out)
+    answer = answer or _failure(code, err)
+    if answer["outcome"] != "ready":
+        why = answer.get("message") or answer["outcome"]
+        raise InputError.of(f"the planner {entrant.name!r} can't be had: {why}", mend="name it as module:function")
 
 
 @cache

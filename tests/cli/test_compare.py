@@ -60,3 +60,42 @@ def test_nothing_to_compare_and_unknown_planners_are_bad_input(run: Run, write: 
     result = run("compare", write(TWO_WAYS), "--planner", "astrology")
     assert result.code == 30
     assert "there is no planner 'astrology'" in result.err
+
+
+@pytest.mark.parametrize(
+    ("planner", "says"),
+    [
+        ("os:nothere", "module os has no function nothere"),
+        ("os:sep", "module os has no function sep"),
+        ("no_such_module:plan", "No module named 'no_such_module'"),
+        ("os:", "there is no planner 'os:'"),
+    ],
+)
+def test_a_planner_that_is_not_there_is_refused_before_any_run(
+    run: Run, write: Callable[[str], Path], planner: str, says: str, tmp_path: Path
+) -> None:
+    kept = tmp_path / "kept.jsonl"
+    result = run("compare", write(TWO_WAYS), "--planner", "branch-and-bound", "--planner", planner, "--results", kept)
+    assert (result.code, result.out) == (30, "")
+    assert says in result.err
+    assert not kept.exists()
+
+
+def test_a_report_that_can_not_be_written_is_refused_before_any_run(
+    run: Run, write: Callable[[str], Path], tmp_path: Path
+) -> None:
+    path, kept = write(TWO_WAYS), tmp_path / "kept.jsonl"
+    for report in (path, path / "report"):
+        result = run("compare", path, *PAIR, "--results", kept, "--report", report)
+        assert (result.code, result.out) == (30, "")
+        assert f"error: {report}: can't write the report" in result.err
+        assert not kept.exists()
+
+
+def test_a_report_without_matplotlib_is_refused_before_any_run(
+    run: Run, write: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cfgplan.cli.compare.find_spec", lambda _: None)
+    result = run("compare", write(TWO_WAYS), *PAIR, "--report", tmp_path / "report")
+    assert (result.code, result.out) == (30, "")
+    assert "pip install 'cfgplan[plots]'" in result.err
