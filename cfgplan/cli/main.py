@@ -8,7 +8,7 @@ import io
 import os
 import sys
 from collections.abc import Sequence
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from cfgplan.cli import (
     check,
@@ -44,8 +44,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _main(arguments: Sequence[str] | None, ending: Ending) -> int:
-    screen, options = Screen(json=False), argparse.Namespace()
+    arguments = sys.argv[1:] if arguments is None else arguments
+    screen, options = Screen(json="--json" in arguments), argparse.Namespace()
     try:
+        _say_every_character(screen)
         parser = _parser()
         options = parser.parse_args(arguments)
         if not hasattr(options, "run"):
@@ -56,6 +58,11 @@ def _main(arguments: Sequence[str] | None, ending: Ending) -> int:
         code = int(options.run(options, screen))
         sys.stdout.flush()
         return code
+    except _UsageError as error:
+        if not screen.json:
+            screen.note(error.usage, style="")
+        screen.faults(error.faults)
+        return Exit.BAD_INPUT
     except InputError as error:
         screen.faults(error.faults)
         return Exit.BAD_INPUT
@@ -114,12 +121,25 @@ def _install(package: str) -> str:
     return f"pip install 'cfgplan[{extra}]'" if extra else "install cfgplan again, with all that it needs"
 
 
+class _UsageError(InputError):
+    """A command line that can't be parsed, with the usage of its verb."""
+
+    def __init__(self, message: str, parser: argparse.ArgumentParser) -> None:
+        super().__init__([Fault(message, mend=f"{parser.prog} --help tells more")])
+        self.usage = parser.format_usage().rstrip()
+
+
 class Parser(argparse.ArgumentParser):
-    """A parser whose errors are bad input like any other."""
+    """A parser whose errors are bad input like any other; a verb's parser itself refuses what it does not know."""
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        known, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            self.error(f"unrecognized arguments: {' '.join(unknown)}")
+        return known, unknown
 
     def error(self, message: str) -> NoReturn:
-        self.print_usage(sys.stderr)
-        self.exit(Exit.BAD_INPUT, f"error: {message}\n")
+        raise _UsageError(message, self)
 
 
 def _parser() -> Parser:

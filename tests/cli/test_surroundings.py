@@ -35,6 +35,27 @@ def test_without_a_verb_there_is_help(run: Run) -> None:
     assert "solve" in result.err
 
 
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["solve", FUSION, "--jsn"], "unrecognized arguments: --jsn"),
+        (["solve"], "the following arguments are required: ENV"),
+        (["solve", FUSION, "--horizon", "long"], "argument --horizon: 'long' is not a number"),
+        (["ctl", "fly"], "argument COMMAND: invalid choice: 'fly'"),
+    ],
+)
+def test_a_command_line_that_is_wrong_is_bad_input_like_any_other(
+    run: Run, arguments: list[object], message: str
+) -> None:
+    text, found = run(*arguments), run(*arguments, "--json")
+    assert (text.code, text.out, found.code, found.err) == (30, "", 30, "")
+    assert text.err.startswith(f"usage: cfgplan {arguments[0]}")
+    assert f"error: {message}" in text.err
+    (fault,) = found.document["errors"]
+    assert fault["message"].startswith(message)
+    assert fault["mend"] == f"cfgplan {arguments[0]} --help tells more"
+
+
 def test_a_terminal_without_unicode_gets_escapes_and_json_is_utf_8_everywhere() -> None:
     ascii_only = {**os.environ, "PYTHONIOENCODING": "ascii"}
     text = start("explain", UNMET, env=ascii_only)
