@@ -19,7 +19,6 @@ from ortools.sat.python.cp_model import (
 from cfgplan.planners.cpsat.decode import decode
 from cfgplan.planners.cpsat.engine import OnSolution, repeatable_solver, solve
 from cfgplan.planners.cpsat.grounding import Grounding
-from cfgplan.planners.cpsat.levels import everything_rests_on_something_lower
 from cfgplan.planners.cpsat.model import Model
 from cfgplan.planners.cpsat.prepared import Prepared
 from cfgplan.planners.cpsat.quality import Key
@@ -82,6 +81,8 @@ class Search:
         self.standing.counts |= {"booleans": len(model.literals), "rounds": 0, "cuts": 0, "conflicts": 0}
         model.some_member_of_each_runs(self.prepared.landmarks)
         if self.grounding is Grounding.LEVELS:
+            from cfgplan.planners.cpsat.levels import everything_rests_on_something_lower  # networkx takes long too
+
             everything_rests_on_something_lower(model)
         if self.prepared.cost_us is not None:
             model.cp.add(model.cost() <= self.prepared.cost_us)
