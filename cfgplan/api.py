@@ -73,11 +73,18 @@ def load(path: str | os.PathLike[str], *, also: Sequence[str | os.PathLike[str]]
     from cfgplan.formats import read_document
 
     document = read_document(path, also)
+    return world_of(document, ontology_of(document))
+
+
+def ontology_of(document: formats.Document) -> Ontology:
+    """The union of the ontologies that a document names.
+
+    Raises InputError with the document's faults and those of the ontologies.
+    """
     try:
-        ontology = load_ontology(document.ontology_paths)
+        return load_ontology(document.ontology_paths)
     except InputError as error:
-        raise InputError((*document.faults, *error.faults)) from None
-    return world_of(document, ontology)
+        raise InputError((*document.faults, *map(document.at_ontology, error.faults))) from None
 
 
 def world_of(document: formats.Document, ontology: Ontology) -> World:

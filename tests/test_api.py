@@ -54,6 +54,30 @@ def test_a_code_built_world_refuses_a_tag_that_does_not_parse() -> None:
         cfgplan.match(world)
 
 
+@pytest.mark.parametrize(
+    ("text", "column", "key"), [("ontology: w.ttl", 11, "ontology"), ("ontology: [a.ttl, w.ttl]", 19, "ontology[1]")]
+)
+def test_an_ontology_that_is_missing_or_empty_is_named_where_the_environment_names_it(
+    tmp_path: Path, text: str, column: int, key: str
+) -> None:
+    (tmp_path / "a.ttl").write_text("@prefix : <http://a/#> .\n:A a <http://www.w3.org/2002/07/owl#Class> .\n")
+    path, ontology = tmp_path / "env.yaml", tmp_path / "w.ttl"
+    path.write_text(f"format: cfgplan/1\n{text}\nlabel: x\n")
+    for told in ("the ontology file does not exist", "the ontology file is empty"):
+        with pytest.raises(InputError) as caught:
+            cfgplan.load(path)
+        unknown, fault = caught.value.faults
+        assert unknown.key == "label"
+        assert (fault.file, fault.line, fault.column, fault.key) == (str(path), 2, column, key)
+        assert fault.message == f"w.ttl: {told}"
+        assert fault.mend
+        ontology.write_text("")
+    ontology.write_text("nonsense")
+    with pytest.raises(InputError) as caught:
+        cfgplan.load(path)
+    assert caught.value.faults[1].file == str(ontology)
+
+
 def test_an_answer_that_the_judge_does_not_accept_never_reaches_the_user(monkeypatch: pytest.MonkeyPatch) -> None:
     def liar(problem: cfgplan.Problem, **_: object) -> cfgplan.Plan:
         return cfgplan.Plan("liar", cfgplan.Status.OPTIMAL, problem.environment.change_to([]), 0, 0)

@@ -69,6 +69,19 @@ class Document:
     qualities: tuple[AttributePart, ...] = ()
     survive: int | str = 0
 
+    def at_ontology(self, fault: Fault) -> Fault:
+        """A fault of a whole ontology file as one of the entry that names the file."""
+        names = [str(path) for path in self.ontology_paths]
+        if fault.file not in names:
+            return fault
+        source, index = self.files[0].source, names.index(fault.file)
+        written: Any = source.data
+        match written["ontology"]:
+            case str(name):
+                return _at_entry(fault, name, source, ("ontology",))
+            case several:
+                return _at_entry(fault, several[index], source, ("ontology", index))
+
 
 def read_document(path: str | os.PathLike[str], also: Sequence[str | os.PathLike[str]] = ()) -> Document:
     """Read an environment file (YAML, JSON or XML) and its includes, or a folder of the paper's XML.
@@ -230,7 +243,7 @@ def _included(main: FilePath, source: Source, names: list[str]) -> tuple[list[Fi
 
 
 def _at_entry(fault: Fault, name: str, source: Source, entry: Path) -> Fault:
-    """A fault of a whole included file belongs to the entry that names the file."""
+    """A fault of a whole file belongs to the entry that names the file."""
     return fault if fault.line is not None else source.fault(entry, f"{name}: {fault.message}", fault.mend)
 
 

@@ -11,7 +11,6 @@ from cfgplan import api
 from cfgplan.api import World
 from cfgplan.errors import Fault, InputError
 from cfgplan.formats import Document, read_document
-from cfgplan.matching import load_ontology
 from cfgplan_runtime.lifecycle.changes import ReplaceWorld
 from cfgplan_runtime.lifecycle.manager import Manager
 
@@ -108,7 +107,7 @@ class Watching:
         try:
             document = read_document(self._path)
             found |= _files_of(document)
-            ontology = load_ontology(document.ontology_paths)
+            ontology = api.ontology_of(document)
             found |= set(ontology.files)
             world = api.world_of(document, ontology)
         except InputError as error:
