@@ -27,6 +27,7 @@ from cfgplan.formats.schema import (
 )
 from cfgplan.formats.schema_faults import schema_faults
 
+_BEGINS = "a file is a mapping that begins with `format: cfgplan/1`"
 SUFFIXES = (".yaml", ".yml", ".json", ".xml")
 P = TypeVar("P", bound=BaseModel)
 
@@ -135,15 +136,10 @@ def _read_file(path: FilePath, part: type[P]) -> tuple[P, File, list[Fault]]:
 
 def _read_source(source: Source, part: type[P]) -> tuple[P, File, list[Fault]]:
     data = source.data
+    if data is None:
+        raise InputError.of("the file is empty", file=source.file, mend=_BEGINS)
     if not isinstance(data, dict):
-        raise InputError(
-            [
-                *source.faults,
-                source.fault(
-                    (), "this is not an environment", "a file is a mapping that begins with `format: cfgplan/1`"
-                ),
-            ]
-        )
+        raise InputError([*source.faults, source.fault((), "this is not an environment", _BEGINS)])
     faults = list(source.faults)
     bad: dict[Any, set[int]] = {}
     try:

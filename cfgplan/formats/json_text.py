@@ -29,7 +29,7 @@ def read_json(text: str, file: str) -> Source:
         return values
 
     if not text.strip():
-        raise InputError.of("the file is empty", file=file, mend='an environment begins with {"format": "cfgplan/1"')
+        raise InputError.of("the file is empty", file=file, mend="write the JSON it should hold")
     try:
         data = json.loads(
             text, object_pairs_hook=mapping, parse_float=Decimal, parse_int=resolve, parse_constant=_not_finite

@@ -23,7 +23,7 @@ _NO_KEY = object()
 
 
 def read_yaml(text: str, file: str) -> Source:
-    """Read one YAML document; raises InputError where reading can't go on."""
+    """Read one YAML document, None if there is nothing; raises InputError where reading can't go on."""
     with no_garbage_collection():
         try:
             data, faults = _Reading(text, file).document()
@@ -47,9 +47,7 @@ class _Reading:
     def document(self) -> tuple[object, list[Fault]]:
         self.next_event()
         if type(self.next_event()) is not events.DocumentStartEvent:
-            raise InputError.of(
-                "the file is empty", file=self.file, mend="an environment begins with `format: cfgplan/1`"
-            )
+            return None, []
         root = self._values()
         self.next_event()
         event = self.next_event()
@@ -178,6 +176,8 @@ class _YamlLocator:
                 self._root = yaml.compose(self._text, _LOADER)
             self._lines = self._text.splitlines()
         node = self._root
+        if node is None:
+            return Spot(1, 1)
         for number, step in enumerate(path, start=1):
             key, value = _child(node, step)
             if value is None:

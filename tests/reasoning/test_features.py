@@ -48,13 +48,25 @@ def test_a_features_file_names_tags_and_regions(tmp_path: Path) -> None:
         ("features: [ball]", 1, "not a mapping"),
         ("regions:\n  goal: {circle: [0, 0]}", 2, "radius"),
         ("features: {goal: A}\nregions:\n  goal: {box: [0, 0, 1, 1]}", 3, "is a feature too"),
-        ("- ball", 1, "is a mapping"),
+        ("regions:\n  goal: {box: [4.5, -3, 0, 3]}", 2, "the box is reversed"),
+        ("- ball", 1, "no features file"),
+        ("", None, "the file is empty"),
+        ("# later\n", None, "the file is empty"),
     ],
 )
-def test_a_mistake_in_a_features_file_is_told_with_its_line(tmp_path: Path, text: str, line: int, message: str) -> None:
+def test_a_mistake_in_a_features_file_is_told_with_its_line(
+    tmp_path: Path, text: str, line: int | None, message: str
+) -> None:
     with pytest.raises(InputError) as caught:
         of_file(write(tmp_path, text))
+    assert "cfgplan/1" not in str(caught.value)
     assert (caught.value.faults[0].line, message in caught.value.faults[0].message) == (line, True)
+
+
+def test_a_reversed_box_is_told_with_the_right_one(tmp_path: Path) -> None:
+    with pytest.raises(InputError) as caught:
+        of_file(write(tmp_path, "regions:\n  goal: {box: [4.5, -3, 0, 3]}"))
+    assert caught.value.faults[0].mend == "write {box: [0, -3, 4.5, 3]}"
 
 
 def test_features_and_regions_can_be_declared_by_options() -> None:

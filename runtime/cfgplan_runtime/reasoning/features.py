@@ -30,6 +30,7 @@ FILE_BESIDE = "features.yaml"
 """The features file that is read if it is beside the environment file."""
 _NAME = re.compile(r"[^\W\d]\w*")
 _RESERVED = frozenset({"always", "eventually", "until", "and", "or", "not", "in", "true", "false", "inf"})
+_FORM = "write `features:` and `regions:`, each a mapping of names"
 _KEYS = ("features", "regions")
 _FEATURE_KEYS = ("tag", "hold")
 
@@ -78,8 +79,10 @@ def of_file(path: str | os.PathLike[str]) -> Declared:
     source = read_source(Path(path))
     faults = list(source.faults)
     data = source.data
+    if data is None:
+        raise InputError.of("the file is empty", file=source.file, mend=f"{_FORM}, or remove the file")
     if not isinstance(data, Mapping):
-        raise InputError([*faults, source.fault((), "a features file is a mapping with `features` and `regions`")])
+        raise InputError([*faults, source.fault((), "this is no features file", _FORM)])
     for key in data:
         if key not in _KEYS:
             mend = did_you_mean(str(key), _KEYS, "there is features and regions")

@@ -72,7 +72,7 @@ def region_from(value: Any) -> Region:
 
         shape = Point(x, y).buffer(radius, quad_segs=_QUARTER_SEGMENTS) if radius > 0 else Polygon()
     elif "box" in kinds:
-        shape = box(*_numbers(value["box"], 4, "a box has four numbers: its least x and y, its greatest x and y"))
+        shape = box(*_sides(value["box"]))
     else:
         shape = Polygon(_corners(value["polygon"]))
     if shape.is_empty or not shape.area > 0:
@@ -126,6 +126,19 @@ def _numbers(value: Any, count: int, otherwise: str) -> list[float]:
     if len(numbers) != count or not all(map(math.isfinite, numbers)):
         raise NotARegionError(otherwise)
     return numbers
+
+
+def _sides(value: Any) -> list[float]:
+    """The least x and y and the greatest x and y of a box."""
+    sides = _numbers(value, 4, "a box has four numbers: its least x and y, its greatest x and y")
+    x, y, far_x, far_y = sides
+    if x > far_x or y > far_y:
+        least, greatest, axis = (x, far_x, "x") if x > far_x else (y, far_y, "y")
+        raise NotARegionError(
+            f"the box is reversed: its least {axis} is {least:g}, its greatest {greatest:g}",
+            f"write {{box: [{min(x, far_x):g}, {min(y, far_y):g}, {max(x, far_x):g}, {max(y, far_y):g}]}}",
+        )
+    return sides
 
 
 def _corners(value: Any) -> list[list[float]]:
