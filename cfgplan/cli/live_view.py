@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.live import Live
 
 from cfgplan.cli.run_picture import Line, Picture
-from cfgplan.cli.run_report import fetched, show_ledger, show_recording
+from cfgplan.cli.run_report import fetched, show_files, show_ledger
 from cfgplan.cli.screen import Screen, counted
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ class LiveView:
         for line in list(self._lines)[-_LINES_AFTERWARDS:]:
             screen.show(line.text_with_time())
         show_ledger(operation, screen)
-        show_recording(operation, screen)
+        show_files(operation, screen)
 
     def _draw(self) -> None:
         began_s = time.monotonic()

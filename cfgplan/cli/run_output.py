@@ -8,7 +8,7 @@ import sys
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Protocol
 
-from cfgplan.cli.run_report import fetched, printable, show_ledger, show_recording
+from cfgplan.cli.run_report import fetched, printable, show_files, show_ledger
 from cfgplan.cli.screen import FORMAT_VERSION, Screen, counted
 
 if TYPE_CHECKING:
@@ -73,10 +73,12 @@ class Lines:
         from cfgplan_runtime.operating.sentences import details, sentence
 
         for news in fetched(self._operation, wait_s):
-            said = news if isinstance(news, str) else sentence(news)
+            if isinstance(news, str):
+                self._screen.warn(news)
+                continue
+            said, where = sentence(news), details(news)
             if said is not None:
                 self._say(printable(said))
-            where = None if isinstance(news, str) else details(news)
             if where is not None and where not in self._told:
                 # What fails at each step says where only once.
                 self._told.add(where)
@@ -91,7 +93,7 @@ class Lines:
             if isinstance(news, str):
                 self._screen.warn(news)
         show_ledger(self._operation, self._screen)
-        show_recording(self._operation, self._screen)
+        show_files(self._operation, self._screen)
 
     def _say(self, text: str) -> None:
         self._screen.show(text)
@@ -136,7 +138,9 @@ class JsonLines:
             facts = {"unit": seen.unit, "labor_us": seen.labor_us, "upkeep_us": entry.upkeep_us, "steps": seen.steps}
             more = {"memory_bytes": seen.memory_bytes, "dropped": seen.dropped, "errors": seen.errors}
             self._say("Observed", **facts, **more)
-        recorder = self._operation.recorder
+        log, recorder = self._operation.log, self._operation.recorder
+        if log is not None:
+            self._say("Logged", file=str(log.path), failure=log.failure, written=log.written, lost=log.lost)
         if recorder is not None:
             recording = recorder.recording
             counts = {"written": recording.written, "lost": recorder.lost, "dropped": self._operation.dropped}

@@ -47,11 +47,16 @@ def show_ledger(operation: Operation, screen: Screen) -> None:
     screen.show(table)
 
 
-def show_recording(operation: Operation, screen: Screen) -> None:
-    """What was recorded, and what was not."""
-    if operation.recorder is None:
+def show_files(operation: Operation, screen: Screen) -> None:
+    """What was logged and recorded, and what was not."""
+    log, recorder = operation.log, operation.recorder
+    if log is not None:
+        screen.note(f"Wrote {log.path}: {counted(log.written, 'line')}.")
+        if log.lost:
+            screen.warn(f"{log.path}: {counted(log.lost, 'line')} could not be written: {log.failure}")
+    if recorder is None:
         return
-    recorder, recording = operation.recorder, operation.recorder.recording
+    recording = recorder.recording
     screen.note(f"Wrote {recording.path}: {counted(recording.written, 'message')}.")
     if recording.failure is not None:
         lost = counted(recorder.lost, "message")

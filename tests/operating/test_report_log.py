@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import resource
 from pathlib import Path
 from typing import Any, get_args
 
@@ -86,4 +87,23 @@ def test_a_log_that_can_take_no_more_loses_lines_and_nothing_else(tmp_path: Path
     log = RunLog(tmp_path / "log.jsonl")
     log.close()
     logging_to(log)(Ended())
-    assert log.lost == 1
+    assert (log.written, log.lost) == (0, 1)
+    assert log.failure
+
+
+def test_the_next_whole_line_after_one_that_was_cut_stands_by_itself(tmp_path: Path) -> None:
+    log = RunLog(tmp_path / "log.jsonl")
+    write = logging_to(log)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20, hard))
+    try:
+        write(Ended("cut"))
+        write(Ended("lost"))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    write(Ended("whole"))
+    log.close()
+    cut, whole = (tmp_path / "log.jsonl").read_text().splitlines()
+    assert len(cut) == 20
+    assert (json.loads(whole)["cause"], json.loads(whole)["lines_lost_before"]) == ("whole", 2)
+    assert (log.written, log.lost, log.failure) == (1, 2, "No space left on device")

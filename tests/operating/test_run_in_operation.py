@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import re
+import resource
 import select
 import signal
 import subprocess
@@ -289,6 +291,31 @@ def test_a_recorded_run_is_read_back_with_streams_and_reviews(env: Path, tmp_pat
     assert topics >= {"/result", "/result/image", "/cfgplan/reviews", "/cfgplan/events", "/cfgplan/log"}
     assert len(numbers) > 30
     assert numbers == [(numbers[0] + count) % 200 for count in range(len(numbers))]
+
+
+@pytest.mark.skipif(not Path("/dev/full").is_char_device(), reason="this system has no /dev/full")
+def test_a_log_that_takes_no_more_is_told_once_and_counted(env: Path, tmp_path: Path) -> None:
+    line = command("run", env, "--no-estimates", "--log", "/dev/full", "--for", "2s")
+    done = subprocess.run(line, capture_output=True, text=True, check=False)
+    assert done.returncode == 0
+    assert done.stderr.count("warning: /dev/full takes no more: No space left on device") == 1
+    assert "Wrote /dev/full: 0 lines." in done.stderr
+    assert re.search(r"warning: /dev/full: [1-9]\d* lines could not be written: No space left", done.stderr)
+    with running(env, "--log", tmp_path / "log", "--for", "1s") as process:
+        logged = await_event(process, "Logged", lost=0, failure=None)
+    assert logged["written"] == len((tmp_path / "log").read_text().splitlines())
+
+
+@pytest.mark.skipif(not hasattr(resource, "prlimit"), reason="only Linux limits another process")
+def test_a_recording_that_takes_no_more_is_told_while_it_runs(env: Path, tmp_path: Path) -> None:
+    with running(env, "--record", tmp_path / "run.mcap") as process:
+        await_event(process, "Running")
+        resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (200_000, resource.RLIM_INFINITY))
+        warning = await_event(process, "Warning")
+        process.send_signal(signal.SIGINT)
+        recorded = await_event(process, "Recorded", failure="File too large")
+    assert warning["text"] == f"{tmp_path / 'run.mcap'} takes no more: File too large; what is lost is counted"
+    assert recorded["lost"] > 0
 
 
 def test_metrics_are_served_while_it_runs(env: Path) -> None:

@@ -77,6 +77,7 @@ class Operation:
 
     def __init__(self, world: World, path: Path, settings: Settings = Settings()) -> None:
         self.news: queue.Queue[News] = queue.Queue(MOST_WAITING)
+        self.log: RunLog | None = None
         self.recorder: Recorder | None = None
         self.metrics_port: int | None = None
         self.ledger = Ledger()
@@ -89,6 +90,7 @@ class Operation:
         self._settings = settings
         self._path = path
         self._is_closed_at_once = False
+        self._full: set[Path] = set()
         self._kept_s = time.monotonic()
         try:
             with ExitStack() as stack:
@@ -149,9 +151,9 @@ class Operation:
         if settings.record is not None:
             self.recorder = Recorder(settings.record)
             stack.callback(self._finish_recording, self.recorder)
-        log = None if settings.log is None else _open_log(settings.log)
-        if log is not None:
-            stack.callback(log.close)
+        if settings.log is not None:
+            self.log = _open_log(settings.log)
+            stack.callback(self.log.close)
         folder = self._path if self._path.is_dir() else self._path.parent
         self.runtime = stack.enter_context(Runtime(folder=folder.resolve(), preload=settings.preload))
         if self.recorder is not None:
@@ -168,8 +170,8 @@ class Operation:
             estimator=self._estimator,
             policy=settings.policy,
         )
-        if log is not None:
-            self.manager.listen(logging_to(log))
+        if self.log is not None:
+            self.manager.listen(logging_to(self.log))
         if self.recorder is not None:
             self.manager.listen(self.recorder.report)
         methods = Methods(self.manager, self.flows.records).by_name()
@@ -188,6 +190,7 @@ class Operation:
         self.manager.request(ReplaceWorld(self._settings.adjust(world), by))
 
     def _hear(self, report: Report) -> None:
+        self._tell_of_full_disks()
         match report:
             case Reviewed(review):
                 self.flows.follow(target.topic for target in self.manager.world.environment.targets)
@@ -205,6 +208,13 @@ class Operation:
         if self._server.has_subscribers:
             self._server.publish({**report_record(report), "says": sentence(report)})
         self._show(report)
+
+    def _tell_of_full_disks(self) -> None:
+        """Say once of each file that it takes no more; what is lost of it is counted."""
+        for file in (self.log, None if self.recorder is None else self.recorder.recording):
+            if file is not None and file.failure is not None and file.path not in self._full:
+                self._full.add(file.path)
+                self._show(f"{file.path} takes no more: {file.failure}; what is lost is counted")
 
     def _show(self, news: News) -> None:
         while True:

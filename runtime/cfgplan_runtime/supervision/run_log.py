@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import threading
 import time
 from collections.abc import Mapping
@@ -17,11 +19,15 @@ class RunLog:
     """Writes events to a file, whatever becomes of that file. Any thread may write."""
 
     def __init__(self, path: Path) -> None:
+        self.path = path
+        self.written = 0
         self.lost = 0
         """How many lines could not be written."""
-        self._path = path
+        self.failure: str | None = None
+        """Why the first of them could not."""
         self._file = path.open("ab", buffering=0)
         self._unsaid = 0
+        self._is_cut = False
         self._lock = threading.Lock()
 
     def write(self, event: Event) -> None:
@@ -36,14 +42,21 @@ class RunLog:
             if self._unsaid:
                 line["lines_lost_before"] = self._unsaid
             try:
-                data = msgspec.json.encode(line) + b"\n"
-                written = self._file.write(data)
-                if written != len(data):
-                    raise OSError(f"{self._path} takes no more")
+                self._append(msgspec.json.encode(line) + b"\n")
+                self.written += 1
                 self._unsaid = 0
-            except (OSError, ValueError):
+            except (OSError, ValueError) as error:
+                self.failure = self.failure or getattr(error, "strerror", None) or str(error)
                 self.lost += 1
                 self._unsaid += 1
+
+    def _append(self, line: bytes) -> None:
+        """Write a whole line; one that was cut short before it is ended first."""
+        data = b"\n" + line if self._is_cut else line
+        written = self._file.write(data)
+        self._is_cut = not data[:written].endswith(b"\n")
+        if written != len(data):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     def close(self) -> None:
         self._file.close()
