@@ -11,9 +11,11 @@ from cfgplan.costs import keep_cost_us, start_cost_us
 from cfgplan.planners import PLANNERS
 from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planners.cpsat.bounds import Bound, cheapest_way
+from cfgplan.planners.cpsat.chains import chained_bound
 from cfgplan.planners.cpsat.greedy import first_plan, is_plan
 from cfgplan.planners.cpsat.network import Network
 from cfgplan.planners.cpsat.site import Site, relevant
+from cfgplan.planners.cpsat.weighing import Weighing
 from cfgplan.planners.cpsat.wiring import wire
 from cfgplan.planning import Plan, Problem, Status
 from cfgplan.reasons import Givers, startable
@@ -111,6 +113,38 @@ def test_the_dearest_unavoidable_chain_is_never_more_than_the_optimum(problem: P
     stage = Stage(problem)
     _, before = cheapest_way(stage.network.core, stage.cost)
     assert int(before[-1]) <= (stage.plan.cost_us or 0)
+
+
+@fewer
+@given(problems(special=False))
+def test_dearest_chains_charged_one_after_the_other_are_never_more_than_the_optimum(problem: Problem) -> None:
+    stage = Stage(problem)
+    core = stage.network.core
+    assert int(cheapest_way(core, stage.cost)[1][-1]) <= chained_bound(core, stage.cost) <= (stage.plan.cost_us or 0)
+
+
+@fewer
+@given(problems(special=False))
+def test_a_weight_is_cost_and_where_nothing_runs_started_units(problem: Problem) -> None:
+    stage = Stage(problem)
+    weighing = Weighing.of(problem, stage.network, [])
+    used = np.array(sorted(stage.numbers(stage.used)), np.int64)
+    weight = weighing.of_plan(used)
+    assert weighing.cost_us(weight) == int(stage.cost[used].sum())
+    running = {unit.transformation for unit in problem.environment.units}
+    assert weighing.counts_starts == running.isdisjoint(stage.relevant)
+    assert weighing.started(weight) == (len(used) if weighing.counts_starts else None)
+    assert weighing.least(weight) == weight
+    assert weighing.least(chained_bound(stage.network.core, weighing.weight)) <= weight
+
+
+def test_plans_that_tie_need_no_solver_where_the_bound_counts_started_units() -> None:
+    from test_planners import make, world
+
+    library = (make("one", gives="A"), make("other", gives="A"), make("last", "A", "B"))
+    plan = PlannerSession().plan(world("B", *library))
+    assert plan.status is Status.OPTIMAL
+    assert "rounds" not in plan.counts
 
 
 def test_the_counts_say_what_each_step_left() -> None:

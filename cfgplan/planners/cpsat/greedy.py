@@ -13,11 +13,16 @@ from cfgplan.planners.cpsat.network import Floats, Graph, Ints
 from cfgplan.reasons import assign_different, distinct_groups
 
 
-def first_plan(network: Graph, cost: Ints, attempts: int, is_over: Callable[[], bool]) -> set[int] | None:
-    """A plan, after up to `attempts` attempts to do without one of its members; None if none was found."""
+def first_plan(
+    network: Graph, cost: Ints, attempts: int, is_over: Callable[[], bool], enough: int = 0
+) -> set[int] | None:
+    """A plan, after up to `attempts` attempts to do without one of its members; None if none was found.
+
+    The attempts end where a plan costs no more than `enough`.
+    """
     best = _supported(network, cost, set())
     tried: set[int] = set()
-    while best is not None and len(tried) < attempts and not is_over():
+    while best is not None and len(tried) < attempts and _cost(cost, best) > enough and not is_over():
         ahead = sorted((label for label in best - tried if cost[label]), key=lambda label: (-cost[label], label))
         if not ahead:
             break

@@ -107,12 +107,24 @@ class Core:
         """The labels that need something at all."""
         return np.flatnonzero(np.diff(self.needs.starts))
 
+    @cached_property
+    def _giving(self) -> Ints:
+        """The labels that give something at all."""
+        return np.flatnonzero(np.diff(self.gives.starts))
+
     def most_of_needs(self, of_fact: Ints) -> Ints:
         """For each label the greatest value of the facts it needs; 0 for sources."""
-        value = np.zeros(self.goal + 1, np.int64)
-        if len(self._fed):
-            value[self._fed] = np.maximum.reduceat(of_fact[self.needs.items], self.needs.starts[self._fed])
-        return value
+        return _most(self.needs, self._fed, of_fact)
+
+    def most_of_gifts(self, of_fact: Ints) -> Ints:
+        """For each label the greatest value of the facts it gives; 0 if it gives none."""
+        return _most(self.gives, self._giving, of_fact)
+
+    def dearest_needs(self, of_fact: Ints, most: Ints) -> tuple[Ints, Ints]:
+        """The labels that need something, and for each the first of its needs that has the greatest value."""
+        items = np.flatnonzero(of_fact[self.needs.items] == most[self.needs.row_of_item])
+        first = items[np.diff(self.needs.row_of_item[items], prepend=-1) > 0]
+        return self._fed, self.needs.items[first]
 
     def sum_of_needs(self, of_fact: Floats) -> Floats:
         """For each label the sum over the facts it needs."""
@@ -141,6 +153,14 @@ class Core:
             self.labels[keep],
             self.facts[needed],
         )
+
+
+def _most(rows: Rows, filled: Ints, of_item: Ints) -> Ints:
+    """For each row the greatest value of its items; 0 for those that are not filled."""
+    value = np.zeros(len(rows), np.int64)
+    if len(filled):
+        value[filled] = np.maximum.reduceat(of_item[rows.items], rows.starts[filled])
+    return value
 
 
 class Graph:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 class Prepared:
     """What preprocessing leaves: labels that may be used, a first plan, its cost, a bound, landmarks.
 
+    A plan that costs as little as the bound starts at least `fewest_started` units; None if units run.
     If `holds_for` is given, all that is so for plans that leave no more required transformations unused.
     """
 
@@ -19,3 +20,4 @@ class Prepared:
     landmarks: list[list[str]] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=dict)
     holds_for: int | None = None
+    fewest_started: int | None = None

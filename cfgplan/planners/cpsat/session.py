@@ -13,6 +13,7 @@ from threading import Event
 import numpy as np
 
 from cfgplan.planners.cpsat.bounds import Bound
+from cfgplan.planners.cpsat.chains import chained_bound
 from cfgplan.planners.cpsat.clock import Clock, OutOfTimeError
 from cfgplan.planners.cpsat.greedy import first_plan, improved, is_plan
 from cfgplan.planners.cpsat.grounding import Grounding
@@ -23,6 +24,7 @@ from cfgplan.planners.cpsat.site import Site
 from cfgplan.planners.cpsat.standing import Stage, Standing
 from cfgplan.planners.cpsat.structure import Structure
 from cfgplan.planners.cpsat.tightening import tightened
+from cfgplan.planners.cpsat.weighing import Weighing
 from cfgplan.planning import Plan, Problem, Progress, Status
 from cfgplan.reasons import unmet_reasons
 
@@ -97,20 +99,16 @@ class PlannerSession:
             "demands": len(network.fact_of_tag),
             "merged demands": len(network.core.givers),
         }
-        fixed_us, cost = costs(problem, network, structure.pinned)
-        plan = self._first_plan(problem, network, cost, clock)
-        left = None
-        if plan is not None and self._rest is not None:
-            left = self._rest.left(cost, plan, clock)
-        if left is None:
-            limit = int(cost.sum() if plan is None else cost[plan].sum())
-            bound = Bound(network.core, cost, list(structure.landmarks))
-            bound.recharge(structure.weights)
-            bound = tightened(bound, limit, limit, clock)
-            structure.remember(bound)
-            left = Left.by(bound, limit)
+        weighing = Weighing.of(problem, network, structure.pinned)
+        quick = weighing.least(chained_bound(network.core, weighing.weight)) if weighing.counts_starts else 0
+        plan = self._first_plan(problem, network, weighing.weight, quick, clock)
+        if plan is not None and weighing.counts_starts and weighing.of_plan(plan) == quick:
+            left = Left(plan, quick, [])
+        else:
+            left = self._left(structure, weighing, plan, clock)
+        value = weighing.least(max(left.value, quick))
         labels = left.labels
-        if plan is not None and left.value < int(cost[plan].sum()) and clock.is_over():
+        if plan is not None and value < weighing.of_plan(plan) and clock.is_over():
             labels = plan
         counts |= {"landmarks": len(left.landmarks), "left by bounds": len(labels)}
         is_left = np.zeros(len(network.labels), np.bool_)
@@ -118,11 +116,26 @@ class PlannerSession:
         return Prepared(
             [network.labels[i] for i in labels.tolist()],
             None if plan is None else [network.labels[i] for i in plan.tolist()],
-            None if plan is None else int(cost[plan].sum()) + fixed_us,
-            left.value + fixed_us,
+            None if plan is None else weighing.cost_us(weighing.of_plan(plan)),
+            weighing.cost_us(value),
             [[network.labels[i] for i in members[is_left[members]].tolist()] for members in left.landmarks],
             counts,
+            fewest_started=weighing.started(value),
         )
+
+    def _left(self, structure: Structure, weighing: Weighing, plan: Ints | None, clock: Clock) -> Left:
+        """What landmarks leave of the network, from where they stood at rest if that is near."""
+        cost = weighing.weight
+        if plan is not None and self._rest is not None and not weighing.counts_starts:
+            left = self._rest.left(cost, plan, clock)
+            if left is not None:
+                return left
+        limit = int(cost.sum()) if plan is None else weighing.of_plan(plan)
+        bound = Bound(structure.network.core, cost, list(structure.landmarks))
+        bound.recharge([weight * weighing.scale for weight in structure.weights])
+        bound = tightened(bound, limit - weighing.step + 1, limit, clock)
+        structure.remember(bound, weighing.scale)
+        return Left.by(bound, limit)
 
     def _with_required(
         self, problem: Problem, structure: Structure, clock: Clock, report: Callable[[Progress], None] | None
@@ -142,8 +155,11 @@ class PlannerSession:
         Search(standing, prepared, self._grounding).run()
         return standing
 
-    def _first_plan(self, problem: Problem, network: Network, cost: Ints, clock: Clock) -> Ints | None:
-        """The plan at rest or the last one, mended where units died; or a new one if that no longer is one."""
+    def _first_plan(self, problem: Problem, network: Network, cost: Ints, enough: int, clock: Clock) -> Ints | None:
+        """The plan at rest or the last one, mended where units died; or a new one if that no longer is one.
+
+        It need not cost less than `enough`.
+        """
         known = set(network.pinned)
         if self._rest is not None and self._rest.is_below(cost):
             known |= set(self._rest.plan.tolist())
@@ -154,7 +170,7 @@ class PlannerSession:
             running = {unit.transformation for unit in problem.environment.units}
             plan = improved(network, cost, known, {i for i in known if network.labels[i] not in running})
         else:
-            plan = first_plan(network, cost, ATTEMPTS, clock.is_over)
+            plan = first_plan(network, cost, ATTEMPTS, clock.is_over, enough)
         return None if plan is None else np.array(sorted(plan), np.int64)
 
     def _settle(self, problem: Problem, structure: Structure, clock: Clock) -> None:

@@ -47,6 +47,7 @@ class Standing:
         self.best: Incumbent | None = None
         self.bound_us = 0
         self.holds_for = prepared.holds_for
+        self.fewest_started = prepared.fewest_started
         self.counts = {**prepared.counts}
         self.raise_bound(prepared.bound_us)
         if prepared.plan is not None:
@@ -62,7 +63,12 @@ class Standing:
             self.stage = Stage.DONE
 
     def is_proven(self, chosen: set[int]) -> bool:
-        """Whether the incumbent is the only choice of units at its cost, with no more rewired than must be."""
+        """Whether the incumbent can't be beaten in started units, or is the only choice of units at its cost.
+
+        No more must be rewired then than has to be.
+        """
+        if self.best is not None and self.best.key == (0, self.bound_us, 0, self.fewest_started):
+            return True
         return (
             self.best is not None
             and self.best.key[:2] == (0, self.bound_us)

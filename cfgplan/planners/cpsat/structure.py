@@ -55,15 +55,18 @@ class Structure:
         """Whether some transformation that may be of use is required to be used."""
         return any(t.required for t in self.network.transformations)
 
-    def remember(self, bound: Bound) -> None:
-        """Keep the landmarks that counted for the next time, as landmarks of the whole network."""
+    def remember(self, bound: Bound, scale: int) -> None:
+        """Keep the landmarks that counted for the next time, as landmarks of the whole network.
+
+        In the bound a microsecond weighs `scale`.
+        """
         known = {landmark.zone.tobytes(): landmark for landmark in self.landmarks}
         counted = [
             (landmark.zone, weight) for landmark, weight in zip(bound.landmarks, bound.weights, strict=True) if weight
         ]
         zones = [bound.core.facts[zone] for zone, _ in counted]
         self.landmarks = [known.get(zone.tobytes()) or landmark_of(self.network.core, zone) for zone in zones]
-        self.weights = [weight for _, weight in counted]
+        self.weights = [weight // scale for _, weight in counted]
 
     def serves(self, problem: Problem) -> bool:
         """Whether the problem differs in nothing but running units and costs."""

@@ -1,0 +1,46 @@
+"""A quick lower bound: dearest chains that can't be avoided, each charged as a whole.
+
+h_max of a fact is the sum of landmarks: for every level up to it, the zone of the facts at or above the
+level from which the fact comes by the dearest needs. Charging all of them at once leaves each label what
+these landmarks don't take, and another chain may be charged from that. Where few labels need more
+than one fact at a time this meets the optimum after a few rounds; elsewhere one landmark after the other is
+better (`bounds`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cfgplan.planners.cpsat.bounds import cheapest_way
+from cfgplan.planners.cpsat.network import NEVER, Core, Ints
+
+
+def chained_bound(core: Core, cost: Ints) -> int:
+    """A lower bound on the cost of a plan."""
+    residual, value = cost.copy(), 0
+    wanted = core.needs[core.goal]
+    facts, before = cheapest_way(core, residual)
+    while len(wanted):
+        end = int(wanted[np.argmax(facts[wanted])])
+        level = int(facts[end])
+        value = min(value + level, int(NEVER))
+        if level == 0 or value == NEVER:
+            break
+        residual -= _charges(core, facts, before, end)
+        facts, before = cheapest_way(core, residual, facts)
+    return value
+
+
+def _charges(core: Core, facts: Ints, before: Ints, end: int) -> Ints:
+    """What the landmarks of a chain's end take from each label: from the level of its needs to the one it enters."""
+    labels, dearest = core.dearest_needs(facts, before)
+    level = np.zeros_like(facts)
+    level[end] = facts[end]
+    while True:
+        entered = core.most_of_gifts(level)
+        higher = level.copy()
+        np.maximum.at(higher, dearest, np.minimum(entered, before)[labels])
+        if np.array_equal(higher, level):
+            charges: Ints = np.maximum(entered - before, 0)[:-1]
+            return charges
+        level = higher
