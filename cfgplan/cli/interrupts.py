@@ -21,8 +21,15 @@ class Ending:
     def __init__(self) -> None:
         self.interrupted = False
         """Whether Ctrl-C was pressed: what is raised after that may come of it."""
+        self._is_over = False
+
+    def over(self) -> None:
+        """From now on there is nothing to be cleared away: a signal ends the process at once."""
+        self._is_over = True
 
     def hear(self, number: int, _frame: FrameType | None) -> None:
+        if self._is_over:
+            os._exit(128 + number)
         if number == signal.SIGINT:
             self.interrupted = True
             raise KeyboardInterrupt
@@ -30,8 +37,11 @@ class Ending:
 
 
 @contextmanager
-def ended_cleanly() -> Iterator[Ending]:
-    """SIGTERM and a closed terminal end a command by an exception, so that its folders and processes are removed."""
+def ended_cleanly(*, for_good: bool = False) -> Iterator[Ending]:
+    """SIGTERM and a closed terminal end a command by an exception, so that its folders and processes are removed.
+
+    Where the process ends with the command, that is so `for_good`; else signals do afterwards what they did before.
+    """
     ending = Ending()
     names = _SIGNALS if current_thread() is main_thread() else ()
     signals = [getattr(signal, name) for name in names if hasattr(signal, name)]
@@ -40,12 +50,17 @@ def ended_cleanly() -> Iterator[Ending]:
     try:
         yield ending
     finally:
-        for one, handler in before.items():
-            signal.signal(one, handler)
+        ending.over()
+        if not for_good:
+            for one, handler in before.items():
+                signal.signal(one, handler)
+        elif ending.interrupted:
+            # Python gives up its own handlers before it has ended.
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 class Interrupts:
-    """Counts such signals while it is entered; until `only_count`, they raise KeyboardInterrupt."""
+    """Counts such signals while it is entered; until `only_count`, the first raises KeyboardInterrupt."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -68,9 +83,14 @@ class Interrupts:
         for one, handler in self._before.items():
             signal.signal(one, handler)
 
-    def _hear(self, _number: int, _frame: FrameType | None) -> None:
+    def _hear(self, number: int, frame: FrameType | None) -> None:
         self.count += 1
         if self._raises:
+            # What that lets go is not to be interrupted by the second.
+            self._raises = False
+            before = self._before[signal.Signals(number)]
+            if number == signal.SIGINT and callable(before):
+                before(number, frame)
             raise KeyboardInterrupt
         if self.count > _MOST_PATIENT:
             # What runs ends with this process, and its folder is removed by the next run.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import errno
 import io
 import os
@@ -38,13 +39,15 @@ VERBS = (check, match, solve, explain, sensitivity, graph, run, ctl, listen, que
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns its exit code."""
-    _stand_in_for_closed_streams()
-    with ended_cleanly() as ending:
-        return _main(arguments, ending)
+    try:
+        with ended_cleanly(for_good=arguments is None) as ending:
+            _stand_in_for_closed_streams()
+            return _main(sys.argv[1:] if arguments is None else arguments, ending)
+    except KeyboardInterrupt:  # before or after all there is to do
+        return Exit.INTERRUPTED
 
 
-def _main(arguments: Sequence[str] | None, ending: Ending) -> int:
-    arguments = sys.argv[1:] if arguments is None else arguments
+def _main(arguments: Sequence[str], ending: Ending) -> int:
     screen, options = Screen(json="--json" in arguments), argparse.Namespace()
     try:
         _say_every_character(screen)
@@ -70,8 +73,7 @@ def _main(arguments: Sequence[str] | None, ending: Ending) -> int:
         screen.faults([Fault(str(error), file=getattr(options, "env", None))])
         return Exit.BAD_INPUT
     except KeyboardInterrupt:
-        screen.note("interrupted")
-        return Exit.INTERRUPTED
+        return _interrupted(ending)
     except BrokenPipeError:
         _say_no_more()
         return Exit.OK
@@ -82,8 +84,7 @@ def _main(arguments: Sequence[str] | None, ending: Ending) -> int:
         return Exit.BAD_INPUT
     except Exception as error:
         if ending.interrupted:  # the libraries make other errors of a Ctrl-C while they are imported
-            screen.note("interrupted")
-            return Exit.INTERRUPTED
+            return _interrupted(ending)
         if os.environ.get("CFGPLAN_TRACEBACK"):
             raise
         if isinstance(error, OSError) and error.errno in _FULL and not error.filename:
@@ -92,6 +93,14 @@ def _main(arguments: Sequence[str] | None, ending: Ending) -> int:
             return Exit.BAD_INPUT
         screen.internal_error(error)
         return Exit.INTERNAL
+
+
+def _interrupted(ending: Ending) -> Exit:
+    """Say so by nothing that may have been interrupted itself, while it was imported."""
+    ending.over()
+    with contextlib.suppress(OSError):
+        sys.stderr.write("interrupted\n")
+    return Exit.INTERRUPTED
 
 
 def _stand_in_for_closed_streams() -> None:

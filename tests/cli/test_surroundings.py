@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from command import MODELS, Run
 
-from cfgplan.cli.interrupts import ended_cleanly
+from cfgplan.cli.interrupts import Interrupts, ended_cleanly
 from cfgplan.planners import cpsat
 
 NAO = MODELS / "nao"
@@ -123,6 +123,58 @@ def test_what_a_library_makes_of_ctrl_c_is_an_interruption(run: Run, monkeypatch
     result = run("solve", FUSION)
     assert result.code == 130
     assert "interrupted" in result.err
+
+
+def test_an_interrupted_start_of_a_run_is_an_interruption_too(
+    run: Run, monkeypatch: pytest.MonkeyPatch, write: Callable[[str], Path]
+) -> None:
+    def interrupted(*_: Any, **__: Any) -> Any:
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        raise ImportError("initialization failed")
+
+    monkeypatch.setattr("cfgplan_runtime.operating.operation.Operation", interrupted)
+    result = run("run", write("transformations: []\n"), "--no-estimates")
+    assert (result.code, result.err) == (130, "interrupted\n")
+
+
+def test_what_the_first_interrupt_lets_go_is_not_interrupted_by_the_second() -> None:
+    done = False
+    with pytest.raises(KeyboardInterrupt), Interrupts() as interrupts:
+        try:
+            signal.raise_signal(signal.SIGINT)
+        finally:
+            signal.raise_signal(signal.SIGINT)
+            done = True
+    assert (done, interrupts.count) == (True, 2)
+
+
+@pytest.mark.parametrize("when", ["sys.stderr = Bell()", "atexit.register(ring)"])
+def test_a_second_ctrl_c_is_an_interruption_like_the_first(when: str) -> None:
+    """It comes while the first is told, or when Python is about to end."""
+    code = f"""
+import atexit, signal, sys
+import cfgplan.api
+from cfgplan.cli import main
+
+def ring(*_):
+    signal.raise_signal(signal.SIGINT)
+
+class Bell:
+    write = ring
+    isatty = flush = lambda self: None
+
+def load(*_, **__):
+    {when}
+    ring()
+
+cfgplan.api.load = load
+sys.argv[1:] = ["check", "env.yaml"]
+sys.exit(main())
+"""
+    done = subprocess.run([sys.executable, "-c", code], check=False, timeout=120, capture_output=True)
+    assert done.returncode == 130
+    assert b"Traceback" not in done.stderr
 
 
 def test_sigterm_lets_a_command_clear_away_what_it_has_made() -> None:
