@@ -12,6 +12,7 @@ from cfgplan.planners.cpsat.bounds import Bound
 from cfgplan.planners.cpsat.engine import OnSolution, repeatable_solver, solve
 from cfgplan.planners.cpsat.greedy import first_plan
 from cfgplan.planners.cpsat.tightening import tightened
+from cfgplan.planners.fleet.anywhere import Anywhere
 from cfgplan.planners.fleet.best_case import least_prices_us
 from cfgplan.planners.fleet.decode import lean, named
 from cfgplan.planners.fleet.flat import Fact, Flat, Met
@@ -59,6 +60,8 @@ class FlatSearch:
             if label not in left:
                 self.model.cp.add_bool_or([uses.negated()])
         standing.counts |= {"landmarks": len(landmarks), "left by bounds": len(left)}
+        if flat.candidates.environment.hosts:
+            Anywhere(flat, most, standing.clock).add_to(self.model)
         if any(target.quality for target in flat.candidates.environment.targets):
             self._ask_for_quality()
         self.model.ground()
