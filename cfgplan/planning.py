@@ -8,7 +8,7 @@ from enum import StrEnum
 from functools import cached_property
 from typing import Protocol
 
-from cfgplan.costs import LARGEST_COST_US, start_cost_us, transfer_cost_us
+from cfgplan.costs import LARGEST_COST_US, standby_cost_us, start_cost_us, transfer_cost_us
 from cfgplan.domain import ChangeSet, Environment, Similarity, Transformation
 from cfgplan.errors import InputError, InvalidValueError
 from cfgplan.qualities import price_us
@@ -54,10 +54,7 @@ class Problem:
             raise InvalidValueError(f"the horizon is {self.horizon_s} seconds, but must be at least 0")
         if self.max_cost_us is not None and self.max_cost_us < 0:
             raise InvalidValueError("the largest cost allowed is negative")
-        library = self.environment.transformation
-        labels = [*library, *(u.transformation for u in self.environment.units if u.transformation in library)]
-        total = sum(start_cost_us(library[label], self.horizon_s) for label in labels)
-        if (total if self.is_plain else self._largest_cost_us(total)) > LARGEST_COST_US:
+        if self.largest_cost_us(self.horizon_s) > LARGEST_COST_US:
             raise InvalidValueError(
                 "the costs add up to more than can be computed exactly: shorten the horizon or lower the costs"
             )
@@ -89,11 +86,21 @@ class Problem:
         usual = 1 if self.survive is None else 2
         return min(max(usual, transformation.min_instances), MOST_INSTANCES)
 
-    def _largest_cost_us(self, once_us: int) -> int:
+    def largest_cost_us(self, horizon_s: int) -> int:
+        """What no plan exceeds over a horizon in seconds."""
+        library = self.environment.transformation
+        labels = [*library, *(u.transformation for u in self.environment.units if u.transformation in library)]
+        if self.is_plain:
+            return sum(start_cost_us(library[label], horizon_s) for label in labels)
+        units = [library[label] for label in labels]
+        once_us = sum(max(start_cost_us(t, horizon_s), standby_cost_us(t, horizon_s)) for t in units)
+        return self._largest_fleet_cost_us(once_us, horizon_s)
+
+    def _largest_fleet_cost_us(self, once_us: int, horizon_s: int) -> int:
         environment = self.environment
         copies = max((self.most_new(t) for t in environment.library), default=1)
         outputs = [port for t in environment.library for port in t.outputs]
-        carried = sum(transfer_cost_us(port, self.horizon_s, environment.transfer_us) for port in outputs)
+        carried = sum(transfer_cost_us(port, horizon_s, environment.transfer_us) for port in outputs)
         prices = sum(
             price_us(attribute, wish, attribute.worst)
             for target in environment.targets

@@ -65,7 +65,7 @@ def _reach(found: Sensitivity, span: Span) -> str:
 
 def _cost(found: Sensitivity, span: Span) -> str:
     if found.transformation is None:
-        return f"{cpu(span.line.fixed_us)} of labor and {cpu(span.line.each_us)}/s of upkeep"
+        return f"{cpu(span.line.fixed_us)} once and {cpu(span.line.each_us)}/s"
     if not span.line.each_us:
         return f"{cpu(span.line.fixed_us)}, without {found.transformation}"
     return f"{cpu(span.line.fixed_us)} and {span.line.each_us} s times its upkeep"

@@ -42,10 +42,11 @@ def alternatives(problem: Problem, planner: Planner, count: int, *, time_limit_s
     and must not run, and the part that can hold the cheapest is looked at next. None if there is no plan; the plan
     alone if it is not proven optimal.
     """
-    unknown = problem.notions & {Notion.INSTANCES, Notion.SURVIVAL}
-    if unknown:
-        asked = " and ".join(sorted(unknown))
-        raise InputError.of(f"alternatives are not known with {asked}", mend="ask for the plan alone")
+    if Notion.SURVIVAL in problem.notions:
+        raise InputError.of(
+            "alternatives are told apart by what serves targets, and spares for the survival of failures serve none",
+            mend="solve with --without NAME for what else there is, or with --survive 0",
+        )
     end_s = None if time_limit_s is None else time.monotonic() + time_limit_s
     best = planner(problem, time_limit_s=time_limit_s)
     if best.status is not Status.OPTIMAL:
@@ -78,7 +79,11 @@ class _Ranking:
         environment = problem.environment
         self._possible = startable(environment, Givers(environment.library, problem.similarity))
         running = {unit.transformation for unit in environment.units}
-        self._kept = frozenset(t.label for t in environment.library if t.pinned and t.label in running & self._possible)
+        self._kept = frozenset(
+            t.label
+            for t in environment.library
+            if t.min_instances or (t.pinned and t.label in running & self._possible)
+        )
         self._required = frozenset(t.label for t in environment.library if t.required)
         self._cost_us = {
             t.label: (keep_cost_us if t.label in running else start_cost_us)(t, problem.horizon_s)

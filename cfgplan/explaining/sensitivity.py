@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import pairwise
 
-from cfgplan.costs import LARGEST_COST_US, start_cost_us
-from cfgplan.domain import Environment, Transformation
+from cfgplan.costs import LARGEST_COST_US, standby_cost_us
+from cfgplan.domain import Environment
 from cfgplan.errors import InputError
 from cfgplan.explaining.why_this import after_update
 from cfgplan.planning import Plan, Planner, Problem, Status
+from cfgplan.validity.placing import carried_us
 
 
 @dataclass(frozen=True, order=True)
@@ -73,58 +74,50 @@ class Sensitivity:
 def horizon_sensitivity(problem: Problem, planner: Planner) -> Sensitivity:
     """Which plan is optimal for which horizon, from 0 on for ever, whatever the largest cost is.
 
-    No spans if there is no plan. The planner is asked about three times for each span. Raises InputError for a
-    problem that asks more than the paper: its costs are no straight lines.
+    No spans if there is no plan. The planner is asked about three times for each span. Raises InputError where streams
+    between hosts cost a fraction of a microsecond each second: such costs are rounded, and no straight lines.
     """
-    _refuse_notions(problem)
-    environment = problem.environment
-    library = environment.transformation
+    _refuse_rounding(problem)
+    library = problem.environment.transformation
 
     def at(horizon_s: int) -> Problem:
         return replace(problem, horizon_s=horizon_s, max_cost_us=None)
 
-    def line(plan: Plan) -> Line:
-        after = after_update(problem, plan)
-        return Line(
-            sum(library[u.transformation].labor_us for u in after.units if u.id not in environment.unit),
-            sum(library[u.transformation].upkeep_us for u in after.units),
+    def each_us(after: Environment) -> int:
+        units = sum(
+            library[u.transformation].upkeep_us if not u.standby else standby_cost_us(library[u.transformation], 1)
+            for u in after.units
         )
+        return units + carried_us(after, 1)
 
-    # Beyond the sum of all labor no saving of labor is worth a microsecond more of upkeep each second.
-    enough = max(1 + sum(t.labor_us for t in environment.library), problem.horizon_s)
-    each_us = sum(t.upkeep_us for t in (*environment.library, *_running(environment)))
-    most = (LARGEST_COST_US - enough) // max(each_us, 1)
-    return _sensitivity(_Envelope(problem, planner, at, line), problem.horizon_s, enough, most, None)
+    # Beyond all that is paid once no saving of it is worth a microsecond more each second.
+    once_us = problem.largest_cost_us(0)
+    most = (LARGEST_COST_US - once_us) // max(problem.largest_cost_us(1) - once_us, 1)
+    enough = max(1 + once_us, problem.horizon_s)
+    return _sensitivity(_Envelope(problem, planner, at, each_us), problem.horizon_s, enough, most, None)
 
 
 def upkeep_sensitivity(problem: Problem, planner: Planner, label: str) -> Sensitivity:
     """Which plan is optimal for which upkeep of a transformation, from 0 on for ever, whatever the largest cost is.
 
-    Where the horizon is 0, upkeep does not matter and there is one span. Raises InputError, see above.
+    Where the horizon is 0, upkeep does not matter and there is one span. Raises InputError where hosts limit CPU time:
+    what fits on them changes with the upkeep.
     """
-    _refuse_notions(problem)
+    _refuse_limits(problem)
     environment = problem.environment
-    library = environment.transformation
 
     def at(upkeep_us: int) -> Problem:
         changed = (replace(t, upkeep_us=upkeep_us) if t.label == label else t for t in environment.library)
         return replace(problem, environment=replace(environment, library=tuple(changed)), max_cost_us=None)
 
-    def line(plan: Plan) -> Line:
-        after = after_update(problem, plan)
-        labor = sum(library[u.transformation].labor_us for u in after.units if u.id not in environment.unit)
-        others = sum(library[u.transformation].upkeep_us for u in after.units if u.transformation != label)
-        units = sum(unit.transformation == label for unit in after.units)
-        return Line(labor + others * problem.horizon_s, units * problem.horizon_s)
+    def each_us(after: Environment) -> int:
+        return problem.horizon_s * sum(u.transformation == label and not u.standby for u in after.units)
 
     # With more upkeep each second than all else can cost, it is used only where it must be.
-    instances = (*environment.library, *_running(environment))
-    rest = sum(start_cost_us(t, problem.horizon_s) for t in instances if t.label != label)
-    labor = sum(t.labor_us for t in instances if t.label == label)
-    enough = max(1 + rest + labor, library[label].upkeep_us)
-    units = sum(t.label == label for t in instances)
-    most = (LARGEST_COST_US - rest - labor) // max(units * problem.horizon_s, 1)
-    return _sensitivity(_Envelope(problem, planner, at, line), library[label].upkeep_us, enough, most, label)
+    rest = at(0).largest_cost_us(problem.horizon_s)
+    most = (LARGEST_COST_US - rest) // max(at(1).largest_cost_us(problem.horizon_s) - rest, 1)
+    value = environment.transformation[label].upkeep_us
+    return _sensitivity(_Envelope(problem, planner, at, each_us), value, max(1 + rest, value), most, label)
 
 
 def _sensitivity(envelope: _Envelope, value: int, enough: int, most: int, label: str | None) -> Sensitivity:
@@ -144,13 +137,17 @@ class _Envelope:
     """
 
     def __init__(
-        self, problem: Problem, planner: Planner, at: Callable[[int], Problem], line: Callable[[Plan], Line]
+        self,
+        problem: Problem,
+        planner: Planner,
+        at: Callable[[int], Problem],
+        each_us: Callable[[Environment], int],
     ) -> None:
         self.exact = True
         self._problem = problem
         self._planner = planner
         self._at = at
-        self._line = line
+        self._each_us = each_us
         self._plans: dict[Line, Plan] = {}
         self._best: dict[int, Line | None] = {}
 
@@ -184,9 +181,10 @@ class _Envelope:
         if value not in self._best:
             plan = self._planner(self._at(value))
             self.exact &= plan.status in (Status.OPTIMAL, Status.INFEASIBLE)
-            self._best[value] = None if plan.change_set is None else self._line(plan)
-            line = self._best[value]
-            if line is not None:
+            self._best[value] = None
+            if plan.cost_us is not None and plan.change_set is not None:
+                each_us = self._each_us(after_update(self._problem, plan))
+                line = self._best[value] = Line(plan.cost_us - each_us * value, each_us)
                 self._plans.setdefault(line, plan)
         return self._best[value]
 
@@ -205,13 +203,24 @@ def _crossing(one: Line, other: Line) -> Fraction:
     return Fraction(other.fixed_us - one.fixed_us, one.each_us - other.each_us)
 
 
-def _running(environment: Environment) -> Iterator[Transformation]:
-    """The transformation of each running unit."""
-    library = environment.transformation
-    return (library[u.transformation] for u in environment.units if u.transformation in library)
+def _refuse_rounding(problem: Problem) -> None:
+    price_us = problem.environment.transfer_us
+    for transformation in problem.environment.library if problem.environment.hosts else ():
+        for port in transformation.outputs:
+            if port.bytes_per_s * price_us % 1_000_000:
+                each_us = port.bytes_per_s * price_us / 1_000_000
+                raise InputError.of(
+                    f"to carry {transformation.label}/{port.name} costs {each_us:g} microseconds each second, which is "
+                    "rounded for each horizon: the least cost has no exact break points",
+                    mend="choose `transfer` so that whole microseconds come out, or solve with several --horizon",
+                )
 
 
-def _refuse_notions(problem: Problem) -> None:
-    if problem.notions:
-        asked = " and ".join(sorted(problem.notions))
-        raise InputError.of(f"sensitivity is not known with {asked}", mend="ask for plans with several values instead")
+def _refuse_limits(problem: Problem) -> None:
+    for host in problem.environment.hosts:
+        if host.cpu_us is not None:
+            raise InputError.of(
+                f"host {host.name} limits CPU time: what fits on it changes with the upkeep, so that the least cost "
+                "jumps",
+                mend="solve with several values, such as --set T.upkeep=0.1, or leave the limit out",
+            )

@@ -23,7 +23,7 @@ def test_it_says_for_which_horizons_the_plan_is_optimal_and_what_comes_next(
     result = run("sensitivity", write(TWO_WAYS))
     assert result.code == 0
     assert "The plan for a horizon of 10 s is optimal from 0 s to about 26.666667 s." in result.out
-    assert "from about 26.666667 s on: 9 s of labor and 0.2 s/s of upkeep\n    + dear\n    - cheap" in result.out
+    assert "from about 26.666667 s on: 9 s once and 0.2 s/s\n    + dear\n    - cheap" in result.out
 
 
 def test_its_json_has_the_exact_break_points(run: Run, write: Callable[[str], Path]) -> None:
@@ -37,6 +37,17 @@ def test_the_upkeep_of_a_transformation_can_vary(run: Run, write: Callable[[str]
     assert "The plan for cheap with an upkeep of 0.5 s/s is optimal from 0 s/s to 1 s/s." in result.out
     assert "from 1 s/s on: 11 s, without cheap" in result.out
     assert run("sensitivity", write(TWO_WAYS), "--upkeep-of", "cheep").code == 30
+
+
+def test_a_fleet_has_break_points_too_where_its_costs_are_straight_lines(
+    run: Run, write: Callable[[str], Path]
+) -> None:
+    fleet = f"hosts: [{{name: h, cpu: 1}}, {{name: g}}]\n{TWO_WAYS}"
+    assert run("sensitivity", write(fleet), "--json").document["breaks"] == ["80/3"]
+    limited = run("sensitivity", write(fleet), "--upkeep-of", "cheap")
+    assert (limited.code, "host h limits CPU time" in limited.err) == (30, True)
+    rounded = run("sensitivity", MODELS / "fleet" / "1-start.yaml")
+    assert (rounded.code, "costs 1.5 microseconds each second" in rounded.err) == (30, True)
 
 
 @pytest.mark.parametrize("options", [(), ("--upkeep-of", "air_flow_meter")])

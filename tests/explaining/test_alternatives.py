@@ -6,6 +6,7 @@ import os
 from dataclasses import replace
 from itertools import combinations
 
+from fleets import fleets
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from worlds import problems
@@ -13,7 +14,7 @@ from worlds import problems
 from cfgplan.domain import Environment, OutputPort, Similarity, Target, Transformation
 from cfgplan.explaining import alternatives
 from cfgplan.planners import PLANNERS
-from cfgplan.planning import Plan, Problem, Status
+from cfgplan.planning import Notion, Plan, Problem, Status
 from cfgplan.reasons import Givers, startable
 from cfgplan.validity import plan_violations
 
@@ -43,7 +44,7 @@ def every_configuration(problem: Problem) -> dict[frozenset[str], tuple[int, int
     environment = problem.environment
     possible = startable(environment, Givers(environment.library, problem.similarity))
     running = {unit.transformation for unit in environment.units}
-    pinned = {t.label for t in environment.library if t.pinned and t.label in running & possible}
+    pinned = {t.label for t in environment.library if (t.pinned and t.label in running & possible) or t.min_instances}
     really = {t.label for t in environment.library if t.required}
     others = [t for t in environment.library if t.label not in pinned]
     found = {}
@@ -66,7 +67,14 @@ def every_configuration(problem: Problem) -> dict[frozenset[str], tuple[int, int
 
 
 @many
-@given(problems(most=4), st.integers(1, 6))
+@given(
+    st.one_of(
+        problems(most=4),
+        fleets(frozenset({Notion.INSTANCES}), most=3),
+        fleets(frozenset({Notion.INSTANCES, Notion.CONFLICTS, Notion.QUALITY}), most=3),
+    ),
+    st.integers(1, 6),
+)
 def test_they_are_the_best_of_all_that_run_something_else_in_order(problem: Problem, count: int) -> None:
     assume(cpsat(problem).change_set)
     found = alternatives(problem, cpsat, count)

@@ -6,14 +6,18 @@ import os
 from dataclasses import replace
 from fractions import Fraction
 
+import pytest
+from fleets import fleets
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from worlds import problems
 
+from cfgplan.costs import LARGEST_COST_US
 from cfgplan.domain import Environment, OutputPort, Similarity, Target, Transformation
+from cfgplan.errors import InputError, InvalidValueError
 from cfgplan.explaining import Sensitivity, horizon_sensitivity, upkeep_sensitivity
 from cfgplan.planners import PLANNERS
-from cfgplan.planning import Plan, Problem, Status
+from cfgplan.planning import Failures, Notion, Plan, Problem, Status
 
 EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "60"))
 many = settings(
@@ -22,6 +26,7 @@ many = settings(
     derandomize="CFGPLAN_EXAMPLES" not in os.environ,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much],
 )
+few = settings(many, max_examples=EXAMPLES // 2)
 cpsat = PLANNERS["cpsat"]
 
 
@@ -73,6 +78,58 @@ def test_the_least_cost_is_that_of_the_spans_at_every_upkeep(problem: Problem, d
     is_envelope(found, {value: cost_us(value) for value in (0, 1, 2, 3, 5, 8, 20, 100)})
 
 
+NOTIONS = [
+    frozenset({Notion.QUALITY, Notion.CONFLICTS}),
+    frozenset({Notion.INSTANCES}),
+    frozenset({Notion.HOSTS}),
+    frozenset({Notion.SURVIVAL}),
+]
+beyond_the_paper = st.sampled_from(NOTIONS).flatmap(
+    lambda notions: fleets(notions, most=2 if notions & {Notion.SURVIVAL, Notion.HOSTS} else 3)
+)
+
+
+def fleet_oracle(problem: Problem) -> int | None:
+    try:
+        return PLANNERS["exhaustive"](replace(problem, max_cost_us=None)).cost_us
+    except InputError:
+        return cpsat(replace(problem, max_cost_us=None)).cost_us
+
+
+@few
+@given(beyond_the_paper)
+def test_fleets_have_such_spans_of_horizons_too(problem: Problem) -> None:
+    try:
+        found = horizon_sensitivity(problem, cpsat)
+    except InputError as error:
+        assert problem.environment.transfer_us
+        assert "rounded" in str(error)
+        return
+    if found.spans:
+        values = [0, 1, 2, 3, 10, 100]
+        is_envelope(found, {value: fleet_oracle(replace(problem, horizon_s=value)) for value in values})
+    else:
+        assert fleet_oracle(problem) is None
+
+
+@few
+@given(beyond_the_paper, st.data())
+def test_fleets_have_such_spans_of_upkeeps_too(problem: Problem, data: st.DataObject) -> None:
+    environment = problem.environment
+    unlimited = tuple(replace(host, cpu_us=None) for host in environment.hosts)
+    label = data.draw(st.sampled_from(sorted(environment.transformation)))
+    problem = replace(problem, environment=replace(environment, hosts=unlimited))
+    found = upkeep_sensitivity(problem, cpsat, label)
+    assume(found.spans)
+
+    def cost_us(upkeep_us: int) -> int | None:
+        library = problem.environment.library
+        changed = tuple(replace(t, upkeep_us=upkeep_us) if t.label == label else t for t in library)
+        return fleet_oracle(replace(problem, environment=replace(problem.environment, library=changed)))
+
+    is_envelope(found, {value: cost_us(value) for value in (0, 1, 2, 3, 8, 100)})
+
+
 def ways(*costs: tuple[int, int], horizon_s: int = 1) -> Problem:
     """One target, and a transformation for each labor and upkeep."""
     library = [
@@ -99,6 +156,16 @@ def test_the_upkeep_at_which_another_way_is_cheaper_is_found() -> None:
     found = upkeep_sensitivity(ways((2, 3), (5, 7), horizon_s=10), cpsat, "t0")
     assert found.breaks == (Fraction(73, 10),)
     assert [span.line.each_us for span in found.spans] == [10, 0]
+
+
+def test_a_cold_spare_may_cost_more_than_what_runs() -> None:
+    ready = Transformation("t", (), (OutputPort("o", "A"),), standby_us=1)
+    environment = Environment((), (ready,), (Target("t", "A", "/t"),))
+    problem = Problem(environment, Similarity({"A": frozenset({"A"})}), 1, survive=Failures.UNITS)
+    found = upkeep_sensitivity(problem, cpsat, "t")
+    assert [(span.line.fixed_us, span.line.each_us) for span in found.spans] == [(0, 2), (1, 1)]
+    with pytest.raises(InvalidValueError, match="more than can be computed exactly"):
+        replace(problem, horizon_s=LARGEST_COST_US)
 
 
 def test_costs_that_grow_beyond_what_is_exact_end_the_last_span() -> None:
