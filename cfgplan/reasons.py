@@ -101,14 +101,16 @@ def forward_closure(environment: Environment, givers: Givers, alive: frozenset[s
         if missing[label] == 0:
             ahead.append(label)
     demanded_by = _demands_on(waiting, givers)
-    crowded = [label for label in sorted(alive) if distinct_groups(environment.transformation[label])]
+    crowded = dict.fromkeys(label for label in sorted(alive) if distinct_groups(environment.transformation[label]))
     reached: set[str] = set()
     fed_tags: set[str] = set()
     while ahead:
         while ahead:
             givers.watch()
             label = ahead.pop()
-            if label in reached or not _groups_can_be_fed(environment.transformation[label], givers, reached, alive):
+            if label in reached or (
+                label in crowded and not _groups_can_be_fed(environment.transformation[label], givers, reached, alive)
+            ):
                 continue
             reached.add(label)
             for tag in demanded_by.get(label, ()):

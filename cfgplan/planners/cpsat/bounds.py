@@ -8,7 +8,7 @@ Helmert and Domshlak 2009). A zone stays good whatever costs become, so a sessio
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -26,7 +26,7 @@ def cheapest_way(core: Core, cost: Ints, above: Ints | None = None) -> tuple[Int
     while True:
         labels = core.most_of_needs(facts)
         better = np.minimum(facts, core.least_of_givers(labels[:-1] + cost))
-        if np.array_equal(better, facts):
+        if (better == facts).all():
             return facts, labels
         facts = better
 
@@ -39,12 +39,12 @@ class Landmark:
     members: Ints
 
 
-def landmark_of(core: Core, zone: Ints) -> Landmark:
+def landmark_of(core: Core, zone: Iterable[int]) -> Landmark:
     """The landmark of a zone of the core's facts."""
-    needs_it = np.zeros(core.goal + 1, np.bool_)
-    needs_it[core.needed_by.gathered(zone)] = True
-    givers = core.givers.gathered(zone)
-    return Landmark(zone, np.unique(givers[~needs_it[givers]]))
+    givers, needed_by = core.givers.lists, core.needed_by.lists
+    facts = list(zone)
+    members = set().union(*[givers[fact] for fact in facts]).difference(*[needed_by[fact] for fact in facts])
+    return Landmark(np.array(facts, np.int64), np.array(sorted(members), np.int64))
 
 
 @dataclass
@@ -100,30 +100,30 @@ class Bound:
             if self.value >= enough or not len(wanted) or is_over():
                 return
             goal = int(wanted[np.argmax(facts[wanted])])
-            landmark = self._first_ways_into(goal, facts)
-            weight = self.charge(landmark) if facts[goal] else 0
+            weight = 0
+            if facts[goal]:
+                landmark = self._first_ways_into(goal, facts.tolist())
+                weight = self.charge(landmark)
             if not weight:
                 return
             self.landmarks.append(landmark)
             self.weights.append(weight)
             facts, _ = cheapest_way(self.core, self.residual, facts)
 
-    def _first_ways_into(self, goal: int, facts: Ints) -> Landmark:
+    def _first_ways_into(self, goal: int, facts: list[int]) -> Landmark:
         """The landmark of the zone from which `goal` comes free by the dearest needs."""
-        core = self.core
+        givers, needs = self.core.givers.lists, self.core.needs.lists
+        residual = self.residual.tolist()
         zone = [goal]
         seen = {goal}
         for fact in zone:
-            givers = core.givers[fact]
-            for label in givers[self.residual[givers] == 0].tolist():
-                needs = core.needs[label]
-                if not len(needs):
-                    continue
-                need = int(needs[np.argmax(facts[needs])])
-                if need not in seen:
-                    seen.add(need)
-                    zone.append(need)
-        return landmark_of(core, np.array(zone))
+            for label in givers[fact]:
+                if not residual[label] and needs[label]:
+                    need = max(needs[label], key=facts.__getitem__)
+                    if need not in seen:
+                        seen.add(need)
+                        zone.append(need)
+        return landmark_of(self.core, zone)
 
     def may_be_used(self, limit: int) -> Flags:
         """Which labels may be in a plan that costs at most `limit` (reduced-cost fixing); none if no plan does."""

@@ -40,7 +40,7 @@ def _charges(core: Core, facts: Ints, before: Ints, end: int) -> Ints:
         entered = core.most_of_gifts(level)
         higher = level.copy()
         np.maximum.at(higher, dearest, np.minimum(entered, before)[labels])
-        if np.array_equal(higher, level):
+        if (higher == level).all():
             charges: Ints = np.maximum(entered - before, 0)[:-1]
             return charges
         level = higher

@@ -18,6 +18,9 @@ def best_weights(members: list[Ints], cost: Ints, time_limit_s: float | None) ->
     """
     if not members or (time_limit_s is not None and sum(map(len, members)) * BUILDING_S > time_limit_s):
         return []
+    shares = _cheapest_of_alike(members, cost)
+    if all(len(charging) == 1 for charging in shares):
+        return [int(cost[labels].min()) for labels in members]
     from ortools.linear_solver import pywraplp  # type: ignore[import-untyped]
 
     began = time.monotonic()
@@ -29,7 +32,7 @@ def best_weights(members: list[Ints], cost: Ints, time_limit_s: float | None) ->
     objective.SetMaximization()
     for weight in weights:
         objective.SetCoefficient(weight, 1.0)
-    for charging, least in _cheapest_of_alike(members, cost).items():
+    for charging, least in shares.items():
         row = solver.RowConstraint(-solver.infinity(), least / unit, "")
         for i in charging:
             row.SetCoefficient(weights[i], 1.0)

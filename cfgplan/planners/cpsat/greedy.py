@@ -68,19 +68,19 @@ def support_of(network: Graph, cost: Ints, label: int) -> set[int]:
     return set() if total is None else _below(network, [label], total) - {label}
 
 
-def _total(network: Graph, price: Floats) -> Floats | None:
+def _total(network: Graph, price: Floats) -> list[float] | None:
     """h_add of each label with its own price; None if the goal is out of reach."""
     facts = np.full(len(network.core.givers), np.inf)
     while True:
         labels = network.core.sum_of_needs(facts)
         total = labels[:-1] + price
         better = network.core.least_of_givers(total)
-        if np.array_equal(better, facts):
-            return total if np.isfinite(labels[network.core.goal]) else None
+        if (better == facts).all():
+            return total.tolist() if np.isfinite(labels[network.core.goal]) else None
         facts = better
 
 
-def _below(network: Graph, labels: list[int], total: Floats) -> set[int]:
+def _below(network: Graph, labels: list[int], total: list[float]) -> set[int]:
     """The cheapest giver of each fact that some labels need, and so on down, and these labels but the goal."""
     chosen = set(labels)
     fed: set[int] = set()
@@ -93,27 +93,24 @@ def _below(network: Graph, labels: list[int], total: Floats) -> set[int]:
     return chosen - {network.core.goal}
 
 
-def _feeders(network: Graph, label: int, total: Floats, fed: set[int]) -> list[int]:
+def _feeders(network: Graph, label: int, total: list[float], fed: set[int]) -> list[int]:
     feeders = []
-    for fact in network.core.needs[label].tolist():
+    for fact in network.core.needs.lists[label]:
         if fact not in fed:
             fed.add(fact)
-            givers = network.core.givers[fact]
-            feeders.append(int(givers[np.argmin(total[givers])]))
+            feeders.append(min(network.core.givers.lists[fact], key=total.__getitem__))
     if label in network.special:
         transformation = network.transformations[label]
         for group in distinct_groups(transformation):
             by_price = {
-                port.name: sorted(
-                    network.core.givers[network.fact_of_tag[port.tag]].tolist(), key=lambda i: (total[i], i)
-                )
+                port.name: sorted(network.core.givers.lists[network.fact_of_tag[port.tag]], key=lambda i: (total[i], i))
                 for port in group
             }
             feeders += [network.number[i] for i in _assigned(network, by_price)]
         for port in transformation.inputs:
             if port.feedback:
-                givers = network.core.givers[network.fact_of_tag[port.tag]]
-                feeders.append(int(givers[np.argmin(total[givers])]))
+                givers = network.core.givers.lists[network.fact_of_tag[port.tag]]
+                feeders.append(min(givers, key=total.__getitem__))
     return feeders
 
 
@@ -124,14 +121,15 @@ def _assigned(network: Graph, by_price: dict[str, list[int]]) -> list[str]:
 
 def _without_redundant(network: Graph, cost: Ints, chosen: set[int]) -> set[int]:
     """Drop, the dearest first, what the rest can do without."""
+    gives_of, needs = network.core.gives.lists, network.core.needs.lists
     givers_left: dict[int, int] = {}
     for label in chosen:
-        for fact in network.core.gives[label].tolist():
+        for fact in gives_of[label]:
             givers_left[fact] = givers_left.get(fact, 0) + 1
-    needed = {fact for label in (*chosen, network.core.goal) for fact in network.core.needs[label].tolist()}
+    needed = set().union(*[needs[label] for label in (*chosen, network.core.goal)])
     pinned = set(network.pinned)
     for label in sorted(chosen, key=lambda label: (-cost[label], label)):
-        gives = network.core.gives[label].tolist()
+        gives = gives_of[label]
         if label in pinned or any(fact in needed and givers_left[fact] == 1 for fact in gives):
             continue
         rest = chosen - {label}
@@ -148,7 +146,7 @@ def is_plan(network: Graph, chosen: set[int]) -> bool:
     missing: dict[int, int] = {}
     ahead: list[int] = []
     for label in (*sorted(chosen), network.core.goal):
-        needs = network.core.needs[label].tolist()
+        needs = network.core.needs.lists[label]
         missing[label] = len(needs)
         for fact in needs:
             waiting.setdefault(fact, []).append(label)
@@ -159,7 +157,7 @@ def is_plan(network: Graph, chosen: set[int]) -> bool:
         if label in network.special and not _special_inputs_are_fed(network, label, before, chosen):
             return False
         before.add(label)
-        for fact in network.core.gives[label].tolist() if label != network.core.goal else ():
+        for fact in network.core.gives.lists[label] if label != network.core.goal else ():
             for consumer in waiting.pop(fact, ()):
                 missing[consumer] -= 1
                 if missing[consumer] == 0:
@@ -172,7 +170,7 @@ def _special_inputs_are_fed(network: Graph, label: int, before: set[int], chosen
     transformation = network.transformations[label]
 
     def feeders(tag: str, among: set[int]) -> list[str]:
-        return [network.labels[i] for i in network.core.givers[network.fact_of_tag[tag]].tolist() if i in among]
+        return [network.labels[i] for i in network.core.givers.lists[network.fact_of_tag[tag]] if i in among]
 
     return all(feeders(p.tag, chosen) for p in transformation.inputs if p.feedback) and all(
         assign_different({p.name: feeders(p.tag, chosen if p.feedback else before) for p in group}) is not None

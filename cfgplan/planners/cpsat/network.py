@@ -49,13 +49,10 @@ class Rows:
     def __getitem__(self, row: int) -> Ints:
         return self.items[self.starts[row] : self.starts[row + 1]]
 
-    def gathered(self, rows: Ints) -> Ints:
-        """The items of some rows, one row after the other."""
-        first = self.starts[rows]
-        counts = self.starts[rows + 1] - first
-        ends = np.cumsum(counts)
-        items: Ints = self.items[np.repeat(first - ends + counts, counts) + np.arange(ends[-1] if len(ends) else 0)]
-        return items
+    @cached_property
+    def lists(self) -> dict[int, list[int]]:
+        """The rows as plain lists, each made when it is asked for."""
+        return _Lists(self)
 
     @cached_property
     def row_of_item(self) -> Ints:
@@ -72,6 +69,16 @@ class Rows:
         stays = rows[self.row_of_item] & (items >= 0)
         counts = np.bincount(self.row_of_item[stays], minlength=len(self))[rows]
         return Rows(_starts(counts), items[stays])
+
+
+class _Lists(dict[int, list[int]]):
+    def __init__(self, rows: Rows) -> None:
+        self._rows = rows
+
+    def __missing__(self, row: int) -> list[int]:
+        found: list[int] = self._rows[row].tolist()
+        self[row] = found
+        return found
 
 
 def _starts(counts: npt.ArrayLike) -> Ints:

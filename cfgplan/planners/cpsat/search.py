@@ -26,6 +26,8 @@ from cfgplan.planners.cpsat.standing import Stage, Standing
 
 SMALL = 1000
 """With fewer booleans than this, probing and looking for symmetries take longer than they save."""
+TINY = 400
+"""With fewer than this, so does presolving for a second time."""
 EXACT = 2**50
 """Up to here the solver's bound, a double, is exact."""
 LARGEST = 2**62
@@ -187,7 +189,11 @@ class Search:
 
     def solver(self) -> CpSolver:
         """An engine for one round, with the time that is left."""
-        return repeatable_solver(small=len(self.model.literals) < SMALL, time_limit_s=self.standing.clock.left_s())
+        size = len(self.model.literals)
+        solver = repeatable_solver(small=size < SMALL, time_limit_s=self.standing.clock.left_s())
+        if size < TINY:
+            solver.parameters.max_presolve_iterations = 1
+        return solver
 
     def hint(self) -> None:
         """Start from the incumbent's units."""

@@ -131,8 +131,9 @@ class PlannerSession:
             if left is not None:
                 return left
         limit = int(cost.sum()) if plan is None else weighing.of_plan(plan)
-        bound = Bound(structure.network.core, cost, list(structure.landmarks))
-        bound.recharge([weight * weighing.scale for weight in structure.weights])
+        landmarks, weights = structure.landmarks()
+        bound = Bound(structure.network.core, cost, landmarks)
+        bound.recharge([weight * weighing.scale for weight in weights])
         bound = tightened(bound, limit - weighing.step + 1, limit, clock)
         structure.remember(bound, weighing.scale)
         return Left.by(bound, limit)
@@ -182,6 +183,7 @@ class PlannerSession:
             return
         library = problem.environment.transformation
         dearest = max((library[network.labels[i]].labor_us for i in plan.tolist()), default=0)
-        bound = Bound(network.core, cost, list(structure.landmarks))
-        bound.recharge(structure.weights)
+        landmarks, weights = structure.landmarks()
+        bound = Bound(network.core, cost, landmarks)
+        bound.recharge(weights)
         self._rest = Rest.of(plan, cost, int(cost[plan].sum()) + dearest, bound, clock)

@@ -25,8 +25,9 @@ class Structure:
     givers: Givers
     possible: frozenset[str]
     network: Network
-    landmarks: list[Landmark] = field(default_factory=list)
-    weights: list[int] = field(default_factory=list)
+    _landmarks: list[Landmark] = field(default_factory=list)
+    _weights: list[int] = field(default_factory=list)
+    _bound: tuple[Bound, int] | None = None
 
     @classmethod
     def of(cls, problem: Problem, old: Structure | None, clock: Clock) -> Structure:
@@ -56,17 +57,24 @@ class Structure:
         return any(t.required for t in self.network.transformations)
 
     def remember(self, bound: Bound, scale: int) -> None:
-        """Keep the landmarks that counted for the next time, as landmarks of the whole network.
+        """Keep the landmarks that count for the next time. In the bound a microsecond weighs `scale`."""
+        self._bound = bound, scale
 
-        In the bound a microsecond weighs `scale`.
-        """
-        known = {landmark.zone.tobytes(): landmark for landmark in self.landmarks}
-        counted = [
-            (landmark.zone, weight) for landmark, weight in zip(bound.landmarks, bound.weights, strict=True) if weight
-        ]
-        zones = [bound.core.facts[zone] for zone, _ in counted]
-        self.landmarks = [known.get(zone.tobytes()) or landmark_of(self.network.core, zone) for zone in zones]
-        self.weights = [weight // scale for _, weight in counted]
+    def landmarks(self) -> tuple[list[Landmark], list[int]]:
+        """What is remembered, as landmarks of the whole network, and how much each was charged."""
+        if self._bound is not None:
+            (bound, scale), self._bound = self._bound, None
+            known = {landmark.zone.tobytes(): landmark for landmark in self._landmarks}
+            counted = [
+                (bound.core.facts[landmark.zone], weight // scale)
+                for landmark, weight in zip(bound.landmarks, bound.weights, strict=True)
+                if weight
+            ]
+            self._landmarks = [
+                known.get(zone.tobytes()) or landmark_of(self.network.core, zone.tolist()) for zone, _ in counted
+            ]
+            self._weights = [weight for _, weight in counted]
+        return list(self._landmarks), list(self._weights)
 
     def serves(self, problem: Problem) -> bool:
         """Whether the problem differs in nothing but running units and costs."""
