@@ -55,8 +55,8 @@ def add_matching(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-cache", action="store_true", help="neither read nor write the cache of matches")
 
 
-def add_planning(parser: argparse.ArgumentParser) -> None:
-    """Options of every verb that plans."""
+def add_planning(parser: argparse.ArgumentParser, what_if: str | None = None) -> None:
+    """Options of every verb that plans; `what_if` says when those for supposing are of use, if not always."""
     from cfgplan.api import PLANNER_NAMES
 
     parser.add_argument("--planner", choices=PLANNER_NAMES, default="cpsat", help="who plans (cpsat)")
@@ -67,7 +67,7 @@ def add_planning(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--timeout", type=positive, metavar="S", help="stop planning after S seconds with the best plan so far"
     )
-    supposing = parser.add_argument_group("what if")
+    supposing = parser.add_argument_group("what if", what_if)
     supposing.add_argument(
         "--without",
         action="append",

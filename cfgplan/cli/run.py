@@ -66,7 +66,7 @@ def add_to(verbs: shared.Subparsers) -> None:
     kept.add_argument("--estimates", metavar="FILE", help="where estimates are kept between runs (the state folder)")
     kept.add_argument("--no-estimates", action="store_true", help="neither read nor keep estimates")
     parser.add_argument("--preload", action="append", default=[], metavar="MODULE", help="import it before units start")
-    shared.add_planning(parser)
+    shared.add_planning(parser, "with --dry-run only; a run is changed by editing the file, or by `cfgplan ctl`")
     shared.add_matching(parser)
     shared.add_json(parser)
     # A life-cycle's planner remembers from plan to plan; one of PLANNERS is used if it is named.

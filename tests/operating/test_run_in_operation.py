@@ -240,6 +240,9 @@ def test_what_if_is_for_dry_runs(env: Path, capsys: pytest.CaptureFixture[str]) 
     assert "over the horizon of 60 s" in capsys.readouterr().out
     assert main(["run", str(env), *what_if]) == 30
     assert "are for trying out" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(["run", "--help"])
+    assert "what if:\n  with --dry-run only" in capsys.readouterr().out
 
 
 def test_units_that_the_file_says_run_are_not_believed(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
