@@ -1,0 +1,23 @@
+"""Frozen values in a canonical order: two are equal exactly when they mean the same, however they were written."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable
+from typing import TypeVar
+
+from cfgplan.errors import InvalidValueError
+
+T = TypeVar("T")
+
+
+def store_sorted(holder: object, name: str, values: Iterable[T], key: Callable[[T], object]) -> None:
+    """Put a tuple of a frozen dataclass in order, while that is being made."""
+    object.__setattr__(holder, name, tuple(sorted(values, key=key)))  # type: ignore[arg-type]
+
+
+def refuse_duplicates(what: str, names: list[str]) -> None:
+    """Raises InvalidValueError if a name is there twice."""
+    if len(set(names)) != len(names):
+        twice = sorted(name for name, times in Counter(names).items() if times > 1)
+        raise InvalidValueError(f"each {what} must be named once, but {', '.join(map(repr, twice))} is named again")

@@ -1,0 +1,147 @@
+"""What can be started: transformations with their tagged ports (paper, section IV-A, Definition 2)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from operator import attrgetter
+from types import MappingProxyType
+
+from cfgplan.canonical import refuse_duplicates, store_sorted
+from cfgplan.errors import InvalidValueError
+from cfgplan.qualities import Contribution
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class InputPort:
+    """A named input of a transformation and the tag that says what it needs.
+
+    Ports of one transformation in the same `distinct` group must be fed by different
+    transformations. A `feedback` port may close a cycle of the wiring.
+    """
+
+    name: str
+    tag: str
+    distinct: str | None = None
+    feedback: bool = False
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class OutputPort:
+    """A named output of a transformation and the tag that says what it gives.
+
+    `quality` says what it makes of each quality attribute. The stream has `rate_uhz` elements in a million
+    seconds, of `size_bytes` each: that is what it costs to cross from host to host.
+    """
+
+    name: str
+    tag: str
+    quality: tuple[Contribution, ...] = ()
+    rate_uhz: int = 0
+    size_bytes: int = 0
+
+    def __post_init__(self) -> None:
+        if self.quality:
+            store_sorted(self, "quality", self.quality, attrgetter("attribute"))
+            refuse_duplicates(f"quality attribute of output {self.name!r}", [q.attribute for q in self.quality])
+        if self.rate_uhz < 0 or self.size_bytes < 0:
+            raise InvalidValueError(f"output {self.name!r} has a negative rate or size")
+
+    @property
+    def bytes_per_s(self) -> int:
+        """What the stream carries, rounded up to a whole byte a second."""
+        return -(-self.rate_uhz * self.size_bytes // 1_000_000)
+
+
+START_MODES = ("all", "any", "aligned")
+
+
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """How the units of a transformation run; planning looks at `memory_mb` only, and where there are hosts only.
+
+    `start` says what starts a step: `all` inputs fresh, `any` input, inputs `aligned` in time within
+    `tolerance_us`, or a port's name. `rate_hz` is a source's. `queue` elements wait at each input; when full,
+    the oldest is dropped, or the producer waits if it `blocks`. A unit that is silent for `hang_us` (0: it
+    may be silent) or takes more than `memory_mb` megabytes is killed. With `state`, a new unit goes on with the
+    state of the last.
+    """
+
+    start: str = "all"
+    tolerance_us: int = 0
+    rate_hz: float | None = None
+    queue: int = 256
+    blocks: bool = False
+    hang_us: int | None = None
+    memory_mb: int | None = None
+    state: bool = False
+
+
+@dataclass(frozen=True)
+class Transformation:
+    """A streaming function that can be instantiated (Definition 2, section IV-A).
+
+    `labor_us` is the CPU time of one start in microseconds, `upkeep_us` the CPU time in
+    microseconds that a running unit takes each second. The running units of a `pinned`
+    transformation are kept even where no target needs them; a `required` one is used by some target
+    wherever that is possible at all (section V-C).
+
+    Where an environment has hosts, units run on `host`, or on one of `hosts` if that is None, or anywhere if
+    both are empty, and take `needs_mb` megabytes there. No unit is beside one of a transformation in `conflicts`.
+    At least `min_instances` units run; at most `max_instances` are there, cold spares counted. A cold spare takes
+    `standby_us` each second; None: it has none.
+    """
+
+    label: str
+    inputs: tuple[InputPort, ...] = ()
+    outputs: tuple[OutputPort, ...] = ()
+    labor_us: int = 0
+    upkeep_us: int = 0
+    pinned: bool = False
+    required: bool = False
+    source: str | None = None
+    host: str | None = None
+    kind: str | None = None
+    params: Mapping[str, object] = field(default_factory=dict, hash=False)
+    run: RunOptions = RunOptions()
+    hosts: tuple[str, ...] = ()
+    memory_mb: int | None = None
+    conflicts: tuple[str, ...] = ()
+    min_instances: int = 0
+    max_instances: int | None = None
+    standby_us: int | None = None
+
+    def __post_init__(self) -> None:
+        store_sorted(self, "inputs", self.inputs, attrgetter("name"))
+        store_sorted(self, "outputs", self.outputs, attrgetter("name"))
+        refuse_duplicates(
+            f"port of transformation {self.label!r}", [*(p.name for p in self.inputs), *(p.name for p in self.outputs)]
+        )
+        if self.labor_us < 0 or self.upkeep_us < 0:
+            raise InvalidValueError(f"transformation {self.label!r} has a negative cost")
+        if self.hosts or self.conflicts:
+            store_sorted(self, "hosts", self.hosts, str)
+            store_sorted(self, "conflicts", self.conflicts, str)
+            refuse_duplicates(f"host of transformation {self.label!r}", list(self.hosts))
+        if self.host is not None and self.hosts:
+            raise InvalidValueError(f"transformation {self.label!r} has a host and a choice of hosts")
+        if (self.memory_mb or 0) < 0 or (self.standby_us or 0) < 0:
+            raise InvalidValueError(f"transformation {self.label!r} takes less than nothing")
+        if self.min_instances < 0 or (self.max_instances is not None and self.max_instances < self.min_instances):
+            raise InvalidValueError(f"transformation {self.label!r} asks for more instances than it allows")
+
+    @property
+    def needs_mb(self) -> int:
+        """The megabytes that a unit takes on its host: `memory_mb`, or else the most that it may take."""
+        return (self.run.memory_mb or 0) if self.memory_mb is None else self.memory_mb
+
+    @cached_property
+    def input(self) -> Mapping[str, InputPort]:
+        """The input ports by name."""
+        return MappingProxyType({port.name: port for port in self.inputs})
+
+    @cached_property
+    def output(self) -> Mapping[str, OutputPort]:
+        """The output ports by name."""
+        return MappingProxyType({port.name: port for port in self.outputs})
