@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 from cfgplan.domain import Environment, InputPort, Similarity, Transformation
 from cfgplan.planning import Problem
 
 
-def unmet_reasons(problem: Problem) -> dict[str, str]:
-    """One short reason for each target, by its label, that no update can meet; empty if all can be met."""
+def unmet_reasons(
+    problem: Problem, givers: Givers | None = None, possible: frozenset[str] | None = None
+) -> dict[str, str]:
+    """One short reason for each target, by its label, that no update can meet; empty if all can be met.
+
+    `givers` and what is `startable` may be given by who knows them already.
+    """
     environment = problem.environment
-    givers = Givers(environment.library, problem.similarity)
-    possible = startable(environment, givers)
+    givers = Givers(environment.library, problem.similarity) if givers is None else givers
+    possible = startable(environment, givers) if possible is None else possible
     return {
         target.label: _reason(f"target {target.label}", target.tag, environment, givers, possible)
         for target in environment.targets
@@ -25,10 +30,10 @@ class Givers:
     """Which transformations have an output that may feed a demanded tag: the validity matrix by rows."""
 
     def __init__(self, library: Sequence[Transformation], similarity: Similarity) -> None:
-        self._offering: dict[str, set[str]] = defaultdict(set)
+        self._offering: dict[str, list[str]] = defaultdict(list)
         for transformation in library:
             for port in transformation.outputs:
-                self._offering[port.tag].add(transformation.label)
+                self._offering[port.tag].append(transformation.label)
         self._similarity = similarity
         self._rows: dict[str, tuple[str, ...]] = {}
         self.watch: Callable[[], None] = lambda: None
@@ -37,9 +42,13 @@ class Givers:
     def of(self, tag: str) -> tuple[str, ...]:
         """The labels of the transformations that offer what `tag` demands, sorted."""
         if tag not in self._rows:
-            offered = self._similarity.offers.get(tag, frozenset())
-            self._rows[tag] = tuple(sorted({label for each in offered for label in self._offering.get(each, ())}))
+            labels = {label for each in self.accepted(tag) for label in self._offering.get(each, ())}
+            self._rows[tag] = tuple(sorted(labels))
         return self._rows[tag]
+
+    def accepted(self, tag: str) -> frozenset[str]:
+        """The offered tags that the demanded one accepts."""
+        return self._similarity.offers.get(tag, frozenset())
 
 
 def startable(environment: Environment, givers: Givers) -> frozenset[str]:
@@ -100,10 +109,13 @@ def forward_closure(environment: Environment, givers: Givers, alive: frozenset[s
             waiting[tag].append(label)
         if missing[label] == 0:
             ahead.append(label)
-    demanded_by = _demands_on(waiting, givers)
+    accepting: dict[str, list[str]] = defaultdict(list)
+    for tag in waiting:
+        givers.watch()
+        for offered in givers.accepted(tag):
+            accepting[offered].append(tag)
     crowded = dict.fromkeys(label for label in sorted(alive) if distinct_groups(environment.transformation[label]))
     reached: set[str] = set()
-    fed_tags: set[str] = set()
     while ahead:
         while ahead:
             givers.watch()
@@ -113,10 +125,9 @@ def forward_closure(environment: Environment, givers: Givers, alive: frozenset[s
             ):
                 continue
             reached.add(label)
-            for tag in demanded_by.get(label, ()):
-                if tag not in fed_tags:
-                    fed_tags.add(tag)
-                    for consumer in waiting[tag]:
+            for port in environment.transformation[label].outputs:
+                for tag in accepting.pop(port.tag, ()):
+                    for consumer in waiting.pop(tag, ()):
                         missing[consumer] -= 1
                         if missing[consumer] == 0:
                             ahead.append(consumer)
@@ -128,15 +139,6 @@ def forward_closure(environment: Environment, givers: Givers, alive: frozenset[s
             and _groups_can_be_fed(environment.transformation[label], givers, reached, alive)
         ]
     return frozenset(reached)
-
-
-def _demands_on(tags: Iterable[str], givers: Givers) -> dict[str, list[str]]:
-    demanded_by: dict[str, list[str]] = defaultdict(list)
-    for tag in tags:
-        givers.watch()
-        for label in givers.of(tag):
-            demanded_by[label].append(tag)
-    return demanded_by
 
 
 def _groups_can_be_fed(

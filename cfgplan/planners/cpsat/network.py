@@ -8,7 +8,7 @@ relaxed here, the one to an ordinary input, the other to none: bounds stay valid
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeVar
@@ -195,7 +195,6 @@ class Network(Graph):
         targets: Iterable[str],
         pinned: Iterable[str],
         rows: Givers,
-        watch: Callable[[], None] = lambda: None,
     ) -> None:
         self.transformations = library
         self.targets = list(targets)
@@ -206,7 +205,7 @@ class Network(Graph):
 
         def fact(tag: str) -> int:
             if tag not in self.fact_of_tag:
-                watch()
+                rows.watch()
                 givers = tuple(self.number[label] for label in rows.of(tag) if label in self.number)
                 self.fact_of_tag[tag] = fact_of_givers.setdefault(givers, len(fact_of_givers))
             return self.fact_of_tag[tag]

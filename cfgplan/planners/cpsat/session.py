@@ -61,9 +61,10 @@ class PlannerSession:
             except OutOfTimeError:
                 return Plan("cpsat", Status.UNKNOWN, seconds=clock.end("closure"))
             self._rest = None
-        structure, environment = self._structure, problem.environment
-        if any(structure.possible.isdisjoint(structure.givers.of(target.tag)) for target in environment.targets):
-            return Plan("cpsat", Status.INFEASIBLE, reasons=unmet_reasons(problem), seconds=clock.end("closure"))
+        structure = self._structure
+        if not structure.meets_targets:
+            reasons = unmet_reasons(problem, structure.givers, structure.possible)
+            return Plan("cpsat", Status.INFEASIBLE, reasons=reasons, seconds=clock.end("closure"))
         clock.end("closure")
         standing: Standing | None = None
         try:

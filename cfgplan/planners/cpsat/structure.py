@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -24,7 +23,6 @@ class Structure:
     pinned: frozenset[str]
     givers: Givers
     possible: frozenset[str]
-    network: Network
     _landmarks: list[Landmark] = field(default_factory=list)
     _weights: list[int] = field(default_factory=list)
     _bound: tuple[Bound, int] | None = None
@@ -40,16 +38,28 @@ class Structure:
             givers.watch = clock.check
             possible = startable(environment, givers)
         clock.check()
-        labels = relevant(environment, givers, possible)
-        clock.check()
-        network = _network(environment, givers, possible, labels, frozenset(), clock.check)
+        structure = cls(environment, problem.similarity, _pinned(environment), givers, possible)
+        if structure.meets_targets:
+            _ = structure.network  # made here, where the clock is watched
         givers.watch = lambda: None
-        return cls(environment, problem.similarity, _pinned(environment), givers, possible, network)
+        return structure
+
+    @cached_property
+    def meets_targets(self) -> bool:
+        """Whether each target by itself can be met."""
+        return not any(self.possible.isdisjoint(self.givers.of(t.tag)) for t in self.environment.targets)
+
+    @cached_property
+    def network(self) -> Network:
+        """The network of what is relevant."""
+        labels = relevant(self.environment, self.givers, self.possible)
+        self.givers.watch()
+        return _network(self.environment, self.givers, self.possible, labels, frozenset())
 
     def network_with(self, problem: Problem, wanted: frozenset[str]) -> Network:
         """The network with some labels that have to run, as pinned ones do."""
         labels = frozenset(self.network.labels)
-        return _network(problem.environment, self.givers, self.possible, labels, wanted, lambda: None)
+        return _network(problem.environment, self.givers, self.possible, labels, wanted)
 
     @cached_property
     def has_required(self) -> bool:
@@ -92,14 +102,12 @@ def _network(
     possible: frozenset[str],
     labels: frozenset[str],
     wanted: frozenset[str],
-    watch: Callable[[], None],
 ) -> Network:
     return Network(
         [t for t in environment.library if t.label in labels],
         [target.tag for target in environment.targets if not possible.isdisjoint(givers.of(target.tag))],
         (_pinned(environment) & possible) | wanted,
         givers,
-        watch,
     )
 
 
