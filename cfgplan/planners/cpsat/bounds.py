@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from heapq import nsmallest
 
 import numpy as np
 
@@ -131,6 +132,18 @@ class Bound:
         if self.value + before[-1] > limit:
             return np.zeros(self.core.goal, np.bool_)
         return np.asarray(self.value + before[:-1] + self.residual <= limit)
+
+    def without(self) -> dict[int, int]:
+        """For members of landmarks a bound on the cost of plans that lack them: one of the others is in its place."""
+        residual = self.residual.tolist()
+        least: dict[int, int] = {}
+        for landmark in self.landmarks:
+            members: list[int] = landmark.members.tolist()
+            first, second = nsmallest(2, [*(residual[label] for label in members), int(NEVER), int(NEVER)])
+            for label in members:
+                others = second if residual[label] == first else first
+                least[label] = max(least.get(label, 0), self.value + others)
+        return least
 
     def at(self, cost: Ints) -> Bound:
         """The bound at other costs, none of them lower."""

@@ -5,7 +5,8 @@ A plan here is a set of labels with a grounded wiring that meets the goal.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
+from types import MappingProxyType
 
 import numpy as np
 
@@ -13,22 +14,36 @@ from cfgplan.planners.cpsat.network import Floats, Graph, Ints
 from cfgplan.reasons import assign_different, distinct_groups
 
 
-def first_plan(
-    network: Graph, cost: Ints, attempts: int, is_over: Callable[[], bool], enough: int = 0
-) -> set[int] | None:
-    """A plan, after up to `attempts` attempts to do without one of its members; None if none was found.
+def first_plan(network: Graph, cost: Ints, attempts: int, is_over: Callable[[], bool]) -> set[int] | None:
+    """A plan, after up to `attempts` attempts to do without one of its members; None if none was found."""
+    plan = _supported(network, cost, set())
+    return None if plan is None else with_less(network, cost, plan, attempts, is_over)
 
-    The attempts end where a plan costs no more than `enough`.
+
+def with_less(
+    network: Graph,
+    cost: Ints,
+    plan: set[int],
+    attempts: int,
+    is_over: Callable[[], bool],
+    without: Mapping[int, int] = MappingProxyType({}),
+) -> set[int]:
+    """The plan, or a cheaper one after up to `attempts` attempts to do without one of its members.
+
+    Those are not tried of which it is known that all plans `without` them cost as much.
     """
-    best = _supported(network, cost, set())
     tried: set[int] = set()
-    while best is not None and len(tried) < attempts and _cost(cost, best) > enough and not is_over():
-        ahead = sorted((label for label in best - tried if cost[label]), key=lambda label: (-cost[label], label))
+    while len(tried) < attempts and not is_over():
+        limit = _cost(cost, plan)
+        ahead = sorted(
+            (label for label in plan - tried if cost[label] and without.get(label, 0) < limit),
+            key=lambda label: (-cost[label], label),
+        )
         if not ahead:
             break
         tried.add(ahead[0])
-        best = _without(network, cost, best, ahead[0])
-    return best
+        plan = _without(network, cost, plan, ahead[0])
+    return plan
 
 
 def improved(network: Graph, cost: Ints, plan: set[int], doubtful: set[int]) -> set[int]:

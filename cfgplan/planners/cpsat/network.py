@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 from typing import TypeVar
 
 import numpy as np
@@ -40,7 +41,7 @@ class Rows:
     @classmethod
     def of(cls, rows: Sequence[Iterable[int]]) -> Rows:
         lists = [list(row) for row in rows]
-        items = np.fromiter((item for row in lists for item in row), np.int64)
+        items = np.fromiter(chain.from_iterable(lists), np.int64)
         return cls(_starts([len(row) for row in lists]), items)
 
     def __len__(self) -> int:
@@ -206,7 +207,7 @@ class Network(Graph):
         def fact(tag: str) -> int:
             if tag not in self.fact_of_tag:
                 rows.watch()
-                givers = tuple(self.number[label] for label in rows.of(tag) if label in self.number)
+                givers = tuple([self.number[label] for label in rows.of(tag) if label in self.number])
                 self.fact_of_tag[tag] = fact_of_givers.setdefault(givers, len(fact_of_givers))
             return self.fact_of_tag[tag]
 

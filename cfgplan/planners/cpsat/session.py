@@ -15,15 +15,15 @@ import numpy as np
 from cfgplan.planners.cpsat.bounds import Bound
 from cfgplan.planners.cpsat.chains import chained_bound
 from cfgplan.planners.cpsat.clock import Clock, OutOfTimeError
-from cfgplan.planners.cpsat.greedy import first_plan, improved, is_plan
+from cfgplan.planners.cpsat.greedy import first_plan, improved, is_plan, with_less
 from cfgplan.planners.cpsat.grounding import Grounding
-from cfgplan.planners.cpsat.network import Ints, Network, costs
+from cfgplan.planners.cpsat.network import Ints, costs
 from cfgplan.planners.cpsat.prepared import Prepared
 from cfgplan.planners.cpsat.rest import Left, Rest
 from cfgplan.planners.cpsat.site import Site
 from cfgplan.planners.cpsat.standing import Stage, Standing
 from cfgplan.planners.cpsat.structure import Structure
-from cfgplan.planners.cpsat.tightening import tightened
+from cfgplan.planners.cpsat.tightening import begun, tightened
 from cfgplan.planners.cpsat.weighing import Weighing
 from cfgplan.planning import Plan, Problem, Progress, Status
 from cfgplan.reasons import unmet_reasons
@@ -102,11 +102,11 @@ class PlannerSession:
         }
         weighing = Weighing.of(problem, network, structure.pinned)
         quick = weighing.least(chained_bound(network.core, weighing.weight)) if weighing.counts_starts else 0
-        plan = self._first_plan(problem, network, weighing.weight, quick, clock)
+        plan, bound = self._first_plan(problem, structure, weighing, quick, clock)
         if plan is not None and weighing.counts_starts and weighing.of_plan(plan) == quick:
             left = Left(plan, quick, [])
         else:
-            left = self._left(structure, weighing, plan, clock)
+            left = self._left(structure, weighing, plan, bound, clock)
         value = weighing.least(max(left.value, quick))
         labels = left.labels
         if plan is not None and value < weighing.of_plan(plan) and clock.is_over():
@@ -124,7 +124,9 @@ class PlannerSession:
             fewest_started=weighing.started(value),
         )
 
-    def _left(self, structure: Structure, weighing: Weighing, plan: Ints | None, clock: Clock) -> Left:
+    def _left(
+        self, structure: Structure, weighing: Weighing, plan: Ints | None, bound: Bound | None, clock: Clock
+    ) -> Left:
         """What landmarks leave of the network, from where they stood at rest if that is near."""
         cost = weighing.weight
         if plan is not None and self._rest is not None and not weighing.counts_starts:
@@ -132,10 +134,7 @@ class PlannerSession:
             if left is not None:
                 return left
         limit = int(cost.sum()) if plan is None else weighing.of_plan(plan)
-        landmarks, weights = structure.landmarks()
-        bound = Bound(structure.network.core, cost, landmarks)
-        bound.recharge([weight * weighing.scale for weight in weights])
-        bound = tightened(bound, limit - weighing.step + 1, limit, clock)
+        bound = tightened(bound or _known_bound(structure, weighing), limit - weighing.step + 1, limit, clock)
         structure.remember(bound, weighing.scale)
         return Left.by(bound, limit)
 
@@ -157,23 +156,35 @@ class PlannerSession:
         Search(standing, prepared, self._grounding).run()
         return standing
 
-    def _first_plan(self, problem: Problem, network: Network, cost: Ints, enough: int, clock: Clock) -> Ints | None:
+    def _first_plan(
+        self, problem: Problem, structure: Structure, weighing: Weighing, quick: int, clock: Clock
+    ) -> tuple[Ints | None, Bound | None]:
         """The plan at rest or the last one, mended where units died; or a new one if that no longer is one.
 
-        It need not cost less than `enough`.
+        A new one is better than the cheapest support only if `quick`, a bound, does not say that there is none, nor
+        the first landmarks, which are returned.
         """
+        network, cost = structure.network, weighing.weight
         known = set(network.pinned)
         if self._rest is not None and self._rest.is_below(cost):
             known |= set(self._rest.plan.tolist())
         else:
             known |= {network.number[label] for label in self._last if label in network.number}
         plan: set[int] | None
+        bound = None
         if is_plan(network, known):
             running = {unit.transformation for unit in problem.environment.units}
             plan = improved(network, cost, known, {i for i in known if network.labels[i] not in running})
         else:
-            plan = first_plan(network, cost, ATTEMPTS, clock.is_over, enough)
-        return None if plan is None else np.array(sorted(plan), np.int64)
+            plan = first_plan(network, cost, 0, clock.is_over)
+            limit = 0 if plan is None else int(cost[list(plan)].sum())
+            if plan is not None and limit > quick:
+                bound = begun(_known_bound(structure, weighing), limit - weighing.step + 1, limit, clock)
+                if bound.value <= limit - weighing.step:
+                    numbers = bound.core.labels.tolist()
+                    without = {numbers[label]: value for label, value in bound.without().items()}
+                    plan = with_less(network, cost, plan, ATTEMPTS, clock.is_over, without)
+        return None if plan is None else np.array(sorted(plan), np.int64), bound
 
     def _settle(self, problem: Problem, structure: Structure, clock: Clock) -> None:
         """Where a proven plan changes nothing, there is time to see what will be needed when something does."""
@@ -188,3 +199,11 @@ class PlannerSession:
         bound = Bound(network.core, cost, landmarks)
         bound.recharge(weights)
         self._rest = Rest.of(plan, cost, int(cost[plan].sum()) + dearest, bound, clock)
+
+
+def _known_bound(structure: Structure, weighing: Weighing) -> Bound:
+    """The bound by the landmarks that are remembered."""
+    landmarks, weights = structure.landmarks()
+    bound = Bound(structure.network.core, weighing.weight, landmarks)
+    bound.recharge([weight * weighing.scale for weight in weights])
+    return bound

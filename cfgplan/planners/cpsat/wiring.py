@@ -123,15 +123,17 @@ def _new_feeds(site: Site, unit: int, placed: Collection[int], chosen: Collectio
     """A feeder for each input of a unit among those before it, the present one if possible; None if one has none."""
     transformation = site.candidates[unit].transformation
     old = {s.port: site.index_of.get(s.stream.unit) for s in site.old_subscriptions(unit)}
-    choices = {
-        port.name: sorted(
-            (i for i in site.feeders(port.tag) if i in (chosen if port.feedback else placed)),
-            key=lambda i, name=port.name: (old.get(name) != i, i),  # type: ignore[misc]
-        )
-        for port in transformation.inputs
-    }
-    if not all(choices.values()):
-        return None
+    choices: dict[str, list[int]] = {}
+    for port in transformation.inputs:
+        among = chosen if port.feedback else placed
+        feeders = sorted(i for i in site.feeders(port.tag) if i in among)
+        if not feeders:
+            return None
+        present = old.get(port.name)
+        if present in feeders:
+            feeders.remove(present)
+            feeders.insert(0, present)
+        choices[port.name] = feeders
     feeds = {name: feeders[0] for name, feeders in choices.items()}
     for group in distinct_groups(transformation):
         first = {
