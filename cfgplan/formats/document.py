@@ -230,7 +230,8 @@ def _included(main: FilePath, source: Source, names: list[str]) -> tuple[list[Fi
             try:
                 _, file, more = _read_file(member, IncludedPart)
             except InputError as error:
-                faults += (_at_entry(fault, name, source, ("include", index)) for fault in error.faults)
+                shown = name if member == path else str(FilePath(name) / member.name)
+                faults += (_at_entry(fault, shown, source, ("include", index)) for fault in error.faults)
                 files.append(File(source, broken={"transformations": (Broken(),), "targets": (Broken(),)}))
                 continue
             files.append(file)
@@ -239,8 +240,13 @@ def _included(main: FilePath, source: Source, names: list[str]) -> tuple[list[Fi
 
 
 def _at_entry(fault: Fault, name: str, source: Source, entry: Path) -> Fault:
-    """A fault of a whole file belongs to the entry that names the file."""
-    return fault if fault.line is not None else source.fault(entry, f"{name}: {fault.message}", fault.mend)
+    """A fault of a whole file belongs to the entry that names the file, if one does."""
+    has_entry = isinstance(source.data, dict) and entry[0] in source.data
+    return (
+        fault
+        if fault.line is not None or not has_entry
+        else source.fault(entry, f"{name}: {fault.message}", fault.mend)
+    )
 
 
 def _members(path: FilePath, main: FilePath) -> list[FilePath]:

@@ -47,7 +47,8 @@ def read_bytes(path: Path) -> bytes:
     except PermissionError:
         raise InputError.of("the file may not be read", file=name, mend="give yourself the right to read it") from None
     except (OSError, ValueError) as error:
-        raise InputError.of(f"the file can't be read: {error}", file=name, mend="check the path") from None
+        why = getattr(error, "strerror", None) or error
+        raise InputError.of(f"the file can't be read: {why}", file=name, mend="check the path") from None
     if len(content) > LARGEST_FILE_BYTES:
         raise InputError.of(
             f"the file is larger than {LARGEST_FILE_BYTES // 2**20} MiB", file=name, mend="split it by `include:`"

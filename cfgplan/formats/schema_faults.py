@@ -143,7 +143,7 @@ def _described(value: object) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, int | Decimal):
-        return f"the number {value}"
+        return f"the number {_short(str(value))}"
     if isinstance(value, str):
         return f"the text {_shown(value)}"
     return "a mapping" if isinstance(value, dict) else "a list"
@@ -154,5 +154,8 @@ def _bare(error: Any) -> str:
 
 
 def _shown(value: object) -> str:
-    text = repr(value) if isinstance(value, str) else _described(value)
+    return _short(repr(value)) if isinstance(value, str) else _described(value)
+
+
+def _short(text: str) -> str:
     return text if len(text) <= 80 else f"{text[:77]}..."

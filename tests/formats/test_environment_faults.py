@@ -337,6 +337,25 @@ def test_an_empty_folder_to_include_is_named(tmp_path: Path) -> None:
     assert fault.message == "the folder parts has no environment files"
 
 
+def test_an_empty_file_in_a_folder_to_include_is_named(tmp_path: Path) -> None:
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "a.yaml").write_text("")
+    fault = only_fault(tmp_path, f"{HEAD}include: [parts]\n")
+    assert (place_of(fault), fault.message) == ((2, 11), "parts/a.yaml: the file is empty")
+
+
+def test_an_empty_file_in_a_folder_of_xml_is_named(tmp_path: Path) -> None:
+    (tmp_path / "a.xml").write_text("")
+    with pytest.raises(InputError) as caught:
+        load(tmp_path)
+    assert [(fault.file, fault.line) for fault in caught.value.faults] == [(str(tmp_path / "a.xml"), None)]
+
+
+def test_a_number_that_is_too_long_is_shown_cut(tmp_path: Path) -> None:
+    fault = only_fault(tmp_path, f"{HEAD}horizon: {'9' * 5000}\n")
+    assert (place_of(fault), len(fault.message) < 200) == ((2, 10), True)
+
+
 def test_a_fault_elsewhere_hides_no_dangling_reference(tmp_path: Path) -> None:
     text = (
         f"{HEAD}max_cost: -1\n"
