@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import combinations
 
 from cfgplan.costs import keep_cost_us, start_cost_us
 from cfgplan.errors import InputError
@@ -47,6 +48,11 @@ def alternatives(problem: Problem, planner: Planner, count: int, *, time_limit_s
             "alternatives are told apart by what serves targets, and spares for the survival of failures serve none",
             mend="solve with --without NAME for what else there is, or with --survive 0",
         )
+    if any(transformation.min_instances for transformation in problem.environment.library):
+        raise InputError.of(
+            "alternatives are told apart by what serves targets, and what `min_instances` asks for may serve none",
+            mend="solve with --without NAME for what else there is, or leave `min_instances` out",
+        )
     end_s = None if time_limit_s is None else time.monotonic() + time_limit_s
     best = planner(problem, time_limit_s=time_limit_s)
     if best.status is not Status.OPTIMAL:
@@ -79,11 +85,7 @@ class _Ranking:
         environment = problem.environment
         self._possible = startable(environment, Givers(environment.library, problem.similarity))
         running = {unit.transformation for unit in environment.units}
-        self._kept = frozenset(
-            t.label
-            for t in environment.library
-            if t.min_instances or (t.pinned and t.label in running & self._possible)
-        )
+        self._kept = frozenset(t.label for t in environment.library if t.pinned and t.label in running & self._possible)
         self._required = frozenset(t.label for t in environment.library if t.required)
         self._cost_us = {
             t.label: (keep_cost_us if t.label in running else start_cost_us)(t, problem.horizon_s)
@@ -149,15 +151,32 @@ class _Ranking:
         """The best plan in which just these run, besides the pinned ones."""
         if runs == self._runs(self._best):
             return self._best
-        others = self._problem.environment.transformation.keys() - runs - self._kept
-        plan = self._planner(self._restricted(others, runs | self._required & self._kept))
-        unused = self._required - runs - self._kept | set(plan.unused_required)
+        plan, idle = self._best_in_which_all_serve(runs)
+        unused = self._required - runs - self._kept | idle
         return replace(
             plan,
             status=Status.FEASIBLE,
             bound_us=min(self._best.bound_us, plan.cost_us or 0),
             unused_required=tuple(t.label for t in self._problem.environment.library if t.label in unused),
         )
+
+    def _best_in_which_all_serve(self, runs: Labels) -> tuple[Plan, Labels]:
+        """The best plan in which these serve targets, besides the pinned ones, and the required ones that do not."""
+        others = self._problem.environment.transformation.keys() - runs - self._kept
+        required = self._required & self._kept
+        plan = self._planner(self._restricted(others, runs | required))
+        if required.issuperset(plan.unused_required):
+            return plan, frozenset(plan.unused_required)
+        # A pinned one takes the place of one of these: as many of the pinned ones as leave all of them theirs.
+        for size in reversed(range(len(required))):
+            found = [
+                (self._planner(self._restricted(others, runs.union(serving))), required.difference(serving))
+                for serving in combinations(sorted(required), size)
+            ]
+            whole = [each for each in found if not each[0].unused_required]
+            if whole:
+                return min(whole, key=lambda each: self._key(each[0]))
+        return plan, self._required.intersection(plan.unused_required)  # what feeds pinned ones alone serves no target
 
     def _restricted(self, without: Iterable[str], required: Labels) -> Problem:
         environment = self._problem.environment
