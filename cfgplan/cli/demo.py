@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +12,6 @@ from cfgplan.cli.durations import duration
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.interrupts import Interrupts
 from cfgplan.cli.screen import FORMAT_VERSION, Screen
-from cfgplan.errors import InputError
 
 if TYPE_CHECKING:
     from cfgplan_runtime.demo.listening import Sample
@@ -31,7 +29,8 @@ def add_to(verbs: shared.Subparsers) -> None:
     )
     parser.add_argument("world", metavar="WORLD", nargs="?", choices=("nao",), default="nao", help="nao (the only one)")
     parser.add_argument("--step", type=duration, default=6.0, metavar="TIME", help="watch each step so long (6s)")
-    parser.add_argument("--report", metavar="FILE", default="nao.html", help="the page to write (nao.html)")
+    page = "the page to write (nao.html)"
+    parser.add_argument("--report", type=shared.out_file, metavar="FILE", default="nao.html", help=page)
     shared.add_json(parser)
     parser.set_defaults(run=run)
 
@@ -46,12 +45,6 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
     stage = open_stage(options.world)
     out = Path(options.report)
-    if out.is_dir():
-        raise InputError.of("can't be written: this is a folder", file=str(out), mend="name a file, such as nao.html")
-    if not out.absolute().parent.is_dir():
-        raise InputError.of("can't be written: there is no such folder", file=str(out), mend="make the folder first")
-    if not os.access(out.absolute().parent, os.W_OK):
-        raise InputError.of("can't be written: the folder is read-only", file=str(out), mend="name another --report")
     with Interrupts(), _Narrator(screen) as narrator:
         played = play(stage, SECTION_V, options.step, narrator)
     with screen.phase("compare robots and draw the page"):

@@ -23,7 +23,9 @@ def add_to(verbs: shared.Subparsers) -> None:
         "  cfgplan graph models/nao/2-segmenter-lost.yaml --format mermaid",
     )
     shared.add_environment(parser)
-    parser.add_argument("--out", metavar="FILE", help="file to write; its ending says the format (stdout)")
+    parser.add_argument(
+        "--out", type=shared.out_file, metavar="FILE", help="file to write; its ending says the format (stdout)"
+    )
     parser.add_argument("--format", choices=FORMATS, help="format, where no file's ending says it (svg)")
     parser.add_argument("--running", action="store_true", help="draw only what runs now; do not plan")
     shared.add_planning(parser)

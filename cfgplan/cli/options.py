@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 from collections.abc import Callable, Iterable
 from dataclasses import asdict
 from decimal import Decimal, InvalidOperation
@@ -202,7 +203,22 @@ def progress_report(screen: Screen) -> Callable[[Progress], None]:
 
 
 def add_out(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--out", metavar="FILE", help="file to write (stdout)")
+    parser.add_argument("--out", type=out_file, metavar="FILE", help="file to write (stdout)")
+
+
+def out_file(text: str) -> str:
+    """The name of a file that can be written, which is found out before the work for it is done."""
+    path = Path(text)
+    try:
+        if path.is_dir():
+            raise argparse.ArgumentTypeError(f"{text!r} is a folder: name a file")
+        if not path.parent.is_dir():
+            raise argparse.ArgumentTypeError(f"{text!r} can't be written: there is no folder {str(path.parent)!r}")
+        if not path.exists() and not os.access(path.parent, os.W_OK):
+            raise argparse.ArgumentTypeError(f"{text!r} can't be written: the folder is read-only")
+    except OSError as error:
+        raise argparse.ArgumentTypeError(f"{text!r} can't be written: {error.strerror}") from None
+    return text
 
 
 def put(text: str, out: str | None, screen: Screen) -> None:

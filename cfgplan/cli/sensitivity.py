@@ -23,7 +23,8 @@ def add_to(verbs: shared.Subparsers) -> None:
     )
     shared.add_environment(parser)
     parser.add_argument("--upkeep-of", metavar="T", help="vary the upkeep of this transformation, not the horizon")
-    parser.add_argument("--out", metavar="FILE", help="draw the least cost with its break points (svg, png or pdf)")
+    picture = "draw the least cost with its break points (svg, png or pdf)"
+    parser.add_argument("--out", type=shared.out_file, metavar="FILE", help=picture)
     shared.add_planning(parser)
     shared.add_matching(parser)
     shared.add_json(parser)

@@ -11,6 +11,7 @@ from cfgplan.cli import options as shared
 from cfgplan.cli.exits import OF_STATUS, Exit
 from cfgplan.cli.front import add_front, show_front
 from cfgplan.cli.screen import Screen
+from cfgplan.errors import InputError
 from cfgplan.planning import Status
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ def add_to(verbs: shared.Subparsers) -> None:
     shared.add_planning(parser)
     shared.add_survive(parser)
     shared.add_matching(parser)
-    parser.add_argument("--out", metavar="FILE", help="write the plan to FILE (JSON)")
+    parser.add_argument("--out", type=shared.out_file, metavar="FILE", help="write the plan to FILE (JSON)")
     parser.add_argument(
         "--progress", action="store_true", help="print each better cost or bound as a JSON line on stderr"
     )
@@ -49,7 +50,8 @@ def add_to(verbs: shared.Subparsers) -> None:
         action="store_true",
         help="if not all targets can be met, meet the most important ones; exits with 12 if some are not met",
     )
-    parser.add_argument("--plot", metavar="FILE", help="with --front: draw it (SVG, PNG or PDF; extra `plots`)")
+    plot = "with --front: draw it (SVG, PNG or PDF; extra `plots`)"
+    parser.add_argument("--plot", type=shared.out_file, metavar="FILE", help=plot)
     parser.add_argument("-v", "--verbose", action="store_true", help="show what each step of the planner did")
     shared.add_json(parser)
     parser.set_defaults(run=run)
@@ -58,6 +60,10 @@ def add_to(verbs: shared.Subparsers) -> None:
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan import answers, api
 
+    if options.plot and options.front is None:
+        raise InputError.of("--plot draws what --front finds", mend="add --front; `cfgplan graph` draws an update")
+    if options.out and options.front is not None:
+        raise InputError.of("--out writes one plan, but --front finds several", mend="use --json, or --plot FILE")
     world = shared.load(options, screen)
     problem = shared.problem(options, screen, world)
     if options.front is not None:

@@ -8,6 +8,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from inspect import signature
 
 from cfgplan.comparing.families import FAMILIES
 from cfgplan.comparing.transport import document
@@ -45,13 +46,18 @@ def generated(family: str, seed: int = 0, /, **parameters: object) -> Instance:
     if family not in FAMILIES:
         raise InputError.of(f"there is no family {family!r}", mend=f"there are {', '.join(sorted(FAMILIES))}")
 
+    shown = ", ".join(f"{name}={value}" for name, value in parameters.items())
+
     def make() -> Problem:
         try:
             return FAMILIES[family](seed, **parameters)
-        except (TypeError, InvalidValueError) as error:
-            raise InputError.of(f"family {family} can't be made with {parameters}: {error}") from None
+        except InvalidValueError as error:
+            raise InputError.of(f"family {family} can't be made with {shown}: {error}") from None
+        except TypeError:
+            _, *known = signature(FAMILIES[family]).parameters
+            mend = f"it takes {', '.join(known)}"
+            raise InputError.of(f"family {family} can't be made with {shown}", mend=mend) from None
 
-    shown = ", ".join(f"{name}={value}" for name, value in parameters.items())
     return Instance(f"{family}({shown})#{seed}", family, parameters, seed, make)
 
 

@@ -93,6 +93,13 @@ def read_document(path: str | os.PathLike[str], also: Sequence[str | os.PathLike
     """
     with no_garbage_collection():
         document = _read_document(FilePath(path))
+        there = {_identity(document.path), *(_identity(FilePath(file.source.file)) for file in document.files)}
+        for name in also:
+            if _identity(FilePath(name)) in there:
+                raise InputError.of(
+                    "this file is a part of the environment already", file=str(name), mend="leave it out"
+                )
+            there.add(_identity(FilePath(name)))
         more = [_read_file(FilePath(name), IncludedPart)[1:] for name in also]
         return replace(
             document,

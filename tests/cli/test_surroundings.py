@@ -41,6 +41,16 @@ def test_without_a_verb_there_is_help(run: Run) -> None:
         (["solve", FUSION, "--jsn"], "unrecognized arguments: --jsn"),
         (["solve"], "the following arguments are required: ENV"),
         (["solve", FUSION, "--horizon", "long"], "argument --horizon: 'long' is not a number"),
+        (["solve", FUSION, "--out", MODELS], f"argument --out: {str(MODELS)!r} is a folder: name a file"),
+        (
+            ["graph", FUSION, "--out", "nodir/a.svg"],
+            "argument --out: 'nodir/a.svg' can't be written: there is no folder",
+        ),
+        (["sensitivity", FUSION, "--out", ""], "argument --out: '' is a folder: name a file"),
+        (
+            ["export", "schema", "--out", "a" * 300],
+            f"argument --out: {'a' * 300!r} can't be written: File name too long",
+        ),
         (["ctl", "fly"], "argument COMMAND: invalid choice: 'fly'"),
     ],
 )

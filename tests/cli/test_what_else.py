@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
 from command import MODELS, Run
 
 NAO = MODELS / "nao"
@@ -96,3 +97,16 @@ def test_best_effort_meets_what_matters_most_and_says_why_not_the_rest(run: Run,
     assert [unit["id"] for unit in document["change_set"]["started"]] == ["y.1"]
     assert sorted(document["reasons"]) == ["a", "c"]
     assert run("solve", env, "--best-effort", "--without", "a", "--without", "c").code == 0
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (("--plot", "a.svg"), "--plot draws what --front finds"),
+        (("--front", "--out", "plan.json"), "--out writes one plan, but --front finds several"),
+        (("--with", FUSION), "this file is a part of the environment already"),
+    ],
+)
+def test_what_does_not_go_together_is_refused(run: Run, options: tuple[object, ...], says: str) -> None:
+    result = run("solve", FUSION, *options)
+    assert (result.code, says in result.err) == (30, True)
