@@ -22,12 +22,13 @@ class StaleChangeSetError(RuntimeFaultError):
 class NoSourceError(RuntimeFaultError):
     """A unit that can't be started because its transformation names no unit code; nothing was changed.
 
-    `transformations` are the labels of those that it is about.
+    `transformations` are the labels of those that it is about, `cause` is what is wrong with each.
     """
 
-    def __init__(self, message: str, transformations: Iterable[str] = ()) -> None:
+    def __init__(self, message: str, transformations: Iterable[str] = (), cause: str | None = None) -> None:
         super().__init__(message)
         self.transformations = tuple(transformations)
+        self.cause = cause or message
 
 
 class ApplyError(RuntimeFaultError):

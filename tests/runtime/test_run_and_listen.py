@@ -101,7 +101,9 @@ def test_what_unit_code_prints_and_raises_is_shown(env: Path, capsys: pytest.Cap
 def test_a_unit_without_source_is_told_and_not_started(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
     env.write_text(ENVIRONMENT.replace("    source: units.py:camera\n", ""))
     assert main(["run", str(env), "--for", "1s"]) == 12
-    assert "'camera' can't be started without unit code" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "'camera' can't be started without unit code" in out
+    assert "camera is not started until it changes: it has no unit code" in out
 
 
 def test_code_that_does_not_exist_is_told(env: Path, capsys: pytest.CaptureFixture[str]) -> None:

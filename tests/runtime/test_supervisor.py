@@ -110,8 +110,9 @@ def test_a_change_set_for_other_units_is_stale() -> None:
 
 def test_a_transformation_without_source_is_refused() -> None:
     simulation = Simulation(Transformation("count"))
-    with pytest.raises(NoSourceError, match="'count' can't be started"):
+    with pytest.raises(NoSourceError, match="'count' can't be started") as caught:
         simulation.apply(start(ComputationUnit("count.1", "count")))
+    assert caught.value.cause.startswith("it has no unit code: add `source:")
 
 
 def test_an_update_is_undone_when_a_unit_dies_at_its_start() -> None:

@@ -46,7 +46,7 @@ class Acting:
         except NoSourceError as error:
             failed = UpdateFailed(str(error), error.transformations)
             for label in error.transformations:
-                self._intake.situation.back_offs.refuse(label, str(error))
+                self._intake.situation.back_offs.refuse(label, error.cause)
                 self._intake.tell_back_off(label)
         except AbandonedError as error:
             failed = UpdateFailed(str(error), self._postponed(error))

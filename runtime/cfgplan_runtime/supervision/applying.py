@@ -66,10 +66,11 @@ class Applying:
             label for label in labels if label in after.transformation and not after.transformation[label].source
         ]
         if without:
+            mend = "add `source: package.module:Class` or `source: units.py:Class`"
             raise NoSourceError(
-                f"{', '.join(map(repr, without))} can't be started without unit code: "
-                "add `source: package.module:Class` or `source: units.py:Class`",
+                f"{', '.join(map(repr, without))} can't be started without unit code: {mend}",
                 without,
+                f"it has no unit code: {mend}",
             )
         for fault in self._faults():
             raise StaleChangeSetError(f"the change set does not fit what runs now: {fault}")
