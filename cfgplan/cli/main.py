@@ -48,40 +48,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _main(arguments: Sequence[str], ending: Ending) -> int:
-    screen, options = Screen(json="--json" in arguments), argparse.Namespace()
+    screen, options, code = Screen(json="--json" in arguments), argparse.Namespace(), Exit.OK
     try:
-        _say_every_character(screen)
-        parser = _parser()
-        options = parser.parse_args(arguments)
-        if not hasattr(options, "run"):
-            parser.print_help(sys.stderr)
-            return Exit.BAD_INPUT
-        screen = Screen(json=getattr(options, "json", False))
-        _say_every_character(screen)
-        code = int(options.run(options, screen))
+        try:
+            _say_every_character(screen)
+            parser = _parser()
+            options = parser.parse_args(arguments)
+            if not hasattr(options, "run"):
+                parser.print_help(sys.stderr)
+                return Exit.BAD_INPUT
+            screen = Screen(json=getattr(options, "json", False))
+            _say_every_character(screen)
+            code = Exit(options.run(options, screen))
+        except (CfgplanError, ModuleNotFoundError) as error:
+            if isinstance(error, ModuleNotFoundError) and (error.name or "").startswith("cfgplan"):
+                raise
+            code = Exit.BAD_INPUT
+            _tell(error, screen, getattr(options, "env", None))
         sys.stdout.flush()
         return code
-    except _UsageError as error:
-        if not screen.json:
-            screen.note(error.usage, style="")
-        screen.faults(error.faults)
-        return Exit.BAD_INPUT
-    except InputError as error:
-        screen.faults(error.faults)
-        return Exit.BAD_INPUT
-    except CfgplanError as error:
-        screen.faults([Fault(str(error), file=getattr(options, "env", None))])
-        return Exit.BAD_INPUT
     except KeyboardInterrupt:
         return _interrupted(ending)
     except BrokenPipeError:
         _say_no_more()
-        return Exit.OK
-    except ModuleNotFoundError as error:
-        if (error.name or "").startswith("cfgplan"):
-            raise
-        screen.faults([Fault(f"the package {error.name} is not installed", mend=_install(error.name or ""))])
-        return Exit.BAD_INPUT
+        return code
     except Exception as error:
         if ending.interrupted:  # the libraries make other errors of a Ctrl-C while they are imported
             return _interrupted(ending)
@@ -89,10 +79,24 @@ def _main(arguments: Sequence[str], ending: Ending) -> int:
             raise
         if isinstance(error, OSError) and error.errno in _FULL and not error.filename:
             _say_no_more()
-            screen.faults([Fault(f"what was found can't be written: {error.strerror}", file="standard output")])
+            fault = Fault(f"what was found can't be written: {error.strerror}", file="standard output")
+            Screen(json=False).faults([fault])
             return Exit.BAD_INPUT
         screen.internal_error(error)
         return Exit.INTERNAL
+
+
+def _tell(error: CfgplanError | ModuleNotFoundError, screen: Screen, env: str | None) -> None:
+    """Show what is wrong with the input, the command line or the installation."""
+    match error:
+        case InputError(faults=faults):
+            if isinstance(error, _UsageError) and not screen.json:
+                screen.note(error.usage, style="")
+            screen.faults(faults)
+        case ModuleNotFoundError():
+            screen.faults([Fault(f"the package {error.name} is not installed", mend=_install(error.name or ""))])
+        case _:
+            screen.faults([Fault(str(error), file=env)])
 
 
 def _interrupted(ending: Ending) -> Exit:

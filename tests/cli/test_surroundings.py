@@ -84,19 +84,21 @@ def test_closed_streams_are_no_errors(verb: list[object]) -> None:
 
 
 def test_a_reader_that_has_gone_is_no_error() -> None:
-    reader, writer = os.pipe()
-    os.close(reader)
-    done = start("solve", FUSION, stdout=writer)
-    os.close(writer)
-    assert (done.returncode, b"error" in done.stderr) == (0, False)
+    for verb, code in ((("solve", FUSION), 0), (("solve", "nothere.yaml", "--json"), 30)):
+        reader, writer = os.pipe()
+        os.close(reader)
+        done = start(*verb, stdout=writer)
+        os.close(writer)
+        assert (done.returncode, done.stderr.count(b"Error")) == (code, 0)
 
 
 @pytest.mark.skipif(not Path("/dev/full").is_char_device(), reason="this system has no /dev/full")
 def test_a_full_disk_is_told() -> None:
     with Path("/dev/full").open("wb") as full:
-        done = start("export", "schema", stdout=full)
-    assert done.returncode == 30
-    assert b"error: standard output: what was found can't be written: No space left" in done.stderr
+        done = [start(*verb, stdout=full) for verb in (["export", "schema"], ["solve", "nothere.yaml", "--json"])]
+    for each in done:
+        assert each.returncode == 30
+        assert b"error: standard output: what was found can't be written: No space left" in each.stderr
 
 
 def test_a_package_that_is_missing_is_named(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
