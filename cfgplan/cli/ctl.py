@@ -181,13 +181,9 @@ def _met(targets: Iterable[bool]) -> Exit:
 
 
 def _read(file: str) -> str:
-    from cfgplan.formats.files import read_text, text_of
+    from cfgplan.formats.files import read_text
 
-    text = text_of(sys.stdin.buffer.read(), "stdin") if file == "-" else read_text(Path(file))
-    if not text.strip():
-        mend = "write a mapping with `transformations:`, `targets:` or `individuals:`"
-        raise InputError.of("the file is empty", file="stdin" if file == "-" else file, mend=mend)
-    return text
+    return sys.stdin.read() if file == "-" else read_text(Path(file))
 
 
 def _name(file: str) -> str:

@@ -25,17 +25,13 @@ def read_source(path: Path) -> Source:
 
 def read_text(path: Path) -> str:
     """The text of a UTF-8 file; raises InputError."""
-    return text_of(read_bytes(path), str(path))
-
-
-def text_of(content: bytes, file: str) -> str:
-    """The text of a UTF-8 file's content; raises InputError."""
+    content = read_bytes(path)
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
         message = f"byte {content[error.start]:#04x} is not UTF-8"
-        raise InputError([Fault(message, file, line, mend="save the file in the encoding UTF-8")]) from None
+        raise InputError([Fault(message, str(path), line, mend="save the file in the encoding UTF-8")]) from None
 
 
 def read_bytes(path: Path) -> bytes:

@@ -130,12 +130,6 @@ def test_what_is_refused_says_where_and_why(env: Path, capsys: pytest.CaptureFix
     assert "no unit 'ghost' runs" in capsys.readouterr().err
     assert main(["ctl", "add", str(env.parent / "nowhere.yaml")]) == 30
     assert "there is no such file" in capsys.readouterr().err
-    bad.write_text("")
-    assert main(["ctl", "add", str(bad)]) == 30
-    assert f"{bad}: the file is empty" in capsys.readouterr().err
-    for given, says in ((b"\xff", "stdin:1: byte 0xff is not UTF-8"), (b"", "stdin: the file is empty")):
-        done = subprocess.run(command("ctl", "add", "-"), input=given, capture_output=True, check=False)
-        assert (done.returncode, says in done.stderr.decode()) == (30, True)
 
 
 def test_what_happens_can_be_followed(run: subprocess.Popen[str], capsys: pytest.CaptureFixture[str]) -> None:

@@ -33,7 +33,7 @@ def chained_bound(core: Core, cost: Ints) -> int:
 
 def _charges(core: Core, facts: Ints, before: Ints, end: int) -> Ints:
     """What the landmarks of a chain's end take from each label: from the level of its needs to the one it enters."""
-    labels, dearest = core.dearest_needs(facts, before)
+    labels, dearest = core.needs_with(facts, before)
     level = np.zeros_like(facts)
     level[end] = facts[end]
     while True:

@@ -13,6 +13,9 @@ import numpy as np
 from cfgplan.planners.cpsat.network import Floats, Graph, Ints
 from cfgplan.reasons import assign_different, distinct_groups
 
+FREE = 1e-3
+"""The price of a label that is there already: of two such supports the smaller one is better."""
+
 
 def first_plan(network: Graph, cost: Ints, attempts: int, is_over: Callable[[], bool]) -> set[int] | None:
     """A plan, after up to `attempts` attempts to do without one of its members; None if none was found."""
@@ -34,7 +37,7 @@ def with_less(
     """
     tried: set[int] = set()
     while len(tried) < attempts and not is_over():
-        limit = _cost(cost, plan)
+        limit = cost_of(cost, plan)
         ahead = sorted(
             (label for label in plan - tried if cost[label] and without.get(label, 0) < limit),
             key=lambda label: (-cost[label], label),
@@ -57,19 +60,25 @@ def improved(network: Graph, cost: Ints, plan: set[int], doubtful: set[int]) -> 
 def _without(network: Graph, cost: Ints, plan: set[int], label: int) -> set[int]:
     """The plan, or a cheaper one around a member, with the other members for nothing."""
     other = _supported(network, cost, plan - {label}, avoid=label)
-    return other if other is not None and _cost(cost, other) < _cost(cost, plan) else plan
+    return other if other is not None and cost_of(cost, other) < cost_of(cost, plan) else plan
 
 
-def _cost(cost: Ints, labels: Iterable[int]) -> int:
+def cost_of(cost: Ints, labels: Iterable[int]) -> int:
+    """What labels cost together."""
     return int(cost[list(labels)].sum())
 
 
 def _supported(network: Graph, cost: Ints, free: set[int], avoid: int | None = None) -> set[int] | None:
     """The cheapest support of the goal by h_add, where `free` labels cost nothing and `avoid` is not to be had."""
     price = cost.astype(np.float64) + 1.0
-    price[list(free)] = 1e-3
+    price[list(free)] = FREE
     if avoid is not None:
         price[avoid] = np.inf
+    return plan_at(network, cost, price)
+
+
+def plan_at(network: Graph, cost: Ints, price: Floats) -> set[int] | None:
+    """The cheapest support of the goal by h_add at some prices, less what it can do without; None if it is no plan."""
     total = _total(network, price)
     if total is None:
         return None

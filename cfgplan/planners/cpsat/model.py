@@ -81,7 +81,7 @@ class Model:
         """Every plan has a transformation of each landmark."""
         units = self.site.units_of
         for landmark in landmarks:
-            self.cp.add_bool_or([self.runs[i] for label in landmark for i in units[label]])
+            self.cp.add_bool_or([self.runs[i] for label in landmark for i in units.get(label, ())])
 
     def cost(self) -> LinearExprT:
         return sum(c.cost_us * x for c, x in zip(self.site.candidates, self.runs, strict=True))

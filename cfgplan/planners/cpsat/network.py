@@ -128,9 +128,9 @@ class Core:
         """For each label the greatest value of the facts it gives; 0 if it gives none."""
         return _most(self.gives, self._giving, of_fact)
 
-    def dearest_needs(self, of_fact: Ints, most: Ints) -> tuple[Ints, Ints]:
-        """The labels that need something, and for each the first of its needs that has the greatest value."""
-        items = np.flatnonzero(of_fact[self.needs.items] == most[self.needs.row_of_item])
+    def needs_with(self, of_fact: npt.NDArray[Number], of_label: npt.NDArray[Number]) -> tuple[Ints, Ints]:
+        """The labels that need something, and for each the first of its needs that has the label's value."""
+        items = np.flatnonzero(of_fact[self.needs.items] == of_label[self.needs.row_of_item])
         first = items[np.diff(self.needs.row_of_item[items], prepend=-1) > 0]
         return self._fed, self.needs.items[first]
 
@@ -140,6 +140,20 @@ class Core:
         if len(self._fed):
             value[self._fed] = np.add.reduceat(of_fact[self.needs.items], self.needs.starts[self._fed])
         return value
+
+    def least_of_needs(self, of_fact: Floats) -> Floats:
+        """For each label the least value of the facts it needs; 1 for sources."""
+        value = np.ones(self.goal + 1)
+        if len(self._fed):
+            value[self._fed] = np.minimum.reduceat(of_fact[self.needs.items], self.needs.starts[self._fed])
+        return value
+
+    def sum_of_givers(self, of_label: Floats) -> Floats:
+        """For each fact the sum over the labels that offer it."""
+        if not len(self.givers):
+            return np.zeros(0)
+        total: Floats = np.add.reduceat(of_label[self.givers.items], self.givers.starts[:-1])
+        return total
 
     def least_of_givers(self, of_label: npt.NDArray[Number]) -> npt.NDArray[Number]:
         """For each fact the least value of the labels that offer it; every fact has one."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterable
 from math import ceil
 
 from ortools.sat.python.cp_model import (
@@ -41,7 +41,20 @@ class InfeasibleError(Exception):
 class Search:
     """Rounds of solving and cutting that bring a standing forward."""
 
-    def __init__(self, standing: Standing, prepared: Prepared, grounding: Grounding) -> None:
+    def __init__(
+        self,
+        standing: Standing,
+        prepared: Prepared,
+        grounding: Grounding,
+        slice_s: float | None = None,
+        missed: Callable[[Collection[str]], Iterable[Collection[str]]] = lambda _: (),
+    ) -> None:
+        """`slice_s` are the engine's own seconds, which do not depend on the machine, for each round.
+
+        `missed` finds landmarks that the transformations of a solution do not hit.
+        """
+        self.slice_s = slice_s
+        self.missed = missed
         self.standing = standing
         self.site = standing.site
         self.prepared = prepared
@@ -80,7 +93,8 @@ class Search:
 
     def _begin(self) -> None:
         model = self.model
-        self.standing.counts |= {"booleans": len(model.literals), "rounds": 0, "cuts": 0, "conflicts": 0}
+        self.standing.counts = {"rounds": 0, "cuts": 0, "conflicts": 0} | self.standing.counts
+        self.standing.counts["booleans"] = len(model.literals)
         model.some_member_of_each_runs(self.prepared.landmarks)
         if self.grounding is Grounding.LEVELS:
             from cfgplan.planners.cpsat.levels import everything_rests_on_something_lower  # networkx takes long too
@@ -179,6 +193,9 @@ class Search:
         for proposition in unfounded:
             self.model.needs_any(literals[proposition], [literals[way] for way in ways_in])
         self.standing.counts["cuts"] += len(unfounded)
+        running = zip(self.model.runs, self.site.candidates, strict=True)
+        used = {candidate.transformation.label for runs, candidate in running if runs.index in true}
+        self.model.some_member_of_each_runs(self.missed(used))
 
     def learn_bound(self, objective: int) -> None:
         """What a bound on the present stage's objective says about the cost."""
@@ -193,6 +210,8 @@ class Search:
         solver = repeatable_solver(small=size < SMALL, time_limit_s=self.standing.clock.left_s())
         if size < TINY:
             solver.parameters.max_presolve_iterations = 1
+        if self.slice_s is not None:
+            solver.parameters.max_deterministic_time = self.slice_s
         return solver
 
     def hint(self) -> None:

@@ -7,7 +7,7 @@ the library, the landmarks, and the last plan as a first one. The answer is as g
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from threading import Event
 
 import numpy as np
@@ -19,17 +19,24 @@ from cfgplan.planners.cpsat.greedy import first_plan, improved, is_plan, with_le
 from cfgplan.planners.cpsat.grounding import Grounding
 from cfgplan.planners.cpsat.network import Ints, costs
 from cfgplan.planners.cpsat.prepared import Prepared
+from cfgplan.planners.cpsat.preparing import Preparation
 from cfgplan.planners.cpsat.rest import Left, Rest
 from cfgplan.planners.cpsat.site import Site
 from cfgplan.planners.cpsat.standing import Stage, Standing
 from cfgplan.planners.cpsat.structure import Structure
-from cfgplan.planners.cpsat.tightening import begun, tightened
+from cfgplan.planners.cpsat.tightening import begun
 from cfgplan.planners.cpsat.weighing import Weighing
 from cfgplan.planning import Plan, Problem, Progress, Status
 from cfgplan.reasons import unmet_reasons
 
 ATTEMPTS = 30
 """How many members of the first plan are tried to be done without."""
+
+
+SMALL = 1500
+"""With fewer labels than this the solver is tried before bounds are raised further."""
+SLICE_S, CLOSING_S = 1.5e-5, 3e-5
+"""The engine's own seconds for this, and seconds for raising bounds, for the number of labels to the power of 1.5."""
 
 
 class PlannerSession:
@@ -71,13 +78,8 @@ class PlannerSession:
             if structure.has_required:
                 standing = self._with_required(problem, structure, clock, report)
             else:
-                prepared = self._prepare(problem, structure, clock)
-                clock.end("bounds")
-                standing = Standing(Site(problem, structure.givers, prepared.labels), prepared, clock, report)
-                if standing.stage is not Stage.DONE and not clock.is_over():
-                    from cfgplan.planners.cpsat.search import Search  # the solver takes long to import
-
-                    Search(standing, prepared, self._grounding).run()
+                for so_far in self._without_required(problem, structure, clock, report):
+                    standing = so_far
         except KeyboardInterrupt:
             clock.stop.set()
         clock.end("search")
@@ -90,53 +92,57 @@ class PlannerSession:
             self._settle(problem, structure, clock)
         return found
 
-    def _prepare(self, problem: Problem, structure: Structure, clock: Clock) -> Prepared:
+    def _without_required(
+        self, problem: Problem, structure: Structure, clock: Clock, report: Callable[[Progress], None] | None
+    ) -> Iterator[Standing]:
+        """The standing, each time that something is known, until all is proven or the time is over.
+
+        The solver has a first try at small problems; what it can't do soon, and larger ones, get better bounds first.
+        """
+        preparation = self._prepare(problem, structure, clock)
+        prepared = preparation.prepared(clock)
+        standing = Standing(Site(problem, structure.givers, prepared.labels), prepared, clock, report)
+        standing.counts = structure.counts() | standing.counts
+        size = len(structure.network.labels)
+        slice_s: float | None = SLICE_S * size**1.5
+        if size >= SMALL or not preparation.may_go_on:
+            slice_s = None
+        while True:
+            clock.end("bounds")
+            yield standing
+            if standing.stage is not Stage.DONE and preparation.may_go_on and slice_s is None:
+                running = standing.best.units if standing.best is not None else ()
+                preparation.go_on(CLOSING_S * size**1.5, {unit.transformation for unit in running}, clock)
+                prepared = preparation.prepared(clock)
+                standing.go_on_with(Site(problem, structure.givers, prepared.labels), prepared)
+                clock.end("bounds")
+                yield standing
+            if standing.stage is Stage.DONE or clock.is_over():
+                return
+            from cfgplan.planners.cpsat.search import Search  # the solver takes long to import
+
+            Search(standing, prepared, self._grounding, slice_s, preparation.missed).run()
+            clock.end("search")
+            yield standing
+            if slice_s is None:
+                return
+            slice_s = None
+
+    def _prepare(self, problem: Problem, structure: Structure, clock: Clock) -> Preparation:
         """Bounds on the cost from both sides, and what may still be used between them."""
         network = structure.network
-        counts = {
-            "transformations": len(problem.environment.library),
-            "startable": len(structure.possible),
-            "relevant": len(network.labels),
-            "demands": len(network.fact_of_tag),
-            "merged demands": len(network.core.givers),
-        }
         weighing = Weighing.of(problem, network, structure.pinned)
         quick = weighing.least(chained_bound(network.core, weighing.weight)) if weighing.counts_starts else 0
         plan, bound = self._first_plan(problem, structure, weighing, quick, clock)
+        left = None
         if plan is not None and weighing.counts_starts and weighing.of_plan(plan) == quick:
             left = Left(plan, quick, [])
-        else:
-            left = self._left(structure, weighing, plan, bound, clock)
-        value = weighing.least(max(left.value, quick))
-        labels = left.labels
-        if plan is not None and value < weighing.of_plan(plan) and clock.is_over():
-            labels = plan
-        counts |= {"landmarks": len(left.landmarks), "left by bounds": len(labels)}
-        is_left = np.zeros(len(network.labels), np.bool_)
-        is_left[labels] = True
-        return Prepared(
-            [network.labels[i] for i in labels.tolist()],
-            None if plan is None else [network.labels[i] for i in plan.tolist()],
-            None if plan is None else weighing.cost_us(weighing.of_plan(plan)),
-            weighing.cost_us(value),
-            [[network.labels[i] for i in members[is_left[members]].tolist()] for members in left.landmarks],
-            counts,
-            fewest_started=weighing.started(value),
-        )
-
-    def _left(
-        self, structure: Structure, weighing: Weighing, plan: Ints | None, bound: Bound | None, clock: Clock
-    ) -> Left:
-        """What landmarks leave of the network, from where they stood at rest if that is near."""
-        cost = weighing.weight
-        if plan is not None and self._rest is not None and not weighing.counts_starts:
-            left = self._rest.left(cost, plan, clock)
-            if left is not None:
-                return left
-        limit = int(cost.sum()) if plan is None else weighing.of_plan(plan)
-        bound = tightened(bound or _known_bound(structure, weighing), limit - weighing.step + 1, limit, clock)
-        structure.remember(bound, weighing.scale)
-        return Left.by(bound, limit)
+        elif plan is not None and self._rest is not None and not weighing.counts_starts:
+            left = self._rest.left(weighing.weight, plan, clock)
+        preparation = Preparation(structure, weighing, plan, left, quick)
+        if left is None:
+            preparation.begin(bound or _known_bound(structure, weighing), clock)
+        return preparation
 
     def _with_required(
         self, problem: Problem, structure: Structure, clock: Clock, report: Callable[[Progress], None] | None

@@ -53,6 +53,16 @@ class Standing:
         if prepared.plan is not None:
             self.begin_with(prepared.plan)
 
+    def go_on_with(self, site: Site, prepared: Prepared) -> None:
+        """The same with what was found out in between: fewer candidates, a better plan, a higher bound."""
+        self.site = site
+        self.stage = Stage.REQUIRED
+        self.fewest_started = prepared.fewest_started
+        self.counts |= prepared.counts
+        self.raise_bound(prepared.bound_us)
+        if prepared.plan is not None:
+            self.begin_with(prepared.plan)
+
     def begin_with(self, labels: list[str]) -> None:
         """Take the first plan as the incumbent; where it meets the bound, all is done."""
         chosen = self.site.first_of_each(labels)

@@ -56,6 +56,16 @@ class Structure:
         self.givers.watch()
         return _network(self.environment, self.givers, self.possible, labels, frozenset())
 
+    def counts(self) -> dict[str, int]:
+        """How many transformations and demands are left, step by step."""
+        return {
+            "transformations": len(self.environment.library),
+            "startable": len(self.possible),
+            "relevant": len(self.network.labels),
+            "demands": len(self.network.fact_of_tag),
+            "merged demands": len(self.network.core.givers),
+        }
+
     def network_with(self, problem: Problem, wanted: frozenset[str]) -> Network:
         """The network with some labels that have to run, as pinned ones do."""
         labels = frozenset(self.network.labels)

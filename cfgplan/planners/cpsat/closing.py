@@ -1,0 +1,144 @@
+"""Bound and plan brought together: missed landmarks for the one, repairs for the other, in turn."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cfgplan.planners.cpsat.bounds import Bound
+from cfgplan.planners.cpsat.clock import Clock
+from cfgplan.planners.cpsat.network import Flags, Floats, Graph, Ints
+from cfgplan.planners.cpsat.program import LandmarkProgram
+from cfgplan.planners.cpsat.repairing import Repairs
+from cfgplan.planners.cpsat.separation import Separator
+
+CHUNK = 25
+"""After so many rounds of landmarks the network is restricted, and the plan repaired."""
+PACE = 0.04
+"""The least part of the gap that so many rounds must close to go on."""
+INWARD = 0.5
+"""How far from the fractions towards something that hits every landmark the missed ones are looked for."""
+TRUST = 0.5
+"""How much cheaper a label is in repairs if the fractions use it as a whole."""
+ROUND_S, ATTEMPT_S, NEED_S = 6e-7, 2e-4, 1.5e-7
+"""About what a round takes for each member of a landmark, and a repair at all and for each fact that is needed.
+
+Time is estimated, not measured, so that a plan can be repeated.
+"""
+REPAIRS = 0.2
+"""The share of time that repairs get."""
+
+
+class Closing:
+    """A bound for plans no dearer than the best one known, and that plan, on their way to each other.
+
+    `cost` is that of all labels of the network, a multiple of `step`.
+    """
+
+    def __init__(self, network: Graph, bound: Bound, cost: Ints, plan: Ints, step: int) -> None:
+        self.bound = bound
+        self._cost = cost
+        self._step = step
+        self._attempt_s = ATTEMPT_S + NEED_S * len(network.core.needs.items)
+        self._repairs = Repairs(network, cost, set(plan.tolist()))
+        self._rounds: _Rounds | None = None
+        self._fractions: Floats = np.zeros(len(cost))
+
+    @property
+    def plan(self) -> Ints:
+        return np.array(sorted(self._repairs.best), np.int64)
+
+    @property
+    def limit(self) -> int:
+        """What the plan costs."""
+        return int(self._cost[self.plan].sum())
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether no plan is cheaper."""
+        return self.bound.value > self.limit - self._step
+
+    def take(self, plan: Ints) -> None:
+        """Go on from a plan that was found elsewhere, if it is better."""
+        if self._cost[plan].sum() < self.limit:
+            self._repairs.best = set(plan.tolist())
+
+    def go_on(self, for_s: float, clock: Clock) -> None:
+        """Raise the bound and look for a cheaper plan for about so long, or until they meet or hardly move."""
+        self._repair(REPAIRS * for_s, clock)
+        if self._rounds is None:
+            self._rounds = _Rounds(self.bound)
+        while for_s > 0 and not self.is_closed and not clock.is_over():
+            keep = self.bound.may_be_used(self.limit)
+            if not keep.any():
+                self.bound.value = self.limit
+                break
+            self._rounds.restrict(keep)
+            before = self.bound.value
+            took_s = self._rounds.improve(self.limit - self._step + 1, for_s, clock)
+            self.bound = self._rounds.bound
+            self._fractions[:] = 0.0
+            self._fractions[self.bound.core.labels] = self._rounds.fractions
+            self._repair(REPAIRS * took_s, clock)
+            if self.bound.value - before < PACE * (self.limit - before):
+                break
+            for_s -= (1 + REPAIRS) * took_s
+
+    def _repair(self, for_s: float, clock: Clock) -> None:
+        """Look for a cheaper plan for about so long."""
+        is_left = np.zeros(len(self._cost), np.bool_)
+        is_left[self.bound.core.labels] = True
+        guide = (self._cost + 1.0) * (1.0 - TRUST * np.minimum(1.0, self._fractions))
+        self._repairs.attempt(int(for_s / self._attempt_s), np.where(is_left, guide, np.inf), clock.is_over)
+
+
+class _Rounds:
+    """Rounds of solving the linear program and adding landmarks that its fractions miss."""
+
+    def __init__(self, bound: Bound) -> None:
+        self.bound = bound
+        self.fractions: Floats = np.zeros(bound.core.goal)
+        self._draw = np.random.default_rng(bound.core.goal)
+        self._inside: Floats = np.ones(bound.core.goal)
+        self._begin()
+
+    def _begin(self) -> None:
+        self._separator = Separator(self.bound.core)
+        self._landmarks = list(self.bound.landmarks)
+        self._program = LandmarkProgram(self.bound.cost, [one.members for one in self._landmarks])
+
+    def restrict(self, keep: Flags) -> None:
+        """Go on with a part of the labels, and the landmarks that count, if that is much less."""
+        counting = sum(weight > 0 for weight in self.bound.weights)
+        if keep.sum() < 0.9 * len(keep) or 2 * counting < len(self.bound.landmarks):
+            self.bound = self.bound.restricted(keep)
+            self._inside = self._inside[keep]
+            self._begin()
+
+    def improve(self, enough: int, for_s: float, clock: Clock) -> float:
+        """Up to `CHUNK` rounds; returns about how many seconds they take."""
+        took_s = 0.0
+        for _ in range(CHUNK):
+            fractions = self._program.solve(clock.left_s())
+            if fractions is None or clock.is_over():
+                break
+            self.fractions = fractions
+            took_s += ROUND_S * self._program.members
+            if self._program.value >= enough or took_s >= for_s or not self._add_missed(fractions):
+                break
+        weights = self._program.weights
+        self.bound = Bound(self.bound.core, self.bound.cost, self._landmarks[:])
+        self.bound.recharge(weights)
+        return took_s
+
+    def _add_missed(self, fractions: Floats) -> bool:
+        """Landmarks missed by a point further inside, which cut deeper; if none are, by the fractions themselves."""
+        inward = fractions + INWARD * (self._inside - fractions)
+        if self._add(inward):
+            return True
+        self._inside = inward
+        return self._add(fractions)
+
+    def _add(self, fractions: Floats) -> bool:
+        new = [one for one in self._separator.missed(fractions, self._draw) if self._program.add(one.members)]
+        self._landmarks += new
+        return bool(new)

@@ -1,0 +1,93 @@
+"""What is known about a problem's costs before the solver is called, and between its attempts."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from functools import cached_property
+
+import numpy as np
+
+from cfgplan.planners.cpsat.bounds import Bound
+from cfgplan.planners.cpsat.clock import Clock
+from cfgplan.planners.cpsat.closing import Closing
+from cfgplan.planners.cpsat.network import Ints
+from cfgplan.planners.cpsat.prepared import Prepared
+from cfgplan.planners.cpsat.rest import Left
+from cfgplan.planners.cpsat.separation import Separator
+from cfgplan.planners.cpsat.structure import Structure
+from cfgplan.planners.cpsat.tightening import tightened
+from cfgplan.planners.cpsat.weighing import Weighing
+
+
+class Preparation:
+    """Labels that may be used, a plan, a bound, landmarks: handed to the search, and brought closer if it takes long.
+
+    Where `left` is given it is all that is known, else `begin` has to be called. No plan weighs less than `least`.
+    """
+
+    def __init__(
+        self, structure: Structure, weighing: Weighing, plan: Ints | None, left: Left | None, least: int
+    ) -> None:
+        self._structure = structure
+        self._weighing = weighing
+        self._plan = plan
+        self._left = left
+        self._least = least
+        self._closing: Closing | None = None
+
+    def begin(self, bound: Bound, clock: Clock) -> None:
+        """Raise the bound by landmarks, charged greedily or by the linear program."""
+        weighing, plan = self._weighing, self._plan
+        limit = int(weighing.weight.sum()) if plan is None else weighing.of_plan(plan)
+        bound = tightened(bound, limit - weighing.step + 1, limit, clock)
+        self._structure.remember(bound, weighing.scale)
+        self._left = Left.by(bound, limit)
+        if plan is not None and weighing.least(max(bound.value, self._least)) < limit:
+            self._closing = Closing(self._structure.network, bound, weighing.weight, plan, weighing.step)
+
+    @property
+    def may_go_on(self) -> bool:
+        """Whether there is something left to be found out."""
+        return self._closing is not None and not self._closing.is_closed
+
+    def go_on(self, for_s: float, best: Collection[str], clock: Clock) -> None:
+        """Bring bound and plan closer for about so long, from the labels of the search's best plan if there is one."""
+        assert self._closing is not None
+        number = self._structure.network.number
+        if best:
+            self._closing.take(np.array(sorted(number[label] for label in best), np.int64))
+        self._closing.go_on(for_s, clock)
+        self._plan = self._closing.plan
+        self._left = Left.by(self._closing.bound, self._closing.limit)
+
+    def prepared(self, clock: Clock) -> Prepared:
+        """What is handed to the search; after the time limit no labels but the plan's."""
+        assert self._left is not None, "begin was called"
+        network, weighing, plan, left = self._structure.network, self._weighing, self._plan, self._left
+        value = weighing.least(max(left.value, self._least))
+        labels = left.labels
+        if plan is not None and value < weighing.of_plan(plan) and clock.is_over():
+            labels = plan
+        is_left = np.zeros(len(network.labels), np.bool_)
+        is_left[labels] = True
+        return Prepared(
+            [network.labels[i] for i in labels.tolist()],
+            None if plan is None else [network.labels[i] for i in plan.tolist()],
+            None if plan is None else weighing.cost_us(weighing.of_plan(plan)),
+            weighing.cost_us(value),
+            [[network.labels[i] for i in members[is_left[members]].tolist()] for members in left.landmarks],
+            {"landmarks": len(left.landmarks), "left by bounds": len(labels)},
+            fewest_started=weighing.started(value),
+        )
+
+    def missed(self, labels: Collection[str]) -> list[list[str]]:
+        """Landmarks that some labels do not hit; none if they can be grounded and meet what is wanted."""
+        network = self._structure.network
+        uses = np.zeros(len(network.labels))
+        uses[[network.number[label] for label in labels]] = 1.0
+        found = self._separator.missed(uses, np.random.default_rng(len(labels)))
+        return [[network.labels[i] for i in landmark.members.tolist()] for landmark in found]
+
+    @cached_property
+    def _separator(self) -> Separator:
+        return Separator(self._structure.network.core)

@@ -1,0 +1,67 @@
+"""The linear program over landmarks: the cheapest fractions of labels that hit each of them.
+
+Its dual is the best way to charge the landmarks. New landmarks only cut off the last solution, so that the
+dual simplex method goes on from there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from cfgplan.planners.cpsat.network import Floats, Ints
+
+PARAMETERS = "use_preprocessing: false use_dual_simplex: true initial_condition_number_threshold: 1e300"
+"""Preprocessing and doubts about the last basis would make the engine begin anew each time."""
+
+
+class LandmarkProgram:
+    """Landmarks by their members; `value` is the optimum of the last solution, a bound on cost but for rounding."""
+
+    def __init__(self, cost: Ints, landmarks: Iterable[Ints]) -> None:
+        from ortools.linear_solver import pywraplp  # type: ignore[import-untyped]
+
+        self._optimal = pywraplp.Solver.OPTIMAL
+        self._engine = pywraplp.Solver.CreateSolver("GLOP")
+        self._engine.SuppressOutput()
+        self._engine.SetSolverSpecificParametersAsString(PARAMETERS)
+        self._unit = float(max(1, cost.max()))
+        infinity = self._engine.infinity()
+        self._uses = [self._engine.NumVar(0.0, infinity, "") for _ in cost]
+        objective = self._engine.Objective()
+        for uses, price in zip(self._uses, cost.tolist(), strict=True):
+            objective.SetCoefficient(uses, price / self._unit)
+        self._rows: list[pywraplp.Constraint] = []
+        self._known: set[bytes] = set()
+        self.members = 0
+        self.value = 0.0
+        self.weights: list[int] = []
+        for members in landmarks:
+            self.add(members)
+
+    def add(self, members: Ints) -> bool:
+        """Demand that the landmark is hit; False if that is done already."""
+        key = members.tobytes()
+        if key in self._known:
+            return False
+        self._known.add(key)
+        self.members += len(members)
+        row = self._engine.RowConstraint(1.0, self._engine.infinity(), "")
+        for label in members.tolist():
+            row.SetCoefficient(self._uses[label], 1.0)
+        self._rows.append(row)
+        return True
+
+    def solve(self, time_limit_s: float | None) -> Floats | None:
+        """The cheapest fractions, None if they are not found in time; sets `value` and the `weights` of the rows.
+
+        Weights are rounded down, so that they can be charged.
+        """
+        if time_limit_s is not None:
+            self._engine.SetTimeLimit(1 + int(900 * time_limit_s))
+        if self._engine.Solve() != self._optimal:
+            return None
+        self.value = self._engine.Objective().Value() * self._unit
+        self.weights = [max(0, int(row.dual_value() * self._unit)) for row in self._rows]
+        return np.array([uses.solution_value() for uses in self._uses])

@@ -1,0 +1,65 @@
+"""A cheaper plan: members torn out of a plan at random, what is missing repaired at slightly wrong prices.
+
+Iterated local search (Lourenço, Martin and Stützle 2003): where repairs no longer pay, a plan at wrong
+prices is the next to begin with. Repeatable, since the random numbers are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from cfgplan.planners.cpsat.greedy import FREE, cost_of, plan_at
+from cfgplan.planners.cpsat.network import Floats, Graph, Ints
+
+TORN = 3
+"""At most so many members are torn out at a time."""
+NOISE = 0.2
+"""The standard deviation of the logarithm of a price."""
+PATIENCE = 40
+"""After so many repairs that did not pay, the search begins anew."""
+
+
+class Repairs:
+    """The best plan found so far, a set of labels that meets the goal."""
+
+    def __init__(self, network: Graph, cost: Ints, plan: set[int]) -> None:
+        self.best = plan
+        self._network = network
+        self._cost = cost
+        self._draw = np.random.default_rng(len(cost))
+        self._plan: set[int] | None = None
+        self._in_vain = 0
+
+    def attempt(self, attempts: int, guide: Floats, is_over: Callable[[], bool]) -> None:
+        """Repair or begin anew so many times, at prices around those of `guide`, infinite for what is not to be had."""
+        for _ in range(attempts):
+            if is_over():
+                return
+            price = guide * np.exp(self._draw.normal(0.0, NOISE, len(guide)))
+            if self._plan is None:
+                self._plan = plan_at(self._network, self._cost, price)
+            else:
+                self._repair(self._plan, price)
+            if self._plan is not None and self._cost_of(self._plan) < self._cost_of(self.best):
+                self.best = self._plan
+            if self._in_vain >= PATIENCE:
+                self._plan, self._in_vain = None, 0
+
+    def _repair(self, plan: set[int], price: Floats) -> None:
+        members = sorted(label for label in plan if self._cost[label])
+        if not members:
+            self._in_vain = PATIENCE
+            return
+        torn = self._draw.choice(members, size=min(int(self._draw.integers(1, TORN + 1)), len(members)), replace=False)
+        price[list(plan)] = FREE
+        price[torn] = np.inf
+        other = plan_at(self._network, self._cost, price)
+        if other is not None and self._cost_of(other) < self._cost_of(plan):
+            self._plan, self._in_vain = other, 0
+        else:
+            self._in_vain += 1
+
+    def _cost_of(self, plan: set[int]) -> int:
+        return cost_of(self._cost, plan)

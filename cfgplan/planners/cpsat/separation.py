@@ -1,0 +1,103 @@
+"""Landmarks that fractions of labels do not hit, by minimum cuts.
+
+If every label is fed through only one of its needs, what is left is a directed graph, and a cheapest set of labels
+without which the goal can't be reached is a minimum cut (Ford and Fulkerson 1956). Its side with the goal is a
+zone, and the labels that enter this zone, all their needs considered, are a landmark and no more than the
+cut. Taken is the need that the fractions support least.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from cfgplan.planners.cpsat.bounds import Landmark, landmark_of
+from cfgplan.planners.cpsat.network import Core, Floats, Ints
+
+WHOLE = 1_000_000
+"""The capacity of a label that is used as a whole."""
+CREEP = 50
+"""Added to each capacity, so that among equal cuts one with few labels is the smallest."""
+MISSED = 1e-3
+"""A landmark counts as missed if it is hit by so much less than a whole label."""
+VARIANTS, NOISE, GOALS, NESTED = 2, 0.05, 8, 6
+"""So often needs are taken, with so much noise; for so many wanted facts cuts are made, so many behind one another."""
+ROUNDS = 60
+"""The support of facts is followed so far."""
+
+
+class Separator:
+    """Finds missed landmarks of a core."""
+
+    def __init__(self, core: Core) -> None:
+        self._core = core
+        labels, facts = core.goal, len(core.givers)
+        self._source = facts + 2 * labels
+        entering = facts + np.arange(labels)
+        self._tails = np.concatenate([entering, entering[core.givers.items] + labels])
+        self._heads = np.concatenate([entering, entering + labels, core.givers.row_of_item])
+
+    def missed(self, fractions: Floats, draw: np.random.Generator) -> list[Landmark]:
+        """Landmarks that the fractions do not hit."""
+        support = self._support(fractions)
+        wanted = self._core.needs[self._core.goal]
+        wanted = wanted[support[wanted] < 1 - MISSED]
+        found: dict[bytes, Landmark] = {}
+        for variant in range(VARIANTS):
+            noise = draw.random(len(support)) * NOISE if variant else 0.0
+            feeding = self._least_of_needs(support + noise)
+            for goal in draw.permutation(wanted)[:GOALS].tolist():
+                found |= {one.members.tobytes(): one for one in self._nested(fractions, feeding, goal)}
+        return list(found.values())
+
+    def _nested(self, fractions: Floats, feeding: Ints, goal: int) -> Iterable[Landmark]:
+        """Missed landmarks one behind the other: what one takes counts as used for the next."""
+        left = fractions.copy()
+        for _ in range(NESTED):
+            flow, zones = self._cut(left, feeding, goal)
+            landmarks = [landmark_of(self._core, zone.tolist()) for zone in zones]
+            missed = [one for one in landmarks if fractions[one.members].sum() < 1 - MISSED]
+            if flow >= 1 - MISSED or not missed:
+                return
+            yield from missed
+            left[missed[-1].members] = 1.0
+
+    def _support(self, fractions: Floats) -> Floats:
+        """For each fact at most how much of it the fractions can support."""
+        core = self._core
+        facts = np.zeros(len(core.givers))
+        for _ in range(ROUNDS):
+            before = facts
+            facts = np.minimum(1.0, core.sum_of_givers(np.minimum(core.least_of_needs(facts)[:-1], fractions)))
+            if np.abs(facts - before).max() < 1e-6:
+                break
+        return facts
+
+    def _least_of_needs(self, support: Floats) -> Ints:
+        """For each label the need with the least support; for sources the source of the graph."""
+        core = self._core
+        labels, needs = core.needs_with(support, core.least_of_needs(support))
+        feeding = np.full(core.goal + 1, self._source)
+        feeding[labels] = needs
+        return feeding[:-1]
+
+    def _cut(self, fractions: Floats, feeding: Ints, goal: int) -> tuple[float, list[Ints]]:
+        """The least that cuts a fact off, and the smallest and the largest zone behind such a cut."""
+        from ortools.graph.python.max_flow import SimpleMaxFlow  # type: ignore[import-untyped]
+
+        core, facts = self._core, len(self._core.givers)
+        unlimited = np.full(core.goal, 10 * WHOLE)
+        limited = np.rint(fractions * WHOLE).astype(np.int64) + CREEP
+        flow = SimpleMaxFlow()
+        flow.add_arcs_with_capacity(
+            np.concatenate([feeding, self._tails]).astype(np.int32),
+            self._heads.astype(np.int32),
+            np.concatenate([unlimited, limited, np.full(len(core.givers.items), 10 * WHOLE)]),
+        )
+        flow.solve(self._source, goal)
+        behind = np.sort(np.array(flow.get_sink_side_min_cut(), np.int64))
+        smallest = behind[behind < facts]
+        largest = np.setdiff1d(np.arange(facts), np.array(flow.get_source_side_min_cut(), np.int64))
+        zones = [smallest] if np.array_equal(smallest, largest) else [smallest, largest]
+        return flow.optimal_flow() / WHOLE, zones

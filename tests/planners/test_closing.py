@@ -1,0 +1,125 @@
+"""Missed landmarks, repairs and the linear program bring bound and plan together, and say nothing untrue."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import combinations
+from unittest import mock
+
+import numpy as np
+import pytest
+from hypothesis import given
+from test_against_the_oracle import agree, fewer
+from test_preprocessing import Stage
+from worlds import problems
+
+from cfgplan.comparing.families.random_library import random_library
+from cfgplan.planners.cpsat import PlannerSession, session
+from cfgplan.planners.cpsat.bounds import Bound
+from cfgplan.planners.cpsat.clock import Clock
+from cfgplan.planners.cpsat.closing import Closing
+from cfgplan.planners.cpsat.greedy import first_plan, is_plan
+from cfgplan.planners.cpsat.program import LandmarkProgram
+from cfgplan.planners.cpsat.repairing import Repairs
+from cfgplan.planners.cpsat.separation import Separator
+from cfgplan.planning import Problem, Status
+from cfgplan.validity import plan_violations
+
+
+def closing(stage: Stage) -> Closing:
+    plan = first_plan(stage.network, stage.cost, 0, lambda: False)
+    assert plan is not None
+    bound = Bound(stage.network.core, stage.cost)
+    return Closing(stage.network, bound, stage.cost, np.array(sorted(plan), np.int64), 1)
+
+
+@fewer
+@given(problems(special=False))
+def test_the_bound_stays_below_the_optimum_and_the_plan_above(problem: Problem) -> None:
+    stage = Stage(problem)
+    both = closing(stage)
+    both.go_on(0.05, Clock())
+    assert both.bound.value <= (stage.plan.cost_us or 0) <= both.limit
+    assert is_plan(stage.network, set(both.plan.tolist()))
+    used = stage.numbers(stage.used)
+    left = set(both.bound.core.labels[both.bound.may_be_used(both.limit)].tolist())
+    if both.bound.value <= (stage.plan.cost_us or 0) < both.limit:
+        assert used <= left
+
+
+@fewer
+@given(problems(special=False))
+def test_labels_miss_a_landmark_exactly_if_they_are_no_plan(problem: Problem) -> None:
+    stage = Stage(problem)
+    core = stage.network.core
+    separator = Separator(core)
+    used = stage.numbers(stage.used)
+    for size in range(core.goal + 1):
+        for chosen in combinations(range(core.goal), size):
+            fractions = np.zeros(core.goal)
+            fractions[list(chosen)] = 1.0
+            missed = separator.missed(fractions, np.random.default_rng(0))
+            assert all(set(chosen).isdisjoint(one.members.tolist()) for one in missed)
+            assert all(used & set(one.members.tolist()) for one in missed)
+            within = first_plan(stage.network, np.where(fractions > 0, 1, 10**6), 0, lambda: False)
+            assert bool(missed) == (within is None or not within <= set(chosen))
+
+
+@fewer
+@given(problems(special=False))
+def test_repairs_give_plans_that_are_never_dearer(problem: Problem) -> None:
+    stage = Stage(problem)
+    plan = first_plan(stage.network, stage.cost, 0, lambda: False)
+    assert plan is not None
+    repairs = Repairs(stage.network, stage.cost, plan)
+    repairs.attempt(30, stage.cost + 1.0, lambda: False)
+    assert is_plan(stage.network, repairs.best)
+    assert stage.cost[sorted(repairs.best)].sum() <= stage.cost[sorted(plan)].sum()
+
+
+def test_the_linear_program_charges_a_landmark_of_each_pair_of_three_half_of_its_price() -> None:
+    pairs = [np.array(pair) for pair in combinations(range(3), 2)]
+    program = LandmarkProgram(np.array([10, 10, 10]), pairs[:1])
+    fractions = program.solve(None)
+    assert fractions is not None
+    assert program.value == pytest.approx(10)
+    assert [program.add(pair) for pair in pairs] == [False, True, True]
+    fractions = program.solve(None)
+    assert fractions is not None
+    assert fractions == pytest.approx([0.5, 0.5, 0.5])
+    assert program.value == pytest.approx(15)
+    assert program.weights == [5, 5, 5]
+
+
+@contextmanager
+def hurried(small: int) -> Iterator[None]:
+    """The solver's first attempt is over at once, or does not take place if `small` is 0."""
+    with mock.patch.object(session, "SLICE_S", 1e-12), mock.patch.object(session, "SMALL", small):
+        yield
+
+
+@fewer
+@given(problems(special=False))
+def test_bounds_before_and_after_a_first_attempt_leave_the_optimum_as_it_is(problem: Problem) -> None:
+    for small in (0, 10**6):
+        with hurried(small):
+            agree(problem)
+
+
+@fewer
+@given(problems(most=5))
+def test_so_they_do_with_pinned_required_distinct_and_feedback(problem: Problem) -> None:
+    for small in (0, 10**6):
+        with hurried(small):
+            agree(problem)
+
+
+def test_a_plan_that_needs_both_attempts_is_the_same_every_time() -> None:
+    problem = random_library(3, transformations=120, targets=4, arity=3)
+    with hurried(10**6):
+        plans = [PlannerSession().plan(problem) for _ in range(2)]
+    assert plans[0].status is Status.OPTIMAL
+    assert plans[0].change_set == plans[1].change_set
+    assert plan_violations(problem, plans[0]) == []
+    assert plans[0].cost_us == PlannerSession().plan(problem).cost_us
