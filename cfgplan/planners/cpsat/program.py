@@ -6,7 +6,6 @@ dual simplex method goes on from there.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable
 
 import numpy as np
@@ -15,26 +14,6 @@ from cfgplan.planners.cpsat.network import Floats, Ints
 
 PARAMETERS = "use_preprocessing: false use_dual_simplex: true initial_condition_number_threshold: 1e300"
 """Preprocessing and doubts about the last basis would make the engine begin anew each time."""
-
-
-BUILDING_S = 3e-6
-"""What a member of a landmark takes until the engine begins."""
-
-
-def best_weights(landmarks: list[Ints], cost: Ints, time_limit_s: float | None) -> list[int]:
-    """How much to charge each landmark so that no label is charged more than it costs and the sum is greatest.
-
-    Rounded down, so that it is exact whatever the engine's tolerance; empty if the engine fails or the time is over.
-    """
-    members = sum(map(len, landmarks))
-    if not members or (time_limit_s is not None and members * BUILDING_S > time_limit_s):
-        return []
-    if len(np.unique(np.concatenate(landmarks))) == members:
-        return [int(cost[labels].min()) for labels in landmarks]
-    began = time.monotonic()
-    program = LandmarkProgram(cost, landmarks)
-    program.solve(None if time_limit_s is None else max(0.0, time_limit_s - (time.monotonic() - began)))
-    return program.weights
 
 
 class LandmarkProgram:
