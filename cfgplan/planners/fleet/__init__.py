@@ -15,6 +15,7 @@ from cfgplan.planners.fleet.candidates import Candidates
 from cfgplan.planners.fleet.flat import Flat
 from cfgplan.planners.fleet.flatness import is_flat
 from cfgplan.planners.fleet.hostless import hostless
+from cfgplan.planners.fleet.quality_start import begin_with_quality, is_weighed
 from cfgplan.planners.fleet.standing import Standing
 from cfgplan.planning import Notion, Plan, Problem, Progress, Status
 from cfgplan.reasons import unmet_reasons
@@ -88,15 +89,17 @@ def _solve_flat(candidates: Candidates, standing: Standing) -> FlatSearch | None
         few = Flat(Candidates(problem, labels))
         if labels and not few.is_impossible:
             FlatSearch(few, standing, hostless_us, SLICE_S, is_all=False).run()
+    cuts = begin_with_quality(candidates, standing) if is_weighed(candidates) else []
     slice_s = SLICE_S
     while True:
         flat = Flat(candidates)
         if flat.is_impossible:
             standing.is_infeasible = standing.best is None
             return None
-        search = FlatSearch(flat, standing, hostless_us, slice_s)
+        search = FlatSearch(flat, standing, hostless_us, slice_s, cuts=cuts)
         if search.run() or clock.is_over():
             return search
         slice_s *= GROWTH
+        cuts = cuts or begin_with_quality(candidates, standing)
         if standing.best is not None:
             bound_by_price(candidates, standing.best[0][1] - search.least_us)

@@ -18,7 +18,7 @@ def leave_out_what_is_too_bad(candidates: Candidates) -> None:
     for name in sorted({attribute for _, attribute in candidates.bounds}):
         attribute = candidates.environment.quality[name]
         best = best_values(candidates, attribute)
-        allowed = _allowed(candidates, attribute)
+        allowed = worst_of_use(candidates, attribute)
         candidates.leave_out(
             {
                 (tag, stream)
@@ -36,7 +36,7 @@ def range_of_use(candidates: Candidates, attribute: QualityAttribute) -> dict[St
     they give, and for those of which another stream may be used instead.
     """
     best = best_values(candidates, attribute)
-    allowed = _allowed(candidates, attribute) if Notion.SURVIVAL not in candidates.problem.notions else {}
+    allowed = worst_of_use(candidates, attribute) if Notion.SURVIVAL not in candidates.problem.notions else {}
     used: dict[Stream, int] = {}
     ports = [port for candidate in candidates.all for port in candidate.transformation.inputs]
     for tag in {*(port.tag for port in ports), *(target.tag for target in candidates.environment.targets)}:
@@ -127,7 +127,7 @@ def _demands(candidates: Candidates) -> dict[str, list[str]]:
     return demands
 
 
-def _allowed(candidates: Candidates, attribute: QualityAttribute) -> dict[str, int]:
+def worst_of_use(candidates: Candidates, attribute: QualityAttribute) -> dict[str, int]:
     """For each demanded tag the worst value that anybody who demands it may take, if it is of use at all."""
     allowed: dict[str, int] = {}
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from math import ceil
 
 from ortools.sat.python.cp_model import INFEASIBLE, MODEL_INVALID, OPTIMAL, CpSolver, IntVar, LinearExpr
@@ -18,6 +18,8 @@ from cfgplan.planners.fleet.decode import lean, named
 from cfgplan.planners.fleet.flat import Fact, Flat, Met
 from cfgplan.planners.fleet.flat_model import FlatModel
 from cfgplan.planners.fleet.quality import Values, targets_get_the_quality_they_ask_for, value_of_choice
+from cfgplan.planners.fleet.quality_chains import ChainCut
+from cfgplan.planners.fleet.quality_demands import DemandModel, takes_the_worst
 from cfgplan.planners.fleet.standing import Standing
 from cfgplan.qualities import QualityAttribute
 
@@ -33,7 +35,14 @@ class FlatSearch:
     """Finds the least cost and the fewest started units for it; `is_done` if that is proven."""
 
     def __init__(
-        self, flat: Flat, standing: Standing, hostless_us: int, slice_s: float, *, is_all: bool = True
+        self,
+        flat: Flat,
+        standing: Standing,
+        hostless_us: int,
+        slice_s: float,
+        *,
+        is_all: bool = True,
+        cuts: Iterable[ChainCut] = (),
     ) -> None:
         """With `is_all` false some candidates are left out: nothing is learned but plans."""
         self.flat = flat
@@ -63,7 +72,7 @@ class FlatSearch:
         if flat.candidates.environment.hosts:
             Anywhere(flat, most, standing.clock).add_to(self.model)
         if any(target.quality for target in flat.candidates.environment.targets):
-            self._ask_for_quality()
+            self._ask_for_quality(cuts)
         self.model.ground()
         if hostless_us:
             self.model.cp.add(self.model.cost_but_transfers() >= hostless_us)
@@ -118,9 +127,8 @@ class FlatSearch:
         self.is_done = self.is_weighed and best[2] == 0 and best[3] == key[3]
         return True
 
-    def _ask_for_quality(self) -> None:
+    def _ask_for_quality(self, cuts: Iterable[ChainCut]) -> None:
         model, flat = self.model, self.flat
-        value_of: dict[Fact, IntVar] = {}
         for fact in flat.facts:
             if isinstance(fact, Met):
                 model.feeds[fact] = {
@@ -129,6 +137,13 @@ class FlatSearch:
                     if fact not in flat.needs[label]
                     for stream in streams
                 }
+
+        asked = {wish.attribute for target in model.environment.targets for wish in target.quality}
+        attribute = model.environment.quality[asked.pop()]
+        if takes_the_worst(flat.candidates, attribute):
+            DemandModel(model, attribute).grant_all(cuts)
+            return
+        value_of: dict[Fact, IntVar] = {}
 
         def value_of_fact(attribute: QualityAttribute, fact: Met, values: Values) -> IntVar:
             if fact not in value_of:
@@ -148,7 +163,7 @@ class FlatSearch:
             return value
 
         targets_get_the_quality_they_ask_for(
-            model, lambda target: self._streams(Met(target.tag, target.host)), value_at
+            model, lambda target: self._streams(Met(target.tag, target.host)), value_at, cuts
         )
 
     def _streams(self, fact: Met) -> list[tuple[Stream, IntVar]]:

@@ -7,7 +7,7 @@ good values are asked for, the solver makes them as good as they are.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import gcd
 from typing import Protocol
 
@@ -16,7 +16,8 @@ from ortools.sat.python.cp_model import CpModel, IntVar, LinearExpr, LinearExprT
 from cfgplan.domain import Environment, InputPort, Stream, Target
 from cfgplan.planners.fleet.best_case import range_of_use
 from cfgplan.planners.fleet.candidates import Candidates
-from cfgplan.qualities import MICRO, Better, Over, QualityAttribute, Rule, Wish
+from cfgplan.planners.fleet.quality_chains import ChainCut
+from cfgplan.qualities import MICRO, Better, Contribution, Over, QualityAttribute, Rule, Wish
 
 
 class Model(Protocol):
@@ -40,6 +41,7 @@ def targets_get_the_quality_they_ask_for(
     model: Model,
     published: Callable[[Target], Choices],
     value_at: Callable[[QualityAttribute, int, InputPort, Values], IntVar],
+    cuts: Iterable[ChainCut] = (),
 ) -> None:
     """Bounds are met; prices are added to the cost.
 
@@ -53,9 +55,49 @@ def targets_get_the_quality_they_ask_for(
             if wish.attribute == attribute.name
         ]
         if asked:
-            values = _values(model, attribute, value_at, range_of_use(model.candidates, attribute))
-            for target, wish in asked:
-                _grant(model, attribute, wish, published(target), values)
+            scaled = Scaled(model.candidates, attribute)
+            values = _values(model, scaled, value_at)
+            missed_by = {target.label: _grant(model, scaled, wish, published(target), values) for target, wish in asked}
+            mine = [cut for cut in cuts if cut.attribute == attribute.name]
+            chains_are_as_bad_as_who_runs_lets_them(model, mine, missed_by, scaled.step)
+
+
+def chains_are_as_bad_as_who_runs_lets_them(
+    model: Model, cuts: Iterable[ChainCut], missed_by: dict[str, IntVar], step: int
+) -> None:
+    """Implied, but what the linear relaxation needs; `missed_by` of each target is in steps."""
+    for cut in cuts:
+        terms = [missed_by[cut.target]]
+        terms += [
+            -(-ahead // step) * runs
+            for unit, ahead in zip(cut.units.tolist(), cut.ahead.tolist(), strict=True)
+            for runs in model.ways_to_run(unit)
+        ]
+        model.cp.add(LinearExpr.sum(terms) >= -(-cut.least // step))
+
+
+class Scaled:
+    """An attribute in steps of which all values are multiples: small numbers are what the engine is good at."""
+
+    def __init__(self, candidates: Candidates, attribute: QualityAttribute) -> None:
+        transformations = {c.transformation.label: c.transformation for c in candidates.all}.values()
+        stated = [
+            c for t in transformations for port in t.outputs for c in port.quality if c.attribute == attribute.name
+        ]
+        is_cut = any(c.rule is Rule.SCALE or c.over is Over.MEAN for c in stated)
+        self.step = 1 if is_cut else gcd(attribute.worst, attribute.best, *(c.value for c in stated))
+        self.attribute = replace(attribute, worst=attribute.worst // self.step, best=attribute.best // self.step)
+        self.ranges = {
+            stream: (best // self.step, self.at_most(worst))
+            for stream, (best, worst) in range_of_use(candidates, attribute).items()
+        }
+
+    def at_most(self, value: int) -> int:
+        """The worst multiple that is no worse than a value."""
+        return value // self.step if self.attribute.better is Better.LOWER else -(-value // self.step)
+
+    def own(self, stated: Contribution) -> int:
+        return stated.value if stated.rule is Rule.SCALE else stated.value // self.step
 
 
 def value_of_choice(model: Model, attribute: QualityAttribute, choices: Choices, values: Values) -> IntVar:
@@ -75,7 +117,9 @@ def value_of_choice(model: Model, attribute: QualityAttribute, choices: Choices,
     return value
 
 
-def _grant(model: Model, attribute: QualityAttribute, wish: Wish, choices: Choices, values: Values) -> None:
+def _grant(model: Model, scaled: Scaled, wish: Wish, choices: Choices, values: Values) -> IntVar:
+    """What a target asks of what it may take is granted; returns by how much its stream misses the best."""
+    attribute = scaled.attribute
     missed_by = model.cp.new_int_var(0, abs(attribute.worst - attribute.best), "")
     for stream, published in choices:
         if stream not in values:
@@ -86,25 +130,31 @@ def _grant(model: Model, attribute: QualityAttribute, wish: Wish, choices: Choic
     best_of = min if attribute.better is Better.LOWER else max
     at_best = [_badness_of(attribute, best_of(values[s].proto.domain)) * published for s, published in known]
     model.cp.add(missed_by >= LinearExpr.sum(at_best))
+    grant(model, scaled, wish, missed_by)
+    return missed_by
+
+
+def grant(model: Model, scaled: Scaled, wish: Wish, missed_by: IntVar) -> None:
+    """A bound on what a target's stream misses the best by is kept, its price is added to the cost."""
+    attribute = scaled.attribute
     if wish.bound is not None:
-        model.cp.add(missed_by <= max(0, _badness_of(attribute, wish.bound)))
-        if _badness_of(attribute, wish.bound) < 0:
+        bound = scaled.at_most(wish.bound)
+        model.cp.add(missed_by <= max(0, _badness_of(attribute, bound)))
+        if _badness_of(attribute, bound) < 0:
             model.cp.add_bool_or([])
     if wish.weight_us:
-        common = gcd(wish.weight_us, MICRO)
-        weight, by = wish.weight_us // common, MICRO // common
+        common = gcd(wish.weight_us * scaled.step, MICRO)
+        weight, by = wish.weight_us * scaled.step // common, MICRO // common
         price = model.cp.new_int_var(0, -(-weight * abs(attribute.worst - attribute.best) // by), "")
         model.cp.add(by * price >= weight * missed_by)
         model.more_costs.append(price)
 
 
 def _values(
-    model: Model,
-    attribute: QualityAttribute,
-    value_at: Callable[[QualityAttribute, int, InputPort, Values], IntVar],
-    ranges: dict[Stream, tuple[int, int]],
+    model: Model, scaled: Scaled, value_at: Callable[[QualityAttribute, int, InputPort, Values], IntVar]
 ) -> Values:
     """A variable for the value of each stream that is of use."""
+    attribute, ranges = scaled.attribute, scaled.ranges
     values = {stream: model.cp.new_int_var(min(ends), max(ends), "") for stream, ends in ranges.items()}
     for i, candidate in enumerate(model.candidates.all):
         outputs = [port for port in candidate.transformation.outputs if Stream(candidate.id, port.name) in values]
@@ -115,10 +165,10 @@ def _values(
             value = values[Stream(candidate.id, port.name)]
             no_better = _NoBetter(model, attribute, value, ranges[Stream(candidate.id, port.name)][1], i)
             if not inputs:
-                no_better.than(attribute.worst if stated is None else stated.value)
+                no_better.than(attribute.worst if stated is None else scaled.own(stated))
                 continue
             theirs = _combined(model, attribute, Over.WORST if stated is None else stated.over, inputs)
-            rule, own = (Rule.ADD, 0) if stated is None else (stated.rule, stated.value)
+            rule, own = (Rule.ADD, 0) if stated is None else (stated.rule, scaled.own(stated))
             if rule in (Rule.SET, Rule.LIMIT):
                 no_better.than(own)
             if rule is Rule.SCALE:

@@ -1,0 +1,134 @@
+"""Cuts on chains of streams, and good plans without search, where targets ask for quality."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+from fleets import fleets
+from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import strategies as st
+
+from cfgplan.comparing.families.random_library import random_library
+from cfgplan.domain import ComputationUnit, Environment, InputPort, OutputPort, Similarity, Target, Transformation
+from cfgplan.errors import InputError
+from cfgplan.figures import qualities_of_targets
+from cfgplan.planners import PLANNERS
+from cfgplan.planners.cpsat.clock import Clock
+from cfgplan.planners.fleet.best_case import leave_out_what_is_too_bad
+from cfgplan.planners.fleet.candidates import Candidates
+from cfgplan.planners.fleet.flat import Flat
+from cfgplan.planners.fleet.flatness import is_flat
+from cfgplan.planners.fleet.keys import key_of
+from cfgplan.planners.fleet.quality_chains import Chains
+from cfgplan.planners.fleet.quality_cuts import chain_cuts
+from cfgplan.planners.fleet.quality_plan import QualityPlanner, can_be_planned
+from cfgplan.planning import Notion, Problem
+from cfgplan.qualities import MICRO, Better, Contribution, QualityAttribute, Rule, Wish
+from cfgplan.reasons import unmet_reasons
+
+some = settings(
+    max_examples=int(os.environ.get("CFGPLAN_EXAMPLES", "60")),
+    deadline=None,
+    derandomize="CFGPLAN_EXAMPLES" not in os.environ,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much],
+)
+LATENCY = QualityAttribute("latency", Better.LOWER, worst=1000)
+
+
+def adds(label: str, needs: str | None, gives: str, latency: int) -> Transformation:
+    inputs = () if needs is None else (InputPort("in", needs),)
+    return Transformation(
+        label, inputs, (OutputPort("out", gives, (Contribution("latency", Rule.ADD, latency),)),), 1, 0
+    )
+
+
+def two_ways() -> Candidates:
+    """A target that a slow or a fast filter of one sensor meets."""
+    library = (adds("sensor", None, "raw", 10), adds("slow", "raw", "clean", 30), adds("fast", "raw", "clean", 5))
+    targets = (Target("t", "clean", "/t", quality=(Wish("latency", None, MICRO),)),)
+    similarity = Similarity({tag: frozenset({tag}) for tag in ("raw", "clean")})
+    return Candidates(Problem(Environment((), library, targets, (), (LATENCY,)), similarity, 60))
+
+
+def test_only_the_fast_unit_is_ahead_of_what_the_slow_one_makes() -> None:
+    candidates = two_ways()
+    chains = Chains(candidates, LATENCY)
+    potential = np.zeros(2, np.int64)
+    potential[chains.demand["raw"]], potential[chains.demand["clean"]] = 10, 40
+    ahead = chains.root("clean").ahead(potential)
+    names = {c.transformation.label: int(ahead[i]) for i, c in enumerate(candidates.all)}
+    assert names == {"sensor": 0, "slow": 0, "fast": 25}
+
+
+def test_potentials_are_lifted_where_nobody_gets_ahead() -> None:
+    candidates = two_ways()
+    chains = Chains(candidates, LATENCY)
+    potential = np.zeros(2, np.int64)
+    potential[chains.demand["clean"]] = 15
+    lifted = chains.root("clean").lifted(potential)
+    assert lifted[chains.demand["raw"]] == 10
+    assert not chains.root("clean").ahead(lifted).any()
+
+
+def is_kept(problem: Problem, candidates: Candidates, attribute: QualityAttribute, draw: st.DataObject) -> None:
+    """Cuts with any potentials hold of an optimal plan."""
+    try:
+        plan = PLANNERS["exhaustive"](problem)
+    except InputError:
+        assume(False)
+    assume(plan.change_set is not None)
+    assert plan.change_set is not None
+    units = problem.environment.update(plan.change_set).units
+    reached = qualities_of_targets(problem.environment, units)
+    chains = Chains(candidates, attribute)
+    size = len(chains.demand)
+    found = draw.draw(st.lists(st.integers(0, chains.scale), min_size=size, max_size=size))
+    potential = np.maximum(np.array(found, np.int64), chains.best)
+    running = {unit.id for unit in units}
+    for target in problem.environment.targets:
+        root = chains.root(target.tag)
+        for potentials in (potential, root.lifted(potential)):
+            ahead = root.ahead(potentials)
+            helped = sum(int(ahead[i]) for i, c in enumerate(candidates.all) if c.id in running)
+            badness = chains.badness(reached[target.label][attribute.name])
+            assert badness + helped >= potentials[root.demand]
+
+
+@some
+@given(fleets(frozenset({Notion.QUALITY})), st.data())
+def test_cuts_hold_whatever_the_potentials(problem: Problem, data: st.DataObject) -> None:
+    assume(not unmet_reasons(problem))
+    for attribute in problem.environment.qualities:
+        is_kept(problem, Candidates(problem), attribute, data)
+
+
+@some
+@given(fleets(frozenset({Notion.QUALITY, Notion.HOSTS}), most=2), st.data())
+def test_cuts_hold_with_hosts_too(problem: Problem, data: st.DataObject) -> None:
+    assume(not unmet_reasons(problem))
+    for attribute in problem.environment.qualities:
+        is_kept(problem, Candidates(problem), attribute, data)
+
+
+@some
+@given(fleets(frozenset({Notion.QUALITY}), most=9))
+def test_a_plan_without_search_costs_what_it_says(problem: Problem) -> None:
+    assume(not unmet_reasons(problem))
+    candidates = Candidates(problem)
+    leave_out_what_is_too_bad(candidates)
+    asked = {wish.attribute for target in problem.environment.targets for wish in target.quality}
+    assume(asked and is_flat(candidates) and can_be_planned(candidates) and not Flat(candidates).is_impossible)
+    planner = QualityPlanner(candidates, problem.environment.quality[asked.pop()], Clock())
+    plan = planner.best([], np.zeros(len(candidates.all)))
+    assume(plan is not None)
+    assert plan is not None
+    units: list[ComputationUnit] = planner.units(plan)
+    said_us = planner.total_us(plan)
+    assert said_us is not None
+    assert key_of(problem, units)[1] <= said_us
+
+
+def test_a_fleet_too_large_for_the_relaxation_gets_no_cuts() -> None:
+    flat = Flat(Candidates(random_library(0, transformations=2000, branching=400)))
+    assert chain_cuts(flat, [], Clock())[0] == []
