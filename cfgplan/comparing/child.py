@@ -12,16 +12,21 @@ import json
 import os
 import resource
 import sys
+from contextlib import suppress
 from pathlib import Path
 from time import perf_counter
 from typing import Any, TextIO
 
 from cfgplan.comparing.entrants import Entrant
+from cfgplan.comparing.families.random_library import random_library
 from cfgplan.comparing.rows import Failure
 from cfgplan.comparing.transport import restored
 from cfgplan.errors import CfgplanError
-from cfgplan.planning import Problem, Progress
+from cfgplan.planning import Planner, Problem, Progress
 from cfgplan.validity import plan_violations
+
+WARM_UP_S = 1.0
+"""So long a planner may take over the library that it warms up with."""
 
 
 def main() -> None:
@@ -49,6 +54,7 @@ def main() -> None:
 
 def _run(entrant: Entrant, problem: Problem, time_limit_s: float, out: TextIO) -> dict[str, Any]:
     planner = entrant.planner()
+    _warm_up(planner)
     began = perf_counter()
 
     def report(progress: Progress) -> None:
@@ -68,6 +74,12 @@ def _run(entrant: Entrant, problem: Problem, time_limit_s: float, out: TextIO) -
         "violations": [str(violation) for violation in plan_violations(problem, plan)],
         "message": "; ".join(sorted(set(plan.reasons.values())))[:300],
     }
+
+
+def _warm_up(planner: Planner) -> None:
+    """Plan a small library, so that what a planner loads and fills at its first call is not counted."""
+    with suppress(CfgplanError):
+        planner(random_library(0, transformations=50), time_limit_s=WARM_UP_S)
 
 
 def _peak_mb() -> float:

@@ -37,10 +37,10 @@ LIMITS = Limits(time_limit_s=20)
 Report = Callable[[Progress], None] | None
 
 
-def hangs(_: Problem, *, report: Report, **__: object) -> Plan:
-    if report is not None:
+def hangs(_: Problem, *, report: Report = None, **__: object) -> Plan:
+    if report is not None:  # not when it warms up
         report(Progress(0.0, 9, 4))
-    time.sleep(60)
+        time.sleep(60)
     return Plan("hangs", Status.UNKNOWN)
 
 
@@ -55,6 +55,13 @@ def raises(_: Problem, **__: object) -> Plan:
 
 def eats_memory(_: Problem, **__: object) -> Plan:
     return Plan(str(bytearray(2**33)), Status.UNKNOWN)
+
+
+def takes_long_at_first(_: Problem, **__: object) -> Plan:
+    if "loaded" not in os.environ:
+        os.environ["loaded"] = "yes"
+        return Plan("loads", Status.UNKNOWN)
+    return Plan("is loaded", Status.INFEASIBLE)
 
 
 def lies(problem: Problem, **_: object) -> Plan:
@@ -90,6 +97,10 @@ def test_a_planner_that_hangs_is_killed_and_what_it_had_found_is_kept() -> None:
     row = run_one(SMALL, own("hangs"), Limits(time_limit_s=0.5, grace_s=1.5))
     assert (row.outcome, row.cost_us, row.bound_us) == (Failure.KILLED, 9, 4)
     assert row.violations is None
+
+
+def test_what_a_planner_does_at_its_first_call_is_not_counted() -> None:
+    assert run_one(SMALL, own("takes_long_at_first"), LIMITS).outcome == Status.INFEASIBLE
 
 
 def test_a_crash_is_a_row() -> None:
