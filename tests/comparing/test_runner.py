@@ -58,8 +58,8 @@ def eats_memory(_: Problem, **__: object) -> Plan:
 
 
 def takes_long_at_first(_: Problem, **__: object) -> Plan:
-    if "loaded" not in os.environ:
-        os.environ["loaded"] = "yes"
+    if "LOADED" not in os.environ:
+        os.environ["LOADED"] = "yes"
         return Plan("loads", Status.UNKNOWN)
     return Plan("is loaded", Status.INFEASIBLE)
 
