@@ -80,26 +80,31 @@ def _search(candidates: Candidates, standing: Standing) -> None:
 def _solve_flat(candidates: Candidates, standing: Standing) -> FlatSearch | None:
     """The search that proved the cost, or the last one; None if no plan is possible."""
     from cfgplan.planners.fleet.flat_search import FlatSearch  # the solver takes long to import
+    from cfgplan.planners.fleet.kernels import look_among_few, well_below_best_us
 
     problem, clock = candidates.problem, standing.clock
-    hostless_us = 0
-    if problem.environment.hosts:
+    hostless_us, slice_s, bound = 0, SLICE_S, None
+    cuts = begin_with_quality(candidates, standing) if is_weighed(candidates) else []
+    flat = Flat(candidates)
+    is_probing = bool(problem.environment.hosts) and not flat.is_impossible
+    if is_probing:
         hostless_us, labels = hostless(candidates, clock)
         standing.raise_bound(hostless_us)
-        few = Flat(Candidates(problem, labels))
-        if labels and not few.is_impossible:
-            FlatSearch(few, standing, hostless_us, SLICE_S, is_all=False).run()
-    cuts = begin_with_quality(candidates, standing) if is_weighed(candidates) else []
-    slice_s = SLICE_S
-    while True:
-        flat = Flat(candidates)
-        if flat.is_impossible:
-            standing.is_infeasible = standing.best is None
-            return None
-        search = FlatSearch(flat, standing, hostless_us, slice_s, cuts=cuts)
-        if search.run() or clock.is_over():
+        bound = look_among_few(flat, standing, hostless_us, labels)
+        slice_s *= 2
+    while not flat.is_impossible:
+        limit_us = well_below_best_us(standing) if is_probing else None
+        search = FlatSearch(flat, standing, hostless_us, slice_s, bound=bound, limit_us=limit_us, cuts=cuts)
+        has_ended = search.run()
+        if standing.is_cost_proven or clock.is_over() or (has_ended and limit_us is None):
             return search
+        is_probing = False
+        if limit_us is not None:
+            continue
         slice_s *= GROWTH
         cuts = cuts or begin_with_quality(candidates, standing)
-        if standing.best is not None:
+        if standing.best is not None and Notion.QUALITY in problem.notions:
             bound_by_price(candidates, standing.best[0][1] - search.least_us)
+            flat, bound = Flat(candidates), None
+    standing.is_infeasible = standing.best is None
+    return None

@@ -21,7 +21,7 @@ from cfgplan.planners.fleet.flat_model import FlatModel
 
 
 class Anywhere:
-    """The units that have a place, and the facts without hosts, those with the same givers as one.
+    """The units that have a place, and the facts without hosts.
 
     `bound` is on the cost of the units, by landmarks, for plans whose units cost at most `limit_us`.
     """
@@ -33,15 +33,14 @@ class Anywhere:
         givers: dict[Fact, set[int]] = {}
         for fact, labels in flat.givers.items():
             givers.setdefault(_hostless(fact), set()).update(number[flat.labels[label].unit] for label in labels)
-        merged: dict[tuple[int, ...], int] = {}
-        self._fact_of = {fact: merged.setdefault(tuple(sorted(who)), len(merged)) for fact, who in givers.items()}
-        self._givers = list(merged)
+        self._fact_of = {fact: number for number, fact in enumerate(givers)}
+        self._givers = [sorted(units) for units in givers.values()]
         self._needs = [self._numbers(flat.needs[flat.places(unit)[0]]) for unit in self.units]
         core = Core(
             Rows.of([*self._needs, self._numbers(flat.wanted)]),
             Rows.of(self._givers),
             np.arange(len(self.units)),
-            np.arange(len(merged)),
+            np.arange(len(givers)),
         )
         cost = np.array([candidates.all[unit].cost_us for unit in self.units], np.int64)
         self.bound = tightened(Bound(core, cost), limit_us, limit_us, clock)
@@ -66,8 +65,9 @@ class Anywhere:
             first = [there[n] for n in givers if number not in self._needs[n]]
             cp.add_bool_or([is_met.negated(), *first])
         labels = self.bound.core.labels
-        for landmark in self.bound.landmarks:
-            cp.add_bool_or([there[n] for n in labels[landmark.members].tolist()])
+        for landmark, weight in zip(self.bound.landmarks, self.bound.weights, strict=True):
+            if weight:
+                cp.add_bool_or([there[n] for n in labels[landmark.members].tolist()])
         left = set(labels[self.bound.may_be_used(self._limit_us)].tolist())
         for n, is_there in enumerate(there):
             if n not in left:

@@ -51,6 +51,10 @@ class FlatModel:
             if fact not in self.feeds:
                 self.support.rests_on_any(holds.index, [self.uses[label].index for label in first])
 
+    def streams(self, fact: Fact) -> list[tuple[Stream, IntVar]]:
+        """The streams by which a fact may be met, each with the boolean that says that it is."""
+        return [(stream, feeds) for (_, stream), feeds in self.feeds[fact].items()]
+
     def ways_to_run(self, unit: int) -> list[IntVar]:
         """Booleans one of which holds if the candidate runs."""
         return self.runs[unit]

@@ -7,15 +7,16 @@ from math import ceil
 
 from ortools.sat.python.cp_model import INFEASIBLE, MODEL_INVALID, OPTIMAL, CpSolver, IntVar, LinearExpr
 
-from cfgplan.domain import ComputationUnit, InputPort, Publication, Stream, Subscription
+from cfgplan.domain import InputPort
 from cfgplan.planners.cpsat.bounds import Bound
 from cfgplan.planners.cpsat.engine import OnSolution, repeatable_solver, solve
 from cfgplan.planners.cpsat.greedy import first_plan
+from cfgplan.planners.cpsat.quality import Key
 from cfgplan.planners.cpsat.tightening import tightened
 from cfgplan.planners.fleet.anywhere import Anywhere
 from cfgplan.planners.fleet.best_case import least_prices_us
-from cfgplan.planners.fleet.decode import lean, named
 from cfgplan.planners.fleet.flat import Fact, Flat, Met
+from cfgplan.planners.fleet.flat_decode import decoded, true_of
 from cfgplan.planners.fleet.flat_model import FlatModel
 from cfgplan.planners.fleet.quality import Values, targets_get_the_quality_they_ask_for, value_of_choice
 from cfgplan.planners.fleet.quality_chains import ChainCut
@@ -43,8 +44,14 @@ class FlatSearch:
         *,
         is_all: bool = True,
         cuts: Iterable[ChainCut] = (),
+        bound: Bound | None = None,
+        limit_us: int | None = None,
     ) -> None:
-        """With `is_all` false some candidates are left out: nothing is learned but plans."""
+        """With `is_all` false some candidates are left out: nothing is learned but plans.
+
+        `bound` is what is known of plans that are no dearer than the best; with `limit_us` only plans that cost no
+        more are looked for.
+        """
         self.flat = flat
         self.standing = standing
         self.is_done = False
@@ -54,8 +61,11 @@ class FlatSearch:
         price_us = sum(least_prices_us(flat.candidates).values())
         plan = first_plan(graph, cost, ATTEMPTS, standing.clock.is_over)
         most = int(cost.sum()) if standing.best is None else standing.best[0][1] - price_us
+        if limit_us is not None:
+            most = min(most, limit_us - price_us)
         enough = most if plan is None else min(most, int(cost[sorted(plan)].sum()))
-        bound = tightened(Bound(graph.core, cost), enough, most, standing.clock)
+        bound = bound.at(bound.cost) if bound else Bound(graph.core, cost)
+        bound = tightened(bound, enough, most, standing.clock)
         if is_all:
             standing.raise_bound(bound.value + price_us)
         self.least_us = bound.value
@@ -63,13 +73,14 @@ class FlatSearch:
         self._price_us = price_us
         self.greedy = plan or set()
         landmarks = [bound.core.labels[one.members].tolist() for one in bound.landmarks]
-        self.model = FlatModel(flat, landmarks)
+        has_hosts = bool(flat.candidates.environment.hosts)
+        self.model = FlatModel(flat, [] if has_hosts else landmarks)  # with hosts, those of units alone do better
         left = set(bound.core.labels[bound.may_be_used(most)].tolist())
         for label, uses in enumerate(self.model.uses):
             if label not in left:
                 self.model.cp.add_bool_or([uses.negated()])
         standing.counts |= {"landmarks": len(landmarks), "left by bounds": len(left)}
-        if flat.candidates.environment.hosts:
+        if has_hosts:
             Anywhere(flat, most, standing.clock).add_to(self.model)
         if any(target.quality for target in flat.candidates.environment.targets):
             self._ask_for_quality(cuts)
@@ -82,19 +93,28 @@ class FlatSearch:
         terms = [self.model.cost(), LinearExpr.sum(started)]
         self.objective = LinearExpr.weighted_sum(terms, [self.scale, int(weighed)])
         self.is_weighed = weighed
+        self._limit_us = limit_us
+        self._beaten = standing.best[0] if standing.best is not None and has_hosts else None
+        if limit_us is not None:
+            self.model.cp.add(self.objective <= self.scale * (limit_us + 1) - 1)
+        elif self._beaten is not None:
+            self.model.cp.add(self.objective <= self._weight(self._beaten) - 1)
 
     def run(self) -> bool:
         """Rounds of solving and cutting until the cost is proven; False if a round takes too long."""
         self.model.cp.minimize(self.objective)
         while not self.standing.clock.is_over():
+            self.standing.counts["rounds"] = self.standing.counts.get("rounds", 0) + 1
             solver = self._solver()
             self._hint()
-            self.standing.counts["rounds"] = self.standing.counts.get("rounds", 0) + 1
             solver.best_bound_callback = self._learn
             status = solve(solver, self.model.cp, OnSolution(self._look_at), self.standing.clock)
             self.standing.counts["conflicts"] += solver.num_conflicts
             if status in (MODEL_INVALID, INFEASIBLE):
-                self.standing.is_infeasible = self.is_all and status == INFEASIBLE and self.standing.best is None
+                if self.is_all and status == INFEASIBLE and self._limit_us is not None:
+                    self.standing.raise_bound(self._limit_us + 1)
+                elif self.is_all and status == INFEASIBLE:
+                    self._note_that_none_is_better_than(self._beaten)
                 return True
             self._learn(solver.best_objective_bound)
             if status != OPTIMAL:
@@ -113,19 +133,25 @@ class FlatSearch:
 
     def _is_proven_by(self, solver: CpSolver) -> bool:
         """Whether the optimum of a round is a plan."""
-        units = self._decoded(solver.boolean_value)
+        units = decoded(self.model, solver.boolean_value)
         if units is None:
             return False
         key = self.standing.offer(units)
-        if self.scale * key[1] + (key[3] if self.is_weighed else 0) > round(solver.objective_value):
+        if self._weight(key) > round(solver.objective_value):
             return False
-        if not self.is_all:
-            return True
-        self.standing.prove_cost()
-        assert self.standing.best is not None
-        best = self.standing.best[0]
-        self.is_done = self.is_weighed and best[2] == 0 and best[3] == key[3]
+        if self.is_all:
+            self._note_that_none_is_better_than(key)
         return True
+
+    def _weight(self, key: Key) -> int:
+        return self.scale * key[1] + (key[3] if self.is_weighed else 0)
+
+    def _note_that_none_is_better_than(self, key: Key | None) -> None:
+        best = self.standing.best
+        self.standing.is_infeasible = best is None
+        if best is not None and key is not None:
+            self.standing.prove_cost()
+            self.is_done = self.is_weighed and best[0][2] == 0 and best[0][3] == key[3]
 
     def _ask_for_quality(self, cuts: Iterable[ChainCut]) -> None:
         model, flat = self.model, self.flat
@@ -147,7 +173,7 @@ class FlatSearch:
 
         def value_of_fact(attribute: QualityAttribute, fact: Met, values: Values) -> IntVar:
             if fact not in value_of:
-                value_of[fact] = value_of_choice(model, attribute, self._streams(fact), values)
+                value_of[fact] = value_of_choice(model, attribute, model.streams(fact), values)
             return value_of[fact]
 
         def value_at(attribute: QualityAttribute, unit: int, port: InputPort, values: Values) -> IntVar:
@@ -163,65 +189,17 @@ class FlatSearch:
             return value
 
         targets_get_the_quality_they_ask_for(
-            model, lambda target: self._streams(Met(target.tag, target.host)), value_at, cuts
+            model, lambda target: model.streams(Met(target.tag, target.host)), value_at, cuts
         )
-
-    def _streams(self, fact: Met) -> list[tuple[Stream, IntVar]]:
-        return [(stream, feeds) for (_, stream), feeds in self.model.feeds[fact].items()]
-
-    def _decoded(self, holds: Callable[[IntVar], bool]) -> list[ComputationUnit] | None:
-        """The units of a solution; None if what is wanted or asked for is not grounded."""
-        rank = self.model.support.grounded(self._true(holds))
-        candidates = self.flat.candidates
-        wanted = [*self.flat.wanted]
-        for i, runs in self.model.runs.items():
-            if candidates.all[i].transformation.min_instances and any(holds(run) for run in runs):
-                wanted += self.flat.needs[next(n for n in self.flat.places(i) if holds(self.model.uses[n]))]
-        if any(self.model.holds[fact].index not in rank for fact in wanted):
-            return None
-        topics: dict[str, list[Publication]] = {}
-        for target in candidates.environment.targets:
-            stream = self._stream(Met(target.tag, target.host), holds, rank)
-            topics.setdefault(stream.unit, []).append(Publication(stream.port, target.topic))
-        units = []
-        for i in self.model.runs:
-            place = next((n for n in self.flat.places(i) if self.model.uses[n].index in rank), None)
-            if place is None:
-                continue
-            candidate, host = candidates.all[i], self.flat.labels[place].host
-            subscriptions = tuple(
-                Subscription(port.name, self._stream(Met(port.tag, host), holds, rank))
-                for port in candidate.transformation.inputs
-            )
-            published = tuple(topics.get(candidate.id, ()))
-            units.append(ComputationUnit(candidate.id, candidate.transformation.label, subscriptions, published, host))
-        return named(candidates, lean(candidates.problem, units))
-
-    def _stream(self, fact: Met, holds: Callable[[IntVar], bool], rank: dict[int, int]) -> Stream:
-        """The stream by which a grounded fact is met: the one chosen, or else the first to be there."""
-        if fact in self.model.feeds:
-            return next(stream for stream, feeds in self._streams(fact) if holds(feeds))
-        givers = self.flat.givers[fact]
-        label = min(
-            (label for label in givers if self.model.uses[label].index in rank),
-            key=lambda label: rank[self.model.uses[label].index],
-        )
-        return givers[label][0]
-
-    def _true(self, holds: Callable[[IntVar], bool]) -> set[int]:
-        model = self.model
-        literals = [*model.uses, *model.holds.values()]
-        literals += [feeds for choices in model.feeds.values() for feeds in choices.values()]
-        return {literal.index for literal in literals if holds(literal)}
 
     def _look_at(self, holds: Callable[[IntVar], bool]) -> None:
-        units = self._decoded(holds)
+        units = decoded(self.model, holds)
         if units is not None:
             self.standing.offer(units)
 
     def _cut(self, holds: Callable[[IntVar], bool]) -> None:
         """Forbid a solution that is not grounded, and all others that fail for the same reason."""
-        true, cp = self._true(holds), self.model.cp
+        true, cp = true_of(self.model, holds), self.model.cp
         unfounded, ways_in = self.model.support.cut(true, self.model.support.grounded(true))
         assert unfounded, "a solution without a plan has something that is not grounded"
         ways = [cp.get_bool_var_from_proto_index(way) for way in ways_in]
@@ -230,19 +208,29 @@ class FlatSearch:
         self.standing.counts["cuts"] = self.standing.counts.get("cuts", 0) + len(unfounded)
 
     def _learn(self, bound: float) -> None:
-        if self.is_all:
-            self.standing.raise_bound(ceil(bound - 0.5) // self.scale)
+        if not self.is_all:
+            return
+        bound_us = ceil(bound - 0.5) // self.scale
+        if self._limit_us is not None:
+            bound_us = min(bound_us, self._limit_us + 1)
+        elif self._beaten is not None:
+            bound_us = min(bound_us, self._beaten[1])
+        self.standing.raise_bound(bound_us)
 
     def _solver(self) -> CpSolver:
         """An engine for one round, of a length that does not depend on the machine."""
         small = len(self.model.cp.proto.variables) < SMALL
         solver = repeatable_solver(small=small, time_limit_s=self.standing.clock.left_s())
         solver.parameters.max_deterministic_time = self.slice_s
+        if self._beaten is not None:  # a round that took too long is not repeated as it was
+            solver.parameters.random_seed = self.standing.counts["rounds"]
         return solver
 
     def _hint(self) -> None:
-        """Start from the best plan's units and hosts."""
+        """Start from the best plan's units and hosts, unless only better ones are looked for."""
         self.model.cp.clear_hints()  # type: ignore[no-untyped-call]
+        if self._beaten is not None:
+            return
         if self.standing.best is not None:
             there = {(unit.id, unit.host) for unit in self.standing.best[1]}
             for i, candidate in enumerate(self.flat.candidates.all):

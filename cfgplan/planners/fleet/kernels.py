@@ -1,0 +1,69 @@
+"""Good plans for a fleet before anything is proven: the problem among few units, then among more (kernel search).
+
+First come the units that a cheap plan may have, as far as landmarks say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+from cfgplan.planners.cpsat.bounds import Bound, cheapest_way
+from cfgplan.planners.cpsat.tightening import tightened
+from cfgplan.planners.fleet.best_case import least_prices_us
+from cfgplan.planners.fleet.candidates import Candidates
+from cfgplan.planners.fleet.flat import Flat
+from cfgplan.planners.fleet.flat_search import FlatSearch
+from cfgplan.planners.fleet.standing import Standing
+
+SIZES = (50, 100, 200)
+"""Among so many units is looked, one after the other, if there are twice as many."""
+STEPS = 4
+"""Plans are looked for that close this part of the gap, before plans that are just better."""
+SLICE_S = 0.5
+"""The engine's own seconds for each."""
+
+
+def look_among_few(flat: Flat, standing: Standing, hostless_us: int, labels: Collection[str]) -> Bound:
+    """Offer plans made of the transformations named, of the best plan's and of more and more others.
+
+    Returns the bound that says which are more likely.
+    """
+    candidates = flat.candidates
+    _look_among(labels, candidates, standing, hostless_us)
+    bound = Bound(flat.graph().core, flat.costs())
+    most = sum(flat.cost_us)
+    if standing.best is not None:
+        most = standing.best[0][1] - sum(least_prices_us(candidates).values())
+    bound = tightened(bound, most, most, standing.clock)
+    order = _by_least_cost(flat, bound)
+    for size in SIZES:
+        if 2 * size > len(order) or standing.clock.is_over():
+            break
+        best = labels if standing.best is None else {unit.transformation for unit in standing.best[1]}
+        more = {candidates.all[unit].transformation.label for unit in order[:size]}
+        _look_among(more.union(best), candidates, standing, hostless_us)
+    return bound
+
+
+def _look_among(labels: Collection[str], candidates: Candidates, standing: Standing, hostless_us: int) -> None:
+    flat = Flat(Candidates(candidates.problem, labels))
+    if not flat.is_impossible:
+        limit_us = well_below_best_us(standing)
+        FlatSearch(flat, standing, hostless_us, SLICE_S, is_all=False, limit_us=limit_us).run()
+
+
+def well_below_best_us(standing: Standing) -> int | None:
+    """A cost whose plans, if there are none, are soon known not to be there; None without a plan."""
+    if standing.best is None:
+        return None
+    return standing.best[0][1] - (standing.best[0][1] - standing.bound_us) // STEPS - 1
+
+
+def _by_least_cost(flat: Flat, bound: Bound) -> list[int]:
+    """The units, those first that a cheaper plan may have."""
+    _, before = cheapest_way(bound.core, bound.residual)
+    least: dict[int, int] = {}
+    for label, us in zip(bound.core.labels.tolist(), (before[:-1] + bound.residual).tolist(), strict=True):
+        unit = flat.labels[label].unit
+        least[unit] = min(us, least.get(unit, us))
+    return sorted(least, key=lambda unit: (least[unit], unit))

@@ -1,0 +1,109 @@
+"""How a fleet on hosts is planned: among few units first, below the best plan's cost, with hosts forgotten.
+
+`CFGPLAN_EXAMPLES=5000 pytest tests/planners` runs the long version.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from unittest.mock import patch
+
+import pytest
+from fleets import fleets
+from hypothesis import HealthCheck, assume, given, settings
+
+from cfgplan.domain import Environment, Host, InputPort, OutputPort, Similarity, Target, Transformation
+from cfgplan.planners import fleet
+from cfgplan.planners.cpsat.clock import Clock
+from cfgplan.planners.fleet import kernels
+from cfgplan.planners.fleet.anywhere import Anywhere
+from cfgplan.planners.fleet.candidates import Candidates
+from cfgplan.planners.fleet.flat import Flat
+from cfgplan.planners.fleet.flatness import is_flat
+from cfgplan.planners.fleet.search import Search
+from cfgplan.planners.fleet.standing import Standing
+from cfgplan.planning import Notion, Plan, Problem, Status
+from cfgplan.reasons import unmet_reasons
+from cfgplan.validity import plan_violations
+
+EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "40"))
+some = settings(
+    max_examples=EXAMPLES,
+    deadline=None,
+    derandomize="CFGPLAN_EXAMPLES" not in os.environ,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much],
+)
+on_hosts = fleets(frozenset({Notion.HOSTS, Notion.CONFLICTS, Notion.INSTANCES}), most=9)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _even_few_units_are_looked_at_in_parts() -> Iterator[None]:
+    with patch.object(kernels, "SIZES", (1, 2, 4)):
+        yield
+
+
+def explicit(problem: Problem) -> Plan:
+    """The answer of the model in which every possible subscription has a boolean."""
+    standing = Standing(problem, Clock(), None)
+    standing.counts = {"conflicts": 0}
+    Search(Candidates(problem), standing).run()
+    return standing.plan()
+
+
+def agree(problem: Problem) -> None:
+    assume(is_flat(Candidates(problem)) and not unmet_reasons(problem))
+    fast, slow = fleet.plan(problem), explicit(problem)
+    assert plan_violations(problem, fast) == []
+    assert (fast.status, fast.cost_us) == (slow.status, slow.cost_us)
+    if fast.change_set is not None and slow.change_set is not None:
+        assert len(fast.change_set.rewired) == len(slow.change_set.rewired)
+        assert len(fast.change_set.started) == len(slow.change_set.started)
+
+
+@some
+@given(on_hosts)
+def test_looking_among_few_units_first_changes_no_answer(problem: Problem) -> None:
+    agree(problem)
+
+
+@settings(some, max_examples=EXAMPLES // 2)
+@given(on_hosts)
+def test_rounds_that_are_too_short_change_no_answer(problem: Problem) -> None:
+    with patch.object(fleet, "SLICE_S", 1e-4), patch.object(kernels, "SLICE_S", 1e-5):
+        agree(problem)
+
+
+@some
+@given(on_hosts)
+def test_with_hosts_forgotten_no_plan_costs_less_than_the_bound(problem: Problem) -> None:
+    candidates = Candidates(problem)
+    assume(is_flat(candidates) and not unmet_reasons(problem))
+    flat = Flat(candidates)
+    assume(not flat.is_impossible)
+    bound = Anywhere(flat, sum(flat.cost_us), Clock()).bound
+    found = fleet.plan(problem)
+    assume(found.status is Status.OPTIMAL)
+    assert found.cost_us is not None
+    assert bound.value <= found.cost_us
+
+
+def test_a_dearer_unit_on_the_target_s_host_beats_a_cheap_one_and_a_transfer() -> None:
+    library = tuple(
+        Transformation(f"{label}{n}", inputs, (OutputPort("out", tag, (), 1_000_000, 1_000_000),), us, 0, host=host)
+        for label, inputs, tag, us, host in (
+            ("source", (), "a", 10, "h0"),
+            ("near", (), "a", 25, "h1"),
+            ("sink", (InputPort("in", "a"),), "b", 5, "h1"),
+        )
+        for n in range(3)
+    )
+    environment = Environment(
+        (), library, (Target("t", "b", "/t", host="h1"),), (Host("h0"), Host("h1")), transfer_us=20
+    )
+    problem = Problem(environment, Similarity({"a": frozenset("a"), "b": frozenset("b")}), 1)
+    found = fleet.plan(problem)
+    assert found.status is Status.OPTIMAL
+    assert found.cost_us == 30
+    assert found.change_set is not None
+    assert {unit.transformation[:4] for unit in found.change_set.started} == {"near", "sink"}
