@@ -21,7 +21,7 @@ from cfgplan.planners.fleet.flat import Flat
 from cfgplan.planners.fleet.flatness import is_flat
 from cfgplan.planners.fleet.keys import key_of
 from cfgplan.planners.fleet.quality_chains import Chains
-from cfgplan.planners.fleet.quality_cuts import chain_cuts
+from cfgplan.planners.fleet.quality_cuts import QUICK, chain_cuts
 from cfgplan.planners.fleet.quality_plan import QualityPlanner, can_be_planned
 from cfgplan.planning import Notion, Problem
 from cfgplan.qualities import MICRO, Better, Contribution, QualityAttribute, Rule, Wish
@@ -131,4 +131,4 @@ def test_a_plan_without_search_costs_what_it_says(problem: Problem) -> None:
 
 def test_a_fleet_too_large_for_the_relaxation_gets_no_cuts() -> None:
     flat = Flat(Candidates(random_library(0, transformations=2000, branching=400)))
-    assert chain_cuts(flat, [], Clock())[0] == []
+    assert chain_cuts(flat, [], Clock(), QUICK)[0] == []

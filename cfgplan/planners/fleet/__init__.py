@@ -15,7 +15,7 @@ from cfgplan.planners.fleet.candidates import Candidates
 from cfgplan.planners.fleet.flat import Flat
 from cfgplan.planners.fleet.flatness import is_flat
 from cfgplan.planners.fleet.hostless import hostless
-from cfgplan.planners.fleet.quality_start import begin_with_quality, is_weighed
+from cfgplan.planners.fleet.quality_start import QualityStart
 from cfgplan.planners.fleet.standing import Standing
 from cfgplan.planning import Notion, Plan, Problem, Progress, Status
 from cfgplan.reasons import unmet_reasons
@@ -84,7 +84,7 @@ def _solve_flat(candidates: Candidates, standing: Standing) -> FlatSearch | None
 
     problem, clock = candidates.problem, standing.clock
     hostless_us, slice_s, bound = 0, SLICE_S, None
-    cuts = begin_with_quality(candidates, standing) if is_weighed(candidates) else []
+    quality = QualityStart(candidates, standing)
     flat = Flat(candidates)
     is_probing = bool(problem.environment.hosts) and not flat.is_impossible
     if is_probing:
@@ -94,7 +94,7 @@ def _solve_flat(candidates: Candidates, standing: Standing) -> FlatSearch | None
         slice_s *= 2
     while not flat.is_impossible:
         limit_us = well_below_best_us(standing) if is_probing else None
-        search = FlatSearch(flat, standing, hostless_us, slice_s, bound=bound, limit_us=limit_us, cuts=cuts)
+        search = FlatSearch(flat, standing, hostless_us, slice_s, bound=bound, limit_us=limit_us, cuts=quality.cuts)
         has_ended = search.run()
         if standing.is_cost_proven or clock.is_over() or (has_ended and limit_us is None):
             return search
@@ -102,7 +102,7 @@ def _solve_flat(candidates: Candidates, standing: Standing) -> FlatSearch | None
         if limit_us is not None:
             continue
         slice_s *= GROWTH
-        cuts = cuts or begin_with_quality(candidates, standing)
+        quality.look_closer()
         if standing.best is not None and Notion.QUALITY in problem.notions:
             bound_by_price(candidates, standing.best[0][1] - search.least_us)
             flat, bound = Flat(candidates), None

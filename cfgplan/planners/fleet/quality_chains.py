@@ -15,6 +15,7 @@ that is kept at the worst of the scale is no better than any potential, since th
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -26,6 +27,8 @@ from cfgplan.qualities import MICRO, Better, Contribution, Over, QualityAttribut
 
 GAINS, MOST_GAIN = 12, 64 * MICRO
 """How many amplifying units in a row are looked at, and by how much they may amplify; beyond that all hangs on them."""
+FEW = 0.03
+"""An input that shares less in deciding counts for nothing."""
 LIFTS = 6
 """How often potentials are raised where that costs nothing."""
 
@@ -124,20 +127,35 @@ class Chains:
         """How bad the stream of each pair is at least, if its inputs are as bad as their potentials."""
         return self.made(potential)[self.pair_stream]
 
-    def deciding(self, stream: int, potential: Ints) -> list[tuple[int, float]]:
-        """The demands of a stream's inputs that decide its value, each with its part in that."""
+    @cached_property
+    def part(self) -> float:
+        """What a unit adds to the badness of its worst input in the middle."""
+        theirs = np.where(self.inputs >= 0, np.append(self.best, 0)[self.inputs], 0).max(axis=1)
+        return max(1.0, float(np.median((self.least - theirs)[self.count > 0]))) if self.count.any() else 1.0
+
+    def deciding(self, stream: int, potential: Ints, spread: float) -> list[tuple[int, float]]:
+        """The demands of a stream's inputs that decide its value, each with its part in that.
+
+        Inputs about as bad as the worst, by what units add times `spread`, share in that.
+        """
         inputs = self.inputs[stream, : self.count[stream]]
         if not len(inputs):
             return []
-        match self.over[stream]:
-            case Over.WORST:
-                return [(int(inputs[np.argmax(potential[inputs])]), 1.0)]
-            case Over.BEST:
-                return [(int(inputs[np.argmin(potential[inputs])]), 1.0)]
-            case Over.SUM:
-                return [(int(inputs[np.argmax(potential[inputs] - self.best[inputs])]), 1.0)]
-            case Over.MEAN:
-                return [(demand, 1.0 / len(inputs)) for demand in inputs.tolist()]
+        over = self.over[stream]
+        if over is Over.BEST:
+            return [(int(inputs[np.argmin(potential[inputs])]), 1.0)]
+        if over is Over.MEAN:
+            return [(demand, 1.0 / len(inputs)) for demand in inputs.tolist()]
+        bad = potential[inputs] - (self.best[inputs] if over is Over.SUM else 0)
+        if not spread:
+            return [(int(inputs[np.argmax(bad)]), 1.0)]
+        shares = np.exp((bad - bad.max()) / (spread * self.part))
+        shares = np.where(shares < FEW, 0.0, shares)
+        return [
+            (demand, part)
+            for demand, part in zip(inputs.tolist(), (shares / shares.sum()).tolist(), strict=True)
+            if part
+        ]
 
     def root(self, tag: str) -> Root:
         """What a target that demands a tag hangs on."""

@@ -6,6 +6,8 @@ chain that goes by the best streams first, as far as their shares reach, says wh
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from cfgplan.domain import Target
@@ -15,10 +17,16 @@ from cfgplan.planners.fleet.flat import Flat
 from cfgplan.planners.fleet.quality_chains import ChainCut, Chains, Root
 from cfgplan.qualities import MICRO, Wish
 
+Spreads = Sequence[float]
+
 ROUNDS = 40
 """At most so many times the relaxation is solved."""
 GUESSES = 4
 """How many potentials are tried for each target in a round."""
+QUICK, CLOSE = (0.0,), (0.0, 1.0)
+"""Ways in which inputs share in deciding, one after the other."""
+ENOUGH = 0.02
+"""No other way is tried when a cut is violated by this share of what is known."""
 PASSES = 4
 """How often potentials are made to follow from each other."""
 LEAST = 1e-3
@@ -29,7 +37,7 @@ LARGEST = 300_000
 """With more coefficients than this the relaxation takes longer than it helps."""
 
 
-def chain_cuts(flat: Flat, landmarks: list[list[int]], clock: Clock) -> tuple[list[ChainCut], Floats]:
+def chain_cuts(flat: Flat, landmarks: list[list[int]], clock: Clock, spreads: Spreads) -> tuple[list[ChainCut], Floats]:
     """Cuts for all that targets ask, and the share to which the relaxation runs each candidate; none if it is large."""
     if sum(len(flat.givers[fact]) for needs in flat.needs for fact in needs) > LARGEST:
         return [], np.zeros(len(flat.candidates.all))
@@ -37,7 +45,9 @@ def chain_cuts(flat: Flat, landmarks: list[list[int]], clock: Clock) -> tuple[li
     values: list[float] = []
     while len(values) < ROUNDS and not clock.is_over() and relaxation.solve(clock.left_s()):
         values.append(relaxation.value_us)
-        if not relaxation.cut() or (len(values) > WAIT and values[-1] - values[-1 - WAIT] < PATIENCE * values[-1]):
+        if not relaxation.cut(spreads) or (
+            len(values) > WAIT and values[-1] - values[-1 - WAIT] < PATIENCE * values[-1]
+        ):
             break
     return relaxation.cuts, relaxation.share
 
@@ -116,13 +126,13 @@ class Relaxation:
         self.value_us = self.lp.Objective().Value() * self._unit_us
         return True
 
-    def cut(self) -> bool:
+    def cut(self, spreads: Spreads) -> bool:
         """Add the cuts that are violated; False if there are none."""
         self.share = share = np.array([sum(uses.solution_value() for uses in places) for places in self._places])
         now = [badness.solution_value() for badness in self._badness]
         is_cut = False
         for asked, badness, value in zip(self._asked, self._badness, now, strict=True):
-            potential, violation = _best_potential(asked.root, share)
+            potential, violation = _best_potential(asked.root, share, value * asked.unit, spreads)
             if violation - value * asked.unit > LEAST * max(1.0, value * asked.unit):
                 potential = asked.root.lifted(potential)
                 ahead = asked.root.ahead(potential)
@@ -138,16 +148,22 @@ class Relaxation:
         return is_cut
 
 
-def _best_potential(root: Root, share: Floats) -> tuple[Ints, float]:
-    """Potentials with which a target's badness is bounded by much at these shares of units, and by how much."""
-    amount = np.where(root.is_before, 1.0, 0.0)
+def _best_potential(root: Root, share: Floats, known: float, spreads: Spreads) -> tuple[Ints, float]:
+    """Potentials with which a target's badness is bounded by much at these shares of units, and by how much.
+
+    The search ends when the bound is well above what is `known`.
+    """
     best, most = root.chains.best, -np.inf
-    for _ in range(GUESSES):
-        potential = _reached(root, share, amount)
-        bounded = float(potential[root.demand] - root.ahead(potential) @ share)
-        if bounded > most:
-            best, most = potential, bounded
-        amount = _flow(root, share, potential)
+    for spread in spreads:
+        amount = np.where(root.is_before, 1.0, 0.0)
+        for _ in range(GUESSES):
+            potential = _reached(root, share, amount)
+            bounded = float(potential[root.demand] - root.ahead(potential) @ share)
+            if bounded > most:
+                best, most = potential, bounded
+            amount = _flow(root, share, potential, spread)
+        if most > (1 + ENOUGH) * known:
+            break
     return best, most
 
 
@@ -170,7 +186,7 @@ def _reached(root: Root, share: Floats, amount: Floats) -> Ints:
     return potential
 
 
-def _flow(root: Root, share: Floats, potential: Ints) -> Floats:
+def _flow(root: Root, share: Floats, potential: Ints, spread: float) -> Floats:
     """How much of each demand a chain of one unit to the root passes that takes the best streams first."""
     chains = root.chains
     amount = np.zeros(len(chains.demand))
@@ -191,7 +207,7 @@ def _flow(root: Root, share: Floats, potential: Ints) -> Floats:
             taken = min(wanted, left[unit])
             wanted -= taken
             left[unit] -= taken
-            for before, part in chains.deciding(int(chains.pair_stream[pair]), potential):
+            for before, part in chains.deciding(int(chains.pair_stream[pair]), potential, spread):
                 if before not in done:
                     amount[before] += taken * part
                     ahead.add(before)

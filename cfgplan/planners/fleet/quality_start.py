@@ -9,7 +9,7 @@ from cfgplan.planners.fleet.best_case import bound_by_price
 from cfgplan.planners.fleet.candidates import Candidates
 from cfgplan.planners.fleet.flat import Flat
 from cfgplan.planners.fleet.quality_chains import ChainCut
-from cfgplan.planners.fleet.quality_cuts import chain_cuts
+from cfgplan.planners.fleet.quality_cuts import CLOSE, QUICK, Spreads, chain_cuts
 from cfgplan.planners.fleet.quality_plan import QualityPlanner, can_be_planned
 from cfgplan.planners.fleet.standing import Standing
 
@@ -17,29 +17,40 @@ ATTEMPTS = 30
 """How many members of the cheapest plan are tried to be done without."""
 
 
-def begin_with_quality(candidates: Candidates, standing: Standing) -> list[ChainCut]:
-    """Offer a good plan, and bound what targets weigh by what it costs; returns cuts on chains of streams."""
-    asked = {wish.attribute for target in candidates.environment.targets for wish in target.quality}
-    flat = Flat(candidates) if asked else None
-    if flat is None or flat.is_impossible:
-        return []
-    clock, graph, cost = standing.clock, flat.graph(), flat.costs()
-    cheapest = first_plan(graph, cost, ATTEMPTS, clock.is_over)
-    most_us = int(cost.sum() if cheapest is None else cost[sorted(cheapest)].sum())
-    bound = tightened(Bound(graph.core, cost), most_us, most_us, clock)
-    landmarks = [bound.core.labels[one.members].tolist() for one in bound.landmarks]
-    planner = None
-    if can_be_planned(candidates):
-        planner = QualityPlanner(candidates, candidates.environment.quality[asked.pop()], clock)
-    cuts, share = chain_cuts(flat, landmarks, clock)
-    if planner is not None:
-        plan = planner.best([cheapest and {flat.labels[label].unit for label in cheapest}], share)
-        if plan is not None:
-            best_us = standing.offer(planner.units(plan))[1]
-            bound_by_price(candidates, best_us - bound.value)
-    return cuts
+class QualityStart:
+    """Cuts on chains of streams, a good plan that is offered, and bounds on what targets weigh by what it costs."""
 
+    def __init__(self, candidates: Candidates, standing: Standing) -> None:
+        self.candidates, self.standing = candidates, standing
+        self.cuts: list[ChainCut] = []
+        wishes = [wish for target in candidates.environment.targets for wish in target.quality]
+        self._asked = sorted({wish.attribute for wish in wishes})
+        self._ahead = [CLOSE] if wishes else []
+        if any(wish.weight_us for wish in wishes):
+            self._look(QUICK)
 
-def is_weighed(candidates: Candidates) -> bool:
-    """Whether a target charges for quality."""
-    return any(wish.weight_us for target in candidates.environment.targets for wish in target.quality)
+    def look_closer(self) -> None:
+        """Take more time, once."""
+        if self._ahead:
+            self._look(self._ahead.pop())
+
+    def _look(self, spreads: Spreads) -> None:
+        candidates, clock = self.candidates, self.standing.clock
+        flat = Flat(candidates)
+        if flat.is_impossible:
+            return
+        graph, cost = flat.graph(), flat.costs()
+        cheapest = first_plan(graph, cost, ATTEMPTS, clock.is_over)
+        # A plan that is good may be dear: landmarks must hold of all, not of the cheapest alone.
+        all_us = int(cost.sum())
+        enough_us = all_us if cheapest is None else int(cost[sorted(cheapest)].sum())
+        bound = tightened(Bound(graph.core, cost), enough_us, all_us, clock)
+        landmarks = [bound.core.labels[one.members].tolist() for one in bound.landmarks]
+        self.cuts, share = chain_cuts(flat, landmarks, clock, spreads)
+        if can_be_planned(candidates):
+            planner = QualityPlanner(candidates, candidates.environment.quality[self._asked[0]], clock)
+            plan = planner.best([cheapest and {flat.labels[label].unit for label in cheapest}], share)
+            if plan is not None:
+                self.standing.offer(planner.units(plan))
+        if self.standing.best is not None:
+            bound_by_price(candidates, self.standing.best[0][1] - bound.value)
