@@ -15,9 +15,6 @@ import numpy as np
 from cfgplan.planners.cpsat.network import NEVER, Ints, Network, costs
 from cfgplan.planning import Problem
 
-MOST_LABELS = 900
-"""With more, costs alone leave a session landmarks with which it replans faster."""
-
 
 @dataclass(frozen=True)
 class Weighing:
@@ -36,8 +33,7 @@ class Weighing:
         fixed_us, cost = costs(problem, network, pinned)
         scale = len(cost) + 1
         if (
-            len(cost) > MOST_LABELS
-            or any(unit.transformation in network.number for unit in problem.environment.units)
+            any(unit.transformation in network.number for unit in problem.environment.units)
             or int(cost.sum()) * scale >= NEVER // 4
         ):
             return cls(cost, 1, fixed_us)
