@@ -60,7 +60,11 @@ class QualityPlanner:
         """
         left = self.cost * (1 - np.minimum(share, 1)) + 1
         ways = [*plans, self.steps.support(self.cost + 1, self.pinned), self.steps.support(left, self.pinned)]
-        found = [self.lean(way) for way in ways if way is not None and self.total_us(way) is not None]
+        found: list[tuple[set[int], int]] = []
+        for way in ways:
+            is_needed = not found or not self.clock.is_over()
+            if way is not None and is_needed and self.total_us(way) is not None:
+                found.append(self.lean(way))
         if not found:
             return None
         best, total_us = self.improved(*found[-1], left)
@@ -91,6 +95,8 @@ class QualityPlanner:
         left, total_us = set(plan), self.total_us(plan)
         assert total_us is not None
         for unit in sorted(left - self.pinned, key=lambda unit: (-self.cost[unit], unit)):
+            if self.clock.is_over():
+                break
             without_us = self.total_us(left - {unit})
             if without_us is not None and without_us <= total_us:
                 left.remove(unit)

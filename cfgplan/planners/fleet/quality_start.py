@@ -5,7 +5,7 @@ from __future__ import annotations
 from cfgplan.planners.cpsat.bounds import Bound
 from cfgplan.planners.cpsat.greedy import first_plan
 from cfgplan.planners.cpsat.tightening import tightened
-from cfgplan.planners.fleet.best_case import bound_by_price
+from cfgplan.planners.fleet.best_case import bound_by_price, least_prices_us
 from cfgplan.planners.fleet.candidates import Candidates
 from cfgplan.planners.fleet.flat import Flat
 from cfgplan.planners.fleet.quality_chains import ChainCut
@@ -45,6 +45,7 @@ class QualityStart:
         all_us = int(cost.sum())
         enough_us = all_us if cheapest is None else int(cost[sorted(cheapest)].sum())
         bound = tightened(Bound(graph.core, cost), enough_us, all_us, clock)
+        self.standing.raise_bound(bound.value + sum(least_prices_us(candidates).values()))
         landmarks = [bound.core.labels[one.members].tolist() for one in bound.landmarks]
         self.cuts, share = chain_cuts(flat, landmarks, clock, spreads)
         if can_be_planned(candidates):
