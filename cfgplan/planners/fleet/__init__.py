@@ -98,13 +98,13 @@ def _solve_flat(candidates: Candidates, standing: Standing) -> FlatSearch | None
         has_ended = search.run()
         if standing.is_cost_proven or clock.is_over() or (has_ended and limit_us is None):
             return search
-        is_probing = False
+        is_probing, bound = False, None
         if limit_us is not None:
             continue
         slice_s *= GROWTH
         quality.look_closer()
         if standing.best is not None and Notion.QUALITY in problem.notions:
             bound_by_price(candidates, standing.best[0][1] - search.least_us)
-            flat, bound = Flat(candidates), None
+            flat = Flat(candidates)
     standing.is_infeasible = standing.best is None
     return None
