@@ -58,7 +58,9 @@ class Preparation:
             self._closing.take(np.array(sorted(number[label] for label in best), np.int64))
         self._closing.go_on(for_s, clock)
         self._plan = self._closing.plan
-        self._left = Left.by(self._closing.bound, self._closing.limit)
+        bound, limit = self._closing.bound, self._closing.limit
+        keep = bound.may_be_used(limit)
+        self._left = Left.by(bound.restricted(keep) if keep.any() else bound, limit)
 
     def prepared(self, clock: Clock) -> Prepared:
         """What is handed to the search; after the time limit no labels but the plan's."""

@@ -34,9 +34,11 @@ ATTEMPTS = 30
 
 
 SMALL = 1500
-"""With fewer labels than this the solver is tried before bounds are raised further."""
-SLICE_S, CLOSING_S = 1.5e-5, 3e-5
-"""The engine's own seconds for this, and seconds for raising bounds, for the number of labels to the power of 1.5."""
+"""With fewer labels left than this the solver is tried before bounds are raised further."""
+LEAST_S, SLICE_S, CLOSING_S = 0.1, 1e-4, 3e-5
+"""The engine's own seconds for this, at least and for the number of labels to the power of 1.5; and about how many
+seconds bounds are raised then.
+"""
 
 
 class PlannerSession:
@@ -103,8 +105,8 @@ class PlannerSession:
         prepared = preparation.prepared(clock)
         standing = Standing(Site(problem, structure.givers, prepared.labels), prepared, clock, report)
         standing.counts = structure.counts() | standing.counts
-        size = len(structure.network.labels)
-        slice_s: float | None = SLICE_S * size**1.5
+        size = len(prepared.labels)
+        slice_s: float | None = max(LEAST_S, SLICE_S * size**1.5)
         if size >= SMALL or not preparation.may_go_on:
             slice_s = None
         while True:
