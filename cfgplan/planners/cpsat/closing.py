@@ -26,7 +26,7 @@ Time is estimated, not measured, so that a plan can be repeated.
 """
 ATTEMPT_S, NEED_S = 2e-4, 1.5e-7
 """About what a repair takes, and for each fact that is needed."""
-REPAIRS = 0.2
+REPAIRS = 0.4
 """The share of time that repairs get."""
 
 
