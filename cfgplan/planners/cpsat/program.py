@@ -12,7 +12,7 @@ import numpy as np
 
 from cfgplan.planners.cpsat.network import Floats, Ints
 
-PARAMETERS = "use_preprocessing: false use_dual_simplex: true initial_condition_number_threshold: 1e300"
+FROM_THE_LAST_BASIS = "use_preprocessing: false use_dual_simplex: true initial_condition_number_threshold: 1e300"
 """Preprocessing and doubts about the last basis would make the engine begin anew each time."""
 
 
@@ -25,7 +25,7 @@ class LandmarkProgram:
         self._optimal = pywraplp.Solver.OPTIMAL
         self._engine = pywraplp.Solver.CreateSolver("GLOP")
         self._engine.SuppressOutput()
-        self._engine.SetSolverSpecificParametersAsString(PARAMETERS)
+        self._engine.SetSolverSpecificParametersAsString(FROM_THE_LAST_BASIS)
         self._unit = float(max(1, cost.max()))
         infinity = self._engine.infinity()
         self._uses = [self._engine.NumVar(0.0, infinity, "") for _ in cost]

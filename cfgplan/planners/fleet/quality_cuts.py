@@ -13,6 +13,7 @@ import numpy as np
 from cfgplan.domain import Target
 from cfgplan.planners.cpsat.clock import Clock
 from cfgplan.planners.cpsat.network import Floats, Ints
+from cfgplan.planners.cpsat.program import FROM_THE_LAST_BASIS
 from cfgplan.planners.fleet.flat import Flat
 from cfgplan.planners.fleet.quality_chains import ChainCut, Chains, Root
 from cfgplan.qualities import MICRO, Wish
@@ -74,7 +75,7 @@ class Relaxation:
         self._optimal = pywraplp.Solver.OPTIMAL
         self.lp = pywraplp.Solver.CreateSolver("GLOP")
         self.lp.SuppressOutput()
-        self.lp.SetSolverSpecificParametersAsString("use_dual_simplex:true")
+        self.lp.SetSolverSpecificParametersAsString(FROM_THE_LAST_BASIS)
         self.cuts: list[ChainCut] = []
         self.value_us = 0.0
         self.share = np.zeros(len(flat.candidates.all))
