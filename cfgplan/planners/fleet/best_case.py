@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 
-from cfgplan.domain import OutputPort, Stream
+from cfgplan.domain import Stream
 from cfgplan.planners.fleet.candidates import Candidate, Candidates
 from cfgplan.planning import Notion
-from cfgplan.qualities import MICRO, Better, Over, QualityAttribute, Rule, price_us, propagated
+from cfgplan.qualities import MICRO, Better, Contribution, Over, QualityAttribute, Rule, price_us, propagated
 
 
 def leave_out_what_is_too_bad(candidates: Candidates) -> None:
@@ -90,10 +90,14 @@ def bound_by_price(candidates: Candidates, most_us: int) -> None:
 
 
 def best_values(candidates: Candidates, attribute: QualityAttribute) -> dict[Stream, int]:
-    """No wiring gives a stream a better value. Streams that nothing can feed are left out.
+    """No wiring gives a stream a better value. Streams that nothing can feed are left out."""
+    if attribute not in candidates.best:
+        candidates.best[attribute] = _best_values(candidates, attribute)
+    return candidates.best[attribute]
 
-    Round by round for one more unit in a row; no row is longer than there are units.
-    """
+
+def _best_values(candidates: Candidates, attribute: QualityAttribute) -> dict[Stream, int]:
+    """Round by round for one more unit in a row; no row is longer than there are units."""
     best: dict[Stream, int] = {}
     at: dict[str, int] = {}
     demands = _demands(candidates)
@@ -129,6 +133,13 @@ def _demands(candidates: Candidates) -> dict[str, list[str]]:
 
 def worst_of_use(candidates: Candidates, attribute: QualityAttribute) -> dict[str, int]:
     """For each demanded tag the worst value that anybody who demands it may take, if it is of use at all."""
+    key = attribute, *sorted(candidates.bounds.items())
+    if key not in candidates.allowed:
+        candidates.allowed[key] = _worst_of_use(candidates, attribute)
+    return candidates.allowed[key]
+
+
+def _worst_of_use(candidates: Candidates, attribute: QualityAttribute) -> dict[str, int]:
     allowed: dict[str, int] = {}
 
     def allow(tag: str, value: int) -> bool:
@@ -144,24 +155,27 @@ def worst_of_use(candidates: Candidates, attribute: QualityAttribute) -> dict[st
         for port in candidates.all[i].transformation.inputs:
             allow(port.tag, attribute.worst)
     demands = _demands(candidates)
+    worst_of = max if attribute.better is Better.LOWER else min
+    fed = [
+        (demands[output.tag], {c.attribute: c for c in output.quality}.get(attribute.name), candidate)
+        for candidate in candidates.all
+        for output in candidate.transformation.outputs
+        if output.tag in demands and candidate.transformation.inputs
+    ]
     grew = True
     while grew:
         grew = False
-        for candidate in candidates.all:
-            for output in candidate.transformation.outputs:
-                wanted = [allowed[tag] for tag in demands.get(output.tag, ()) if tag in allowed]
-                if not wanted:
-                    continue
-                out = max(wanted) if attribute.better is Better.LOWER else min(wanted)
+        for tags, stated, candidate in fed:
+            wanted = [allowed[tag] for tag in tags if tag in allowed]
+            if wanted:
+                ordinary = _allowed_before(attribute, candidate, stated, worst_of(wanted))
                 for port in candidate.transformation.inputs:
-                    value = attribute.worst if port.feedback else _allowed_before(attribute, candidate, output, out)
-                    grew |= allow(port.tag, value)
+                    grew |= allow(port.tag, attribute.worst if port.feedback else ordinary)
     return allowed
 
 
-def _allowed_before(attribute: QualityAttribute, candidate: Candidate, output: OutputPort, out: int) -> int:
+def _allowed_before(attribute: QualityAttribute, candidate: Candidate, stated: Contribution | None, out: int) -> int:
     """The worst value of an input with which an output is still good enough, as far as the rule says that."""
-    stated = {c.attribute: c for c in output.quality}.get(attribute.name)
     if stated is None:
         return out
     ordinary = sum(not port.feedback for port in candidate.transformation.inputs)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from cfgplan.costs import keep_cost_us, standby_cost_us, start_cost_us
 from cfgplan.domain import ComputationUnit, Environment, Stream, Transformation
 from cfgplan.planning import Problem, fresh_units
+from cfgplan.qualities import QualityAttribute
 from cfgplan.reasons import Givers, startable
 
 
@@ -52,6 +53,9 @@ class Candidates:
             if wish.bound is not None
         }
         """The worst value that a target may get of an attribute, as far as is known."""
+        self.best: dict[QualityAttribute, dict[Stream, int]] = {}
+        self.allowed: dict[tuple[object, ...], dict[str, int]] = {}
+        """What `best_case` found out: the best value of each stream, and what may be allowed with some bounds."""
         self._by_label: dict[str, list[Candidate]] = defaultdict(list)
         for candidate in self.all:
             self._by_label[candidate.transformation.label].append(candidate)
