@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import signal
 import subprocess
 import sys
 import time
@@ -84,22 +83,11 @@ def command(*arguments: object) -> list[str]:
 
 
 @contextmanager
-def hang_ups_end_what_is_started() -> Iterator[None]:
-    """Even if the tests were started so that they do not (nohup), which their children would inherit."""
-    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGHUP, before)
-
-
-@contextmanager
 def running(*arguments: object) -> Iterator[subprocess.Popen[str]]:
     """`cfgplan run --json`, once it runs; killed at the end if it still does."""
     estimates = () if "--estimates" in arguments else ("--no-estimates",)
     line = command("run", "--json", *estimates, *arguments)
-    with hang_ups_end_what_is_started():
-        process = subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     with process:
         try:
             yield process

@@ -16,10 +16,11 @@ from worlds import problems
 
 from cfgplan.comparing.families.random_library import random_library
 from cfgplan.planners.cpsat import PlannerSession, session
-from cfgplan.planners.cpsat.bounds import Bound
+from cfgplan.planners.cpsat.bounds import Bound, landmark_of
 from cfgplan.planners.cpsat.clock import Clock
 from cfgplan.planners.cpsat.closing import Closing
 from cfgplan.planners.cpsat.greedy import first_plan, is_plan
+from cfgplan.planners.cpsat.network import Core, Graph, Rows
 from cfgplan.planners.cpsat.program import LandmarkProgram
 from cfgplan.planners.cpsat.repairing import Repairs
 from cfgplan.planners.cpsat.separation import Separator
@@ -80,7 +81,8 @@ def test_repairs_give_plans_that_are_never_dearer(problem: Problem) -> None:
 
 def test_the_linear_program_charges_a_landmark_of_each_pair_of_three_half_of_its_price() -> None:
     pairs = [np.array(pair) for pair in combinations(range(3), 2)]
-    program = LandmarkProgram(np.array([10, 10, 10]), pairs[:1])
+    program = LandmarkProgram(np.array([10, 10, 10]))
+    assert program.add(pairs[0])
     fractions = program.solve(None)
     assert fractions is not None
     assert program.value == pytest.approx(10)
@@ -90,6 +92,16 @@ def test_the_linear_program_charges_a_landmark_of_each_pair_of_three_half_of_its
     assert fractions == pytest.approx([0.5, 0.5, 0.5])
     assert program.value == pytest.approx(15)
     assert program.weights == [5, 5, 5]
+
+
+def test_a_landmark_that_is_known_twice_is_charged_once() -> None:
+    pairs = [list(pair) for pair in combinations(range(3), 2)]
+    core = Core(Rows.of([[], [], [], [0, 1, 2]]), Rows.of(pairs), np.arange(3), np.arange(3))
+    landmarks = [landmark_of(core, [fact]) for fact in (0, 0, 1, 2)]
+    cost = np.array([10, 10, 10])
+    both = Closing(Graph(core), Bound(core, cost, landmarks, [5, 5, 0, 0], 10), cost, np.array([0, 1]), 1)
+    both.go_on(1.0, Clock())
+    assert both.bound.value == 15
 
 
 @contextmanager

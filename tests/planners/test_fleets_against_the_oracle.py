@@ -52,6 +52,18 @@ def agree(problem: Problem) -> None:
     assert quality(exact) == quality(oracle)
 
 
+def agree_with_the_explicit_model(problem: Problem) -> None:
+    """The fast way and the model in which every possible subscription has a boolean."""
+    candidates = Candidates(problem)
+    assume(is_flat(candidates) and not unmet_reasons(problem))
+    standing = Standing(problem, Clock(), None)
+    standing.counts = {"conflicts": 0}
+    Search(candidates, standing).run()
+    fast = fleet.plan(problem)
+    assert plan_violations(problem, fast) == []
+    assert quality(fast) == quality(standing.plan())
+
+
 @some
 @given(fleets(frozenset({Notion.QUALITY})))
 def test_quality_equals_the_oracle(problem: Problem) -> None:
@@ -132,11 +144,4 @@ FLAT = frozenset({Notion.QUALITY, Notion.HOSTS, Notion.CONFLICTS, Notion.INSTANC
 @some
 @given(st.frozensets(st.sampled_from(sorted(FLAT)), min_size=1).flatmap(lambda notions: fleets(notions, most=9)))
 def test_the_fast_way_equals_the_explicit_model_beyond_the_oracles_reach(problem: Problem) -> None:
-    candidates = Candidates(problem)
-    assume(is_flat(candidates) and not unmet_reasons(problem))
-    standing = Standing(problem, Clock(), None)
-    standing.counts = {"conflicts": 0}
-    Search(candidates, standing).run()
-    fast = fleet.plan(problem)
-    assert plan_violations(problem, fast) == []
-    assert quality(fast) == quality(standing.plan())
+    agree_with_the_explicit_model(problem)

@@ -5,13 +5,13 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from unittest.mock import patch
 
 import pytest
 from fleets import fleets
-from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import assume, given, settings
+from test_fleets_against_the_oracle import EXAMPLES, agree_with_the_explicit_model, some
 
 from cfgplan.domain import Environment, Host, InputPort, OutputPort, Similarity, Target, Transformation
 from cfgplan.planners import fleet
@@ -21,19 +21,9 @@ from cfgplan.planners.fleet.anywhere import Anywhere
 from cfgplan.planners.fleet.candidates import Candidates
 from cfgplan.planners.fleet.flat import Flat
 from cfgplan.planners.fleet.flatness import is_flat
-from cfgplan.planners.fleet.search import Search
-from cfgplan.planners.fleet.standing import Standing
-from cfgplan.planning import Notion, Plan, Problem, Status
+from cfgplan.planning import Notion, Problem, Status
 from cfgplan.reasons import unmet_reasons
-from cfgplan.validity import plan_violations
 
-EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "40"))
-some = settings(
-    max_examples=EXAMPLES,
-    deadline=None,
-    derandomize="CFGPLAN_EXAMPLES" not in os.environ,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much],
-)
 on_hosts = fleets(frozenset({Notion.HOSTS, Notion.CONFLICTS, Notion.INSTANCES}), most=9)
 
 
@@ -43,35 +33,17 @@ def _even_few_units_are_looked_at_in_parts() -> Iterator[None]:
         yield
 
 
-def explicit(problem: Problem) -> Plan:
-    """The answer of the model in which every possible subscription has a boolean."""
-    standing = Standing(problem, Clock(), None)
-    standing.counts = {"conflicts": 0}
-    Search(Candidates(problem), standing).run()
-    return standing.plan()
-
-
-def agree(problem: Problem) -> None:
-    assume(is_flat(Candidates(problem)) and not unmet_reasons(problem))
-    fast, slow = fleet.plan(problem), explicit(problem)
-    assert plan_violations(problem, fast) == []
-    assert (fast.status, fast.cost_us) == (slow.status, slow.cost_us)
-    if fast.change_set is not None and slow.change_set is not None:
-        assert len(fast.change_set.rewired) == len(slow.change_set.rewired)
-        assert len(fast.change_set.started) == len(slow.change_set.started)
-
-
 @some
 @given(on_hosts)
 def test_looking_among_few_units_first_changes_no_answer(problem: Problem) -> None:
-    agree(problem)
+    agree_with_the_explicit_model(problem)
 
 
 @settings(some, max_examples=EXAMPLES // 2)
 @given(on_hosts)
 def test_rounds_that_are_too_short_change_no_answer(problem: Problem) -> None:
     with patch.object(fleet, "SLICE_S", 1e-4), patch.object(kernels, "SLICE_S", 1e-5):
-        agree(problem)
+        agree_with_the_explicit_model(problem)
 
 
 @some

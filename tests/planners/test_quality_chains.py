@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
-
 import numpy as np
 from fleets import fleets
-from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
+from test_fleets_against_the_oracle import some
 
 from cfgplan.comparing.families.random_library import random_library
 from cfgplan.domain import ComputationUnit, Environment, InputPort, OutputPort, Similarity, Target, Transformation
@@ -27,12 +26,6 @@ from cfgplan.planning import Notion, Problem
 from cfgplan.qualities import MICRO, Better, Contribution, QualityAttribute, Rule, Wish
 from cfgplan.reasons import unmet_reasons
 
-some = settings(
-    max_examples=int(os.environ.get("CFGPLAN_EXAMPLES", "60")),
-    deadline=None,
-    derandomize="CFGPLAN_EXAMPLES" not in os.environ,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much],
-)
 LATENCY = QualityAttribute("latency", Better.LOWER, worst=1000)
 
 

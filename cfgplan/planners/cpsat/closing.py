@@ -70,11 +70,7 @@ class Closing:
         if self._rounds is None:
             self._rounds = _Rounds(self.bound)
         while for_s > 0 and not self.is_closed and not clock.is_over():
-            keep = self.bound.may_be_used(self.limit)
-            if not keep.any():
-                self.bound.value = self.limit
-                break
-            self._rounds.restrict(keep)
+            self._rounds.restrict(self.bound.may_be_used(self.limit))
             before = self.bound.value
             took_s = self._rounds.improve(self.limit - self._step + 1, for_s, clock)
             self.bound = self._rounds.bound
@@ -105,8 +101,8 @@ class _Rounds:
 
     def _begin(self) -> None:
         self._separator = Separator(self.bound.core)
-        self._landmarks = list(self.bound.landmarks)
-        self._program = LandmarkProgram(self.bound.cost, [one.members for one in self._landmarks])
+        self._program = LandmarkProgram(self.bound.cost)
+        self._landmarks = [one for one in self.bound.landmarks if self._program.add(one.members)]
 
     def restrict(self, keep: Flags) -> None:
         """Go on with a part of the labels, and the landmarks that count, if that is much less."""

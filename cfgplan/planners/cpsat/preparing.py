@@ -59,8 +59,7 @@ class Preparation:
         self._closing.go_on(for_s, clock)
         self._plan = self._closing.plan
         bound, limit = self._closing.bound, self._closing.limit
-        keep = bound.may_be_used(limit)
-        self._left = Left.by(bound.restricted(keep) if keep.any() else bound, limit)
+        self._left = Left.by(bound.restricted(bound.may_be_used(limit)), limit)
 
     def prepared(self, clock: Clock) -> Prepared:
         """What is handed to the search; after the time limit no labels but the plan's."""

@@ -6,8 +6,6 @@ dual simplex method goes on from there.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import numpy as np
 
 from cfgplan.planners.cpsat.network import Floats, Ints
@@ -19,7 +17,7 @@ FROM_THE_LAST_BASIS = "use_preprocessing: false use_dual_simplex: true initial_c
 class LandmarkProgram:
     """Landmarks by their members; `value` is the optimum of the last solution, a bound on cost but for rounding."""
 
-    def __init__(self, cost: Ints, landmarks: Iterable[Ints]) -> None:
+    def __init__(self, cost: Ints) -> None:
         from ortools.linear_solver import pywraplp  # type: ignore[import-untyped]
 
         self._optimal = pywraplp.Solver.OPTIMAL
@@ -37,8 +35,6 @@ class LandmarkProgram:
         self.members = 0
         self.value = 0.0
         self.weights: list[int] = []
-        for members in landmarks:
-            self.add(members)
 
     def add(self, members: Ints) -> bool:
         """Demand that the landmark is hit; False if that is done already."""
@@ -54,7 +50,7 @@ class LandmarkProgram:
         return True
 
     def solve(self, time_limit_s: float | None) -> Floats | None:
-        """The cheapest fractions, None if they are not found in time; sets `value` and the `weights` of the rows.
+        """The cheapest fractions, None if they are not found in time; sets `value` and the `weights` of the landmarks.
 
         Weights are rounded down, so that they can be charged.
         """

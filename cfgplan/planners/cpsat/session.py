@@ -7,7 +7,7 @@ the library, the landmarks, and the last plan as a first one. The answer is as g
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from threading import Event
 
 import numpy as np
@@ -22,7 +22,7 @@ from cfgplan.planners.cpsat.prepared import Prepared
 from cfgplan.planners.cpsat.preparing import Preparation
 from cfgplan.planners.cpsat.rest import Left, Rest
 from cfgplan.planners.cpsat.site import Site
-from cfgplan.planners.cpsat.standing import Stage, Standing
+from cfgplan.planners.cpsat.standing import Standing
 from cfgplan.planners.cpsat.structure import Structure
 from cfgplan.planners.cpsat.tightening import begun
 from cfgplan.planners.cpsat.weighing import Weighing
@@ -31,8 +31,6 @@ from cfgplan.reasons import unmet_reasons
 
 ATTEMPTS = 30
 """How many members of the first plan are tried to be done without."""
-
-
 SMALL = 1500
 """With fewer labels left than this the solver is tried before bounds are raised further."""
 LEAST_S, SLICE_S, CLOSING_S = 0.1, 1e-4, 3e-5
@@ -80,8 +78,12 @@ class PlannerSession:
             if structure.has_required:
                 standing = self._with_required(problem, structure, clock, report)
             else:
-                for so_far in self._without_required(problem, structure, clock, report):
-                    standing = so_far
+                preparation = self._prepare(problem, structure, clock)
+                prepared = preparation.prepared(clock)
+                clock.end("bounds")
+                standing = Standing(Site(problem, structure.givers, prepared.labels), prepared, clock, report)
+                standing.counts = structure.counts() | standing.counts
+                self._solve(standing, preparation, prepared)
         except KeyboardInterrupt:
             clock.stop.set()
         clock.end("search")
@@ -94,41 +96,28 @@ class PlannerSession:
             self._settle(problem, structure, clock)
         return found
 
-    def _without_required(
-        self, problem: Problem, structure: Structure, clock: Clock, report: Callable[[Progress], None] | None
-    ) -> Iterator[Standing]:
-        """The standing, each time that something is known, until all is proven or the time is over.
+    def _solve(self, standing: Standing, preparation: Preparation, prepared: Prepared) -> None:
+        """Bring a standing forward until all is proven or the time is over.
 
         The solver has a first try at small problems; what it can't do soon, and larger ones, get better bounds first.
         """
-        preparation = self._prepare(problem, structure, clock)
-        prepared = preparation.prepared(clock)
-        standing = Standing(Site(problem, structure.givers, prepared.labels), prepared, clock, report)
-        standing.counts = structure.counts() | standing.counts
-        size = len(prepared.labels)
-        slice_s: float | None = max(LEAST_S, SLICE_S * size**1.5)
-        if size >= SMALL or not preparation.may_go_on:
-            slice_s = None
-        while True:
+        clock, size = standing.clock, len(prepared.labels)
+        if size < SMALL and preparation.may_go_on and not standing.is_over:
+            self._search(standing, preparation, prepared, max(LEAST_S, SLICE_S * size**1.5))
+        if preparation.may_go_on and not standing.is_over:
+            running = standing.best.units if standing.best is not None else ()
+            preparation.go_on(CLOSING_S * size**1.5, {unit.transformation for unit in running}, clock)
+            prepared = preparation.prepared(clock)
+            standing.go_on_with(prepared)
             clock.end("bounds")
-            yield standing
-            if standing.stage is not Stage.DONE and preparation.may_go_on and slice_s is None:
-                running = standing.best.units if standing.best is not None else ()
-                preparation.go_on(CLOSING_S * size**1.5, {unit.transformation for unit in running}, clock)
-                prepared = preparation.prepared(clock)
-                standing.go_on_with(Site(problem, structure.givers, prepared.labels), prepared)
-                clock.end("bounds")
-                yield standing
-            if standing.stage is Stage.DONE or clock.is_over():
-                return
-            from cfgplan.planners.cpsat.search import Search  # the solver takes long to import
+        if not standing.is_over:
+            self._search(standing, preparation, prepared, None)
 
-            Search(standing, prepared, self._grounding, slice_s, preparation.missed).run()
-            clock.end("search")
-            yield standing
-            if slice_s is None:
-                return
-            slice_s = None
+    def _search(self, standing: Standing, preparation: Preparation, prepared: Prepared, slice_s: float | None) -> None:
+        from cfgplan.planners.cpsat.search import Search  # the solver takes long to import
+
+        Search(standing, prepared, self._grounding, slice_s, preparation.missed).run()
+        standing.clock.end("search")
 
     def _prepare(self, problem: Problem, structure: Structure, clock: Clock) -> Preparation:
         """Bounds on the cost from both sides, and what may still be used between them."""

@@ -41,6 +41,10 @@ class Site:
         self.index_of = {candidate.id: index for index, candidate in enumerate(self.candidates)}
         self._rows: dict[str, tuple[int, ...]] = {}
 
+    def among(self, labels: Iterable[str]) -> Site:
+        """The site of the same problem with these labels."""
+        return Site(self.problem, self._givers, labels)
+
     def first_of_each(self, labels: Iterable[str]) -> set[int]:
         """The first unit of each label, a running one if there is one; of pinned ones all that run."""
         chosen = {self.units_of[label][0] for label in labels}

@@ -53,9 +53,14 @@ class Standing:
         if prepared.plan is not None:
             self.begin_with(prepared.plan)
 
-    def go_on_with(self, site: Site, prepared: Prepared) -> None:
+    @property
+    def is_over(self) -> bool:
+        """Whether all is proven, or the time is over."""
+        return self.stage is Stage.DONE or self.clock.is_over()
+
+    def go_on_with(self, prepared: Prepared) -> None:
         """The same with what was found out in between: fewer candidates, a better plan, a higher bound."""
-        self.site = site
+        self.site = self.site.among(prepared.labels)
         self.stage = Stage.REQUIRED
         self.fewest_started = prepared.fewest_started
         self.counts |= prepared.counts

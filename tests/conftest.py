@@ -1,0 +1,13 @@
+"""For all tests: signals work as at a shell, whatever the tests were started by."""
+
+from __future__ import annotations
+
+import signal
+
+
+def pytest_configure() -> None:
+    """nohup ignores hang-ups, a shell's background job interrupts, and all children would inherit that."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
