@@ -96,8 +96,9 @@ class Screen:
             self._err.print(line, soft_wrap=True)
 
     def internal_error(self, error: Exception) -> None:
-        self.note(f"internal error: {type(error).__name__}: {error}", style="bold red")
-        self.note("This is a bug in cfgplan. CFGPLAN_TRACEBACK=1 shows where; please report it.")
+        """Show a mistake of this package; what it was told is not to blame."""
+        bug = "this is a bug in cfgplan: CFGPLAN_TRACEBACK=1 shows where; please report it"
+        self.faults([Fault(f"internal error: {type(error).__name__}: {error}", mend=bug)])
 
     @cached_property
     def _out(self) -> Console:

@@ -108,6 +108,23 @@ def test_a_package_that_is_missing_is_named(run: Run, monkeypatch: pytest.Monkey
     assert "the package pygraphviz is not installed" in result.err
 
 
+@pytest.mark.parametrize("as_json", [False, True])
+def test_a_bug_is_told_as_any_other_error(run: Run, monkeypatch: pytest.MonkeyPatch, as_json: bool) -> None:
+    def plan(*_: object, **__: object) -> None:
+        raise RuntimeError("planned badly")
+
+    monkeypatch.setattr(cpsat, "plan", plan)
+    result = run("solve", UNMET, *["--json"] * as_json)
+    assert result.code == 31
+    if as_json:
+        (error,) = result.document["errors"]
+        assert error["message"] == "internal error: RuntimeError: planned badly"
+        assert "CFGPLAN_TRACEBACK" in error["mend"]
+    else:
+        assert "internal error: RuntimeError: planned badly" in result.err
+        assert "Traceback" not in result.err
+
+
 @pytest.mark.parametrize("arguments", [["--alternatives", "3"], ["--best-effort"]])
 def test_ctrl_c_ends_what_asks_for_many_plans(run: Run, monkeypatch: pytest.MonkeyPatch, arguments: list[str]) -> None:
     """The planner turns Ctrl-C into its best plan so far, with which nothing more may be asked."""

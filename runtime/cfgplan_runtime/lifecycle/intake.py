@@ -225,7 +225,7 @@ class Intake:
                 self.pending.wait_for(unit, outcome)
                 return None
             case LoseHost(host, cause):
-                self.situation.lost_hosts |= {host}
+                self._lose_host(host)
                 return HostGone(host, cause)
             case RegainHost(host):
                 if host not in self.situation.lost_hosts:
@@ -245,6 +245,13 @@ class Intake:
             raise InputError.of(f"no unit {unit!r} runs", mend=f"these run: {known}" if known else None)
         self.situation.killed.add(unit)
         self._middleware.kill(unit)
+
+    def _lose_host(self, host: str) -> None:
+        hosts = {one.host for one in self.living.world.environment.library if one.host is not None}
+        if host not in hosts:
+            mend = f"choose one of {', '.join(sorted(hosts))}" if hosts else "no transformation names a host"
+            raise InputError.of(f"there is no host {host!r}", mend=mend)
+        self.situation.lost_hosts |= {host}
 
     def _change_world(self, change: WorldChange) -> WorldChanged | None:
         living = self.living.after(change)
