@@ -71,6 +71,7 @@ def _run(entrant: Entrant, problem: Problem, time_limit_s: float, out: TextIO) -
         "total_s": round(total_s, 6),
         "peak_mb": round(peak_mb, 1),
         "counts": dict(plan.counts),
+        "seconds": {phase: round(s, 6) for phase, s in plan.seconds.items()},
         "violations": [str(violation) for violation in plan_violations(problem, plan)],
         "message": "; ".join(sorted(set(plan.reasons.values())))[:300],
     }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, field, fields
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
@@ -41,7 +41,7 @@ class Row:
     was no answer to judge. `peak_mb` is the largest resident memory of the process, the solver's own if it is
     a process apart. `trace` tells the best cost and the bound over time. There is a time of proof where the
     planner proved its answer, be it that there is none, or that no plan costs less; to break ties between equal
-    costs may take it until `total_s`.
+    costs may take it until `total_s`. `seconds` are the planner's phases; files from before they were kept lack them.
     """
 
     instance: str
@@ -68,6 +68,7 @@ class Row:
     message: str
     versions: Mapping[str, str]
     machine: Mapping[str, object]
+    seconds: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def key(self) -> Key:
@@ -127,7 +128,8 @@ def thinned(trace: Iterable[Point], most: int = 40) -> tuple[Point, ...]:
     return tuple(points[round(i * step)] for i in range(most))
 
 
-_FIELDS = frozenset(field.name for field in fields(Row))
+_FIELDS = frozenset(each.name for each in fields(Row))
+_REQUIRED = frozenset(each.name for each in fields(Row) if each.default_factory is MISSING)
 
 
 def _row(path: Path, number: int, line: str) -> Row:
@@ -135,7 +137,7 @@ def _row(path: Path, number: int, line: str) -> Row:
         data: dict[str, Any] = json.loads(line)
     except ValueError:
         raise InputError([Fault("this line is no JSON", str(path), number)]) from None
-    if not isinstance(data, dict) or data.keys() != _FIELDS:
+    if not isinstance(data, dict) or not _REQUIRED <= data.keys() <= _FIELDS:
         raise InputError([Fault("this line is no result row", str(path), number, mend="use another results file")])
     trace = tuple((point[0], point[1], point[2]) for point in data["trace"])
     violations = None if data["violations"] is None else tuple(data["violations"])

@@ -125,6 +125,7 @@ def run_one(instance: Instance, entrant: Entrant, limits: Limits) -> Row:
         message=answer.get("message", ""),
         versions=entrant.versions() | {"python": platform.python_version()},
         machine=machine(),
+        seconds=answer.get("seconds", {}),
     )
 
 

@@ -85,6 +85,8 @@ def test_a_row_tells_what_the_planner_answered_and_when() -> None:
     assert row.peak_mb > 10
     assert row.trace[-1][1:] == (11_000_000, 11_000_000)
     assert {"cfgplan", "ortools", "python"} <= row.versions.keys()
+    assert {"closure", "bounds"} <= row.seconds.keys()
+    assert sum(row.seconds.values()) <= (row.total_s or 0.0)
     assert (row.family, dict(row.parameters), row.seed) == ("adversarial", {"kind": "dedicated", "size": 3}, 0)
 
 
@@ -170,6 +172,15 @@ def test_a_run_that_lacked_a_package_is_tried_again(tmp_path: Path) -> None:
         run([SMALL], [entrant("no_such_module:plan")], LIMITS, results)
     assert len(results.read_text().splitlines()) == 2
     assert len(read_rows(results)) == 1
+
+
+def test_a_row_from_before_phases_were_kept_is_read(tmp_path: Path) -> None:
+    results = tmp_path / "results.jsonl"
+    (row,) = run([SMALL], [entrant("branch-and-bound")], LIMITS, results)
+    older = json.loads(results.read_text())
+    del older["seconds"]
+    results.write_text(json.dumps(older) + "\n")
+    assert read_rows(results) == [replace(row, seconds={})]
 
 
 def test_a_line_that_is_no_row_is_named(tmp_path: Path) -> None:
