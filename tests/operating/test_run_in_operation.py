@@ -77,6 +77,18 @@ def test_a_robot_registers_itself_is_used_and_leaves_again(env: Path, capsys: py
     assert ctl(capsys, "state")["declared"] == []
 
 
+def test_unit_code_that_changes_is_told_and_counts_from_the_next_start(
+    env: Path, run: subprocess.Popen[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    (env.parent / "units.py").write_text(UNITS.replace("self.robot = robot", "self.robot = robot.upper()"))
+    text = await_event(run, "Warning")["text"]
+    assert "units.py has changed" in text
+    assert "camera(piff).1, detector(piff).1" in text
+    ctl(capsys, "kill", "detector(piff).1")
+    with subscribe("/result", wait_s=PATIENCE_S, timeout_s=PATIENCE_S) as subscription:
+        assert next(iter(subscription)).value["robot"] == "PIFF"
+
+
 @pytest.mark.usefixtures("run")
 def test_targets_and_transformations_can_be_removed_and_restored(capsys: pytest.CaptureFixture[str]) -> None:
     removed = ctl(capsys, "remove-transformation", "camera(piff)", code=12)

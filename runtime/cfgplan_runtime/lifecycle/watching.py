@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -12,14 +11,8 @@ from cfgplan.api import World
 from cfgplan.errors import Fault, InputError
 from cfgplan.formats import Document, read_document
 from cfgplan_runtime.lifecycle.changes import ReplaceWorld
+from cfgplan_runtime.lifecycle.file_watch import FileWatch
 from cfgplan_runtime.lifecycle.manager import Manager
-
-QUIET_S = 0.05
-"""So long must nothing change before the files are read."""
-LOOK_MS = 1000
-"""So often the files are looked at in any case, for file systems that don't tell of changes."""
-
-Stamps = dict[Path, tuple[int, int, int] | None]
 
 
 @contextmanager
@@ -36,73 +29,22 @@ def watch_file(path: str | Path, manager: Manager) -> Iterator[None]:
         watching.close()
 
 
-class Watching:
-    """A thread that reads an environment file at its start, and whenever one of its files has changed since.
+class Watching(FileWatch):
+    """Reads an environment file at the start, and whenever one of its files has changed since.
 
-    Folders are watched, since editors write a new file and rename it. `give` gets each new world, `refuse` the
-    faults of one that can't be used, both with the file's name.
+    `give` gets each new world, `refuse` the faults of one that can't be used, both with the file's name.
     """
 
     def __init__(
         self, path: Path, give: Callable[[World, str], object], refuse: Callable[[str, tuple[Fault, ...]], object]
     ) -> None:
+        super().__init__(lambda: self._files, lambda _: self._read())
         self._path = path
         self._give = give
         self._refuse = refuse
-        self._paths: frozenset[Path] = frozenset({path})
-        self._stamps: Stamps = {}
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._work, name="cfgplan-watching", daemon=True)
-
-    def start(self) -> None:
-        """Begin to watch."""
-        self._thread.start()
-
-    def close(self) -> None:
-        """End."""
-        self._stop.set()
-        self._thread.join()
-
-    def _work(self) -> None:
-        self._read()
-        while not self._stop.is_set():
-            try:
-                self._watch(_folders(self._paths))
-            except (OSError, RuntimeError):  # a folder has vanished, or the system watches no more of them
-                self._stop.wait(LOOK_MS / 1000)
-                self._look()
-
-    def _watch(self, folders: list[Path]) -> None:
-        """Look whenever something changes in these folders, and from time to time, as long as they are the ones."""
-        from watchfiles import watch
-
-        for _ in watch(
-            *folders,
-            watch_filter=None,
-            step=20,
-            rust_timeout=LOOK_MS,
-            yield_on_timeout=True,
-            recursive=False,
-            raise_interrupt=False,
-            ignore_permission_denied=True,
-            stop_event=self._stop,
-        ):
-            self._look()
-            if _folders(self._paths) != folders:
-                return
-
-    def _look(self) -> None:
-        if self._stamps != _stamps(self._paths):
-            self._await_quiet()
-            self._read()
-
-    def _await_quiet(self) -> None:
-        before, now = None, _stamps(self._paths)
-        while now != before and not self._stop.wait(QUIET_S):
-            before, now = now, _stamps(self._paths)
+        self._files = frozenset({path})
 
     def _read(self) -> None:
-        self._stamps = _stamps(self._paths)
         found = {self._path}
         try:
             document = read_document(self._path)
@@ -111,16 +53,13 @@ class Watching:
             found |= set(ontology.files)
             world = api.world_of(document, ontology)
         except InputError as error:
-            self._know(self._paths | found)
+            self._files |= found
+            self.take_in_new_ones()
             self._refuse(str(self._path), error.faults)
         else:
-            self._know(frozenset(found))
+            self._files = frozenset(found)
+            self.take_in_new_ones()
             self._give(world, str(self._path))
-
-    def _know(self, paths: frozenset[Path]) -> None:
-        """Files that are new to us are as they were when they were read, or a little later: then once more."""
-        self._stamps = {**_stamps(paths), **{path: self._stamps[path] for path in paths & self._stamps.keys()}}
-        self._paths = paths
 
 
 def _files_of(document: Document) -> set[Path]:
@@ -140,22 +79,3 @@ def _files_in(path: Path) -> set[Path]:
         return {member for member in path.iterdir() if member.is_file()}
     except OSError:  # a file, or gone
         return set()
-
-
-def _folders(paths: Iterable[Path]) -> list[Path]:
-    """The folders of files, and the folders among them; those that are there."""
-    folders = {path if path.is_dir() else path.parent for path in paths}
-    return sorted(folder for folder in folders if folder.is_dir()) or [Path()]
-
-
-def _stamps(paths: Iterable[Path]) -> Stamps:
-    return {path: _stamp(path) for path in paths}
-
-
-def _stamp(path: Path) -> tuple[int, int, int] | None:
-    """What changes when a file is written or replaced, or an entry of a folder comes or goes; None if it is missing."""
-    try:
-        found = path.stat()
-    except OSError:
-        return None
-    return found.st_mtime_ns, found.st_size, found.st_ino

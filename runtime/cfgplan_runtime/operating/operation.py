@@ -24,6 +24,7 @@ from cfgplan_runtime.lifecycle.manager import Manager
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Decision, Ended, Observed, Report, Reviewed
 from cfgplan_runtime.lifecycle.watching import Watching
+from cfgplan_runtime.operating.code_watch import code_watch
 from cfgplan_runtime.operating.control_server import ControlServer, about_this_process
 from cfgplan_runtime.operating.flows import Flows
 from cfgplan_runtime.operating.ledger import Ledger
@@ -154,8 +155,8 @@ class Operation:
         if settings.log is not None:
             self.log = _open_log(settings.log)
             stack.callback(self.log.close)
-        folder = self._path if self._path.is_dir() else self._path.parent
-        self.runtime = stack.enter_context(Runtime(folder=folder.resolve(), preload=settings.preload))
+        folder = (self._path if self._path.is_dir() else self._path.parent).resolve()
+        self.runtime = stack.enter_context(Runtime(folder=folder, preload=settings.preload))
         if self.recorder is not None:
             facts = {"run": self.id, "environment": str(self._path.resolve()), "version": __version__}
             self.recorder.recording.describe(facts)
@@ -182,9 +183,12 @@ class Operation:
         self.manager.listen(self._hear)
         self.manager.start()
         stack.callback(self._stop_manager)
-        watching = Watching(self._path, self._take_world, self.manager.refuse)
-        watching.start()
-        stack.callback(watching.close)
+        code = code_watch(
+            folder, lambda: self.manager.world.environment.library, lambda: self.runtime.environment.units, self._show
+        )
+        for watch in (code, Watching(self._path, self._take_world, self.manager.refuse)):
+            watch.start()
+            stack.callback(watch.close)
 
     def _take_world(self, world: World, by: str) -> None:
         self.manager.request(ReplaceWorld(self._settings.adjust(world), by))

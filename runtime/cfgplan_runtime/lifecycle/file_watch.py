@@ -1,0 +1,106 @@
+"""Files whose changes count, watched by a thread."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+QUIET_S = 0.05
+"""So long must nothing change before it is told."""
+LOOK_MS = 1000
+"""So often the files are looked at in any case, for file systems that don't tell of changes."""
+
+Stamps = dict[Path, tuple[int, int, int] | None]
+
+
+class FileWatch:
+    """A thread that tells which of some files and folders have changed, come or gone.
+
+    `tell` is called in the thread: at its start, with nothing, and then with what has changed. `paths` is asked anew
+    at every look; a file that joins counts from then on. Folders are watched, since editors write a new file and
+    rename it.
+    """
+
+    def __init__(self, paths: Callable[[], Iterable[Path]], tell: Callable[[frozenset[Path]], object]) -> None:
+        self._paths = paths
+        self._tell = tell
+        self._stamps: Stamps = {}
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._work, name="cfgplan-watching", daemon=True)
+
+    def start(self) -> None:
+        """Begin to watch."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """End."""
+        self._stop.set()
+        self._thread.join()
+
+    def _work(self) -> None:
+        self._tell_of(frozenset())
+        while not self._stop.is_set():
+            try:
+                self._watch(_folders(self._stamps))
+            except (OSError, RuntimeError):  # a folder has vanished, or the system watches no more of them
+                self._stop.wait(LOOK_MS / 1000)
+                self._look()
+
+    def _watch(self, folders: list[Path]) -> None:
+        """Look whenever something changes in these folders, and from time to time, as long as they are the ones."""
+        from watchfiles import watch
+
+        for _ in watch(
+            *folders,
+            watch_filter=None,
+            step=20,
+            rust_timeout=LOOK_MS,
+            yield_on_timeout=True,
+            recursive=False,
+            raise_interrupt=False,
+            ignore_permission_denied=True,
+            stop_event=self._stop,
+        ):
+            self._look()
+            if _folders(self._stamps) != folders:
+                return
+
+    def _look(self) -> None:
+        if self._stamps == _stamps(self._stamps):
+            self.take_in_new_ones()
+            return
+        before, now = None, _stamps(self._stamps)
+        while now != before and not self._stop.wait(QUIET_S):
+            before, now = now, _stamps(self._stamps)
+        self._tell_of(frozenset(path for path in now if now[path] != self._stamps[path]))
+
+    def _tell_of(self, changed: frozenset[Path]) -> None:
+        """Files change while they are read too: what counts is how they were before."""
+        self._stamps = _stamps([*self._stamps, *self._paths()])
+        self._tell(changed)
+        self.take_in_new_ones()
+
+    def take_in_new_ones(self) -> None:
+        """Ask for the paths; called by `tell` too, once it knows of others and before it says so to anybody."""
+        paths = set(self._paths())
+        self._stamps = {path: self._stamps[path] if path in self._stamps else _stamp(path) for path in paths}
+
+
+def _folders(paths: Iterable[Path]) -> list[Path]:
+    """The folders of files, and the folders among them; those that are there."""
+    folders = {path if path.is_dir() else path.parent for path in paths}
+    return sorted(folder for folder in folders if folder.is_dir()) or [Path()]
+
+
+def _stamps(paths: Iterable[Path]) -> Stamps:
+    return {path: _stamp(path) for path in paths}
+
+
+def _stamp(path: Path) -> tuple[int, int, int] | None:
+    """What changes when a file is written or replaced, or an entry of a folder comes or goes; None if it is missing."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_mtime_ns, found.st_size, found.st_ino
