@@ -1,4 +1,4 @@
-"""The planner comparison with the peers: `python -m experiments.compare --short` or `--full`.
+"""The planner comparison with the peers: `python -m experiments.compare --short`, `--full` or `--scale`.
 
 Run from the checkout with `pip install -e '.[peers,plots]'`. An interrupted comparison goes on where it was.
 `cfgplan compare` does the same for your own files, without the peers.
@@ -21,16 +21,24 @@ from cfgplan.comparing.suites import SUITES
 from cfgplan.comparing.wsc import wsc_sets
 from cfgplan.errors import CfgplanError
 from experiments.peers import PEERS
+from experiments.planning import VARIANTS
+from experiments.planning.scaling import measure_loads, write_scale
 
-ENTRANTS = {**REGISTERED, **PEERS}
-FULL_REPORT = Path(__file__).parent / "report"
-SHORT_REPORT = Path("build", "compare")
-SECONDS = {"short": 2.0, "full": 5.0}
+ENTRANTS = {**REGISTERED, **VARIANTS, **PEERS}
+STUDY = (*REGISTERED, *PEERS)
+AT_SCALE = ("cpsat", *VARIANTS, *PEERS)
+REPORTS = {
+    "short": Path("build", "compare"),
+    "full": Path(__file__).parent / "report",
+    "scale": Path(__file__).parent / "planning" / "scale",
+}
+SECONDS = {"short": 2.0, "full": 5.0, "scale": 10.0}
+MEMORY_MB = {"scale": 8192}
 
 
 def main() -> int:
     options = _options()
-    folder = options.report or (FULL_REPORT if options.suite == "full" else SHORT_REPORT)
+    folder = options.report or REPORTS[options.suite]
     results = folder / "results.jsonl"
     console = Console(stderr=True)
     if options.report_only:
@@ -39,13 +47,16 @@ def main() -> int:
         instances = list(SUITES[options.suite]())
         if options.wsc:
             instances += wsc_sets(options.wsc)
-        else:
+        elif options.suite != "scale":
             console.print("The sets of the Web Service Challenge are left out: no --wsc DIR.")
-        entrants = [ENTRANTS[name] for name in options.planner or ENTRANTS]
-        limits = Limits(time_limit_s=options.timeout or SECONDS[options.suite])
+        names = options.planner or (AT_SCALE if options.suite == "scale" else STUDY)
+        limits = Limits(options.timeout or SECONDS[options.suite], memory_mb=MEMORY_MB.get(options.suite))
         with progress_bar(console) as watch:
-            rows = in_order(run(instances, entrants, limits, results, watch=watch))
-    for path in write_report(rows, folder):
+            rows = in_order(run(instances, [ENTRANTS[name] for name in names], limits, results, watch=watch))
+        if options.suite == "scale":
+            measure_loads((instance for instance in instances if instance.seed == 0), folder)
+    write = write_scale if options.suite == "scale" else write_report
+    for path in write(rows, folder):
         print(path)
     found = breaches(rows)
     for text in found:
@@ -63,9 +74,12 @@ def _options() -> argparse.Namespace:
     which = parser.add_mutually_exclusive_group(required=True)
     which.add_argument("--short", dest="suite", action="store_const", const="short", help="under five minutes")
     which.add_argument("--full", dest="suite", action="store_const", const="full", help="the study: half an hour")
+    which.add_argument(
+        "--scale", dest="suite", action="store_const", const="scale", help="50 to 50,000 transformations: half an hour"
+    )
     parser.add_argument("--planner", action="append", choices=ENTRANTS, help="only these (all of them)")
     parser.add_argument("--wsc", type=Path, metavar="DIR", help="a folder with sets of the Web Service Challenge 2008")
-    parser.add_argument("--timeout", type=float, metavar="S", help="seconds for a run (short: 2, full: 5)")
+    parser.add_argument("--timeout", type=float, metavar="S", help="seconds for a run (short: 2, full: 5, scale: 10)")
     parser.add_argument("--report", type=Path, metavar="DIR", help="where results, tables and plots go")
     parser.add_argument("--report-only", action="store_true", help="write the report again from the results there")
     return parser.parse_args()

@@ -21,6 +21,19 @@ def write_report(rows: Sequence[Row], folder: Path) -> list[Path]:
 
 def tables_text(rows: Sequence[Row]) -> str:
     """What was run on what, whether the planners contradict each other, then the tables, in Markdown."""
+    parts = [
+        "# Results of the comparison",
+        head(rows),
+        overview(rows).markdown(),
+        by_family(rows).markdown(),
+        detail(rows).markdown(),
+        effort(rows).markdown(),
+    ]
+    return "\n\n".join(part.strip() for part in parts) + "\n"
+
+
+def head(rows: Sequence[Row]) -> str:
+    """What was run on what, and whether the planners contradict each other."""
     machines = dict.fromkeys(", ".join(f"{name} {value}" for name, value in row.machine.items()) for row in rows)
     versions = dict.fromkeys(f"{name} {version}" for row in rows for name, version in sorted(row.versions.items()))
     limits = dict.fromkeys(f"{row.time_limit_s:g} s" for row in rows)
@@ -29,14 +42,8 @@ def tables_text(rows: Sequence[Row]) -> str:
         "\n".join(f"* {text}" for text in found) if found else "None: all proofs agree, every plan passes the judge."
     )
     runs = f"{len(rows)} runs, at most {', '.join(limits)} each, one at a time."
-    parts = [
-        "# Results of the comparison",
-        f"{runs} Machine: {'; '.join(machines)}. Versions: {', '.join(versions)}.",
-        "Written by `cfgplan compare`; do not edit. Trust ratios of times, not the times.",
-        f"### Contradictions\n\n{verdict}",
-        overview(rows).markdown(),
-        by_family(rows).markdown(),
-        detail(rows).markdown(),
-        effort(rows).markdown(),
-    ]
-    return "\n\n".join(part.strip() for part in parts) + "\n"
+    return (
+        f"{runs} Machine: {'; '.join(machines)}. Versions: {', '.join(versions)}.\n\n"
+        "Written by `cfgplan compare`; do not edit. Trust ratios of times, not the times.\n\n"
+        f"### Contradictions\n\n{verdict}"
+    )

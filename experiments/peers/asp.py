@@ -57,15 +57,16 @@ def _plan(
     report: Callable[[Progress], None] | None,
 ) -> Plan:
     began = time.monotonic()
-    if reasons := unmet_reasons(problem):
-        return Plan(who, Status.INFEASIBLE, reasons=reasons)
     selection = Selection(problem, who)
+    if not all(map(selection.feeders, selection.wanted)):
+        return Plan(who, Status.INFEASIBLE, reasons=unmet_reasons(problem))
     scale = gcd(*(candidate.cost_us for candidate in selection.candidates)) or 1
     if any(candidate.cost_us // scale > LARGEST_WEIGHT for candidate in selection.candidates):
         raise InputError.of(f"{who} counts in 32 bits, and a cost is too large for it")
     control = clingo.Control([f"--opt-strategy={strategy}", "--models=0", "--warn=none"])
     control.add("base", [], RULES + "\n".join(_facts(selection, scale)))
     control.ground([("base", [])])
+    built_s = time.monotonic() - began
     best: list[int] | None = None
     bound_us = 0
 
@@ -92,11 +93,12 @@ def _plan(
             bound_us = selection.cost_us(best)
     solving = control.statistics["solving"]["solvers"]
     counts = {"choices": int(solving["choices"]), "conflicts": int(solving["conflicts"])}
-    return selection.answer(best, bound_us, seconds={"all": time.monotonic() - began}, counts=counts)
+    seconds = {"build": built_s, "search": time.monotonic() - began - built_s}
+    return selection.answer(best, bound_us, seconds=seconds, counts=counts)
 
 
 def _facts(selection: Selection, scale: int) -> Iterator[str]:
-    """Units and tags are numbers; so are labels, ports and groups."""
+    """Units and tags are numbers; so are labels, ports and groups. Labels matter only to distinct groups."""
     numbers: dict[str, int] = {}
 
     def number(name: str) -> int:
@@ -108,8 +110,11 @@ def _facts(selection: Selection, scale: int) -> Iterator[str]:
         return used[tag]
 
     used: dict[str, int] = {}
+    picky = any(p.distinct is not None for c in selection.candidates for p in c.transformation.inputs)
     for i, candidate in enumerate(selection.candidates):
-        yield f"unit({i}). cost({i},{candidate.cost_us // scale}). label({i},{number(candidate.transformation.label)})."
+        yield f"unit({i}). cost({i},{candidate.cost_us // scale})."
+        if picky:
+            yield f"label({i},{number(candidate.transformation.label)})."
         for port in candidate.transformation.inputs:
             back = "_back" if port.feedback else ""
             yield f"needs{back}({i},{use(port.tag)})."

@@ -22,6 +22,8 @@ from cfgplan.planning import Plan, Problem, Progress, Status
 from cfgplan.reasons import unmet_reasons
 
 WHO = "fast-downward"
+OUT_OF_MEMORY = 22
+"""Its exit code for that."""
 LARGEST_COST = 2**31 - 2
 PROGRAM = "downward/builds/release/bin/downward"
 
@@ -32,9 +34,9 @@ def plan(
     """The cheapest update; refuses feedback inputs and distinct groups. Raises ImportError if not installed."""
     began = time.monotonic()
     program = _program()
-    if reasons := unmet_reasons(problem):
-        return Plan(WHO, Status.INFEASIBLE, reasons=reasons)
     selection = Selection(problem, WHO)
+    if not all(map(selection.feeders, selection.wanted)):
+        return Plan(WHO, Status.INFEASIBLE, reasons=unmet_reasons(problem))
     ports = [port for candidate in selection.candidates for port in candidate.transformation.inputs]
     if any(port.feedback or port.distinct is not None for port in ports):
         raise InputError.of(f"{WHO} does not know feedback inputs and distinct groups")
@@ -67,6 +69,8 @@ def plan(
         process.wait()
         clock.cancel()
         chosen = _chosen(answer.read_text()) if answer.exists() else None
+    if process.returncode == OUT_OF_MEMORY:
+        raise MemoryError
     if chosen is None and process.returncode > 0:
         raise RuntimeError(f"{PROGRAM} ended with exit code {process.returncode}")
     if chosen is not None:

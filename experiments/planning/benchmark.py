@@ -1,8 +1,7 @@
-"""Time to proof, bound and gap, memory, and replanning after failures: writes the tables beside this file.
+"""Replanning after failures: `python experiments/planning/benchmark.py` writes `replan.md` beside this file.
 
-`python experiments/planning/benchmark.py cold` and `... replan`; `--limit` is the time for each plan in
-seconds. Times are CPU seconds of the planning process, all threads together, because the machine may
-be shared; each plan of the first table is made in a process of its own.
+`--limit` is the time for each plan in seconds. Times are CPU seconds of the planning process, all threads together,
+because the machine may be shared.
 """
 
 from __future__ import annotations
@@ -10,47 +9,19 @@ from __future__ import annotations
 import argparse
 import multiprocessing
 import random
-import resource
 import statistics
-import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent))
-
-import variants
-
 from cfgplan.comparing.families.random_library import random_library
 from cfgplan.domain import ChangeSet
-from cfgplan.planners.cpsat import PlannerSession, plan
-from cfgplan.planning import Plan, Planner, Problem
+from cfgplan.planners.cpsat import PlannerSession
+from cfgplan.planning import Plan, Problem
 
 HERE = Path(__file__).parent
 SEEDS = (0, 1)
-
-PLANNERS: dict[str, Planner] = {
-    "cpsat": plan,
-    "levels, prepared": variants.levels_prepared,
-    "cuts alone": variants.cuts_alone,
-    "levels alone": variants.levels_alone,
-    "CP-SAT defaults": variants.defaults_alone,
-}
-
-COLD: dict[str, dict[str, float]] = {
-    "50": {"transformations": 50, "targets": 3},
-    "500": {"transformations": 500, "targets": 1},
-    "500, branching 2": {"transformations": 500, "targets": 1, "branching": 2},
-    "500, branching 50": {"transformations": 500, "targets": 1, "branching": 50},
-    "500, 8 targets": {"transformations": 500, "targets": 8},
-    "500, 2 outputs, 8 targets": {"transformations": 500, "targets": 8, "outputs": 2},
-    "500, a third running, 8 targets": {"transformations": 500, "targets": 8, "running": 0.3},
-    "500, arity 3, back .4": {"transformations": 500, "targets": 3, "arity": 3, "back": 0.4},
-    "5,000": {"transformations": 5000, "targets": 1},
-    "5,000, branching 20": {"transformations": 5000, "targets": 1, "branching": 20},
-    "50,000, branching 20": {"transformations": 50000, "targets": 1, "branching": 20},
-}
 
 REPLAN: dict[str, dict[str, float]] = {
     "50, 3 targets": {"transformations": 50, "targets": 3},
@@ -58,29 +29,6 @@ REPLAN: dict[str, dict[str, float]] = {
     "1,000, 60 targets": {"transformations": 1000, "targets": 60},
     "5,000, 10 targets": {"transformations": 5000, "targets": 10},
 }
-
-
-def cold(limit_s: float) -> Iterator[str]:
-    """Each planner on each family, from nothing."""
-    yield "| family | seed | planner | status | CPU s | gap | MB | left by bounds | rounds |"
-    yield "|---|---|---|---|---|---|---|---|---|"
-    for family, parameters in COLD.items():
-        for seed in SEEDS:
-            for name in PLANNERS:
-                found = in_own_process(measured, name, seed, parameters, limit_s)
-                yield f"| {family} | {seed} | {name} | {found} |"
-
-
-def measured(name: str, seed: int, parameters: dict[str, float], limit_s: float) -> str:
-    problem = random_library(seed, **parameters)  # type: ignore[arg-type]
-    before_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    began = time.process_time()
-    found = PLANNERS[name](problem, time_limit_s=limit_s)
-    cpu_s = time.process_time() - began
-    used_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024 - before_mb
-    gap = "-" if found.gap is None else f"{found.gap:.1%}"
-    left, rounds = (found.counts.get(key, "-") for key in ("left by bounds", "rounds"))
-    return f"{found.status} | {cpu_s:.3f} | {gap} | {used_mb:.0f} | {left} | {rounds}"
 
 
 def in_own_process(work: Callable[..., str], *arguments: object) -> str:
@@ -130,12 +78,10 @@ def after(problem: Problem, found: Plan) -> Problem:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("table", choices=["cold", "replan"])
     parser.add_argument("--limit", type=float, default=10.0, help="seconds for each plan (default 10)")
     arguments = parser.parse_args()
-    rows = cold(arguments.limit) if arguments.table == "cold" else replan(arguments.limit)
-    with (HERE / f"{arguments.table}.md").open("w", encoding="utf-8") as table:
-        for row in rows:
+    with (HERE / "replan.md").open("w", encoding="utf-8") as table:
+        for row in replan(arguments.limit):
             print(row, flush=True)
             print(row, file=table, flush=True)
 

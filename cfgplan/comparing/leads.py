@@ -1,0 +1,85 @@
+"""How far one planner is ahead of others in time to proof, and of what no one proved, who knows more.
+
+A planner that did not prove an instance counts with its time limit, so a lead over it is at least what is said here.
+What neither proved tells nothing about time; there bounds and plans compare.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from math import exp, log
+
+from cfgplan.comparing.invariants import by_instance
+from cfgplan.comparing.rows import Failure, Row
+from cfgplan.comparing.tables import LEAST_S
+
+
+@dataclass(frozen=True)
+class Lead:
+    """The geometric mean of other's time to proof over base's, on the `decided` instances that one of them proved.
+
+    `at_least` says that the other left some of these unproven, `at_most` that the base did. Of the undecided ones
+    the base had the better bound (or plan) as often as the first number says, the other as often as the second.
+    """
+
+    ratio: float | None
+    decided: int
+    at_least: bool
+    at_most: bool
+    undecided: int
+    bounds: tuple[int, int]
+    plans: tuple[int, int]
+
+    def text(self) -> str:
+        """Such as `≥ 4.2`, and who knew more where neither proved anything."""
+        sign = {(False, False): "", (True, False): "≥ ", (False, True): "≤ ", (True, True): "about "}
+        parts = [] if self.ratio is None else [f"{sign[self.at_least, self.at_most]}{self.ratio:.2g}"]
+        if self.undecided:
+            bounds, plans = (f"{ours}:{theirs}" for ours, theirs in (self.bounds, self.plans))
+            parts.append(f"{self.undecided} open: bounds {bounds}, plans {plans}")
+        return "; ".join(parts) or "-"
+
+
+def lead(pairs: Iterable[tuple[Row, Row]]) -> Lead:
+    """The lead of the base over the other, each pair their two rows of one instance."""
+    ratios, censored, bounds, plans = [], [False, False], [0, 0], [0, 0]
+    undecided = 0
+    for base, other in pairs:
+        if base.proven or other.proven:
+            ratios.append(log(seconds(other) / seconds(base)))
+            censored = [censored[0] or not other.proven, censored[1] or not base.proven]
+        else:
+            undecided += 1
+            _count(bounds, base.bound_us, other.bound_us)
+            _count(plans, -_cost_us(base), -_cost_us(other))
+    ratio = exp(sum(ratios) / len(ratios)) if ratios else None
+    at_least, at_most = censored
+    return Lead(ratio, len(ratios), at_least, at_most, undecided, (bounds[0], bounds[1]), (plans[0], plans[1]))
+
+
+def matched(rows: Iterable[Row], base: str, others: Sequence[str]) -> Iterator[tuple[Row, Row]]:
+    """For each instance the base's row and the first to prove among the others' rows, any if none did."""
+    for group in by_instance(rows).values():
+        bases = [row for row in group if row.planner == base and _took_part(row)]
+        rivals = [row for row in group if row.planner in others and _took_part(row)]
+        if bases and rivals:
+            yield bases[0], min(rivals, key=lambda row: (not row.proven, seconds(row), -row.bound_us, _cost_us(row)))
+
+
+def seconds(row: Row) -> float:
+    """Until the proof, or the time limit."""
+    return row.time_limit_s if row.proof_s is None else min(row.time_limit_s, max(LEAST_S, row.proof_s))
+
+
+def _cost_us(row: Row) -> float:
+    return row.cost_us if row.cost_us is not None and row.has_plan else float("inf")
+
+
+def _took_part(row: Row) -> bool:
+    return row.outcome not in (Failure.REFUSED, Failure.UNAVAILABLE)
+
+
+def _count(wins: list[int], ours: float, theirs: float) -> None:
+    wins[0] += ours > theirs
+    wins[1] += theirs > ours

@@ -1,0 +1,167 @@
+"""The tables of the comparison at scale: per family who proves what, how fast, and how far `cpsat` is ahead."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from math import exp, log
+
+from cfgplan.comparing.invariants import gap, references
+from cfgplan.comparing.leads import Lead, lead, matched, seconds
+from cfgplan.comparing.report import head
+from cfgplan.comparing.rows import Failure, Row
+from cfgplan.comparing.suites import SCALE
+from cfgplan.comparing.tables import Table, planners
+
+BASE = "cpsat"
+PARTS = ("levels-prepared", "cuts-alone")
+"""The same planner with a part exchanged or left out; all the others are peers."""
+
+
+def scale_text(rows: Sequence[Row], loads: Mapping[str, float]) -> str:
+    """The tables in Markdown; `loads` are the seconds to load an environment file, by the name of its instance."""
+    parts = [
+        "# The planner at scale, and its peers",
+        head(rows),
+        *(table.markdown() for table in (summary(rows), behind(rows), building(rows, loads), everyone(rows))),
+    ]
+    return "\n\n".join(part.strip() for part in parts) + "\n"
+
+
+def families(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    """The rows by the name of their family in `SCALE`, in its order."""
+    found = {name: [row for row in rows if row.parameters == parameters] for name, parameters in SCALE.items()}
+    return {name: group for name, group in found.items() if group}
+
+
+def summary(rows: Sequence[Row]) -> Table:
+    """For each family the peer that comes closest and the lead over it; then the mean over the families."""
+    peers = [name for name in planners(rows) if name not in (BASE, *PARTS)]
+    lines, closest, fastest = [], [], []
+    for name, group in families(rows).items():
+        own = [row for row in group if row.planner == BASE]
+        leads = {peer: lead(matched(group, BASE, [peer])) for peer in peers}
+        best = min(leads, key=lambda peer: _closeness(leads[peer]))
+        each = lead(matched(group, BASE, peers))
+        closest.append(leads[best])
+        fastest.append(each)
+        lines.append((name, _proven(own), _mean_s(own), best, leads[best].text(), each.text()))
+    lines.append(("geometric mean", "", "", "", _mean(closest), _mean(fastest)))
+    heads = (
+        "family",
+        "cpsat proves",
+        "s to proof",
+        "closest peer",
+        "lead over it",
+        "lead over the fastest peer each time",
+    )
+    return Table(f"How far {BASE} is ahead of {', '.join(peers)}", heads, tuple(lines))
+
+
+def behind(rows: Sequence[Row]) -> Table:
+    """The instances on which a peer is faster, or, where no one proved anything, has the better bound or plan."""
+    lines = []
+    for name in planners(rows):
+        for base, other in matched(rows, BASE, [name]) if name != BASE else ():
+            found = lead([(base, other)])
+            if (found.ratio or 1.0) < 1.0 or found.bounds == (0, 1) or found.plans == (0, 1):
+                lines.append((base.instance, name, _time(base), _time(other), found.text()))
+    lines.sort(key=lambda line: list(dict.fromkeys(row.instance for row in rows)).index(line[0]))
+    heads = ("instance", "planner", f"{BASE}, s", "its s", "lead")
+    return Table(f"Where another is ahead of {BASE}", heads, tuple(lines))
+
+
+def building(rows: Sequence[Row], loads: Mapping[str, float]) -> Table:
+    """What loading takes, the shares of the planner's phases, and how long the others build their models."""
+    others = [name for name in planners(rows) if any("build" in row.seconds for row in rows if row.planner == name)]
+    lines = []
+    for name, group in families(rows).items():
+        own = [row for row in group if row.planner == BASE and row.total_s is not None]
+        loaded = [loads[row.instance] for row in own if row.instance in loads]
+        longest = max((row.total_s or 0.0 for row in own), default=0.0)
+        total = {phase: sum(row.seconds.get(phase, 0.0) for row in own) for phase in ("closure", "bounds", "search")}
+        whole = sum(total.values()) or 1.0
+        shares = (f"{seconds / whole:.0%}" for seconds in total.values())
+        ratio = f"{longest / max(loaded):.2g}" if loaded else "-"
+        builds = (
+            [row.seconds["build"] for row in group if row.planner == o and "build" in row.seconds] for o in others
+        )
+        lines.append(
+            (
+                name,
+                f"{max(loaded):.2g}" if loaded else "-",
+                f"{longest:.2g}",
+                ratio,
+                *shares,
+                *(f"{_geometric(values):.2g}" if values else "-" for values in builds),
+            )
+        )
+    heads = ("family", "load, s", "longest plan, s", "plan / load", "closure", "bounds", "search")
+    title = f"Loading the file of an instance; {BASE}'s phases; seconds that the others take to build their models"
+    return Table(title, (*heads, *others), tuple(lines))
+
+
+def everyone(rows: Sequence[Row]) -> Table:
+    """Every planner on every family; the gaps are the worst of what it did not prove, against the best known cost."""
+    reference = references(rows)
+    lines = []
+    for name, group in families(rows).items():
+        for planner in planners(group):
+            own = [row for row in group if row.planner == planner]
+            left = [row for row in own if not row.proven]
+            known = [(row, best.cost_us) for row in left if (best := reference.get((row.instance, row.digest)))]
+            below = [1 - row.bound_us / cost_us for row, cost_us in known if cost_us]
+            above = [found for row in left if (found := gap(row, reference)) is not None]
+            without = len(left) - len(above)
+            plans = [f"+{max(above):.1%}"] if above else []
+            plans += [f"{without} without"] if without else []
+            peaks = [row.peak_mb for row in own if row.peak_mb is not None]
+            lines.append(
+                (
+                    name,
+                    planner,
+                    _proven(own),
+                    _mean_s(own),
+                    f"-{max(below):.1%}" if below else "",
+                    ", ".join(plans),
+                    f"{max(peaks):.0f}" if peaks else "-",
+                    lead(matched(group, BASE, [planner])).text() if planner != BASE else "",
+                )
+            )
+    heads = ("family", "planner", "proven", "s to proof", "bound", "plan", "peak MB", f"lead of {BASE}")
+    title = "Every planner: geometric mean of its times to proof, worst gaps of bound and plan where it has none"
+    return Table(title, heads, tuple(lines))
+
+
+def _closeness(found: Lead) -> tuple[float, int]:
+    """Orders peers: the smaller the lead over one, the closer; where nothing is proven, the better its bounds."""
+    return (found.ratio if found.ratio is not None else float("inf"), found.bounds[0] - found.bounds[1])
+
+
+def _mean(leads: Sequence[Lead]) -> str:
+    """The mean over families in which anything is proven."""
+    decided = [each for each in leads if each.ratio is not None]
+    if not decided:
+        return "-"
+    both = (any(each.at_least for each in decided), any(each.at_most for each in decided))
+    return Lead(_geometric([each.ratio or 1.0 for each in decided]), len(decided), *both, 0, (0, 0), (0, 0)).text()
+
+
+def _geometric(values: Sequence[float]) -> float:
+    return exp(sum(map(log, values)) / len(values))
+
+
+def _proven(rows: Sequence[Row]) -> str:
+    """How many of the runs were proven, and how the others failed that did."""
+    failed = Counter(str(row.outcome) for row in rows if row.outcome in frozenset(Failure))
+    names = "".join(f", {count} {name}" for name, count in failed.items())
+    return f"{sum(row.proven for row in rows)} of {len(rows)}{names}"
+
+
+def _mean_s(rows: Sequence[Row]) -> str:
+    times = [seconds(row) for row in rows if row.proven]
+    return f"{_geometric(times):.2g}" if times else "-"
+
+
+def _time(row: Row) -> str:
+    return f"{seconds(row):.2g}" if row.proven else "-"

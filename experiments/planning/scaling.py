@@ -1,0 +1,68 @@
+"""What the comparison at scale has besides its runs: how long files load, and its report."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import perf_counter
+
+from cfgplan.comparing import Instance, Row
+from cfgplan.comparing.plots import performance_profile
+from cfgplan.comparing.scale import scale_text
+from cfgplan.formats.dump import dump_environment
+
+
+def measure_loads(instances: Iterable[Instance], folder: Path) -> None:
+    """Keep in `loads.json` the seconds to load the file of each instance; what is there is not measured again."""
+    file = folder / "loads.json"
+    known = read_loads(folder)
+    for instance in instances:
+        if instance.name not in known:
+            known[instance.name] = load_s(instance)
+            folder.mkdir(parents=True, exist_ok=True)
+            file.write_text(json.dumps(known, indent=2) + "\n")
+
+
+def read_loads(folder: Path) -> dict[str, float]:
+    """Seconds by the name of the instance."""
+    file = folder / "loads.json"
+    known: dict[str, float] = json.loads(file.read_text()) if file.exists() else {}
+    return known
+
+
+def load_s(instance: Instance) -> float:
+    """Seconds that `cfgplan.load` takes, without an ontology, in a process that has loaded a small file before."""
+    problem = instance.problem
+    with TemporaryDirectory() as folder:
+        small, file = Path(folder, "small.yaml"), Path(folder, "environment.yaml")
+        small.write_text("format: cfgplan/1\nhorizon: 1\ntransformations: []\n")
+        file.write_text(dump_environment(problem.environment, horizon_s=problem.horizon_s))
+        code = f"from {__name__} import timed; print(timed({str(small)!r}, {str(file)!r}))"
+        done = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, check=True)
+    return round(float(done.stdout), 4)
+
+
+def timed(small: str, file: str) -> float:
+    import cfgplan
+
+    cfgplan.load(small)
+    began = perf_counter()
+    cfgplan.load(file)
+    return perf_counter() - began
+
+
+def write_scale(rows: Sequence[Row], folder: Path) -> list[Path]:
+    """Write `tables.md` and the performance profile into the folder; returns the files."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    tables, picture = folder / "tables.md", folder / "performance.png"
+    tables.write_text(scale_text(rows, read_loads(folder)), encoding="utf-8")
+    figure = performance_profile(rows)
+    if figure is not None:
+        figure.savefig(picture, dpi=110, metadata={"Software": None})
+    return [tables, picture]

@@ -1,0 +1,90 @@
+"""The comparison at scale: what its tables say about rows, and that the committed ones are those of the rows there."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from made_rows import row
+
+from cfgplan.comparing import Failure, Row, generated, read_rows
+from cfgplan.comparing.invariants import breaches
+from cfgplan.comparing.scale import behind, building, everyone, families, scale_text, summary
+from cfgplan.comparing.suites import SCALE, SUITES
+from experiments.compare import AT_SCALE, ENTRANTS, in_order
+from experiments.planning.scaling import load_s, read_loads
+
+REPORT = Path(__file__).parents[2] / "experiments" / "planning" / "scale"
+SMALL, LARGE = SCALE["50"], SCALE["5,000"]
+
+ROWS = [
+    row("cpsat", 10, 1.0, instance="s#0", parameters=SMALL, seconds={"closure": 0.25, "bounds": 0.5, "search": 0.25}),
+    row("highs", 10, 4.0, instance="s#0", parameters=SMALL, seconds={"build": 0.5, "search": 3.5}),
+    row("cuts-alone", 10, 0.5, instance="s#0", parameters=SMALL),
+    row("cpsat", 10, 2.0, instance="s#1", parameters=SMALL),
+    row("highs", 10, 1.0, instance="s#1", parameters=SMALL),
+    row("cpsat", 100, instance="l#0", parameters=LARGE, bound_us=90),
+    row("highs", 110, instance="l#0", parameters=LARGE, bound_us=95),
+]
+
+
+def test_rows_belong_to_the_family_of_their_parameters() -> None:
+    assert {name: len(group) for name, group in families(ROWS).items()} == {"50": 5, "5,000": 2}
+
+
+def test_the_summary_names_the_closest_peer_and_the_mean_over_families() -> None:
+    assert summary(ROWS).lines == (
+        ("50", "2 of 2", "1.4", "highs", "1.4", "1.4"),
+        ("5,000", "0 of 1", "-", "highs", "1 open: bounds 0:1, plans 1:0", "1 open: bounds 0:1, plans 1:0"),
+        ("geometric mean", "", "", "", "1.4", "1.4"),
+    )
+
+
+def test_every_instance_with_another_ahead_is_named() -> None:
+    assert [line[:2] for line in behind(ROWS).lines] == [("s#0", "cuts-alone"), ("s#1", "highs"), ("l#0", "highs")]
+
+
+def test_planning_is_set_against_loading_and_building_against_solving() -> None:
+    small, large = building(ROWS, {"s#0": 0.5}).lines
+    assert small == ("50", "0.5", "2", "4", "25%", "50%", "25%", "0.5")
+    assert large[:4] == ("5,000", "-", "5", "-")
+
+
+def test_gaps_of_what_is_not_proven_are_to_the_best_cost_of_all_planners() -> None:
+    lines = {line[:2]: line[2:] for line in everyone(ROWS).lines}
+    assert lines["5,000", "highs"] == ("0 of 1", "-", "-5.0%", "+10.0%", "10", "1 open: bounds 0:1, plans 1:0")
+    assert lines["50", "highs"] == ("2 of 2", "2", "", "", "10", "1.4")
+
+
+def test_how_a_planner_failed_is_told() -> None:
+    lost = row("highs", None, instance="s#0", parameters=SMALL, outcome=Failure.OUT_OF_MEMORY, violations=None)
+    assert everyone([ROWS[0], lost]).lines[1][2:6] == ("0 of 1, 1 out of memory", "-", "-100.0%", "1 without")
+
+
+def test_loading_is_timed_in_a_process_of_its_own() -> None:
+    assert 0 < load_s(generated("random_library", 0, transformations=20)) < 10
+
+
+committed = pytest.mark.skipif(not (REPORT / "tables.md").exists(), reason="the comparison at scale has not been run")
+
+
+@pytest.fixture(scope="module")
+def rows() -> list[Row]:
+    return in_order(read_rows(REPORT / "results.jsonl"))
+
+
+@committed
+def test_no_two_planners_contradict_each_other_at_scale(rows: list[Row]) -> None:
+    assert breaches(rows) == []
+
+
+@committed
+def test_the_tables_at_scale_are_those_of_the_results(rows: list[Row]) -> None:
+    assert scale_text(rows, read_loads(REPORT)) == (REPORT / "tables.md").read_text()
+
+
+@committed
+def test_every_planner_ran_on_every_instance_at_scale(rows: list[Row]) -> None:
+    assert set(AT_SCALE) <= set(ENTRANTS)
+    ran = {(row.instance, row.planner) for row in rows}
+    assert {(instance.name, name) for instance in SUITES["scale"]() for name in AT_SCALE} == ran
