@@ -30,7 +30,8 @@ class FileWatch:
         self._thread = threading.Thread(target=self._work, name="cfgplan-watching", daemon=True)
 
     def start(self) -> None:
-        """Begin to watch."""
+        """Begin to watch: what changes from now on is told."""
+        self._stamps = _stamps(self._paths())
         self._thread.start()
 
     def close(self) -> None:
@@ -39,7 +40,8 @@ class FileWatch:
         self._thread.join()
 
     def _work(self) -> None:
-        self._tell_of(frozenset())
+        self._tell(frozenset())
+        self.take_in_new_ones()
         while not self._stop.is_set():
             try:
                 self._watch(_folders(self._stamps))
@@ -73,11 +75,8 @@ class FileWatch:
         before, now = None, _stamps(self._stamps)
         while now != before and not self._stop.wait(QUIET_S):
             before, now = now, _stamps(self._stamps)
-        self._tell_of(frozenset(path for path in now if now[path] != self._stamps[path]))
-
-    def _tell_of(self, changed: frozenset[Path]) -> None:
-        """Files change while they are read too: what counts is how they were before."""
-        self._stamps = _stamps([*self._stamps, *self._paths()])
+        changed = frozenset(path for path in now if now[path] != self._stamps[path])
+        self._stamps = now  # files change while they are read too: what counts is how they were before
         self._tell(changed)
         self.take_in_new_ones()
 
