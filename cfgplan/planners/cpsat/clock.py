@@ -5,9 +5,12 @@ from __future__ import annotations
 import time
 from threading import Event
 
+STOPPING_S = 0.5
+"""So long after `stop` is set a first plan may still be looked for."""
+
 
 class OutOfTimeError(Exception):
-    """The time is over before anything is known."""
+    """The time is over in the middle of something that is of no use unless it is finished."""
 
 
 class Clock:
@@ -16,6 +19,7 @@ class Clock:
     def __init__(self, time_limit_s: float | None = None, stop: Event | None = None) -> None:
         self._began = self._phase_began = time.monotonic()
         self._limit_s = time_limit_s
+        self._stopped: float | None = None
         self.stop = stop or Event()
         self.seconds: dict[str, float] = {}
 
@@ -30,9 +34,14 @@ class Clock:
         return self.stop.is_set() or self.left_s() == 0.0
 
     def check(self) -> None:
-        """Raise OutOfTimeError after the time limit."""
+        """Raise OutOfTimeError after the time limit, or some time after `stop` was seen to be set."""
         if self._limit_s is not None and time.monotonic() - self._began >= self._limit_s:
             raise OutOfTimeError
+        if self.stop.is_set():
+            if self._stopped is None:
+                self._stopped = time.monotonic()
+            if time.monotonic() - self._stopped >= STOPPING_S:
+                raise OutOfTimeError
 
     def end(self, phase: str) -> dict[str, float]:
         """Note that a phase ends now; returns the seconds of all phases so far."""

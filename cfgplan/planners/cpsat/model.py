@@ -9,7 +9,7 @@ only where the feeder's identity matters.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 from ortools.sat.python.cp_model import CpModel, IntVar, LinearExprT
 
@@ -21,8 +21,10 @@ from cfgplan.planners.cpsat.support import Support
 class Model:
     """The booleans of a site's model; units and ports are indices of the site's candidates and port names."""
 
-    def __init__(self, site: Site) -> None:
+    def __init__(self, site: Site, watch: Callable[[], None] = lambda: None) -> None:
+        """`watch` is called again and again while the model is built, and can end that by an exception."""
         self.site = site
+        self.watch = watch
         self.cp = CpModel()
         self.support = Support()
         self.literals: list[IntVar] = []
@@ -34,7 +36,7 @@ class Model:
         self.publishes: dict[tuple[str, int], IntVar] = {}
         self.serves: dict[int, IntVar] = {}
         self.uses_required: dict[str, IntVar] = {}
-        self.tracked = _downstream_of_required(site)
+        self.tracked = _downstream_of_required(site, watch)
 
         a_kept_unit_stays_or_is_wired_anew(self)
         a_staying_unit_keeps_its_feeders_and_topics(self)
@@ -118,6 +120,7 @@ def a_staying_unit_keeps_its_feeders_and_topics(model: Model) -> None:
 def a_wired_unit_is_fed(model: Model) -> None:
     """Through hubs, or explicitly; feedback inputs by any running unit, distinct ones by different transformations."""
     for i, wired in model.is_wired.items():
+        model.watch()
         parts = []
         for port in model.site.candidates[i].transformation.inputs:
             if model.is_explicit(i, port):
@@ -165,11 +168,13 @@ def a_hub_is_fed_by_a_unit_that_does_not_need_it(model: Model) -> None:
     """The first unit to offer a tag can't itself need that tag."""
     needing: dict[int, set[int]] = defaultdict(set)
     for i, candidate in enumerate(model.site.candidates):
+        model.watch()
         for port in candidate.transformation.inputs:
             feeders = model.site.feeders(port.tag)
             if not port.feedback and feeders in model.hubs:
                 needing[model.hubs[feeders].index].add(i)
     for feeders, hub in model.hubs.items():
+        model.watch()
         model.rests_on_any(hub, [model.runs[f] for f in feeders if f not in needing[hub.index]])
 
 
@@ -220,6 +225,7 @@ def required_transformations_serve_a_target(model: Model) -> None:
         if publisher in ways:
             ways[publisher].append(publishes)
     for (consumer, _), connects in model.connects.items():
+        model.watch()
         for feeder, connected in connects.items():
             if feeder in ways and consumer in ways:
                 through = model.boolean()
@@ -239,17 +245,24 @@ def required_transformations_serve_a_target(model: Model) -> None:
         model.needs_any(model.uses_required[label], serving)
 
 
-def _downstream_of_required(site: Site) -> frozenset[int]:
+def _downstream_of_required(site: Site, watch: Callable[[], None]) -> frozenset[int]:
     """The units of required transformations and all that they may feed, directly or through others."""
-    found = {i for i, candidate in enumerate(site.candidates) if candidate.transformation.required}
-    grew = bool(found)
-    while grew:
-        new = {
-            i
-            for i, candidate in enumerate(site.candidates)
-            if i not in found
-            and any(not found.isdisjoint(site.feeders(p.tag)) for p in candidate.transformation.inputs)
-        }
-        found |= new
-        grew = bool(new)
+    ahead = [i for i, candidate in enumerate(site.candidates) if candidate.transformation.required]
+    if not ahead:
+        return frozenset()
+    needing: dict[str, list[int]] = defaultdict(list)
+    for i, candidate in enumerate(site.candidates):
+        for port in candidate.transformation.inputs:
+            needing[port.tag].append(i)
+    fed_by: dict[int, list[str]] = defaultdict(list)
+    for tag in needing:
+        watch()
+        for feeder in site.feeders(tag):
+            fed_by[feeder].append(tag)
+    found = set(ahead)
+    for i in ahead:
+        for tag in fed_by[i]:
+            new = [consumer for consumer in needing.pop(tag, ()) if consumer not in found]
+            found.update(new)
+            ahead += new
     return frozenset(found)

@@ -18,7 +18,7 @@ from cfgplan.planners.cpsat.network import Ints, Network, costs
 from cfgplan.planners.cpsat.prepared import Prepared
 from cfgplan.planners.cpsat.rest import Left
 from cfgplan.planners.cpsat.site import Site
-from cfgplan.planners.cpsat.standing import Incumbent, Standing
+from cfgplan.planners.cpsat.standing import Incumbent, Stage, Standing
 from cfgplan.planners.cpsat.structure import Structure
 from cfgplan.planners.cpsat.tightening import tightened
 from cfgplan.planning import Problem
@@ -27,14 +27,15 @@ WAYS = 4
 """So many ways to the targets are tried for a first plan."""
 
 
-def any_plan(problem: Problem, structure: Structure, clock: Clock) -> Incumbent | None:
-    """A greedy plan, whatever required transformations it uses."""
+def with_any_plan(problem: Problem, structure: Structure, clock: Clock) -> Standing:
+    """A standing with a greedy plan, if one is found, whatever required transformations it uses; nothing is proven."""
     network = structure.network
     plan = first_plan(network, costs(problem, network, structure.pinned)[1], 0, clock.is_over)
-    if plan is None:
-        return None
-    labels = [network.labels[i] for i in sorted(plan)]
-    return Standing(Site(problem, structure.givers, labels), Prepared(labels, labels), clock, None).best
+    labels = [network.labels[i] for i in sorted(plan or ())]
+    site = Site(problem, structure.givers, labels)
+    standing = Standing(site, Prepared(labels, labels if plan is not None else None), clock, None)
+    standing.stage = Stage.REQUIRED
+    return standing
 
 
 def prepared_with_all(

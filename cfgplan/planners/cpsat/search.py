@@ -59,7 +59,7 @@ class Search:
         self.site = standing.site
         self.prepared = prepared
         self.grounding = grounding
-        self.model = Model(standing.site)
+        self.model = Model(standing.site, standing.clock.check)
 
     def run(self) -> None:
         """Go through the stages until the clock stops one."""

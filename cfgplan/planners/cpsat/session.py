@@ -76,7 +76,10 @@ class PlannerSession:
         standing: Standing | None = None
         try:
             if structure.has_required:
-                standing = self._with_required(problem, structure, clock, report)
+                from cfgplan.planners.cpsat.required import with_any_plan
+
+                standing = with_any_plan(problem, structure, clock)
+                standing = self._with_required(problem, structure, standing, report)
             else:
                 preparation = self._prepare(problem, structure, clock)
                 prepared = preparation.prepared(clock)
@@ -84,6 +87,8 @@ class PlannerSession:
                 standing = Standing(Site(problem, structure.givers, prepared.labels), prepared, clock, report)
                 standing.counts = structure.counts() | standing.counts
                 self._solve(standing, preparation, prepared)
+        except OutOfTimeError:
+            pass
         except KeyboardInterrupt:
             clock.stop.set()
         clock.end("search")
@@ -136,17 +141,24 @@ class PlannerSession:
         return preparation
 
     def _with_required(
-        self, problem: Problem, structure: Structure, clock: Clock, report: Callable[[Progress], None] | None
+        self, problem: Problem, structure: Structure, known: Standing, report: Callable[[Progress], None] | None
     ) -> Standing:
-        """Try to use all required transformations; only if that is impossible, see how many can be used."""
-        from cfgplan.planners.cpsat.required import any_plan, prepared_with_all
+        """Try to use all required transformations; only if that is impossible, see how many can be used.
+
+        `known` has the best plan known before.
+        """
+        from cfgplan.planners.cpsat.required import prepared_with_all
         from cfgplan.planners.cpsat.search import Search
 
+        clock = known.clock
         prepared, first = prepared_with_all(problem, structure, self._grounding, ATTEMPTS, clock)
         clock.end("bounds")
         standing = Standing(Site(problem, structure.givers, prepared.labels), prepared, clock, report)
-        standing.best = first or any_plan(problem, structure, clock)
-        if Search(standing, prepared, self._grounding).run_with_all_required():
+        standing.best = first or known.best
+        try:
+            if Search(standing, prepared, self._grounding).run_with_all_required():
+                return standing
+        except OutOfTimeError:
             return standing
         prepared = Prepared(structure.network.labels)
         standing = Standing(Site(problem, structure.givers, prepared.labels), prepared, clock, report)

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from threading import Event
 from typing import TYPE_CHECKING
 
-from cfgplan.planners.cpsat.clock import Clock
+from cfgplan.planners.cpsat.clock import Clock, OutOfTimeError
 from cfgplan.planners.fleet.best_case import bound_by_price, leave_out_what_is_too_bad
 from cfgplan.planners.fleet.candidates import Candidates
 from cfgplan.planners.fleet.flat import Flat
@@ -41,18 +41,18 @@ def plan(
 ) -> Plan:
     """The optimal update, see `planning.Planner`; `stop` ends it early with the best plan so far, as Ctrl-C does."""
     clock = Clock(time_limit_s, stop)
-    if reasons := unmet_reasons(problem):
-        return Plan("cpsat", Status.INFEASIBLE, reasons=reasons, seconds=clock.end("closure"))
-    candidates = Candidates(problem)
-    if Notion.SURVIVAL not in problem.notions:  # a hot spare may get any quality
-        leave_out_what_is_too_bad(candidates)
-    clock.end("closure")
-    if clock.is_over():
-        return Plan("cpsat", Status.UNKNOWN, seconds=clock.seconds)
     standing = Standing(problem, clock, report)
-    standing.counts = {"candidates": len(candidates.all), "conflicts": 0}
     try:
+        candidates = Candidates(problem, watch=clock.check)
+        if reasons := unmet_reasons(problem, candidates.givers, candidates.possible):
+            return Plan("cpsat", Status.INFEASIBLE, reasons=reasons, seconds=clock.end("closure"))
+        standing.counts = {"candidates": len(candidates.all), "conflicts": 0}
+        if Notion.SURVIVAL not in problem.notions:  # a hot spare may get any quality
+            leave_out_what_is_too_bad(candidates)
+        clock.end("closure")
         _search(candidates, standing)
+    except OutOfTimeError:
+        pass
     except KeyboardInterrupt:
         clock.stop.set()
     clock.end("search")
@@ -69,7 +69,7 @@ def _search(candidates: Candidates, standing: Standing) -> None:
         if search is None or standing.is_optimal or standing.is_infeasible or clock.is_over():
             return
         if standing.is_cost_proven:
-            candidates = Candidates(problem, search.left())
+            candidates = Candidates(problem, search.left(), clock.check)
     from cfgplan.planners.fleet.search import Search
 
     explicit = Search(candidates, standing)

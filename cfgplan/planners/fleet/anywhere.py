@@ -32,6 +32,7 @@ class Anywhere:
         number = {unit: n for n, unit in enumerate(self.units)}
         givers: dict[Fact, set[int]] = {}
         for fact, labels in flat.givers.items():
+            candidates.watch()
             givers.setdefault(_hostless(fact), set()).update(number[flat.labels[label].unit] for label in labels)
         self._fact_of = {fact: number for number, fact in enumerate(givers)}
         self._givers = [sorted(units) for units in givers.values()]
@@ -57,6 +58,7 @@ class Anywhere:
             cp.add_exactly_one(*model.runs[unit], is_there.negated())
         met = [cp.new_bool_var("") for _ in self._givers]
         for fact, holds in model.holds.items():
+            model.candidates.watch()
             cp.add_implication(holds, met[self._fact_of[_hostless(fact)]])
         for needs, is_there in zip(self._needs, there, strict=True):
             for fact_number in needs:

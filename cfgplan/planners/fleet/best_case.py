@@ -104,6 +104,7 @@ def _best_values(candidates: Candidates, attribute: QualityAttribute) -> dict[St
     for _ in candidates.all:
         grew = False
         for candidate in candidates.all:
+            candidates.watch()
             inputs = [at.get(port.tag) for port in candidate.transformation.inputs if not port.feedback]
             fed = [value for value in inputs if value is not None]
             if len(fed) < len(inputs) or not candidate.may_run:
@@ -166,6 +167,7 @@ def _worst_of_use(candidates: Candidates, attribute: QualityAttribute) -> dict[s
     while grew:
         grew = False
         for tags, stated, candidate in fed:
+            candidates.watch()
             wanted = [allowed[tag] for tag in tags if tag in allowed]
             if wanted:
                 ordinary = _allowed_before(attribute, candidate, stated, worst_of(wanted))

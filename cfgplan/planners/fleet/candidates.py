@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 
 from cfgplan.costs import keep_cost_us, standby_cost_us, start_cost_us
@@ -33,17 +33,28 @@ class Candidate:
 class Candidates:
     """The candidates by index, in canonical order; the new ones of a transformation stand side by side."""
 
-    def __init__(self, problem: Problem, among: Collection[str] | None = None) -> None:
-        """All candidates, or those of the transformations in `among`."""
+    def __init__(
+        self, problem: Problem, among: Collection[str] | None = None, watch: Callable[[], None] = lambda: None
+    ) -> None:
+        """All candidates, or those of the transformations in `among`.
+
+        `watch` is called again and again, here and in what is made of the candidates, and can end it by an exception.
+        """
         self.problem = problem
         self.environment = problem.environment
+        self.watch = watch
         self.givers = Givers(problem.environment.library, problem.similarity)
+        self.givers.watch = watch
         self.possible = startable(problem.environment, self.givers)
         labels = _relevant(problem, self.givers, self.possible)
         if among is not None:
             labels = labels.intersection(among)
-        self.all = (*_present(problem), *_new(problem, labels))
-        self.all = tuple(c for c in self.all if c.transformation.label in labels)
+        found: list[Candidate] = []
+        for candidate in (*_present(problem), *_new(problem, labels, watch)):
+            watch()
+            if candidate.transformation.label in labels:
+                found.append(candidate)
+        self.all = tuple(found)
         self.index_of = {candidate.id: i for i, candidate in enumerate(self.all)}
         self._streams: dict[str, tuple[Stream, ...]] = {}
         self.bounds = {
@@ -63,6 +74,7 @@ class Candidates:
     def streams(self, tag: str) -> tuple[Stream, ...]:
         """The streams of candidates that may run and match the demanded tag."""
         if tag not in self._streams:
+            self.watch()
             self._streams[tag] = tuple(
                 Stream(candidate.id, port.name)
                 for label in self.givers.of(tag)
@@ -103,6 +115,7 @@ def _relevant(problem: Problem, givers: Givers, possible: frozenset[str]) -> fro
     ahead += [port.tag for label in sorted(found) for port in environment.transformation[label].inputs]
     seen = set(ahead)
     for tag in ahead:
+        givers.watch()
         for label in givers.of(tag):
             if label in possible and label not in found:
                 found.add(label)
@@ -137,10 +150,11 @@ def _present(problem: Problem) -> Iterable[Candidate]:
         )
 
 
-def _new(problem: Problem, labels: frozenset[str]) -> Iterable[Candidate]:
+def _new(problem: Problem, labels: frozenset[str], watch: Callable[[], None]) -> Iterable[Candidate]:
     environment = problem.environment
     numbers = {t.label: problem.most_new(t) for t in environment.library if t.label in labels}
     for label, unit_ids in fresh_units(environment, numbers).items():
+        watch()
         transformation = environment.transformation[label]
         hosts = environment.hosts_for(transformation)
         for unit_id in unit_ids if hosts else ():

@@ -100,6 +100,7 @@ class Flat:
         giving: dict[int, list[Fact]] = defaultdict(list)
         needing: dict[Fact, list[int]] = defaultdict(list)
         for fact, givers in self.givers.items():
+            self.candidates.watch()
             for label in givers:
                 giving[label].append(fact)
         for label, needs in enumerate(self.needs):
@@ -109,6 +110,7 @@ class Flat:
         ahead = [label for label, count in enumerate(missing) if count == 0]
         there: set[Fact] = set()
         for label in ahead:
+            self.candidates.watch()
             for fact in giving[label]:
                 if fact not in there:
                     there.add(fact)
@@ -123,6 +125,7 @@ class Flat:
         self.cost_us.append(cost_us)
 
     def _needs(self, label: Label) -> list[Fact]:
+        self.candidates.watch()
         if isinstance(label, Carried):
             return [Runs(label.unit)]
         transformation = self.candidates.all[label.unit].transformation
@@ -130,6 +133,7 @@ class Flat:
 
     def _givers(self, fact: Fact) -> dict[int, list[Stream]]:
         """The labels that give a fact, each with the streams that do."""
+        self.candidates.watch()
         if isinstance(fact, Runs):
             return {place: [] for place in self.places(fact.unit)}
         givers: dict[int, list[Stream]] = defaultdict(list)
@@ -157,7 +161,10 @@ class Flat:
     def graph(self) -> Graph:
         """The problem as arrays; facts with the same givers are one."""
         merged: dict[tuple[int, ...], int] = {}
-        fact_of = {fact: merged.setdefault(tuple(sorted(givers)), len(merged)) for fact, givers in self.givers.items()}
+        fact_of: dict[Fact, int] = {}
+        for fact, givers in self.givers.items():
+            self.candidates.watch()
+            fact_of[fact] = merged.setdefault(tuple(sorted(givers)), len(merged))
         rows = [*self.needs, self.wanted]
         core = Core(
             Rows.of([sorted({fact_of[fact] for fact in row}) for row in rows]),

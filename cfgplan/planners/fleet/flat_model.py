@@ -39,6 +39,7 @@ class FlatModel:
     def ground(self) -> None:
         """Facts rest on what gives them: call when it is known where `feeds` matter."""
         for fact, holds in self.holds.items():
+            self.candidates.watch()
             if fact in self.feeds:
                 choices = self.feeds[fact]
                 self.cp.add_exactly_one(*choices.values(), holds.negated())
@@ -76,6 +77,7 @@ class FlatModel:
 
 def a_label_needs_its_facts(model: FlatModel) -> None:
     for uses, needs in zip(model.uses, model.flat.needs, strict=True):
+        model.candidates.watch()
         for fact in needs:
             model.cp.add_implication(uses, model.holds[fact])
         model.support.rests_on_all(uses.index, [model.holds[fact].index for fact in needs])
@@ -88,6 +90,7 @@ def a_unit_is_in_one_place(model: FlatModel) -> None:
         if len(runs) > 1:
             model.cp.add_at_most_one(runs)
     for label, uses in zip(model.flat.labels, model.uses, strict=True):
+        model.candidates.watch()
         here = number.get(Placed(label.unit, label.host)) if isinstance(label, Carried) else None
         if here is not None:
             model.cp.add_at_most_one(uses, model.uses[here])
@@ -108,6 +111,7 @@ def numbers_and_conflicts_are_kept(model: FlatModel) -> None:
     runs_of: dict[str, list[IntVar]] = defaultdict(list)
     units = model.candidates.all
     for i, runs in model.runs.items():
+        model.candidates.watch()
         runs_of[units[i].transformation.label] += runs
         alike = i and units[i].running is None and units[i - 1].running is None
         if alike and units[i].transformation.label == units[i - 1].transformation.label:

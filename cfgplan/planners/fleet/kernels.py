@@ -46,7 +46,7 @@ def look_among_few(flat: Flat, standing: Standing, hostless_us: int, labels: Col
 
 
 def _look_among(labels: Collection[str], candidates: Candidates, standing: Standing, hostless_us: int) -> None:
-    flat = Flat(Candidates(candidates.problem, labels))
+    flat = Flat(Candidates(candidates.problem, labels, candidates.watch))
     if not flat.is_impossible:
         limit_us = well_below_best_us(standing)
         FlatSearch(flat, standing, hostless_us, SLICE_S, is_all=False, limit_us=limit_us).run()

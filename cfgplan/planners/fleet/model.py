@@ -91,6 +91,7 @@ class Model:
 
 def a_running_unit_is_fed_at_every_input(model: Model) -> None:
     for i, runs in model.runs.items():
+        model.candidates.watch()
         for port in model.candidates.all[i].transformation.inputs:
             choices = model.connects[i, port.name] = {}
             for stream in model.candidates.streams(port.tag):
@@ -118,6 +119,7 @@ def units_feed_each_other_in_no_ring(model: Model) -> None:
         sizes[ring] += 1
     level = {i: model.cp.new_int_var(0, sizes[ring] - 1, "") for i, ring in ring_of.items() if sizes[ring] > 1}
     for i, feeder, connected in _ordinary_connections(model):
+        model.candidates.watch()
         if i in level and ring_of[i] == ring_of[feeder]:
             model.cp.add(level[i] > level[feeder]).only_enforce_if(connected)
 
@@ -177,6 +179,7 @@ def required_transformations_serve_a_target(model: Model) -> None:
             if candidates.index_of[stream.unit] in ways:
                 ways[candidates.index_of[stream.unit]].append(publishes)
     for (consumer, _), choices in model.connects.items():
+        candidates.watch()
         for stream, connected in choices.items():
             feeder = candidates.index_of[stream.unit]
             if feeder in ways and consumer in ways:

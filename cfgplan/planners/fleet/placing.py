@@ -46,6 +46,7 @@ def streams_are_carried_to_where_they_are_wanted(model: Model) -> None:
         model.cp.add_bool_or([*unless, *([] if here is None else [here]), carried[stream, host]])
 
     for (i, _), choices in model.connects.items():
+        model.candidates.watch()
         for stream, connected in choices.items():
             if stream.unit != model.candidates.all[i].id:
                 for host, is_on in model.is_on[i].items():

@@ -53,6 +53,7 @@ class Chains:
 
     def __init__(self, candidates: Candidates, attribute: QualityAttribute) -> None:
         self.attribute = attribute
+        self.watch = candidates.watch
         self.sign = 1 if attribute.better is Better.LOWER else -1
         self.size = len(candidates.all)
         self.scale = abs(attribute.worst - attribute.best)

@@ -108,6 +108,7 @@ class Relaxation:
         for fact in flat.wanted:
             self._any_of(list(flat.givers[fact]))
         for label, needs in enumerate(flat.needs):
+            flat.candidates.watch()
             for fact in needs:
                 self._any_of([giver for giver in flat.givers[fact] if fact not in flat.needs[giver]], label)
 

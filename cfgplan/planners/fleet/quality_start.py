@@ -41,6 +41,12 @@ class QualityStart:
             return
         graph, cost = flat.graph(), flat.costs()
         cheapest = first_plan(graph, cost, ATTEMPTS, clock.is_over)
+        planner = None
+        if can_be_planned(candidates):
+            planner = QualityPlanner(candidates, candidates.environment.quality[self._asked[0]], clock)
+        way = cheapest and {flat.labels[label].unit for label in cheapest}
+        if planner is not None and way is not None and planner.total_us(way) is not None:
+            self.standing.offer(planner.units(way))
         # A plan that is good may be dear: landmarks must hold of all, not of the cheapest alone.
         all_us = int(cost.sum())
         enough_us = all_us if cheapest is None else int(cost[sorted(cheapest)].sum())
@@ -48,9 +54,8 @@ class QualityStart:
         self.standing.raise_bound(bound.value + sum(least_prices_us(candidates).values()))
         landmarks = [bound.core.labels[one.members].tolist() for one in bound.landmarks]
         self.cuts, share = chain_cuts(flat, landmarks, clock, spreads)
-        if can_be_planned(candidates):
-            planner = QualityPlanner(candidates, candidates.environment.quality[self._asked[0]], clock)
-            plan = planner.best([cheapest and {flat.labels[label].unit for label in cheapest}], share)
+        if planner is not None:
+            plan = planner.best([way], share)
             if plan is not None:
                 self.standing.offer(planner.units(plan))
         if self.standing.best is not None:

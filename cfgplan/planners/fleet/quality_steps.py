@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from cfgplan.domain import Target
-from cfgplan.planners.cpsat.network import Floats
+from cfgplan.planners.cpsat.network import Floats, Ints
 from cfgplan.planners.fleet.quality_chains import Chains
 from cfgplan.qualities import is_met, price_us
 
@@ -31,7 +31,7 @@ class Steps:
             bounds += missed_by
         found = np.append(np.linspace(0, max(ends), STEPS).astype(np.int64), [*bounds, chains.scale])
         self.step = np.unique(found[(found >= 0) & (found <= chains.scale)])
-        made = np.array([chains.made(np.full(len(chains.demand), step, np.int64)) for step in self.step.tolist()])
+        made = np.array([self._made(step) for step in self.step.tolist()])
         self._before = np.array([np.searchsorted(row, self.step, side="right") - 1 for row in made.T], np.int64)
         self._is_possible = (self._before >= 0)[chains.pair_stream]
         self._before = np.maximum(self._before, 0)[chains.pair_stream]
@@ -53,6 +53,10 @@ class Steps:
             ],
             np.float64,
         )
+
+    def _made(self, step: int) -> Ints:
+        self.chains.watch()
+        return self.chains.made(np.full(len(self.chains.demand), step, np.int64))
 
     def support(self, price: Floats, pinned: Collection[int]) -> set[int] | None:
         """The candidates that support targets and pinned ones; infinite prices are not to be had."""
@@ -87,6 +91,7 @@ class Steps:
         met[count] = 0.0
         own = price[chains.pair_unit][:, None]
         while True:
+            chains.watch()
             meets = own + met[self._needs[:, 0][:, None], self._before]
             for column in self._needs.T[1:]:
                 meets += met[column[:, None], self._before]

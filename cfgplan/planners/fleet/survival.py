@@ -79,6 +79,7 @@ class Survival:
 
     def _is_met(self, target: Target, labels: Collection[str]) -> bool:
         """Units of one transformation feed alike, so the transformations that are left tell all."""
+        self.candidates.watch()
         environment = self.problem.environment
         library = tuple(environment.transformation[label] for label in sorted(labels))
         possible = startable(Environment((), library), self.candidates.givers)
