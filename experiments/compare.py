@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
@@ -17,11 +18,12 @@ from cfgplan.comparing import REGISTERED, Limits, Row, read_rows, run
 from cfgplan.comparing.bar import progress_bar
 from cfgplan.comparing.invariants import breaches
 from cfgplan.comparing.report import write_report
+from cfgplan.comparing.runner import everyone
 from cfgplan.comparing.suites import SUITES
 from cfgplan.comparing.wsc import wsc_sets
 from cfgplan.errors import CfgplanError
 from experiments.peers import PEERS
-from experiments.planning import VARIANTS
+from experiments.planning import VARIANTS, takes_part
 from experiments.planning.scaling import measure_loads, write_scale
 
 ENTRANTS = {**REGISTERED, **VARIANTS, **PEERS}
@@ -32,29 +34,14 @@ REPORTS = {
     "full": Path(__file__).parent / "report",
     "scale": Path(__file__).parent / "planning" / "scale",
 }
-SECONDS = {"short": 2.0, "full": 5.0, "scale": 10.0}
-MEMORY_MB = {"scale": 8192}
+RESULTS = "results.jsonl"
+LIMITS = {"short": Limits(2.0), "full": Limits(5.0), "scale": Limits(10.0, grace_s=60.0, memory_mb=8192)}
 
 
 def main() -> int:
     options = _options()
     folder = options.report or REPORTS[options.suite]
-    results = folder / "results.jsonl"
-    console = Console(stderr=True)
-    if options.report_only:
-        rows = in_order(read_rows(results))
-    else:
-        instances = list(SUITES[options.suite]())
-        if options.wsc:
-            instances += wsc_sets(options.wsc)
-        elif options.suite != "scale":
-            console.print("The sets of the Web Service Challenge are left out: no --wsc DIR.")
-        names = options.planner or (AT_SCALE if options.suite == "scale" else STUDY)
-        limits = Limits(options.timeout or SECONDS[options.suite], memory_mb=MEMORY_MB.get(options.suite))
-        with progress_bar(console) as watch:
-            rows = in_order(run(instances, [ENTRANTS[name] for name in names], limits, results, watch=watch))
-        if options.suite == "scale":
-            measure_loads((instance for instance in instances if instance.seed == 0), folder)
+    rows = in_order(read_rows(folder / RESULTS) if options.report_only else _rows(options, folder))
     write = write_scale if options.suite == "scale" else write_report
     for path in write(rows, folder):
         print(path)
@@ -62,6 +49,26 @@ def main() -> int:
     for text in found:
         print(f"CONTRADICTION: {text}", file=sys.stderr)
     return 1 if found else 0
+
+
+def _rows(options: argparse.Namespace, folder: Path) -> list[Row]:
+    console = Console(stderr=True)
+    instances = list(SUITES[options.suite]())
+    if options.wsc:
+        instances += wsc_sets(options.wsc)
+    elif options.suite != "scale":
+        console.print("The sets of the Web Service Challenge are left out: no --wsc DIR.")
+    limits = LIMITS[options.suite]
+    if options.timeout:
+        limits = replace(limits, time_limit_s=options.timeout)
+    names = options.planner or (AT_SCALE if options.suite == "scale" else STUDY)
+    entrants = [ENTRANTS[name] for name in names]
+    among = takes_part if options.suite == "scale" else everyone
+    with progress_bar(console) as watch:
+        rows = run(instances, entrants, limits, folder / RESULTS, takes_part=among, watch=watch)
+    if options.suite == "scale":
+        measure_loads((instance for instance in instances if instance.seed == 0), folder)
+    return rows
 
 
 def in_order(rows: Iterable[Row]) -> list[Row]:

@@ -52,21 +52,27 @@ class Standing:
     ahead: str
 
 
+def everyone(_instance: Instance, _entrant: Entrant) -> bool:
+    """All entrants take part in all instances."""
+    return True
+
+
 def run(
     instances: Iterable[Instance],
     entrants: Sequence[Entrant],
     limits: Limits,
     results: Path,
     *,
+    takes_part: Callable[[Instance, Entrant], bool] = everyone,
     watch: Callable[[Standing], None] | None = None,
 ) -> list[Row]:
-    """Run every entrant on every instance and append a row for each to the file `results`.
+    """Run every entrant on every instance that it takes part in and append a row for each to the file `results`.
 
     A run whose row is there already is not repeated, unless a package was missing then. Returns the
     rows of exactly these runs. `watch` is told the standing before the first run and after each.
     """
     known = {row.key: row for row in read_rows(results) if row.outcome != Failure.UNAVAILABLE}
-    tasks = [(instance, entrant) for instance in instances for entrant in entrants]
+    tasks = [(instance, entrant) for instance in instances for entrant in entrants if takes_part(instance, entrant)]
     left = [(i, e) for i, e in tasks if _key(i, e, limits) not in known]
     seconds: dict[str, list[float]] = defaultdict(list)
     if watch is not None:

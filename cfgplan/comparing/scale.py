@@ -35,12 +35,13 @@ def families(rows: Sequence[Row]) -> dict[str, list[Row]]:
 
 
 def summary(rows: Sequence[Row]) -> Table:
-    """For each family the peer that comes closest and the lead over it; then the mean over the families."""
+    """For each family the closest of the peers that ran on all of it; then the mean over the families."""
     peers = [name for name in planners(rows) if name not in (BASE, *PARTS)]
     lines, closest, fastest = [], [], []
     for name, group in families(rows).items():
         own = [row for row in group if row.planner == BASE]
-        leads = {peer: lead(matched(group, BASE, [peer])) for peer in peers}
+        ran = Counter(row.planner for row in group)
+        leads = {peer: lead(matched(group, BASE, [peer])) for peer in peers if ran[peer] == len(own)}
         best = min(leads, key=lambda peer: _closeness(leads[peer]))
         each = lead(matched(group, BASE, peers))
         closest.append(leads[best])

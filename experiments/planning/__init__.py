@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from cfgplan.comparing import REGISTERED, Entrant
+from cfgplan.comparing import REGISTERED, Entrant, Instance
+from cfgplan.comparing.scale import PARTS
 
 
 def _variant(name: str, function: str) -> Entrant:
@@ -25,3 +26,18 @@ VARIANTS: Mapping[str, Entrant] = MappingProxyType(
     }
 )
 """`cpsat` with level variables for its lazy cuts; each of the two models alone; levels with CP-SAT's defaults."""
+
+ONE_SEED = frozenset({*PARTS, "clingo-bb"})
+MODELS, LARGE = frozenset({"levels-alone", "cpsat-defaults"}), 5_000
+
+
+def takes_part(instance: Instance, entrant: Entrant) -> bool:
+    """Whether an entrant runs on an instance: on every first seed all do, on the others who has a chance or tells most.
+
+    From `LARGE` transformations on a model without preprocessing has not even a plan within the limit.
+    """
+    if instance.seed == 0:
+        return True
+    size = instance.parameters["transformations"]
+    assert isinstance(size, int)
+    return entrant.name not in ONE_SEED and (entrant.name not in MODELS or size < LARGE)

@@ -146,6 +146,12 @@ def test_a_row_that_is_there_is_not_run_again(tmp_path: Path) -> None:
     assert [(s.done, s.total) for s in seen] == [(2, 2)]
 
 
+def test_an_entrant_runs_only_where_it_takes_part(tmp_path: Path) -> None:
+    planners = [entrant("cpsat"), entrant("branch-and-bound")]
+    rows = run([SMALL], planners, LIMITS, tmp_path / "r.jsonl", takes_part=lambda _, who: who.name == "cpsat")
+    assert [row.planner for row in rows] == ["cpsat"]
+
+
 def test_an_interrupted_file_goes_on_where_it_was(tmp_path: Path) -> None:
     results = tmp_path / "results.jsonl"
     planners = [entrant("cpsat"), entrant("branch-and-bound")]
