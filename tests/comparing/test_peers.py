@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from cfgplan.comparing import Failure, Instance, Limits, generated, given, run_one
 from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Target, Transformation
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import Problem, Status
-from experiments.peers import PEERS
+from experiments.peers import PEERS, downward
 
 LIMITS = Limits(time_limit_s=20)
 every_peer = pytest.mark.parametrize("name", PEERS)
@@ -51,3 +53,24 @@ def test_a_peer_proves_the_optimum_or_refuses(name: str, instance: Instance) -> 
     assert optimum.status is Status.OPTIMAL
     assert row.violations == ()
     assert (row.cost_us, row.bound_us, row.proven) == (optimum.cost_us, optimum.cost_us, True)
+
+
+@every_peer
+def test_a_peer_says_that_a_target_can_not_be_met(name: str) -> None:
+    tracker = Transformation("tracker", (InputPort("in", "A"),), (OutputPort("out", "B"),), 1_000)
+    relation = Similarity({"A": frozenset("A"), "B": frozenset("B")})
+    problem = Problem(Environment((), (tracker,), (Target("q", "B", "/q"),)), relation, 1)
+    row = run_one(given("unfed", problem), PEERS[name], LIMITS)
+    if row.outcome == Failure.UNAVAILABLE:
+        pytest.skip(row.message)
+    assert row.outcome == Status.INFEASIBLE
+    assert "tracker" in row.message
+
+
+def test_fast_downward_out_of_memory_is_told_as_that(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    program = tmp_path / "downward"
+    program.write_text(f"#!/bin/sh\nexit {downward.OUT_OF_MEMORY}\n")
+    program.chmod(0o755)
+    monkeypatch.setattr(downward, "_program", lambda: str(program))
+    with pytest.raises(MemoryError):
+        downward.plan(generated("random_library", 3, transformations=40).problem)
