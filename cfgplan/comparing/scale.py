@@ -42,6 +42,8 @@ def summary(rows: Sequence[Row]) -> Table:
         own = [row for row in group if row.planner == BASE]
         ran = Counter(row.planner for row in group)
         leads = {peer: lead(matched(group, BASE, [peer])) for peer in peers if ran[peer] == len(own)}
+        if not leads:
+            continue
         best = min(leads, key=lambda peer: _closeness(leads[peer]))
         each = lead(matched(group, BASE, peers))
         closest.append(leads[best])
@@ -60,7 +62,7 @@ def summary(rows: Sequence[Row]) -> Table:
 
 
 def behind(rows: Sequence[Row]) -> Table:
-    """The instances on which a peer is faster, or, where no one proved anything, has the better bound or plan."""
+    """The instances on which another is faster, or, where neither proved anything, has the better bound or plan."""
     lines = []
     for name in planners(rows):
         for base, other in matched(rows, BASE, [name]) if name != BASE else ():
@@ -145,7 +147,8 @@ def _mean(leads: Sequence[Lead]) -> str:
     if not decided:
         return "-"
     both = (any(each.at_least for each in decided), any(each.at_most for each in decided))
-    return Lead(_geometric([each.ratio or 1.0 for each in decided]), len(decided), *both, 0, (0, 0), (0, 0)).text()
+    mean = Lead(_geometric([each.ratio or 1.0 for each in decided]), len(decided), *both, 0, (0, 0), (0, 0))
+    return f"{mean.text()} (families: {len(decided)})"
 
 
 def _geometric(values: Sequence[float]) -> float:

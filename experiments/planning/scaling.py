@@ -60,9 +60,11 @@ def write_scale(rows: Sequence[Row], folder: Path) -> list[Path]:
     import matplotlib
 
     matplotlib.use("Agg")
+    folder.mkdir(parents=True, exist_ok=True)
     tables, picture = folder / "tables.md", folder / "performance.png"
     tables.write_text(scale_text(rows, read_loads(folder)), encoding="utf-8")
     figure = performance_profile(rows)
-    if figure is not None:
-        figure.savefig(picture, dpi=110, metadata={"Software": None})
+    if figure is None:
+        return [tables]
+    figure.savefig(picture, dpi=110, metadata={"Software": None})
     return [tables, picture]

@@ -37,7 +37,7 @@ def test_the_summary_names_the_closest_peer_and_the_mean_over_families() -> None
     assert summary(ROWS).lines == (
         ("50", "2 of 2", "1.4", "highs", "1.4", "1.4"),
         ("5,000", "0 of 1", "-", "highs", "1 open: bounds 0:1, plans 1:0", "1 open: bounds 0:1, plans 1:0"),
-        ("geometric mean", "", "", "", "1.4", "1.4"),
+        ("geometric mean", "", "", "", "1.4 (families: 1)", "1.4 (families: 1)"),
     )
 
 
@@ -65,6 +65,10 @@ def test_how_a_planner_failed_is_told() -> None:
 def test_who_ran_on_a_part_of_a_family_is_not_its_closest_peer() -> None:
     once = row("clingo-bb", 10, 0.1, instance="s#0", parameters=SMALL)
     assert summary([*ROWS, once]).lines[0][3] == "highs"
+
+
+def test_one_planner_alone_has_tables_too() -> None:
+    assert "### Every planner" in scale_text([each for each in ROWS if each.planner == "cpsat"], {})
 
 
 def test_everyone_takes_part_in_the_first_seed_of_each_family() -> None:
