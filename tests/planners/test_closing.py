@@ -16,10 +16,11 @@ from worlds import problems
 
 from cfgplan.comparing.families.random_library import random_library
 from cfgplan.planners.cpsat import PlannerSession, session
-from cfgplan.planners.cpsat.bounds import Bound, landmark_of
+from cfgplan.planners.cpsat.bounds import Bound
 from cfgplan.planners.cpsat.clock import Clock
 from cfgplan.planners.cpsat.closing import Closing
 from cfgplan.planners.cpsat.greedy import first_plan, is_plan
+from cfgplan.planners.cpsat.landmarks import Landmark, landmark_of
 from cfgplan.planners.cpsat.network import Core, Graph, Rows
 from cfgplan.planners.cpsat.program import LandmarkProgram
 from cfgplan.planners.cpsat.repairing import Repairs
@@ -80,7 +81,7 @@ def test_repairs_give_plans_that_are_never_dearer(problem: Problem) -> None:
 
 
 def test_the_linear_program_charges_a_landmark_of_each_pair_of_three_half_of_its_price() -> None:
-    pairs = [np.array(pair) for pair in combinations(range(3), 2)]
+    pairs = [Landmark(np.array([0]), np.array(pair)) for pair in combinations(range(3), 2)]
     program = LandmarkProgram(np.array([10, 10, 10]))
     assert program.add(pairs[0])
     fractions = program.solve(None)

@@ -69,6 +69,33 @@ def problems(draw: st.DrawFn, *, most: int = 6, special: bool = True) -> Problem
 
 
 @st.composite
+def fusions(draw: st.DrawFn) -> Problem:
+    """Sources, what is made of them, and one or two ways to fuse that from different transformations."""
+    paid = st.integers(0, 9)
+
+    def made(label: str, inputs: list[str], output: str) -> Transformation:
+        group = draw(st.sampled_from([None, "g", "g"]))
+        ports = tuple(InputPort(f"i{i}", tag, distinct=group) for i, tag in enumerate(inputs))
+        return Transformation(label, ports, (OutputPort("x", output),), draw(paid), draw(st.integers(0, 1)))
+
+    library = [made(f"s{i}", [], draw(st.sampled_from("AAB"))) for i in range(draw(st.integers(1, 3)))]
+    for i in range(draw(st.integers(1, 4))):
+        inputs = draw(st.sampled_from([["A"], ["A"], ["B"], ["A", "A"], ["A", "B"], ["C", "A"], []]))
+        library.append(made(f"m{i}", inputs, draw(st.sampled_from("CCCD"))))
+    for i in range(draw(st.integers(1, 2))):
+        inputs = draw(st.sampled_from([["C", "C"], ["C", "C"], ["C", "D"], ["C", "C", "C"], ["C", "A"]]))
+        library.append(made(f"f{i}", inputs, draw(st.sampled_from("QQQC"))))
+    if draw(st.integers(0, 3)) == 0:
+        library.append(made("q", [], "Q"))
+    relation = {tag: {tag} for tag in "ABCDQ"}
+    if draw(st.booleans()):
+        relation["C"].add("D")
+    targets = [Target(tag, tag, f"/{tag}") for tag in draw(st.sampled_from(["Q", "Q", "Q", "QC"]))]
+    similarity = Similarity({tag: frozenset(offered) for tag, offered in relation.items()})
+    return Problem(Environment((), tuple(library), tuple(targets)), similarity, draw(st.integers(0, 2)))
+
+
+@st.composite
 def running_units(
     draw: st.DrawFn, library: list[Transformation], targets: list[Target], relation: Similarity
 ) -> list[ComputationUnit]:

@@ -1,20 +1,20 @@
-"""Lower bounds from landmarks: sets of transformations of which every plan has one.
+"""Lower bounds from landmarks: sets of transformations of which every plan has one, or several.
 
-For any set of facts (a *zone*) with something that the goal needs, every plan has a transformation
-that offers a fact of the zone and needs none of it: the first to enter. Charging each landmark part of
-the costs of its members, never more than a member costs in total, adds up to a lower bound (LM-cut:
-Helmert and Domshlak 2009). A zone stays good whatever costs become, so a session keeps them.
+Charging each landmark part of the costs of its members, never more than a member costs in total, adds up to a
+lower bound (LM-cut: Helmert and Domshlak 2009); one that demands several members is worth what it charges each
+of them several times. Landmarks stay good whatever costs become, so a session keeps them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from heapq import nsmallest
 
 import numpy as np
 
 from cfgplan.planners.cpsat.charging import best_weights
+from cfgplan.planners.cpsat.landmarks import Crowd, Landmark, ways_into
 from cfgplan.planners.cpsat.network import NEVER, Core, Flags, Ints
 
 
@@ -32,22 +32,6 @@ def cheapest_way(core: Core, cost: Ints, above: Ints | None = None) -> tuple[Int
         facts = better
 
 
-@dataclass(frozen=True)
-class Landmark:
-    """A zone of facts and the labels that may enter it first."""
-
-    zone: Ints
-    members: Ints
-
-
-def landmark_of(core: Core, zone: Iterable[int]) -> Landmark:
-    """The landmark of a zone of the core's facts."""
-    givers, needed_by = core.givers.lists, core.needed_by.lists
-    facts = list(zone)
-    members = set().union(*[givers[fact] for fact in facts]).difference(*[needed_by[fact] for fact in facts])
-    return Landmark(np.array(facts, np.int64), np.array(sorted(members), np.int64))
-
-
 @dataclass
 class Bound:
     """A lower bound on cost: landmarks of a core, and what is left of each label's cost after charging them."""
@@ -62,12 +46,18 @@ class Bound:
         self.residual = self.cost.copy()
 
     def charge(self, landmark: Landmark, at_most: int = int(NEVER)) -> int:
-        """Charge a landmark what its members have left, or less; returns how much."""
+        """Charge a landmark what its members have left, or less; returns how much for each time that they count."""
         if not len(landmark.members):
             return 0
-        weight = min(int(self.residual[landmark.members].min()), at_most)
-        self.residual[landmark.members] -= weight
-        self.value += weight
+        members, crowd = landmark.members, landmark.crowd
+        if crowd is None:
+            weight = min(int(self.residual[members].min()), at_most)
+            self.residual[members] -= weight
+            self.value += weight
+        else:
+            weight = min(int((self.residual[members] // crowd.counts).min()), at_most)
+            self.residual[members] -= weight * crowd.counts
+            self.value += weight * crowd.least
         return weight
 
     def recharge(self, weights: Sequence[int]) -> None:
@@ -79,7 +69,7 @@ class Bound:
 
     def charge_what_is_left(self) -> None:
         """Charge the landmarks that can take more as much as they can."""
-        if not all(len(landmark.members) for landmark in self.landmarks):
+        if any(landmark.is_impossible for landmark in self.landmarks):
             self.value = int(NEVER)
         elif self.landmarks:
             members = np.concatenate([landmark.members for landmark in self.landmarks])
@@ -89,9 +79,11 @@ class Bound:
                 self.weights[i] += self.charge(self.landmarks[i])
 
     def recharge_best(self, time_limit_s: float | None) -> None:
-        """Charge all landmarks anew in the best way that is found in time."""
-        weights = best_weights([landmark.members for landmark in self.landmarks], self.cost, time_limit_s)
-        self.recharge(weights or self.weights)
+        """Charge all landmarks anew in the best way that is found in time, unless rounding makes it worse."""
+        before, weights = self.value, self.weights
+        self.recharge(best_weights(self.landmarks, self.cost, time_limit_s) or weights)
+        if self.value < before:
+            self.recharge(weights)
 
     def improve(self, enough: int, most: int, is_over: Callable[[], bool]) -> None:
         """Charge up to `most` new landmarks, until the value is `enough` or the goal is free at residual costs."""
@@ -103,28 +95,13 @@ class Bound:
             goal = int(wanted[np.argmax(facts[wanted])])
             weight = 0
             if facts[goal]:
-                landmark = self._first_ways_into(goal, facts.tolist())
+                landmark = ways_into(self.core, goal, facts.tolist(), self.residual.tolist())
                 weight = self.charge(landmark)
             if not weight:
                 return
             self.landmarks.append(landmark)
             self.weights.append(weight)
             facts, _ = cheapest_way(self.core, self.residual, facts)
-
-    def _first_ways_into(self, goal: int, facts: list[int]) -> Landmark:
-        """The landmark of the zone from which `goal` comes free by the dearest needs."""
-        givers, needs = self.core.givers.lists, self.core.needs.lists
-        residual = self.residual.tolist()
-        zone = [goal]
-        seen = {goal}
-        for fact in zone:
-            for label in givers[fact]:
-                if not residual[label] and needs[label]:
-                    need = max(needs[label], key=facts.__getitem__)
-                    if need not in seen:
-                        seen.add(need)
-                        zone.append(need)
-        return landmark_of(self.core, zone)
 
     def may_be_used(self, limit: int) -> Flags:
         """Which labels may be in a plan that costs at most `limit` (reduced-cost fixing); none if no plan does."""
@@ -139,11 +116,23 @@ class Bound:
         least: dict[int, int] = {}
         for landmark in self.landmarks:
             members: list[int] = landmark.members.tolist()
+            if landmark.crowd is not None:
+                for label in members:
+                    others = self._least_in_place_of(label, landmark.members, landmark.crowd)
+                    least[label] = max(least.get(label, 0), self.value + others)
+                continue
             first, second = nsmallest(2, [*(residual[label] for label in members), int(NEVER), int(NEVER)])
             for label in members:
                 others = second if residual[label] == first else first
                 least[label] = max(least.get(label, 0), self.value + others)
         return least
+
+    def _least_in_place_of(self, label: int, members: Ints, crowd: Crowd) -> int:
+        """What is left at least of the costs of other members of a landmark that count enough."""
+        shares = np.repeat(self.residual[members] // crowd.counts, np.where(members == label, 0, crowd.counts))
+        if len(shares) < crowd.least:
+            return int(NEVER)
+        return int(np.sort(shares)[: crowd.least].sum())
 
     def at(self, cost: Ints) -> Bound:
         """The bound at other costs, none of them lower."""
@@ -161,7 +150,11 @@ class Bound:
         counting = [i for i, weight in enumerate(self.weights) if weight]
         zones = _kept(fact, [self.landmarks[i].zone for i in counting])
         members = _kept(label, [self.landmarks[i].members for i in counting])
-        landmarks = [Landmark(*pair) for pair in zip(zones, members, strict=True)]
+        crowds = [
+            old.crowd and old.crowd.renumbered(old.crowd.counts[label[old.members] >= 0], label, fact)
+            for old in (self.landmarks[i] for i in counting)
+        ]
+        landmarks = [Landmark(*one) for one in zip(zones, members, crowds, strict=True)]
         part = Bound(core, self.cost[keep], landmarks, [self.weights[i] for i in counting], self.value)
         part.residual = self.residual[keep]
         part.charge_what_is_left()

@@ -102,7 +102,7 @@ class _Rounds:
     def _begin(self) -> None:
         self._separator = Separator(self.bound.core)
         self._program = LandmarkProgram(self.bound.cost)
-        self._landmarks = [one for one in self.bound.landmarks if self._program.add(one.members)]
+        self._landmarks = [one for one in self.bound.landmarks if self._program.add(one)]
 
     def restrict(self, keep: Flags) -> None:
         """Go on with a part of the labels, and the landmarks that count, if that is much less."""
@@ -137,6 +137,6 @@ class _Rounds:
         return self._add(fractions)
 
     def _add(self, fractions: Floats) -> bool:
-        new = [one for one in self._separator.missed(fractions, self._draw) if self._program.add(one.members)]
+        new = [one for one in self._separator.missed(fractions, self._draw) if self._program.add(one)]
         self._landmarks += new
         return bool(new)

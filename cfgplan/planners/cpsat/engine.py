@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from threading import Event, Thread
 
 from ortools.sat.python.cp_model import CpModel, CpSolver, CpSolverSolutionCallback, CpSolverStatus, IntVar
@@ -26,6 +26,14 @@ def repeatable_solver(*, small: bool, time_limit_s: float | None) -> CpSolver:
     if time_limit_s is not None:
         solver.parameters.max_time_in_seconds = time_limit_s
     return solver
+
+
+def at_least(model: CpModel, least: int, literals: Sequence[IntVar]) -> None:
+    """At least so many of the literals hold; one that is there twice counts twice."""
+    if least == 1:
+        model.add_bool_or(literals)
+    else:
+        model.add(sum(literals) >= least)
 
 
 def solve(solver: CpSolver, model: CpModel, callback: CpSolverSolutionCallback, clock: Clock) -> CpSolverStatus:

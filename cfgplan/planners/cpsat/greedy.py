@@ -6,6 +6,7 @@ A plan here is a set of labels with a grounded wiring that meets the goal.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from heapq import nsmallest
 from types import MappingProxyType
 
 import numpy as np
@@ -98,7 +99,7 @@ def _total(network: Graph, price: Floats) -> list[float] | None:
     while True:
         labels = network.core.sum_of_needs(facts)
         total = labels[:-1] + price
-        better = network.core.least_of_givers(total)
+        better = network.core.least_sum_of_givers(total)
         if (better == facts).all():
             return total.tolist() if np.isfinite(labels[network.core.goal]) else None
         facts = better
@@ -122,7 +123,8 @@ def _feeders(network: Graph, label: int, total: list[float], fed: set[int]) -> l
     for fact in network.core.needs.lists[label]:
         if fact not in fed:
             fed.add(fact)
-            feeders.append(min(network.core.givers.lists[fact], key=total.__getitem__))
+            givers, takes = network.core.givers.lists[fact], network.core.crowd_takes.get(fact)
+            feeders += nsmallest(takes, givers, total.__getitem__) if takes else [min(givers, key=total.__getitem__)]
     if label in network.special:
         transformation = network.transformations[label]
         for group in distinct_groups(transformation):
@@ -145,7 +147,7 @@ def _assigned(network: Graph, by_price: dict[str, list[int]]) -> list[str]:
 
 def _without_redundant(network: Graph, cost: Ints, chosen: set[int]) -> set[int]:
     """Drop, the dearest first, what the rest can do without."""
-    gives_of, needs = network.core.gives.lists, network.core.needs.lists
+    gives_of, needs, takes = network.core.gives.lists, network.core.needs.lists, network.core.crowd_takes
     givers_left: dict[int, int] = {}
     for label in chosen:
         for fact in gives_of[label]:
@@ -154,7 +156,7 @@ def _without_redundant(network: Graph, cost: Ints, chosen: set[int]) -> set[int]
     pinned = set(network.pinned)
     for label in sorted(chosen, key=lambda label: (-cost[label], label)):
         gives = gives_of[label]
-        if label in pinned or any(fact in needed and givers_left[fact] == 1 for fact in gives):
+        if label in pinned or any(fact in needed and givers_left[fact] <= takes.get(fact, 1) for fact in gives):
             continue
         rest = chosen - {label}
         if is_plan(network, rest):
@@ -169,6 +171,7 @@ def is_plan(network: Graph, chosen: set[int]) -> bool:
     waiting: dict[int, list[int]] = {}
     missing: dict[int, int] = {}
     ahead: list[int] = []
+    left = network.core.crowd_takes.copy()
     for label in (*sorted(chosen), network.core.goal):
         needs = network.core.needs.lists[label]
         missing[label] = len(needs)
@@ -182,6 +185,9 @@ def is_plan(network: Graph, chosen: set[int]) -> bool:
             return False
         before.add(label)
         for fact in network.core.gives.lists[label] if label != network.core.goal else ():
+            if left.get(fact, 1) > 1:
+                left[fact] -= 1
+                continue
             for consumer in waiting.pop(fact, ()):
                 missing[consumer] -= 1
                 if missing[consumer] == 0:

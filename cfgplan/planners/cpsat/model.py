@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Sequence
 from ortools.sat.python.cp_model import CpModel, IntVar, LinearExprT
 
 from cfgplan.domain import InputPort
+from cfgplan.planners.cpsat.engine import at_least
 from cfgplan.planners.cpsat.site import Site
 from cfgplan.planners.cpsat.support import Support
 
@@ -79,11 +80,11 @@ class Model:
             unit in self.tracked and not self.tracked.isdisjoint(self.site.feeders(port.tag))
         )
 
-    def some_member_of_each_runs(self, landmarks: Iterable[Iterable[str]]) -> None:
-        """Every plan has a transformation of each landmark."""
+    def enough_of_each_run(self, landmarks: Iterable[tuple[Iterable[str], int]]) -> None:
+        """Every plan has so many transformations of each landmark, or more; each counts as often as it is named."""
         units = self.site.units_of
-        for landmark in landmarks:
-            self.cp.add_bool_or([self.runs[i] for label in landmark for i in units.get(label, ())])
+        for labels, least in landmarks:
+            at_least(self.cp, least, [self.runs[i] for label in labels for i in units.get(label, ())])
 
     def cost(self) -> LinearExprT:
         return sum(c.cost_us * x for c, x in zip(self.site.candidates, self.runs, strict=True))

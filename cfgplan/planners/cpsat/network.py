@@ -2,12 +2,13 @@
 
 For least cost alone one unit of each transformation is enough, so the problem is one of *labels*:
 choose a set of them, grounded, that meets the targets. A *fact* is a demand (merged with all demands
-that the same transformations can meet): "somebody offers this". Distinct and feedback inputs are
-relaxed here, the one to an ordinary input, the other to none: bounds stay valid.
+that the same transformations can meet): "somebody offers this", or "so many do" for the inputs of a distinct
+group (`crowds`). Feedback inputs are left out: bounds stay valid.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,8 +20,9 @@ import numpy.typing as npt
 
 from cfgplan.costs import keep_cost_us, start_cost_us
 from cfgplan.domain import Transformation
+from cfgplan.planners.cpsat.crowds import Crowds, crowds_of_group
 from cfgplan.planning import Problem
-from cfgplan.reasons import Givers
+from cfgplan.reasons import Givers, distinct_groups
 
 Ints = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]
@@ -90,17 +92,35 @@ def _starts(counts: npt.ArrayLike) -> Ints:
 class Core:
     """`needs[label]` are facts, `givers[fact]` labels. The last label is the goal, which needs all that is wanted.
 
-    `labels` and `facts` are the numbers that they have in the network of which this is a part.
+    `labels` and `facts` are the numbers that they have in the network of which this is a part. So many givers
+    as a fact `takes` must be there for it to hold; None if one is enough everywhere.
     """
 
     needs: Rows
     givers: Rows
     labels: Ints
     facts: Ints
+    takes: Ints | None = None
 
     @property
     def goal(self) -> int:
         return len(self.labels)
+
+    @cached_property
+    def crowds(self) -> Crowds | None:
+        """The facts that take more than one giver, if there are any."""
+        facts = np.flatnonzero(self.takes > 1) if self.takes is not None else np.zeros(0, np.int64)
+        if self.takes is None or not len(facts):
+            return None
+        givers = [self.givers[fact].tolist() for fact in facts.tolist()]
+        return Crowds(facts, self.takes[facts].tolist(), givers, self.goal)
+
+    @cached_property
+    def crowd_takes(self) -> dict[int, int]:
+        """How many givers they take."""
+        if self.takes is None or self.crowds is None:
+            return {}
+        return {fact: int(self.takes[fact]) for fact in self.crowds.facts.tolist()}
 
     @cached_property
     def gives(self) -> Rows:
@@ -148,18 +168,30 @@ class Core:
             value[self._fed] = np.minimum.reduceat(of_fact[self.needs.items], self.needs.starts[self._fed])
         return value
 
-    def sum_of_givers(self, of_label: Floats) -> Floats:
-        """For each fact the sum over the labels that offer it."""
+    def share_of_givers(self, of_label: Floats) -> Floats:
+        """For each fact the sum over the labels that offer it, divided by how many it takes."""
         if not len(self.givers):
             return np.zeros(0)
         total: Floats = np.add.reduceat(of_label[self.givers.items], self.givers.starts[:-1])
-        return total
+        return total if self.takes is None else total / self.takes
+
+    def least_sum_of_givers(self, of_label: Floats) -> Floats:
+        """For each fact the least sum over as many labels that offer it as it takes; every fact has such labels."""
+        least = self.least_of_givers(of_label)
+        if self.crowds is not None:
+            least[self.crowds.facts] = self.crowds.least_sums(of_label)
+        return least
 
     def least_of_givers(self, of_label: npt.NDArray[Number]) -> npt.NDArray[Number]:
-        """For each fact the least value of the labels that offer it; every fact has one."""
+        """For each fact the least value that as many labels that offer it as it takes do not exceed.
+
+        Every fact has labels that offer it.
+        """
         if not len(self.givers):
             return np.zeros(0, of_label.dtype)
         least: npt.NDArray[Number] = np.minimum.reduceat(of_label[self.givers.items], self.givers.starts[:-1])
+        if self.crowds is not None:
+            least[self.crowds.facts] = self.crowds.least(of_label)
         return least
 
     def restricted(self, keep: Flags) -> Core:
@@ -174,6 +206,7 @@ class Core:
             self.givers.restricted(needed, label_number),
             self.labels[keep],
             self.facts[needed],
+            None if self.takes is None else self.takes[needed],
         )
 
 
@@ -216,28 +249,37 @@ class Network(Graph):
         self.labels = [transformation.label for transformation in library]
         self.number = {label: i for i, label in enumerate(self.labels)}
         self.fact_of_tag: dict[str, int] = {}
-        fact_of_givers: dict[tuple[int, ...], int] = {}
+        facts: dict[tuple[tuple[int, ...], int], int] = {}
+        givers_of_tag: dict[str, tuple[int, ...]] = {}
 
         def fact(tag: str) -> int:
             if tag not in self.fact_of_tag:
                 rows.watch()
-                givers = tuple([self.number[label] for label in rows.of(tag) if label in self.number])
-                self.fact_of_tag[tag] = fact_of_givers.setdefault(givers, len(fact_of_givers))
+                givers = givers_of_tag[tag] = tuple([self.number[i] for i in rows.of(tag) if i in self.number])
+                self.fact_of_tag[tag] = facts.setdefault((givers, 1), len(facts))
             return self.fact_of_tag[tag]
 
         needs = [{fact(port.tag) for port in t.inputs if not port.feedback} for t in library]
+        self.special = frozenset(
+            i for i, t in enumerate(library) if any(port.feedback or port.distinct is not None for port in t.inputs)
+        )
+        for label, group in ((i, group) for i in sorted(self.special) for group in distinct_groups(library[i])):
+            alike = Counter(givers_of_tag[port.tag] for port in group if not port.feedback)
+            for givers, takes in crowds_of_group(alike):
+                if takes > 1:
+                    needs[label] -= {facts.get((givers, 1), -1)}
+                    needs[label].add(facts.setdefault((givers, takes), len(facts)))
         for port in (port for t in library for port in t.inputs if port.feedback):
             fact(port.tag)
         self.pinned = sorted(self.number[label] for label in pinned)
         wanted = {fact(tag) for tag in self.targets}.union(*(needs[label] for label in self.pinned))
-        self.special = frozenset(
-            i for i, t in enumerate(library) if any(port.feedback or port.distinct is not None for port in t.inputs)
-        )
+        taking = np.array([takes for _, takes in facts], np.int64)
         self.core = Core(
-            Rows.of([sorted(facts) for facts in (*needs, wanted)]),
-            Rows.of(list(fact_of_givers)),
+            Rows.of([sorted(row) for row in (*needs, wanted)]),
+            Rows.of([givers for givers, _ in facts]),
             np.arange(len(library)),
-            np.arange(len(fact_of_givers)),
+            np.arange(len(facts)),
+            taking if (taking > 1).any() else None,
         )
 
 

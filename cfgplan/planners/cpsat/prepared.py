@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 class Prepared:
     """What preprocessing leaves: labels that may be used, a first plan, its cost, a bound, landmarks.
 
+    Of a landmark's labels, of which those count twice that are in it twice, a plan has so many or more.
     A plan that costs as little as the bound starts at least `fewest_started` units; None if units run.
     If `holds_for` is given, all that is so for plans that leave no more required transformations unused.
     """
@@ -17,7 +18,7 @@ class Prepared:
     plan: list[str] | None = None
     cost_us: int | None = None
     bound_us: int = 0
-    landmarks: list[list[str]] = field(default_factory=list)
+    landmarks: list[tuple[list[str], int]] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=dict)
     holds_for: int | None = None
     fewest_started: int | None = None

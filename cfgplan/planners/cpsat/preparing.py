@@ -76,18 +76,18 @@ class Preparation:
             None if plan is None else [network.labels[i] for i in plan.tolist()],
             None if plan is None else weighing.cost_us(weighing.of_plan(plan)),
             weighing.cost_us(value),
-            [[network.labels[i] for i in members[is_left[members]].tolist()] for members in left.landmarks],
+            [([network.labels[i] for i in of[is_left[of]].tolist()], least) for of, least in left.landmarks],
             {"landmarks": len(left.landmarks), "left by bounds": len(labels)},
             fewest_started=weighing.started(value),
         )
 
-    def missed(self, labels: Collection[str]) -> list[list[str]]:
+    def missed(self, labels: Collection[str]) -> list[tuple[list[str], int]]:
         """Landmarks that some labels do not hit; none if they can be grounded and meet what is wanted."""
         network = self._structure.network
         uses = np.zeros(len(network.labels))
         uses[[network.number[label] for label in labels]] = 1.0
         found = self._separator.missed(uses, np.random.default_rng(len(labels)))
-        return [[network.labels[i] for i in landmark.members.tolist()] for landmark in found]
+        return [([network.labels[i] for i in one.counted.tolist()], one.least) for one in found]
 
     @cached_property
     def _separator(self) -> Separator:

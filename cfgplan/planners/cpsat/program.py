@@ -6,8 +6,11 @@ dual simplex method goes on from there.
 
 from __future__ import annotations
 
+from itertools import repeat
+
 import numpy as np
 
+from cfgplan.planners.cpsat.landmarks import Landmark
 from cfgplan.planners.cpsat.network import Floats, Ints
 
 FROM_THE_LAST_BASIS = "use_preprocessing: false use_dual_simplex: true initial_condition_number_threshold: 1e300"
@@ -15,7 +18,7 @@ FROM_THE_LAST_BASIS = "use_preprocessing: false use_dual_simplex: true initial_c
 
 
 class LandmarkProgram:
-    """Landmarks by their members; `value` is the optimum of the last solution, a bound on cost but for rounding."""
+    """Labels that hit all landmarks; `value` is the optimum of the last solution, a bound on cost but for rounding."""
 
     def __init__(self, cost: Ints) -> None:
         from ortools.linear_solver import pywraplp  # type: ignore[import-untyped]
@@ -31,21 +34,23 @@ class LandmarkProgram:
         for uses, price in zip(self._uses, cost.tolist(), strict=True):
             objective.SetCoefficient(uses, price / self._unit)
         self._rows: list[pywraplp.Constraint] = []
-        self._known: set[bytes] = set()
+        self._known: set[tuple[int, bytes]] = set()
         self.members = 0
         self.value = 0.0
         self.weights: list[int] = []
 
-    def add(self, members: Ints) -> bool:
+    def add(self, landmark: Landmark) -> bool:
         """Demand that the landmark is hit; False if that is done already."""
-        key = members.tobytes()
+        members, crowd = landmark.members, landmark.crowd
+        key = landmark.least, landmark.counted.tobytes()
         if key in self._known:
             return False
         self._known.add(key)
         self.members += len(members)
-        row = self._engine.RowConstraint(1.0, self._engine.infinity(), "")
-        for label in members.tolist():
-            row.SetCoefficient(self._uses[label], 1.0)
+        row = self._engine.RowConstraint(float(landmark.least), self._engine.infinity(), "")
+        counts = repeat(1.0) if crowd is None else crowd.counts.tolist()
+        for label, count in zip(members.tolist(), counts, strict=False):
+            row.SetCoefficient(self._uses[label], count)
         self._rows.append(row)
         return True
 

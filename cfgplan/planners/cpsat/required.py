@@ -63,7 +63,7 @@ def prepared_with_all(
         None,
         None if incumbent is None else incumbent.key[1],
         left.value + fixed_us,
-        [[network.labels[i] for i in members[is_left[members]].tolist()] for members in left.landmarks],
+        [([network.labels[i] for i in of[is_left[of]].tolist()], least) for of, least in left.landmarks],
         {"landmarks": len(left.landmarks), "left by bounds": len(labels)},
         holds_for=sum(t.required for t in problem.environment.library) - len(required),
     )

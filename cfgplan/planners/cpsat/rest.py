@@ -24,17 +24,21 @@ MOST_DEAD = 4
 
 @dataclass(frozen=True)
 class Left:
-    """What bounds leave of a network: labels, a bound on cost, and landmarks by their members."""
+    """What bounds leave of a network: labels, a bound on cost, and landmarks.
+
+    Of the labels of a landmark, of which those count twice that are in it twice, a plan has so many or more.
+    """
 
     labels: Ints
     value: int
-    landmarks: list[Ints]
+    landmarks: list[tuple[Ints, int]]
 
     @classmethod
     def by(cls, bound: Bound, limit: int) -> Left:
         """What may be in a plan that costs at most `limit`."""
         keep = bound.may_be_used(limit)
-        return cls(bound.core.labels[keep], bound.value, [bound.core.labels[one.members] for one in bound.landmarks])
+        labels = bound.core.labels
+        return cls(labels[keep], bound.value, [(labels[one.counted], one.least) for one in bound.landmarks])
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ def is_without_rival(bound: Bound, plan: Ints, limit: int, time_limit_s: float |
     """
     from ortools.sat.python.cp_model import INFEASIBLE, CpModel
 
-    from cfgplan.planners.cpsat.engine import repeatable_solver
+    from cfgplan.planners.cpsat.engine import at_least, repeatable_solver
 
     core, model = bound.core, CpModel()
     uses = [model.new_bool_var("") for _ in range(core.goal)]
@@ -32,7 +32,7 @@ def is_without_rival(bound: Bound, plan: Ints, limit: int, time_limit_s: float |
     for fact in core.needs[core.goal].tolist():
         model.add_bool_or([offered[fact]])
     for landmark in bound.landmarks:
-        model.add_bool_or([uses[label] for label in landmark.members.tolist()])
+        at_least(model, landmark.least, [uses[label] for label in landmark.counted.tolist()])
     model.add_bool_or([uses[i] for i in np.flatnonzero(~np.isin(core.labels, plan)).tolist()])
     model.add(sum(int(cost) * use for cost, use in zip(bound.cost, uses, strict=True)) <= limit)
     longest_s = LONGEST_S if time_limit_s is None else min(LONGEST_S, time_limit_s)

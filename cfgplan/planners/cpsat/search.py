@@ -47,7 +47,7 @@ class Search:
         prepared: Prepared,
         grounding: Grounding,
         slice_s: float | None = None,
-        missed: Callable[[Collection[str]], Iterable[Collection[str]]] = lambda _: (),
+        missed: Callable[[Collection[str]], Iterable[tuple[Collection[str], int]]] = lambda _: (),
     ) -> None:
         """`slice_s` are the engine's own seconds, which do not depend on the machine, for each round.
 
@@ -95,7 +95,7 @@ class Search:
         model = self.model
         self.standing.counts = {"rounds": 0, "cuts": 0, "conflicts": 0} | self.standing.counts
         self.standing.counts["booleans"] = len(model.literals)
-        model.some_member_of_each_runs(self.prepared.landmarks)
+        model.enough_of_each_run(self.prepared.landmarks)
         if self.grounding is Grounding.LEVELS:
             from cfgplan.planners.cpsat.levels import everything_rests_on_something_lower  # networkx takes long too
 
@@ -195,7 +195,7 @@ class Search:
         self.standing.counts["cuts"] += len(unfounded)
         running = zip(self.model.runs, self.site.candidates, strict=True)
         used = {candidate.transformation.label for runs, candidate in running if runs.index in true}
-        self.model.some_member_of_each_runs(self.missed(used))
+        self.model.enough_of_each_run(self.missed(used))
 
     def learn_bound(self, objective: int) -> None:
         """What a bound on the present stage's objective says about the cost."""

@@ -12,7 +12,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from cfgplan.planners.cpsat.bounds import Landmark, landmark_of
+from cfgplan.planners.cpsat.landmarks import Landmark, landmark_of
 from cfgplan.planners.cpsat.network import Core, Floats, Ints
 
 WHOLE = 1_000_000
@@ -57,7 +57,7 @@ class Separator:
         for _ in range(NESTED):
             flow, zones = self._cut(left, feeding, goal)
             landmarks = [landmark_of(self._core, zone.tolist()) for zone in zones]
-            missed = [one for one in landmarks if fractions[one.members].sum() < 1 - MISSED]
+            missed = [one for one in landmarks if one.hit_by(fractions) < 1 - MISSED]
             if flow >= 1 - MISSED or not missed:
                 return
             yield from missed
@@ -69,7 +69,7 @@ class Separator:
         facts = np.zeros(len(core.givers))
         for _ in range(ROUNDS):
             before = facts
-            facts = np.minimum(1.0, core.sum_of_givers(np.minimum(core.least_of_needs(facts)[:-1], fractions)))
+            facts = np.minimum(1.0, core.share_of_givers(np.minimum(core.least_of_needs(facts)[:-1], fractions)))
             if np.abs(facts - before).max() < 1e-6:
                 break
         return facts

@@ -6,8 +6,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from cfgplan.domain import Environment, Similarity, Transformation
-from cfgplan.planners.cpsat.bounds import Bound, Landmark, landmark_of
+from cfgplan.planners.cpsat.bounds import Bound
 from cfgplan.planners.cpsat.clock import Clock
+from cfgplan.planners.cpsat.landmarks import Landmark
 from cfgplan.planners.cpsat.network import Network
 from cfgplan.planners.cpsat.site import relevant
 from cfgplan.planning import Problem
@@ -84,15 +85,13 @@ class Structure:
         """What is remembered, as landmarks of the whole network, and how much each was charged."""
         if self._bound is not None:
             (bound, scale), self._bound = self._bound, None
-            known = {landmark.zone.tobytes(): landmark for landmark in self._landmarks}
+            known = {landmark.key: landmark for landmark in self._landmarks}
             counted = [
-                (bound.core.facts[landmark.zone], weight // scale)
+                (landmark.outside(bound.core), weight // scale)
                 for landmark, weight in zip(bound.landmarks, bound.weights, strict=True)
                 if weight
             ]
-            self._landmarks = [
-                known.get(zone.tobytes()) or landmark_of(self.network.core, zone.tolist()) for zone, _ in counted
-            ]
+            self._landmarks = [known.get(one.key) or one.made_again(self.network.core) for one, _ in counted]
             self._weights = [weight for _, weight in counted]
         return list(self._landmarks), list(self._weights)
 
