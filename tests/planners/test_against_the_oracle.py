@@ -44,6 +44,9 @@ def agree(problem: Problem) -> None:
     assert plan_violations(problem, oracle) == []
     assert plan_violations(problem, exact) == []
     assert quality(exact) == quality(oracle)
+    by_solver = PlannerSession(steps=0).plan(problem)
+    assert plan_violations(problem, by_solver) == []
+    assert quality(by_solver) == quality(oracle)
 
 
 @many

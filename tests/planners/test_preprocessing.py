@@ -152,7 +152,7 @@ def test_a_weight_is_cost_and_where_nothing_runs_started_units(problem: Problem)
     assert weighing.cost_us(weight) == int(stage.cost[used].sum())
     running = {unit.transformation for unit in problem.environment.units}
     assert weighing.counts_starts == running.isdisjoint(stage.relevant)
-    assert weighing.started(weight) == (len(used) if weighing.counts_starts else None)
+    assert weighing.changes(weight) == ((0, len(used)) if weighing.counts_starts else None)
     assert weighing.least(weight) == weight
     assert weighing.least(chained_bound(stage.network.core, weighing.weight)) <= weight
 

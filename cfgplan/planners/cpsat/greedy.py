@@ -84,7 +84,7 @@ def plan_at(network: Graph, cost: Ints, price: Floats) -> set[int] | None:
     if total is None:
         return None
     chosen = _below(network, [network.core.goal, *network.pinned], total)
-    return _without_redundant(network, cost, chosen) if is_plan(network, chosen) else None
+    return without_redundant(network, cost, chosen) if is_plan(network, chosen) else None
 
 
 def support_of(network: Graph, cost: Ints, label: int) -> set[int]:
@@ -145,7 +145,7 @@ def _assigned(network: Graph, by_price: dict[str, list[int]]) -> list[str]:
     return sorted(chosen.values()) if chosen is not None else []
 
 
-def _without_redundant(network: Graph, cost: Ints, chosen: set[int]) -> set[int]:
+def without_redundant(network: Graph, cost: Ints, chosen: set[int]) -> set[int]:
     """Drop, the dearest first, what the rest can do without."""
     gives_of, needs, takes = network.core.gives.lists, network.core.needs.lists, network.core.crowd_takes
     givers_left: dict[int, int] = {}

@@ -78,7 +78,7 @@ class Preparation:
             weighing.cost_us(value),
             [([network.labels[i] for i in of[is_left[of]].tolist()], least) for of, least in left.landmarks],
             {"landmarks": len(left.landmarks), "left by bounds": len(labels)},
-            fewest_started=weighing.started(value),
+            fewest_changes=weighing.changes(value),
         )
 
     def missed(self, labels: Collection[str]) -> list[tuple[list[str], int]]:

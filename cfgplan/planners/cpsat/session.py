@@ -15,6 +15,7 @@ import numpy as np
 from cfgplan.planners.cpsat.bounds import Bound
 from cfgplan.planners.cpsat.chains import chained_bound
 from cfgplan.planners.cpsat.clock import Clock, OutOfTimeError
+from cfgplan.planners.cpsat.deciding import STEPS, decided
 from cfgplan.planners.cpsat.greedy import first_plan, improved, is_plan, with_less
 from cfgplan.planners.cpsat.grounding import Grounding
 from cfgplan.planners.cpsat.network import Ints, costs
@@ -42,8 +43,10 @@ seconds bounds are raised then.
 class PlannerSession:
     """A planner that remembers; `plan` is a `planning.Planner` with a way to stop it."""
 
-    def __init__(self, grounding: Grounding = Grounding.CUTS) -> None:
+    def __init__(self, grounding: Grounding = Grounding.CUTS, steps: int = STEPS) -> None:
+        """Small problems are searched for so many steps before they are prepared for the solver."""
         self._grounding = grounding
+        self._steps = steps
         self._structure: Structure | None = None
         self._last: frozenset[str] = frozenset()
         self._rest: Rest | None = None
@@ -81,12 +84,18 @@ class PlannerSession:
                 standing = with_any_plan(problem, structure, clock)
                 standing = self._with_required(problem, structure, standing, report)
             else:
-                preparation = self._prepare(problem, structure, clock)
-                prepared = preparation.prepared(clock)
-                clock.end("bounds")
-                standing = Standing(Site(problem, structure.givers, prepared.labels), prepared, clock, report)
-                standing.counts = structure.counts() | standing.counts
-                self._solve(standing, preparation, prepared)
+                if self._rest is None:
+                    standing = decided(problem, structure, self._steps, clock, report)
+                if standing is None or not (standing.is_over or standing.is_complete):
+                    self._remember(standing)
+                    preparation = self._prepare(problem, structure, clock)
+                    prepared = preparation.prepared(clock)
+                    clock.end("bounds")
+                    standing = standing or Standing(Site(problem, structure.givers, ()), Prepared([]), clock, report)
+                    standing.go_on_with(prepared)
+                    self._solve(standing, preparation, prepared)
+                elif not standing.is_over and standing.best is not None:
+                    self._search(standing, None, Prepared([], cost_us=standing.best.key[1]), None)
         except OutOfTimeError:
             pass
         except KeyboardInterrupt:
@@ -94,12 +103,16 @@ class PlannerSession:
         clock.end("search")
         if standing is None:
             return Plan("cpsat", Status.UNKNOWN, seconds=clock.seconds)
-        if standing.best is not None:
-            self._last = frozenset(unit.transformation for unit in standing.best.units)
+        self._remember(standing)
+        standing.counts = structure.counts() | standing.counts
         found = standing.plan()
         if found.status is Status.OPTIMAL and not found.change_set and not structure.has_required:
             self._settle(problem, structure, clock)
         return found
+
+    def _remember(self, standing: Standing | None) -> None:
+        if standing is not None and standing.best is not None:
+            self._last = frozenset(unit.transformation for unit in standing.best.units)
 
     def _solve(self, standing: Standing, preparation: Preparation, prepared: Prepared) -> None:
         """Bring a standing forward until all is proven or the time is over.
@@ -118,10 +131,13 @@ class PlannerSession:
         if not standing.is_over:
             self._search(standing, preparation, prepared, None)
 
-    def _search(self, standing: Standing, preparation: Preparation, prepared: Prepared, slice_s: float | None) -> None:
+    def _search(
+        self, standing: Standing, preparation: Preparation | None, prepared: Prepared, slice_s: float | None
+    ) -> None:
         from cfgplan.planners.cpsat.search import Search  # the solver takes long to import
 
-        Search(standing, prepared, self._grounding, slice_s, preparation.missed).run()
+        missed = (lambda _: ()) if preparation is None else preparation.missed
+        Search(standing, prepared, self._grounding, slice_s, missed).run()
         standing.clock.end("search")
 
     def _prepare(self, problem: Problem, structure: Structure, clock: Clock) -> Preparation:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 from cfgplan.costs import keep_cost_us, start_cost_us
@@ -111,7 +111,7 @@ def _candidates(problem: Problem, labels: frozenset[str]) -> list[Candidate]:
             running.add(unit.transformation)
             transformation = environment.transformation[unit.transformation]
             cost_us = keep_cost_us(transformation, problem.horizon_s)
-            candidates.append(Candidate(unit.id, transformation, unit, cost_us, _may_stay(problem, labels, unit)))
+            candidates.append(Candidate(unit.id, transformation, unit, cost_us, may_stay(problem, labels, unit)))
     forced = any(environment.transformation[label].required for label in labels)
     may_start = [
         label
@@ -124,7 +124,8 @@ def _candidates(problem: Problem, labels: frozenset[str]) -> list[Candidate]:
     return candidates
 
 
-def _may_stay(problem: Problem, labels: frozenset[str], unit: ComputationUnit) -> bool:
+def may_stay(problem: Problem, labels: Collection[str], unit: ComputationUnit) -> bool:
+    """Whether the unit's wiring is valid as far as it can tell by itself, if units of no other labels run."""
     environment, holds = problem.environment, problem.similarity.holds
     transformation = environment.transformation[unit.transformation]
     if unit.feeds.keys() != transformation.input.keys():

@@ -47,7 +47,8 @@ class Standing:
         self.best: Incumbent | None = None
         self.bound_us = 0
         self.holds_for = prepared.holds_for
-        self.fewest_started = prepared.fewest_started
+        self.fewest_changes = prepared.fewest_changes
+        self.is_complete = prepared.is_complete
         self.counts = {**prepared.counts}
         self.raise_bound(prepared.bound_us)
         if prepared.plan is not None:
@@ -62,7 +63,8 @@ class Standing:
         """The same with what was found out in between: fewer candidates, a better plan, a higher bound."""
         self.site = self.site.among(prepared.labels)
         self.stage = Stage.REQUIRED
-        self.fewest_started = prepared.fewest_started
+        self.fewest_changes = prepared.fewest_changes
+        self.is_complete = prepared.is_complete
         self.counts |= prepared.counts
         self.raise_bound(prepared.bound_us)
         if prepared.plan is not None:
@@ -78,14 +80,16 @@ class Standing:
             self.stage = Stage.DONE
 
     def is_proven(self, chosen: set[int]) -> bool:
-        """Whether the incumbent can't be beaten in started units, or is the only choice of units at its cost.
+        """Whether the incumbent can't be beaten in changes, or is the only choice of units at its cost.
 
         No more must be rewired then than has to be.
         """
-        if self.best is not None and self.best.key == (0, self.bound_us, 0, self.fewest_started):
+        if self.best is None:
+            return False
+        if self.fewest_changes is not None and self.best.key == (0, self.bound_us, *self.fewest_changes):
             return True
         return (
-            self.best is not None
+            self.is_complete
             and self.best.key[:2] == (0, self.bound_us)
             and len(chosen) == len(self.site.candidates) == len(self.best.units)
             and self.best.key[2] == forced_changes(self.site, chosen)

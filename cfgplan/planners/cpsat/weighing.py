@@ -1,7 +1,7 @@
-"""What a label weighs where plans are compared: its cost and, where nothing runs, the unit to be started.
+"""What a label weighs where plans are compared: its cost and, beyond that, the change that it means.
 
-Of plans that cost the same the one with fewer started units is better, if none can be rewired. Both are added
-up, so that a bound on the sum may prove a plan the best in both.
+Of plans that cost the same the one with fewer rewired units is better, then that with fewer started ones. All is added
+up, so that a bound on the sum may prove a plan the best in all of it.
 """
 
 from __future__ import annotations
@@ -13,31 +13,55 @@ from functools import cached_property
 import numpy as np
 
 from cfgplan.planners.cpsat.network import NEVER, Ints, Network, costs
+from cfgplan.planners.cpsat.quality import Key
+from cfgplan.planners.cpsat.site import may_stay
 from cfgplan.planning import Problem
 
 
 @dataclass(frozen=True)
 class Weighing:
-    """`weight` of each label of a network: `scale` for a microsecond, and 1 for a start if that exceeds 1.
+    """`weight` of each label of a network: `scale` for a microsecond.
 
-    What pinned labels cost whatever is planned is left out: `fixed_us`.
+    If `scale` exceeds 1 there is 1 for a start beside it, and `rewiring` for a rewiring that can't be avoided. What
+    pinned labels cost whatever is planned is left out: `fixed_us`.
     """
 
     weight: Ints
     scale: int
+    rewiring: int
     fixed_us: int
 
     @classmethod
     def of(cls, problem: Problem, network: Network, pinned: Collection[str]) -> Weighing:
-        """See `costs`; `pinned` are labels of which all running units are kept."""
+        """Cost and, where nothing runs, starts; see `costs`. Of labels in `pinned` all running units are kept."""
         fixed_us, cost = costs(problem, network, pinned)
         scale = len(cost) + 1
         if (
             any(unit.transformation in network.number for unit in problem.environment.units)
             or int(cost.sum()) * scale >= NEVER // 4
         ):
-            return cls(cost, 1, fixed_us)
-        return cls(cost * scale + 1, scale, fixed_us)
+            return cls(cost, 1, 1, fixed_us)
+        return cls(cost * scale + 1, scale, scale, fixed_us)
+
+    @classmethod
+    def with_changes(cls, problem: Problem, network: Network, pinned: Collection[str]) -> Weighing | None:
+        """Cost, rewirings and starts; None if the sum would be too large. Of a pinned label no change is counted."""
+        fixed_us, cost = costs(problem, network, pinned)
+        rewiring = len(cost) + 1
+        scale = rewiring**2
+        if int(cost.sum()) * scale >= NEVER // 4:
+            return None
+        change = np.ones(len(cost), np.int64)
+        staying: dict[int, bool] = {}
+        for unit in problem.environment.units:
+            label = network.number.get(unit.transformation)
+            if label is not None:
+                staying[label] = staying.get(label, False) or may_stay(problem, network.number, unit)
+        for label, may in staying.items():
+            can_be_started = network.transformations[label].labor_us == 0
+            change[label] = 0 if may else 1 if can_be_started else rewiring
+        change[network.pinned] = 0
+        return cls(cost * scale + change, scale, rewiring, fixed_us)
 
     @property
     def counts_starts(self) -> bool:
@@ -59,6 +83,10 @@ class Weighing:
         """The cost in a weight, with what is fixed; of a bound on weight a bound on cost."""
         return weight // self.scale + self.fixed_us
 
-    def started(self, weight: int) -> int | None:
-        """The started units in a weight, if they count."""
-        return weight % self.scale if self.counts_starts else None
+    def of_key(self, key: Key) -> int:
+        """The weight of a plan by its cost and what it really changes."""
+        return (key[1] - self.fixed_us) * self.scale + key[2] * self.rewiring + key[3]
+
+    def changes(self, weight: int) -> tuple[int, int] | None:
+        """The rewired and the started units in a weight, if they count."""
+        return divmod(weight % self.scale, self.rewiring) if self.counts_starts else None

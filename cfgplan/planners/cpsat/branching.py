@@ -1,0 +1,170 @@
+"""A small core decided by depth-first search, with landmarks as the bound at every node.
+
+At a node some labels are taken, so that they cost nothing any more, and some are left out. LM-cut (`bounds`) raises
+its bound, what is too dear by reduced costs is left out, and a label of a landmark is first taken, then left out.
+Landmarks go on from node to node; what those were charged that a taken label would hit is free again. All this on
+plain lists, which up to some hundred labels are faster than arrays, and repeatable, since effort is counted in steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+
+from cfgplan.planners.cpsat.network import NEVER, Core, Ints
+from cfgplan.planners.cpsat.ways import LEFT_OUT, Links, Ways
+
+
+@dataclass(slots=True)
+class _Node:
+    """What labels still cost: what landmarks don't charge, nothing if taken, `LEFT_OUT` if left out."""
+
+    residual: list[int]
+    paid: int
+    charged: int
+    landmarks: list[tuple[int, tuple[int, ...]]]
+    """How much each is charged, and those of its members that are not left out."""
+
+    @property
+    def bound(self) -> int:
+        return self.paid + self.charged
+
+    def charge(self, members: tuple[int, ...]) -> int:
+        """Charge a landmark what its members have left; returns how much."""
+        residual = self.residual
+        weight = min([residual[member] for member in members])
+        if weight:
+            for member in members:
+                residual[member] -= weight
+            self.charged += weight
+        return weight
+
+    def take(self, label: int) -> _Node:
+        """The node below that has the label."""
+        residual, charged, landmarks = self.residual[:], self.charged, []
+        for landmark in self.landmarks:
+            weight, members = landmark
+            if label in members:
+                charged -= weight
+                for member in members:
+                    residual[member] += weight
+            else:
+                landmarks.append(landmark)
+        paid = self.paid + residual[label]
+        residual[label] = 0
+        return _Node(residual, paid, charged, landmarks)
+
+    def leave_out(self, labels: Collection[int]) -> bool:
+        """Do without the labels from now on; False if a landmark has no other members."""
+        residual = self.residual
+        for label in labels:
+            residual[label] = LEFT_OUT
+        for i, (weight, members) in enumerate(self.landmarks):
+            left = tuple([member for member in members if residual[member] < LEFT_OUT])
+            if not left:
+                return False
+            if len(left) < len(members):
+                self.landmarks[i] = weight + self.charge(left), left
+        return True
+
+
+class Branching:
+    """The search for a plan of a core that weighs less than `limit`, both multiples of `step`."""
+
+    def __init__(self, core: Core, cost: Ints, limit: int, step: int, is_over: Callable[[], bool]) -> None:
+        self.best: set[int] | None = None
+        self.nodes = 0
+        self._links = Links(core)
+        self._cost: list[int] = cost.tolist()
+        self.enough = limit - step + 1
+        """A bound of so much says that nothing is better."""
+        self._step = step
+        self._steps = 0
+        self._is_over = is_over
+        self._ahead = [self._root()]
+
+    def run(self, steps: int) -> bool:
+        """Go on for so many steps, a landmark or a node each; whether nothing is better than `best`, or the limit."""
+        self._steps = steps
+        while self._ahead and not self._is_late():
+            self._go_on()
+        return not self._ahead
+
+    def others(self, plan: Collection[int], steps: int) -> set[int] | None:
+        """Labels outside a plan that plans below the limit have, perhaps more; None if so many steps are too few.
+
+        To be asked instead of `run`, not after it.
+        """
+        self._steps = steps
+        root, found = self._root(), set[int]()
+        ways = self._tighten(root)
+        if ways is None:
+            return None
+        root.leave_out(ways.labels_from(self.enough - root.bound))
+        for label in range(len(self._cost)):
+            if label in plan or label in found or root.residual[label] == LEFT_OUT:
+                continue
+            self.best, self._ahead, enough = None, [root.take(label)], self.enough
+            while self._ahead and self.best is None:
+                if self._is_late():
+                    return None
+                self._go_on()
+            if self.best is None:
+                root.leave_out([label])
+            else:
+                found |= {label} | (self.best - set(plan))
+                self.enough = enough
+        return found
+
+    def _root(self) -> _Node:
+        return _Node(self._cost[:], 0, 0, [])
+
+    def _is_late(self) -> bool:
+        return self._steps <= 0 or self._is_over()
+
+    def _go_on(self) -> None:
+        """Look at the node ahead; it stays there if the steps are over."""
+        node = self._ahead.pop()
+        self.nodes += 1
+        ways = self._tighten(node)
+        if ways is None:
+            if self._steps <= 0:
+                self._ahead.append(node)
+            return
+        plan = ways.plan()
+        weight = sum([self._cost[label] for label in plan])
+        if weight < self.enough:
+            self.enough, self.best = weight - self._step + 1, plan
+        if not node.leave_out(ways.labels_from(self.enough - node.bound)) or node.bound >= self.enough:
+            return
+        near = self._nearest(node)
+        if near:
+            label = min(near, key=lambda member: (node.residual[member], member not in plan, member))
+            taken = node.take(label)
+            if len(near) > 1 and node.leave_out([label]):
+                self._ahead.append(node)
+            self._ahead.append(taken)
+
+    def _tighten(self, node: _Node) -> Ways | None:
+        """Charge landmarks until the goal is free; None if no plan is good enough, or the steps are over."""
+        ways = Ways(self._links, node.residual)
+        while node.bound + ways.to_goal < self.enough:
+            self._steps -= 1
+            if not ways.to_goal:
+                return ways
+            if self._steps <= 0:
+                return None
+            members = ways.landmark()
+            node.landmarks.append((node.charge(members), members))
+            ways.lower(members)
+        return None
+
+    def _nearest(self, node: _Node) -> list[int]:
+        """Of the landmark with the fewest members that may be in a plan that is good enough, these members."""
+        residual, gap = node.residual, self.enough - node.bound
+        fewest, least, nearest = len(residual) + 1, int(NEVER), list[int]()
+        for weight, members in node.landmarks:
+            near = [member for member in members if residual[member] < gap]
+            if (len(near), weight) < (fewest, least):
+                fewest, least, nearest = len(near), weight, near
+        return nearest

@@ -1,0 +1,139 @@
+"""The cheapest ways to facts by h_max on plain lists, kept up to date while labels become cheaper.
+
+The same as `bounds.cheapest_way` for small cores, where arrays cost more to call than to fill. A label that is
+left out opens no way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from heapq import heappop, heappush
+
+from cfgplan.planners.cpsat.network import NEVER, Core
+
+LEFT_OUT = int(NEVER)
+"""What a label costs that is not to be had."""
+
+
+class Links:
+    """A core as plain lists."""
+
+    def __init__(self, core: Core) -> None:
+        labels, facts = range(core.goal + 1), range(len(core.givers))
+        self.goal = core.goal
+        self.needs = [core.needs.lists[label] for label in labels]
+        self.gives = [core.gives.lists[label] for label in labels]
+        self.givers = [core.givers.lists[fact] for fact in facts]
+        self.needed_by = [core.needed_by.lists[fact] for fact in facts]
+        self.missing = [len(needs) for needs in self.needs]
+        self.sources = [label for label in labels if not self.needs[label]]
+
+
+class Ways:
+    """What facts cost by their dearest chains, and labels before their own price; `price` is shared, not copied."""
+
+    def __init__(self, links: Links, price: list[int]) -> None:
+        self._links = links
+        self._price = price
+        self._facts = [LEFT_OUT] * len(links.givers)
+        self._before = [LEFT_OUT] * (links.goal + 1)
+        self._dearest = [-1] * (links.goal + 1)
+        self._giver = [-1] * len(links.givers)
+        self._derive()
+
+    @property
+    def to_goal(self) -> int:
+        return self._before[self._links.goal]
+
+    def _derive(self) -> None:
+        """From sources on, cheapest facts first (Dijkstra)."""
+        links, price, facts, before, dearest = self._links, self._price, self._facts, self._before, self._dearest
+        gives, needed_by, goal, giver = links.gives, links.needed_by, links.goal, self._giver
+        missing, ahead = links.missing[:], list[tuple[int, int]]()
+        for label in links.sources:
+            before[label] = 0
+            if label != goal:
+                cost = price[label]
+                for given in gives[label]:
+                    if cost < facts[given]:
+                        facts[given], giver[given] = cost, label
+                        heappush(ahead, (cost, given))
+        while ahead:
+            value, fact = heappop(ahead)
+            if value > facts[fact]:
+                continue
+            for label in needed_by[fact]:
+                missing[label] -= 1
+                if not missing[label]:
+                    before[label], dearest[label] = value, fact
+                    if label != goal:
+                        cost = value + price[label]
+                        for given in gives[label]:
+                            if cost < facts[given]:
+                                facts[given], giver[given] = cost, label
+                                heappush(ahead, (cost, given))
+
+    def lower(self, cheaper: Iterable[int]) -> None:
+        """Follow some labels that became cheaper, and all that becomes cheaper through them."""
+        links, price, facts, before, dearest = self._links, self._price, self._facts, self._before, self._dearest
+        gives, needs, needed_by, goal, giver = links.gives, links.needs, links.needed_by, links.goal, self._giver
+        ahead = list[tuple[int, int]]()
+        value_of = facts.__getitem__
+        for label in cheaper:
+            cost = before[label] + price[label]
+            for given in gives[label]:
+                if cost < facts[given]:
+                    facts[given], giver[given] = cost, label
+                    heappush(ahead, (cost, given))
+        while ahead:
+            value, fact = heappop(ahead)
+            if value > facts[fact]:
+                continue
+            for label in needed_by[fact]:
+                if dearest[label] == fact:
+                    dearest[label] = need = max(needs[label], key=value_of)
+                    if facts[need] < before[label]:
+                        before[label] = facts[need]
+                        if label != goal:
+                            cost = facts[need] + price[label]
+                            for given in gives[label]:
+                                if cost < facts[given]:
+                                    facts[given], giver[given] = cost, label
+                                    heappush(ahead, (cost, given))
+
+    def landmark(self) -> tuple[int, ...]:
+        """The labels that may enter first the zone from which the goal comes free by the dearest needs."""
+        links, price, before, dearest = self._links, self._price, self._before, self._dearest
+        givers, needed_by = links.givers, links.needed_by
+        zone = [dearest[links.goal]]
+        seen = set(zone)
+        members = set[int]()
+        for fact in zone:
+            members.update(givers[fact])
+            for label in givers[fact]:
+                if not price[label] and dearest[label] not in seen and before[label] < LEFT_OUT:
+                    seen.add(dearest[label])
+                    zone.append(dearest[label])
+        members.difference_update(*[needed_by[fact] for fact in zone])
+        return tuple([label for label in sorted(members) if price[label] < LEFT_OUT and before[label] < LEFT_OUT])
+
+    def plan(self) -> set[int]:
+        """The labels of the cheapest ways to the goal, which are grounded."""
+        needs, giver = self._links.needs, self._giver
+        ahead = list(needs[self._links.goal])
+        seen = set(ahead)
+        chosen = set[int]()
+        for fact in ahead:
+            label = giver[fact]
+            if label not in chosen:
+                chosen.add(label)
+                for need in needs[label]:
+                    if need not in seen:
+                        seen.add(need)
+                        ahead.append(need)
+        return chosen
+
+    def labels_from(self, cost: int) -> list[int]:
+        """The labels that cost at least so much together with the dearest chain before them."""
+        pairs = zip(self._price, self._before, strict=False)
+        return [label for label, (own, before) in enumerate(pairs) if own < LEFT_OUT and own + before >= cost]

@@ -1,0 +1,138 @@
+"""The search for small problems: its ways, its bounds and its answers against all sets of labels."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+from hypothesis import given
+from test_against_the_oracle import fewer
+from test_planners import make, world
+from test_preprocessing import Stage
+from worlds import problems
+
+from cfgplan.planners.cpsat import PlannerSession
+from cfgplan.planners.cpsat.bounds import cheapest_way
+from cfgplan.planners.cpsat.branching import Branching
+from cfgplan.planners.cpsat.clock import Clock
+from cfgplan.planners.cpsat.deciding import decided
+from cfgplan.planners.cpsat.greedy import is_plan
+from cfgplan.planners.cpsat.structure import Structure
+from cfgplan.planners.cpsat.ways import LEFT_OUT, Links, Ways
+from cfgplan.planners.cpsat.weighing import Weighing
+from cfgplan.planning import Problem, Status
+
+LIMIT = 10**9
+
+
+def all_plans(stage: Stage) -> list[set[int]]:
+    """The sets of labels that are plans."""
+    labels = range(len(stage.cost))
+    sets = (set(chosen) for size in range(len(stage.cost) + 1) for chosen in combinations(labels, size))
+    return [chosen for chosen in sets if is_plan(stage.network, chosen)]
+
+
+@fewer
+@given(problems(special=False))
+def test_ways_on_lists_cost_what_they_cost_on_arrays_also_after_labels_became_cheaper(problem: Problem) -> None:
+    stage = Stage(problem)
+    core, price = stage.network.core, stage.cost.tolist()
+    ways = Ways(Links(core), price)
+    for _ in range(3):
+        _, before = cheapest_way(core, np.array(price, np.int64))
+        assert ways.to_goal == before[-1]
+        assert set(ways.labels_from(5)) == set(np.flatnonzero(before[:-1] + np.array(price, np.int64) >= 5).tolist())
+        assert is_plan(stage.network, ways.plan())
+        cheaper = [label for label, cost in enumerate(price) if cost]
+        for label in cheaper:
+            price[label] -= 1
+        ways.lower(cheaper)
+
+
+@fewer
+@given(problems(special=False))
+def test_every_plan_without_what_is_left_out_has_a_label_of_the_landmark(problem: Problem) -> None:
+    stage = Stage(problem)
+    price = stage.cost.tolist()
+    plans = all_plans(stage)
+    for left_out in range(len(price)):
+        price[left_out] = LEFT_OUT
+        ways = Ways(Links(stage.network.core), price)
+        if 0 < ways.to_goal < LEFT_OUT:
+            members = ways.landmark()
+            assert all(price[label] for label in members)
+            assert all(not plan.isdisjoint(members) for plan in plans if left_out not in plan)
+        price[left_out] = int(stage.cost[left_out])
+
+
+@fewer
+@given(problems(special=False))
+def test_branching_finds_a_cheapest_plan_and_no_better_one_than_there_is(problem: Problem) -> None:
+    stage = Stage(problem)
+    least = min(int(stage.cost[list(plan)].sum()) for plan in all_plans(stage))
+    search = Branching(stage.network.core, stage.cost, LIMIT, 1, lambda: False)
+    assert search.run(10_000)
+    assert search.best is not None
+    assert is_plan(stage.network, search.best)
+    assert int(stage.cost[list(search.best)].sum()) == least
+    strict = Branching(stage.network.core, stage.cost, least, 1, lambda: False)
+    assert strict.run(10_000)
+    assert strict.best is None
+
+
+@fewer
+@given(problems(special=False))
+def test_a_search_step_by_step_ends_with_the_same_plan(problem: Problem) -> None:
+    stage = Stage(problem)
+    whole, parts = (Branching(stage.network.core, stage.cost, LIMIT, 1, lambda: False) for _ in range(2))
+    whole.run(10_000)
+    assert any(parts.run(2) for _ in range(10_000))
+    assert parts.best is not None
+    assert whole.best is not None
+    assert stage.cost[list(parts.best)].sum() == stage.cost[list(whole.best)].sum()
+
+
+@fewer
+@given(problems(special=False))
+def test_others_are_all_labels_of_plans_below_the_limit_but_those_of_one(problem: Problem) -> None:
+    stage = Stage(problem)
+    plans = all_plans(stage)
+    best = min(plans, key=lambda plan: (int(stage.cost[list(plan)].sum()), sorted(plan)))
+    for more in (1, 3):
+        limit = int(stage.cost[list(best)].sum()) + more
+        search = Branching(stage.network.core, stage.cost, limit, 1, lambda: False)
+        others = search.others(sorted(best), 10_000)
+        lean = [p for p in plans if not any(q < p for q in plans)]
+        below = [plan for plan in lean if int(stage.cost[list(plan)].sum()) < limit]
+        assert others is not None
+        assert others >= set().union(*below) - best
+
+
+@fewer
+@given(problems(special=False))
+def test_the_weight_of_labels_is_never_more_than_what_a_plan_costs_and_changes(problem: Problem) -> None:
+    stage = Stage(problem)
+    weighing = Weighing.with_changes(problem, stage.network, [])
+    changes = stage.plan.change_set
+    assert weighing is not None
+    assert changes is not None
+    key = (0, stage.plan.cost_us or 0, len(changes.rewired), len(changes.started))
+    weight = weighing.of_plan(np.array(sorted(stage.numbers(stage.used)), np.int64))
+    assert weight <= weighing.of_key(key)
+    assert weighing.cost_us(weighing.of_key(key)) == stage.plan.cost_us
+
+
+def test_a_small_problem_is_decided_without_the_solver_and_with_too_few_steps_by_it() -> None:
+    library = make("source", gives="A"), make("one", "A", "B", labor=2), make("two", gives="BC", labor=4)
+    problem = world("BC", *library, make("three", "A", "C"))
+    quick, thorough = PlannerSession().plan(problem), PlannerSession(steps=0).plan(problem)
+    assert quick.status is thorough.status is Status.OPTIMAL
+    assert quick.cost_us == thorough.cost_us
+    assert "nodes" in quick.counts
+    assert "rounds" not in quick.counts
+    structure = Structure.of(problem, None, Clock())
+    hasty, patient = (decided(problem, structure, steps, Clock(), None) for steps in (1, 100))
+    assert hasty is not None
+    assert patient is not None
+    assert not hasty.is_over
+    assert patient.is_over
