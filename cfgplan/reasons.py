@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import cached_property
 
 from cfgplan.domain import Environment, InputPort, Similarity, Transformation
 from cfgplan.planning import Problem
@@ -30,14 +31,24 @@ class Givers:
     """Which transformations have an output that may feed a demanded tag: the validity matrix by rows."""
 
     def __init__(self, library: Sequence[Transformation], similarity: Similarity) -> None:
-        self._offering: dict[str, list[str]] = defaultdict(list)
-        for transformation in library:
-            for port in transformation.outputs:
-                self._offering[port.tag].append(transformation.label)
+        self._library = library
         self._similarity = similarity
         self._rows: dict[str, tuple[str, ...]] = {}
         self.watch: Callable[[], None] = lambda: None
         """Called again and again during a closure, which it can end by an exception."""
+
+    def among(self, labels: Collection[str]) -> Givers:
+        """The same for a part of the library."""
+        return Givers([t for t in self._library if t.label in labels], self._similarity)
+
+    @cached_property
+    def _offering(self) -> Mapping[str, list[str]]:
+        """The labels of the transformations that offer a tag."""
+        offering: dict[str, list[str]] = defaultdict(list)
+        for transformation in self._library:
+            for port in transformation.outputs:
+                offering[port.tag].append(transformation.label)
+        return offering
 
     def of(self, tag: str) -> tuple[str, ...]:
         """The labels of the transformations that offer what `tag` demands, sorted."""
@@ -95,49 +106,59 @@ def assign_different(choices: Mapping[str, Collection[str]]) -> dict[str, str] |
 
 
 def forward_closure(environment: Environment, givers: Givers, alive: frozenset[str]) -> frozenset[str]:
-    """What can be fed, from sources on; feedback inputs may be fed by anything `alive`."""
-    waiting: dict[str, list[str]] = defaultdict(list)
-    missing: dict[str, int] = {}
-    ahead: list[str] = []
-    for label in sorted(alive):
-        givers.watch()
-        transformation = environment.transformation[label]
-        tags = {port.tag for port in transformation.inputs if not port.feedback}
-        fed_back = all(not alive.isdisjoint(givers.of(p.tag)) for p in transformation.inputs if p.feedback)
-        missing[label] = len(tags) + (0 if fed_back else 1)
-        for tag in tags:
-            waiting[tag].append(label)
-        if missing[label] == 0:
-            ahead.append(label)
+    """What can be fed, from sources on; feedback inputs may be fed by anything `alive`.
+
+    Each transformation waits for one input at a time, so that those that can never be fed are hardly looked at.
+    """
+    offered: set[str] = set()
+    fed: set[str] = set()
+    waiting: dict[str, list[Transformation]] = {}
     accepting: dict[str, list[str]] = defaultdict(list)
-    for tag in waiting:
-        givers.watch()
-        for offered in givers.accepted(tag):
-            accepting[offered].append(tag)
-    crowded = dict.fromkeys(label for label in sorted(alive) if distinct_groups(environment.transformation[label]))
+    ahead: list[Transformation] = []
+    crowded: list[Transformation] = []
     reached: set[str] = set()
-    while ahead:
+
+    def go_on(transformation: Transformation) -> None:
+        """Wait for the first input that is not fed; without one, be ready."""
+        for port in transformation.inputs:
+            tag = port.tag
+            if port.feedback:
+                if alive.isdisjoint(givers.of(tag)):
+                    return
+            elif tag in waiting:
+                waiting[tag].append(transformation)
+                return
+            elif tag not in fed:
+                accepted = givers.accepted(tag)
+                if offered.isdisjoint(accepted):
+                    waiting[tag] = [transformation]
+                    for each in accepted:
+                        accepting[each].append(tag)
+                    return
+                fed.add(tag)
+        (crowded if distinct_groups(transformation) else ahead).append(transformation)
+
+    for transformation in environment.library:
+        givers.watch()
+        if transformation.label in alive:
+            go_on(transformation)
+    while ahead or crowded:
         while ahead:
             givers.watch()
-            label = ahead.pop()
-            if label in reached or (
-                label in crowded and not _groups_can_be_fed(environment.transformation[label], givers, reached, alive)
-            ):
-                continue
-            reached.add(label)
-            for port in environment.transformation[label].outputs:
-                for tag in accepting.pop(port.tag, ()):
-                    for consumer in waiting.pop(tag, ()):
-                        missing[consumer] -= 1
-                        if missing[consumer] == 0:
-                            ahead.append(consumer)
-        ahead = [
-            label
-            for label in crowded
-            if missing[label] == 0
-            and label not in reached
-            and _groups_can_be_fed(environment.transformation[label], givers, reached, alive)
-        ]
+            transformation = ahead.pop()
+            reached.add(transformation.label)
+            for port in transformation.outputs:
+                if port.tag not in offered:
+                    offered.add(port.tag)
+                    for tag in accepting.pop(port.tag, ()):
+                        fed.add(tag)
+                        for consumer in waiting.pop(tag, ()):
+                            go_on(consumer)
+        ahead = [t for t in crowded if _groups_can_be_fed(t, givers, reached, alive)]
+        if not ahead:
+            break
+        ready = {t.label for t in ahead}
+        crowded = [t for t in crowded if t.label not in ready]
     return frozenset(reached)
 
 

@@ -59,3 +59,26 @@ def test_what_can_be_started_is_found_in_any_order_of_labels() -> None:
     environment = Environment(library=(*chain, make("w", "CD", "E")))
     givers = Givers(environment.library, Similarity({tag: frozenset(tag) for tag in "ABCDE"}))
     assert startable(environment, givers) == {"x", "y", "z"}
+
+
+def test_what_waits_for_several_inputs_is_started_when_the_last_of_them_is_fed() -> None:
+    last = [make("a", "BCD", "E"), make("b", "DCA", "B"), make("c", "A", "C"), make("d", "AC", "D"), make("e", "", "A")]
+    environment = Environment(library=tuple(last))
+    givers = Givers(environment.library, Similarity({tag: frozenset(tag) for tag in "ABCDE"}))
+    assert startable(environment, givers) == {"a", "b", "c", "d", "e"}
+    assert givers.among({"a", "c"}).of("E") == givers.of("E") == ("a",)
+    assert givers.among({"a", "c"}).of("A") == ()
+
+
+def test_fusions_that_rest_on_each_other_are_started_when_both_feeders_of_one_are_there() -> None:
+    library = (
+        make("one", "", "A"),
+        make("two", "", "A"),
+        make("near", "AA", "B", distinct="g"),
+        make("relay", "B", "B"),
+        make("far", "BB", "C", distinct="g"),
+        make("never", "CC", "D", distinct="g"),
+    )
+    environment = Environment(library=library)
+    givers = Givers(environment.library, Similarity({tag: frozenset(tag) for tag in "ABCDE"}))
+    assert startable(environment, givers) == {"one", "two", "near", "relay", "far"}

@@ -73,7 +73,7 @@ class PlannerSession:
             self._rest = None
         structure = self._structure
         if not structure.meets_targets:
-            reasons = unmet_reasons(problem, structure.givers, structure.possible)
+            reasons = unmet_reasons(problem, possible=structure.possible)
             return Plan("cpsat", Status.INFEASIBLE, reasons=reasons, seconds=clock.end("closure"))
         clock.end("closure")
         standing: Standing | None = None

@@ -17,7 +17,10 @@ from cfgplan.reasons import Givers, startable
 
 @dataclass
 class Structure:
-    """What depends on library, matching and targets alone, whatever runs and whatever it costs."""
+    """What depends on library, matching and targets alone, whatever runs and whatever it costs.
+
+    `possible` is what can be started at all, and `givers` are among these.
+    """
 
     environment: Environment
     similarity: Similarity
@@ -38,6 +41,8 @@ class Structure:
             givers = Givers(environment.library, problem.similarity)
             givers.watch = clock.check
             possible = startable(environment, givers)
+            givers = givers.among(possible)
+            givers.watch = clock.check
         clock.check()
         structure = cls(environment, problem.similarity, _pinned(environment), givers, possible)
         if structure.meets_targets:
