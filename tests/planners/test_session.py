@@ -85,25 +85,32 @@ def test_a_warm_session_is_as_good_as_a_cold_planner_through_any_changes(data: s
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
 )
 @given(st.data())
-def test_after_rest_every_failure_is_mended_as_well_as_a_cold_planner_does(data: st.DataObject) -> None:
+def test_after_rest_failures_and_moved_costs_are_answered_as_well_as_a_cold_planner_does(data: st.DataObject) -> None:
     session = PlannerSession()
-    problem = replace(data.draw(problems(most=8, special=data.draw(st.booleans()))), max_cost_us=None)
+    drawn = data.draw(problems(most=8, special=data.draw(st.booleans())))
+    none_required = tuple(replace(t, required=False) for t in drawn.environment.library)
+    problem = replace(drawn, environment=replace(drawn.environment, library=none_required), max_cost_us=None)
     first = session.plan(problem)
     if first.change_set is None:
         return
     running = replace(problem, environment=problem.environment.update(first.change_set))
     session.plan(running)
-    for _ in range(3):
+    for _ in range(4):
         dead = data.draw(st.sets(st.sampled_from([unit.id for unit in running.environment.units] or [""])))
         broken = replace(running, environment=running.environment.update(ChangeSet(stopped=tuple(dead - {""}))))
-        if data.draw(st.booleans()):
-            library = list(broken.environment.library)
-            dearer = data.draw(st.sampled_from(library))
-            library[library.index(dearer)] = replace(dearer, upkeep_us=dearer.upkeep_us + data.draw(st.integers(0, 3)))
-            broken = replace(broken, environment=replace(broken.environment, library=tuple(library)))
+        library = list(broken.environment.library)
+        for i in data.draw(st.sets(st.integers(0, len(library) - 1), max_size=data.draw(st.sampled_from([1, 8])))):
+            labor_us = max(0, library[i].labor_us + data.draw(st.integers(-2, 2)))
+            upkeep_us = max(0, library[i].upkeep_us + data.draw(st.integers(-3, 3)))
+            library[i] = replace(library[i], labor_us=labor_us, upkeep_us=upkeep_us)
+        broken = replace(broken, environment=replace(broken.environment, library=tuple(library)))
         warm = session.plan(broken)
         assert plan_violations(broken, warm) == []
         assert quality(warm) == quality(plan(broken))
+        if data.draw(st.booleans()):
+            assert warm.change_set is not None
+            running = replace(broken, environment=broken.environment.update(warm.change_set))
+            session.plan(running)
 
 
 def hard_problem(demands: int = 150) -> Problem:

@@ -135,11 +135,24 @@ class Bound:
         return int(np.sort(shares)[: crowd.least].sum())
 
     def at(self, cost: Ints) -> Bound:
-        """The bound at other costs, none of them lower."""
+        """The bound at other costs."""
         other = Bound(self.core, cost, list(self.landmarks), list(self.weights), self.value)
         other.residual = self.residual + (cost - self.cost)
+        if (other.residual < 0).any():
+            other._give_back_what_is_too_much()
         other.charge_what_is_left()
         return other
+
+    def _give_back_what_is_too_much(self) -> None:
+        """Charge the landmarks less that charge labels more than they cost."""
+        self.value = sum(weight * one.least for weight, one in zip(self.weights, self.landmarks, strict=True))
+        for i, landmark in enumerate(self.landmarks):
+            counts = 1 if landmark.crowd is None else landmark.crowd.counts
+            back = min(self.weights[i], max(0, -int((self.residual[landmark.members] // counts).min(initial=0))))
+            if back:
+                self.residual[landmark.members] += back * counts
+                self.weights[i] -= back
+                self.value -= back * landmark.least
 
     def restricted(self, keep: Flags) -> Bound:
         """The bound for plans with no labels but those flagged, by the landmarks that count."""

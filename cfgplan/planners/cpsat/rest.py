@@ -1,9 +1,9 @@
 """What a proven plan says about the plans after a small change.
 
-At rest nothing is to be changed: the plan runs, and no other is cheaper. Let some units die: their costs
-rise by their labor, all others stay. A plan that has all the dead ones rises as much as the plan at rest,
-so that none of these beats starting them again; any other lacks one of them, and landmarks, charged from
-where they stood at rest, mostly show that to be dearer.
+At rest nothing is to be changed: the plan runs, and no other is cheaper. Then costs change: a unit that dies costs
+its labor more, estimates move. A plan that has all labels of the plan at rest that got dearer, and no others that
+got cheaper, is no better than the plan at rest; any other lacks one of the former or has one of the latter, and
+landmarks, charged from where they stood at rest, mostly show that to be dearer.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from cfgplan.planners.cpsat.network import Ints
 from cfgplan.planners.cpsat.rivals import is_without_rival
 from cfgplan.planners.cpsat.tightening import tightened
 
-MOST_DEAD = 4
-"""With more dead units than this, a plan is made from the start."""
+MOST_CASES = 4
+"""With more labels than this that got dearer or cheaper, all plans are looked at together."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Rest:
 
     @classmethod
     def of(cls, plan: Ints, cost: Ints, limit: int, bound: Bound, clock: Clock) -> Rest:
-        """Look at a proven plan, its bound unrestricted, so that replanning can begin from it."""
+        """Look at a proven plan and a bound for plans that cost at most `limit`, so that replanning can begin there."""
         value = int(cost[plan].sum())
         bound = tightened(bound.restricted(bound.may_be_used(limit)), value, limit, clock)
         bound = bound.restricted(bound.may_be_used(limit))
@@ -67,30 +67,60 @@ class Rest:
             rivals = rivals[:0]
         return cls(plan, cost, limit, bound, rivals)
 
-    def is_below(self, cost: Ints) -> bool:
-        """Whether nothing costs less than at rest."""
-        return bool((cost >= self.cost).all())
+    def moved(self, plan: Ints, cost: Ints, limit: int, clock: Clock) -> Rest | None:
+        """The rest at other costs, for plans that cost at most `limit` or more; None if too little is known of them."""
+        known = self.limit_at(cost)
+        return Rest.of(plan, cost, known, self._bound_at(cost), clock) if limit <= known else None
 
-    def left(self, cost: Ints, plan: Ints, clock: Clock) -> Left | None:
-        """What may be in a plan as good as this one at these costs; None if they differ too much."""
-        change = cost - self.cost
+    def limit_at(self, cost: Ints) -> int:
+        """The limit of the bound at other costs: plans that cost no more cost no more than `limit` at rest."""
+        fallen = cost < self.cost
+        less = int((self.cost - cost)[fallen].sum())
+        share = float((cost[fallen] / self.cost[fallen]).min(initial=1.0))
+        return max(self.limit - less, int(self.limit * share * (1 - 1e-9)) if share else -1)
+
+    def left(self, cost: Ints, step: int, plan: Ints, clock: Clock) -> Left | None:
+        """What may be in a plan as good as this one at these costs; None if they differ too much.
+
+        The costs of all plans are multiples of `step`.
+        """
         limit = int(cost[plan].sum())
-        risen = self.plan[change[self.plan] > 0]
-        if not self.is_below(cost) or limit > self.limit or len(risen) > MOST_DEAD:
+        if limit > self.limit_at(cost):
             return None
-        lefts = [self._without(label, cost, limit, clock) for label in risen.tolist()]
-        with_all = int(self.cost[self.plan].sum() + change[risen].sum())
-        if with_all <= limit:
-            lefts.append(Left(np.union1d(self.plan, self.rivals), with_all, []))
+        bound = self._bound_at(cost)
+        dearer = self.plan[cost[self.plan] > self.cost[self.plan]]
+        others = np.setdiff1d(bound.core.labels, self.plan)
+        cheaper = others[cost[others] < self.cost[others]]
+        if len(dearer) + len(cheaper) > MOST_CASES:
+            return Left.by(tightened(bound, limit - step + 1, limit, clock), limit)
+        lefts = [_without(label, bound, limit, clock) for label in dearer.tolist()]
+        lefts += [_with(label, bound, limit, clock) for label in cheaper.tolist()]
+        value = int(cost[self.plan].sum())
+        if value <= limit:
+            lefts.append(Left(np.union1d(self.plan, self.rivals), value, []))
         return Left(
             np.unique(np.concatenate([one.labels for one in lefts])),
             min(one.value for one in lefts),
-            lefts[0].landmarks if len(lefts) == 1 else Left.by(self.bound, self.limit).landmarks,
+            lefts[0].landmarks if len(lefts) == 1 else Left.by(bound, limit).landmarks,
         )
 
-    def _without(self, label: int, cost: Ints, limit: int, clock: Clock) -> Left:
-        """What may be in a plan that lacks a label of the plan at rest and costs at most `limit`."""
-        labels = self.bound.core.labels
-        bound = self.bound.at(np.where(labels == label, np.maximum(limit + 1, cost[labels]), cost[labels]))
-        bound = tightened(bound, limit + 1, limit, clock)
-        return Left.by(bound, limit)
+    def _bound_at(self, cost: Ints) -> Bound:
+        return self.bound.at(cost[self.bound.core.labels])
+
+
+def _without(label: int, bound: Bound, limit: int, clock: Clock) -> Left:
+    """What may be in a plan that lacks a label and costs at most `limit`."""
+    cost = np.where(bound.core.labels == label, np.maximum(limit + 1, bound.cost), bound.cost)
+    return Left.by(tightened(bound.at(cost), limit + 1, limit, clock), limit)
+
+
+def _with(label: int, bound: Bound, limit: int, clock: Clock) -> Left:
+    """What may be in a plan that has a label and costs at most `limit`: the label is paid, and then free."""
+    is_it = bound.core.labels == label
+    own = int(bound.cost[is_it][0])
+    if not bound.may_be_used(limit)[is_it][0]:
+        return Left(bound.core.labels[:0], limit + 1, [])
+    for_others = limit - own
+    free = bound.at(np.where(is_it, 0, bound.cost))
+    left = Left.by(tightened(free, for_others + 1, for_others, clock), for_others)
+    return Left(np.union1d(left.labels, [label]), left.value + own, left.landmarks)

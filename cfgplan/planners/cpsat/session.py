@@ -34,6 +34,8 @@ ATTEMPTS = 30
 """How many members of the first plan are tried to be done without."""
 SMALL = 1500
 """With fewer labels left than this the solver is tried before bounds are raised further."""
+ROOM = 1.05
+"""How much dearer plans may be that are known at rest than any that one failure calls for."""
 LEAST_S, SLICE_S, CLOSING_S = 0.1, 1e-4, 3e-5
 """The engine's own seconds for this, at least and for the number of labels to the power of 1.5; and about how many
 seconds bounds are raised then.
@@ -150,7 +152,7 @@ class PlannerSession:
         if plan is not None and weighing.counts_starts and weighing.of_plan(plan) == quick:
             left = Left(plan, quick, [])
         elif plan is not None and self._rest is not None and not weighing.counts_starts:
-            left = self._rest.left(weighing.weight, plan, clock)
+            left = self._rest.left(weighing.weight, weighing.step, plan, clock)
         preparation = Preparation(structure, weighing, plan, left, quick)
         if left is None:
             preparation.begin(bound or _known_bound(structure, weighing), clock)
@@ -191,7 +193,7 @@ class PlannerSession:
         """
         network, cost = structure.network, weighing.weight
         known = set(network.pinned)
-        if self._rest is not None and self._rest.is_below(cost):
+        if self._rest is not None:
             known |= set(self._rest.plan.tolist())
         else:
             known |= {network.number[label] for label in self._last if label in network.number}
@@ -220,10 +222,13 @@ class PlannerSession:
             return
         library = problem.environment.transformation
         dearest = max((library[network.labels[i]].labor_us for i in plan.tolist()), default=0)
-        landmarks, weights = structure.landmarks()
-        bound = Bound(network.core, cost, landmarks)
-        bound.recharge(weights)
-        self._rest = Rest.of(plan, cost, int(cost[plan].sum()) + dearest, bound, clock)
+        limit = int(cost[plan].sum()) + dearest
+        self._rest = self._rest and self._rest.moved(plan, cost, limit, clock)
+        if self._rest is None:
+            landmarks, weights = structure.landmarks()
+            bound = Bound(network.core, cost, landmarks)
+            bound.recharge(weights)
+            self._rest = Rest.of(plan, cost, int(ROOM * limit), bound, clock)
 
 
 def _known_bound(structure: Structure, weighing: Weighing) -> Bound:
