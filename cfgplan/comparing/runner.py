@@ -205,7 +205,10 @@ def _run_process(task: str, limit_s: float) -> tuple[str, str, int | None]:
 
 
 def _parsed(out: str) -> tuple[list[Point], dict[str, Any] | None]:
-    """The progress and the answer, if one came; a line that was cut short is passed over."""
+    """The progress, that of the run that is answered for, and the answer, if one came.
+
+    A line that was cut short is passed over.
+    """
     trace: list[Point] = []
     for line in out.splitlines():
         try:
@@ -213,7 +216,8 @@ def _parsed(out: str) -> tuple[list[Point], dict[str, Any] | None]:
         except ValueError:
             continue
         if isinstance(data, dict):
-            return trace, data
+            told = data.get("trace", trace)
+            return [(round(when, 6), cost, bound) for when, cost, bound in told], data
         trace.append((round(data[0], 6), data[1], data[2]))
     return trace, None
 

@@ -35,6 +35,7 @@ from cfgplan.planning import Plan, Problem, Progress, Status
 SMALL = generated("adversarial", kind="dedicated", size=3)
 LIMITS = Limits(time_limit_s=20)
 Report = Callable[[Progress], None] | None
+TURNS_S = (0.03, 0.01, 0.02, 0.08, 0.05)
 
 
 def hangs(_: Problem, *, report: Report = None, **__: object) -> Plan:
@@ -62,6 +63,21 @@ def takes_long_at_first(_: Problem, **__: object) -> Plan:
         os.environ["LOADED"] = "yes"
         return Plan("loads", Status.UNKNOWN)
     return Plan("is loaded", Status.INFEASIBLE)
+
+
+def takes_turns(_: Problem, *, report: Report = None, turns: tuple[float, ...] = TURNS_S, **__: object) -> Plan:
+    """Takes as long as it is its turn, and says whose turn it was."""
+    if report is None:
+        return Plan("warms up", Status.UNKNOWN)
+    turn = int(os.environ.get("TURN", "0"))
+    os.environ["TURN"] = str(turn + 1)
+    time.sleep(turns[turn])
+    report(Progress(0.0, None, turn))
+    return Plan("takes turns", Status.UNKNOWN, bound_us=turn)
+
+
+def is_slow(problem: Problem, *, report: Report = None, **_: object) -> Plan:
+    return takes_turns(problem, report=report, turns=(0.15, 0.01, 0.01, 0.01, 0.01))
 
 
 def lies(problem: Problem, **_: object) -> Plan:
@@ -103,6 +119,20 @@ def test_a_planner_that_hangs_is_killed_and_what_it_had_found_is_kept() -> None:
 
 def test_what_a_planner_does_at_its_first_call_is_not_counted() -> None:
     assert run_one(SMALL, own("takes_long_at_first"), LIMITS).outcome == Status.INFEASIBLE
+
+
+def test_a_short_run_is_repeated_and_the_median_one_is_told() -> None:
+    row = run_one(SMALL, own("takes_turns"), LIMITS)
+    assert row.bound_us == 0
+    assert [bound for _, _, bound in row.trace] == [0]
+    assert row.total_s is not None
+    assert row.total_s >= 0.03
+
+
+def test_a_longer_run_is_made_once() -> None:
+    row = run_one(SMALL, own("is_slow"), LIMITS)
+    assert row.total_s is not None
+    assert row.total_s >= 0.15
 
 
 def test_a_crash_is_a_row() -> None:
