@@ -14,6 +14,7 @@ from test_preprocessing import Stage
 from worlds import fusions
 
 from cfgplan.planners.cpsat.bounds import Bound, cheapest_way
+from cfgplan.planners.cpsat.chains import chained_bound
 from cfgplan.planners.cpsat.clock import Clock
 from cfgplan.planners.cpsat.greedy import first_plan, is_plan
 from cfgplan.planners.cpsat.landmarks import Landmark
@@ -87,7 +88,8 @@ def test_bounds_by_them_do_not_exceed_the_optimum_and_fixing_keeps_cheap_plans(p
     bound.recharge_best(None)
     assert before <= bound.value <= optimum
     assert (bound.residual >= 0).all()
-    assert int(cheapest_way(stage.network.core, stage.cost)[1][-1]) <= optimum
+    dearest = int(cheapest_way(stage.network.core, stage.cost)[1][-1])
+    assert dearest <= chained_bound(stage.network.core, stage.cost) <= optimum
     without = bound.without()
     dearer = bound.at(stage.cost + 1)
     for plan in plans(stage, problem):

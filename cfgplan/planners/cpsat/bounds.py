@@ -13,7 +13,7 @@ from heapq import nsmallest
 
 import numpy as np
 
-from cfgplan.planners.cpsat.charging import best_weights
+from cfgplan.planners.cpsat.charging import best_weights, spread
 from cfgplan.planners.cpsat.landmarks import Crowd, Landmark, ways_into
 from cfgplan.planners.cpsat.network import NEVER, Core, Flags, Ints
 
@@ -80,9 +80,13 @@ class Bound:
 
     def recharge_best(self, time_limit_s: float | None) -> None:
         """Charge all landmarks anew in the best way that is found in time, unless rounding makes it worse."""
-        before, weights = self.value, self.weights
-        self.recharge(best_weights(self.landmarks, self.cost, time_limit_s) or weights)
+        before, landmarks, weights = self.value, self.landmarks, self.weights
+        best = best_weights(landmarks, self.cost, time_limit_s)
+        if best and self.core.crowds is not None:
+            self.landmarks, best = spread(landmarks, best, self.cost)
+        self.recharge(best or weights)
         if self.value < before:
+            self.landmarks = landmarks
             self.recharge(weights)
 
     def improve(self, enough: int, most: int, is_over: Callable[[], bool]) -> None:
@@ -117,8 +121,7 @@ class Bound:
         for landmark in self.landmarks:
             members: list[int] = landmark.members.tolist()
             if landmark.crowd is not None:
-                for label in members:
-                    others = self._least_in_place_of(label, landmark.members, landmark.crowd)
+                for label, others in self._least_in_place(landmark, landmark.crowd).items():
                     least[label] = max(least.get(label, 0), self.value + others)
                 continue
             first, second = nsmallest(2, [*(residual[label] for label in members), int(NEVER), int(NEVER)])
@@ -127,12 +130,17 @@ class Bound:
                 least[label] = max(least.get(label, 0), self.value + others)
         return least
 
-    def _least_in_place_of(self, label: int, members: Ints, crowd: Crowd) -> int:
-        """What is left at least of the costs of other members of a landmark that count enough."""
-        shares = np.repeat(self.residual[members] // crowd.counts, np.where(members == label, 0, crowd.counts))
-        if len(shares) < crowd.least:
-            return int(NEVER)
-        return int(np.sort(shares)[: crowd.least].sum())
+    def _least_in_place(self, landmark: Landmark, crowd: Crowd) -> dict[int, int]:
+        """For each member what is left at least of the costs of other members that count enough."""
+        shares = np.repeat(self.residual[landmark.members] // crowd.counts, crowd.counts)
+        order = np.argsort(shares, kind="stable")
+        owners, cheapest = landmark.counted[order].tolist(), shares[order].tolist()
+        whole = sum(cheapest[: crowd.least])
+        least = dict.fromkeys(owners, whole)
+        for label in set(owners[: crowd.least]):
+            others = [share for share, owner in zip(cheapest, owners, strict=True) if owner != label]
+            least[label] = sum(others[: crowd.least]) if len(others) >= crowd.least else int(NEVER)
+        return least
 
     def at(self, cost: Ints) -> Bound:
         """The bound at other costs."""

@@ -26,7 +26,9 @@ def chained_bound(core: Core, cost: Ints) -> int:
         value = min(value + level, int(NEVER))
         if level == 0 or value == NEVER:
             break
-        residual -= _charges(core, facts, before, end)
+        charges = _charges(core, facts, before, end)
+        # A label that is there before others that a fact takes is charged no more than it has left.
+        residual -= charges if core.crowds is None else np.minimum(charges, residual)
         facts, before = cheapest_way(core, residual, facts)
     return value
 

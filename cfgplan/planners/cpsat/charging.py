@@ -6,6 +6,8 @@ import time
 from collections.abc import Sequence
 from math import floor
 
+import numpy as np
+
 from cfgplan.planners.cpsat.landmarks import Landmark
 from cfgplan.planners.cpsat.network import Ints
 
@@ -14,15 +16,17 @@ BUILDING_S = 3e-6
 
 
 def best_weights(landmarks: Sequence[Landmark], cost: Ints, time_limit_s: float | None) -> list[int]:
-    """How much to charge each landmark so that no label is charged more than it costs and the bound is greatest.
+    """How much to charge each landmark so that the bound is greatest.
 
-    Rounded down, so that it is exact whatever the engine's tolerance; empty if the engine fails or the time is over.
+    No label is charged more than it costs, except that landmarks that demand several members may charge labels more:
+    that is not gained (`spread`). Rounded down; empty if the engine fails or the time is over.
     """
     members = [landmark.counted for landmark in landmarks]
     if not members or (time_limit_s is not None and sum(map(len, members)) * BUILDING_S > time_limit_s):
         return []
-    shares = _cheapest_of_alike(members, cost)
-    if all(len(charging) == 1 for charging in shares):
+    several = {i for i, landmark in enumerate(landmarks) if landmark.least > 1}
+    shares = _cheapest_of_alike(members, cost, several)
+    if not several and all(len(charging) == 1 for charging, _ in shares):
         return [int(cost[labels].min()) for labels in members]
     from ortools.linear_solver import pywraplp  # type: ignore[import-untyped]
 
@@ -30,15 +34,20 @@ def best_weights(landmarks: Sequence[Landmark], cost: Ints, time_limit_s: float 
     solver = pywraplp.Solver.CreateSolver("GLOP")
     solver.SuppressOutput()
     unit = float(max(1, cost.max()))
-    weights = [solver.NumVar(0.0, float(cost[labels].min()) / unit, "") for labels in members]
+    most = [int(cost[labels].max() if i in several else cost[labels].min()) for i, labels in enumerate(members)]
+    weights = [solver.NumVar(0.0, each / unit, "") for each in most]
     objective = solver.Objective()
     objective.SetMaximization()
     for weight, landmark in zip(weights, landmarks, strict=True):
         objective.SetCoefficient(weight, float(landmark.least))
-    for charging, least in shares.items():
+    for charging, least in shares:
         row = solver.RowConstraint(-solver.infinity(), least / unit, "")
         for i in charging:
             row.SetCoefficient(weights[i], 1.0 if landmarks[i].crowd is None else float(charging.count(i)))
+        if not several.isdisjoint(charging):
+            too_much = solver.NumVar(0.0, solver.infinity(), "")
+            row.SetCoefficient(too_much, -1.0)
+            objective.SetCoefficient(too_much, -1.0)
     if time_limit_s is not None:
         solver.SetTimeLimit(1 + int(900 * max(0.0, time_limit_s - (time.monotonic() - began))))
     if solver.Solve() != pywraplp.Solver.OPTIMAL:
@@ -46,14 +55,47 @@ def best_weights(landmarks: Sequence[Landmark], cost: Ints, time_limit_s: float 
     return [max(0, floor(weight.solution_value() * unit)) for weight in weights]
 
 
-def _cheapest_of_alike(members: list[Ints], cost: Ints) -> dict[tuple[int, ...], int]:
-    """Which landmarks charge a label, each as often as it counts; the least cost of the labels charged just so."""
+def spread(landmarks: Sequence[Landmark], weights: Sequence[int], cost: Ints) -> tuple[list[Landmark], list[int]]:
+    """The landmarks and more of them, charged so that labels are not charged more than they cost.
+
+    A label that is counts as there in a part of the landmarks that demand several members.
+    """
+    landmarks, weights = list(landmarks), list(weights)
+    charged = np.zeros_like(cost)
+    for landmark, weight in zip(landmarks, weights, strict=True):
+        np.add.at(charged, landmark.counted, weight)
+    number = {landmark.key: i for i, landmark in enumerate(landmarks) if landmark.crowd is not None}
+    for label in np.flatnonzero(charged > cost).tolist():
+        too_much = int(charged[label] - cost[label])
+        for i in [i for i, one in enumerate(landmarks) if one.least > 1 and weights[i] and label in one.members]:
+            other = landmarks[i].sparing(label)
+            count = int((landmarks[i].counted == label).sum())
+            moved = min(weights[i], -(-too_much // count))
+            if other is not None and moved > 0:
+                weights[i] -= moved
+                too_much -= moved * count
+                if number.setdefault(other.key, len(landmarks)) == len(landmarks):
+                    landmarks.append(other)
+                    weights.append(0)
+                weights[number[other.key]] += moved
+    return landmarks, weights
+
+
+def _cheapest_of_alike(members: list[Ints], cost: Ints, several: set[int]) -> list[tuple[tuple[int, ...], int]]:
+    """Which landmarks charge a label, each as often as it counts, and the least cost of the labels charged just so.
+
+    Labels that landmarks charge that demand several members are not put together.
+    """
     charging: dict[int, list[int]] = {}
     for i, labels in enumerate(members):
         for label in labels.tolist():
             charging.setdefault(label, []).append(i)
     least: dict[tuple[int, ...], int] = {}
+    apart: list[tuple[tuple[int, ...], int]] = []
     for label, landmarks in charging.items():
         alike = tuple(landmarks)
-        least[alike] = min(least.get(alike, int(cost[label])), int(cost[label]))
-    return least
+        if several and not several.isdisjoint(alike):
+            apart.append((alike, int(cost[label])))
+        else:
+            least[alike] = min(least.get(alike, int(cost[label])), int(cost[label]))
+    return [*least.items(), *apart]

@@ -37,6 +37,7 @@ class Crowds:
         self.facts = facts
         most = max(*map(len, givers), *takes)
         self._givers = np.array([row + [labels] * (most - len(row)) for row in givers])
+        self._is_padded = bool((self._givers == labels).any())
         self._places = np.arange(len(takes)), np.array(takes) - 1
 
     def least(self, of_label: npt.NDArray[Number]) -> npt.NDArray[Number]:
@@ -50,7 +51,9 @@ class Crowds:
         return sums
 
     def _sorted(self, of_label: npt.NDArray[Number]) -> npt.NDArray[Number]:
-        never = np.inf if of_label.dtype == np.float64 else np.iinfo(np.int64).max
-        values: npt.NDArray[Number] = np.append(of_label, np.array(never, of_label.dtype))[self._givers]
+        if self._is_padded:
+            never = np.inf if of_label.dtype == np.float64 else np.iinfo(np.int64).max
+            of_label = np.append(of_label, np.array(never, of_label.dtype))
+        values: npt.NDArray[Number] = of_label[self._givers]
         values.sort(axis=1)
         return values

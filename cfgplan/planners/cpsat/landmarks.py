@@ -2,7 +2,7 @@
 
 For any set of facts (a *zone*) with something that the goal needs, every plan has a transformation that offers a
 fact of the zone and needs none of it: the first to enter. If a fact takes several givers, as many of them have
-entered before anything can need it. Of these some may count as *there* already, so that the others must be the
+entered before anything can need it. Some may count as *there* already, so that the others must be the
 fewer; and one that enters may be replaced by those that enter the zone *behind* it, a zone with something that it
 needs.
 """
@@ -27,13 +27,14 @@ NOTHING: Zones = MappingProxyType({})
 class Crowd:
     """What a landmark demands if its members count differently: those of a plan count at least `least` together.
 
-    `there` and `behind` are how it was made.
+    `there`, `behind` and `most` are how it was made.
     """
 
     least: int
     counts: Ints
     there: frozenset[int]
     behind: Zones
+    most: int
 
     def renumbered(self, counts: Ints, label: Ints, fact: Ints) -> Crowd:
         """The crowd with the numbers that labels and facts have in a part of the core or in the whole; -1 for none."""
@@ -43,12 +44,12 @@ class Crowd:
             for i, zone in self.behind.items()
             if label[i] >= 0
         }
-        return Crowd(self.least, counts, there, behind)
+        return Crowd(self.least, counts, there, behind, self.most)
 
     @property
     def key(self) -> tuple[object, ...]:
         """Equal for those that are made equally."""
-        return self.least, self.there, tuple((label, tuple(zone)) for label, zone in self.behind.items())
+        return self.most, self.there, tuple((label, tuple(zone)) for label, zone in self.behind.items())
 
 
 @dataclass(frozen=True)
@@ -85,6 +86,16 @@ class Landmark:
             return float(fractions[self.members].sum())
         return float(fractions[self.members] @ self.crowd.counts) / self.crowd.least
 
+    def sparing(self, member: int) -> Landmark | None:
+        """The landmark where the member counts as there; None if nothing more is demanded then."""
+        if self.crowd is None:
+            return None
+        crowd, others = self.crowd, self.members != member
+        least = crowd.least - int(crowd.counts[~others].sum())
+        there = crowd.there | {member}
+        left = Crowd(least, np.minimum(crowd.counts[others], least), there, crowd.behind, crowd.most)
+        return Landmark(self.zone, self.members[others], left) if least > 0 else None
+
     def outside(self, part: Core) -> Landmark:
         """The landmark of a part of a core with the numbers of the whole; its members are those in the part."""
         crowd = self.crowd and self.crowd.renumbered(self.crowd.counts, part.labels, part.facts)
@@ -95,7 +106,7 @@ class Landmark:
         crowd = self.crowd
         if crowd is None:
             return landmark_of(core, self.zone.tolist())
-        return landmark_of(core, self.zone.tolist(), crowd.there, crowd.behind, crowd.least)
+        return landmark_of(core, self.zone.tolist(), crowd.there, crowd.behind, crowd.most)
 
 
 def landmark_of(
@@ -123,8 +134,12 @@ def landmark_of(
         ways = [_ways_to(core, behind[label], late, there) if label in behind else {label} for label in labels]
         for way, times in Counter(chain.from_iterable(ways)).items():
             counts[way] = max(counts.get(way, 0), min(times * -(-least // takes), least))
+    for label in sorted(there & counts.keys()):
+        if counts[label] < least:
+            least -= counts.pop(label)
     members_in_order = sorted(counts)
-    crowd = Crowd(least, np.array([counts[label] for label in members_in_order], np.int64), there, behind)
+    counts_in_order = [min(counts[label], least) for label in members_in_order]
+    crowd = Crowd(least, np.array(counts_in_order, np.int64), there, behind, most)
     return Landmark(np.array(facts, np.int64), np.array(members_in_order, np.int64), crowd)
 
 

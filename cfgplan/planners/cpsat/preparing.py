@@ -10,6 +10,7 @@ import numpy as np
 from cfgplan.planners.cpsat.bounds import Bound
 from cfgplan.planners.cpsat.clock import Clock
 from cfgplan.planners.cpsat.closing import Closing
+from cfgplan.planners.cpsat.greedy import FREE, plan_at
 from cfgplan.planners.cpsat.network import Ints
 from cfgplan.planners.cpsat.prepared import Prepared
 from cfgplan.planners.cpsat.rest import Left
@@ -40,10 +41,22 @@ class Preparation:
         weighing, plan = self._weighing, self._plan
         limit = int(weighing.weight.sum()) if plan is None else weighing.of_plan(plan)
         bound = tightened(bound, limit - weighing.step + 1, limit, clock)
+        if plan is not None and bound.value <= limit - weighing.step and bound.core.crowds is not None:
+            self._plan = plan = self._at_what_is_left(bound, plan)
+            limit = weighing.of_plan(plan)
         self._structure.remember(bound, weighing.scale)
         self._left = Left.by(bound, limit)
         if plan is not None and weighing.least(max(bound.value, self._least)) < limit:
             self._closing = Closing(self._structure.network, bound, weighing.weight, plan, weighing.step)
+
+    def _at_what_is_left(self, bound: Bound, plan: Ints) -> Ints:
+        """The plan, or a cheaper one made of labels that landmarks charge all they cost, as far as possible."""
+        network, weight = self._structure.network, self._weighing.weight
+        price = np.full(len(weight), np.inf)
+        price[bound.core.labels] = bound.residual + FREE
+        found = plan_at(network, weight, price)
+        other = plan if found is None else np.array(sorted(found), np.int64)
+        return min(plan, other, key=self._weighing.of_plan)
 
     @property
     def may_go_on(self) -> bool:
