@@ -1,5 +1,6 @@
-"""Replanning after failures: `python experiments/planning/benchmark.py` writes `replan.md` beside this file.
+"""Replanning: `python experiments/planning/benchmark.py replan` and `... changes` write the tables beside this file.
 
+`replan` is what a manager does after each failure, `changes` all that may happen to a running configuration.
 `--limit` is the time for each plan in seconds. Times are CPU seconds of the planning process, all threads together,
 because the machine may be shared.
 """
@@ -10,20 +11,29 @@ import argparse
 import multiprocessing
 import random
 import statistics
+import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
+from typing import TypeVar
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from changes import CHANGES
 
 from cfgplan.comparing.families.random_library import random_library
-from cfgplan.domain import ChangeSet
 from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planning import Plan, Problem
 
+Found = TypeVar("Found")
 HERE = Path(__file__).parent
 SEEDS = (0, 1)
+SAMPLES = 15
+"""So many changes of each kind are tried from each configuration."""
 
-REPLAN: dict[str, dict[str, float]] = {
+FAMILIES: dict[str, dict[str, float]] = {
     "50, 3 targets": {"transformations": 50, "targets": 3},
     "500, 8 targets": {"transformations": 500, "targets": 8},
     "1,000, 60 targets": {"transformations": 1000, "targets": 60},
@@ -31,7 +41,7 @@ REPLAN: dict[str, dict[str, float]] = {
 }
 
 
-def in_own_process(work: Callable[..., str], *arguments: object) -> str:
+def in_own_process(work: Callable[..., Found], *arguments: object) -> Found:
     with multiprocessing.get_context("fork").Pool(1) as pool:
         return pool.apply(work, arguments)
 
@@ -40,48 +50,85 @@ def replan(limit_s: float) -> Iterator[str]:
     """Every running unit dies once, in random order, each time from the same optimal configuration."""
     yield "| family | seed | units | first plan, CPU s | median ms | p99 ms | not proven | solver not called |"
     yield "|---|---|---|---|---|---|---|---|"
-    for family, parameters in REPLAN.items():
+    for family, parameters in FAMILIES.items():
         for seed in SEEDS:
             yield f"| {family} | {seed} | {in_own_process(replanned, seed, parameters, limit_s)} |"
 
 
 def replanned(seed: int, parameters: dict[str, float], limit_s: float) -> str:
     session = PlannerSession()
-    problem = random_library(seed, **parameters)  # type: ignore[arg-type]
-    began = time.process_time()
-    problem = after(problem, session.plan(problem, time_limit_s=10 * limit_s))
-    first_s = time.process_time() - began
-    while True:  # a manager plans once more when an update is done, until nothing changes
-        found = session.plan(problem, time_limit_s=limit_s)
-        if not found.change_set:
-            break
-        problem = after(problem, found)
-    units = [unit.id for unit in problem.environment.units]
-    random.Random(seed).shuffle(units)
+    problem, first_s = at_rest(session, seed, parameters, limit_s)
     times_ms, plans = [], []
-    for unit in units:
-        broken = replace(problem, environment=problem.environment.update(ChangeSet(stopped=(unit,))))
-        began = time.process_time()
-        plans.append(session.plan(broken, time_limit_s=limit_s))
-        times_ms.append(1000 * (time.process_time() - began))
+    for environment in CHANGES["a unit dies"](problem, random.Random(seed)):
+        found, took_ms = timed(session, replace(problem, environment=environment), limit_s)
+        plans.append(found)
+        times_ms.append(took_ms)
     unproven = sum(found.status != "optimal" for found in plans)
     shortcut = sum("rounds" not in found.counts for found in plans)
-    p99_ms = sorted(times_ms)[min(len(times_ms) - 1, int(0.99 * len(times_ms)))]
-    median_ms = statistics.median(times_ms)
-    return f"{len(units)} | {first_s:.2f} | {median_ms:.1f} | {p99_ms:.1f} | {unproven} | {shortcut} of {len(plans)}"
+    median, p99 = statistics.median(times_ms), p99_of(times_ms)
+    return f"{len(plans)} | {first_s:.2f} | {median:.1f} | {p99:.1f} | {unproven} | {shortcut} of {len(plans)}"
 
 
-def after(problem: Problem, found: Plan) -> Problem:
-    assert found.change_set is not None
-    return replace(problem, environment=problem.environment.update(found.change_set))
+def changes(limit_s: float) -> Iterator[str]:
+    """Median and p99 in ms for each kind of change; in between, the session sees the old configuration again."""
+    yield f"| median / p99 ms | {' | '.join(FAMILIES)} |"
+    yield f"|---|{'---|' * len(FAMILIES)}"
+    times_ms = {
+        family: [in_own_process(changed, seed, parameters, limit_s) for seed in SEEDS]
+        for family, parameters in FAMILIES.items()
+    }
+    for kind in CHANGES:
+        both = ([ms for one in times_ms[family] for ms in one[kind]] for family in FAMILIES)
+        yield f"| {kind} | {' | '.join(f'{statistics.median(ms):.1f} / {p99_of(ms):.1f}' for ms in both)} |"
+
+
+def changed(seed: int, parameters: dict[str, float], limit_s: float) -> dict[str, list[float]]:
+    import cfgplan.planners.cpsat.search  # noqa: F401 - the solver's import is not to be measured
+
+    session = PlannerSession()
+    problem, _ = at_rest(session, seed, parameters, limit_s)
+    times_ms: dict[str, list[float]] = {kind: [] for kind in CHANGES}
+    for kind, change in CHANGES.items():
+        for environment in islice(change(problem, random.Random(seed)), SAMPLES):
+            times_ms[kind].append(timed(session, replace(problem, environment=environment), limit_s)[1])
+            session.plan(problem, time_limit_s=limit_s)
+    return times_ms
+
+
+def at_rest(session: PlannerSession, seed: int, parameters: dict[str, float], limit_s: float) -> tuple[Problem, float]:
+    """A problem whose best configuration runs, and the CPU seconds of the first plan.
+
+    As a manager does, the session plans once more when an update is done, until nothing changes.
+    """
+    problem = random_library(seed, **parameters)  # type: ignore[arg-type]
+    found, first_ms = timed(session, problem, 10 * limit_s)
+    while found.change_set:
+        problem = replace(problem, environment=problem.environment.update(found.change_set))
+        found = session.plan(problem, time_limit_s=limit_s)
+    return problem, first_ms / 1000
+
+
+def timed(session: PlannerSession, problem: Problem, limit_s: float) -> tuple[Plan, float]:
+    """A plan and its CPU milliseconds, with those of the look at what will be needed if nothing is to be changed."""
+    began = time.process_time()
+    found = session.plan(problem, time_limit_s=limit_s)
+    return found, 1000 * (time.process_time() - began)
+
+
+def p99_of(times_ms: list[float]) -> float:
+    return sorted(times_ms)[min(len(times_ms) - 1, int(0.99 * len(times_ms)))]
+
+
+TABLES: dict[str, Callable[[float], Iterator[str]]] = {"replan": replan, "changes": changes}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("table", choices=TABLES)
     parser.add_argument("--limit", type=float, default=10.0, help="seconds for each plan (default 10)")
     arguments = parser.parse_args()
-    with (HERE / "replan.md").open("w", encoding="utf-8") as table:
-        for row in replan(arguments.limit):
+    with (HERE / f"{arguments.table}.md").open("w", encoding="utf-8") as table:
+        for row in TABLES[arguments.table](arguments.limit):
             print(row, flush=True)
             print(row, file=table, flush=True)
 

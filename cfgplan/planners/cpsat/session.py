@@ -108,8 +108,12 @@ class PlannerSession:
         self._remember(standing)
         standing.counts = structure.counts() | standing.counts
         found = standing.plan()
-        if found.status is Status.OPTIMAL and not found.change_set and not structure.has_required:
-            self._settle(problem, structure, clock)
+        is_at_rest = found.status is Status.OPTIMAL and not found.change_set and not structure.has_required
+        if is_at_rest and not clock.is_over():
+            try:
+                self._settle(problem, structure, clock)
+            except KeyboardInterrupt:
+                clock.stop.set()
         return found
 
     def _remember(self, standing: Standing | None) -> None:
