@@ -43,7 +43,7 @@ def prepared_with_all(
 ) -> tuple[Prepared, Incumbent | None]:
     """What may be in a plan that uses all required transformations, and such a plan if one was found."""
     required = frozenset(t.label for t in structure.network.transformations if t.required)
-    network = structure.network_with(problem, required)
+    network = structure.network_with(problem, required, clock)
     fixed_us, cost = costs(problem, network, structure.pinned)
     incumbent = None
     shunned: set[int] = set()
@@ -85,10 +85,13 @@ def _few(
     network = structure.network
     _, cost = costs(problem, network, structure.pinned)
     numbers = {network.number[label] for label in required}
-    ways = [_way_to_a_target(network, cost, label, shunned - numbers) for label in sorted(numbers)]
+    ways = []
+    for label in sorted(numbers):
+        clock.check()
+        ways.append(_way_to_a_target(network, cost, label, shunned - numbers))
     shunned |= {label for way in ways for label in way}
     wanted = required.union(network.labels[i] for way in ways for i in way)
-    wider = structure.network_with(problem, wanted)
+    wider = structure.network_with(problem, wanted, clock)
     plan = first_plan(wider, costs(problem, wider, structure.pinned)[1], attempts, clock.is_over)
     return None if plan is None else [wider.labels[i] for i in sorted(plan)]
 

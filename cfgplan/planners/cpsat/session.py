@@ -175,8 +175,10 @@ class PlannerSession:
         clock = known.clock
         prepared, first = prepared_with_all(problem, structure, self._grounding, ATTEMPTS, clock)
         clock.end("bounds")
+        known.best = first or known.best
+        clock.check()
         standing = Standing(Site(problem, structure.givers, prepared.labels), prepared, clock, report)
-        standing.best = first or known.best
+        standing.best = known.best
         try:
             if Search(standing, prepared, self._grounding).run_with_all_required():
                 return standing

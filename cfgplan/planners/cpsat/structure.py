@@ -72,10 +72,14 @@ class Structure:
             "merged demands": len(self.network.core.givers),
         }
 
-    def network_with(self, problem: Problem, wanted: frozenset[str]) -> Network:
-        """The network with some labels that have to run, as pinned ones do."""
+    def network_with(self, problem: Problem, wanted: frozenset[str], clock: Clock) -> Network:
+        """The network with some labels that have to run, as pinned ones do; raises OutOfTimeError."""
         labels = frozenset(self.network.labels)
-        return _network(problem.environment, self.givers, self.possible, labels, wanted)
+        self.givers.watch = clock.check
+        try:
+            return _network(problem.environment, self.givers, self.possible, labels, wanted)
+        finally:
+            self.givers.watch = lambda: None
 
     @cached_property
     def has_required(self) -> bool:
