@@ -24,6 +24,8 @@ class _Node:
     charged: int
     landmarks: list[tuple[int, tuple[int, ...]]]
     """How much each is charged, and those of its members that are not left out."""
+    share: float
+    """About how much of the whole search it is."""
 
     @property
     def bound(self) -> int:
@@ -39,8 +41,8 @@ class _Node:
             self.charged += weight
         return weight
 
-    def take(self, label: int) -> _Node:
-        """The node below that has the label."""
+    def take(self, label: int, among: int) -> _Node:
+        """The node below that has the label, about one of so many."""
         residual, charged, landmarks = self.residual[:], self.charged, []
         for landmark in self.landmarks:
             weight, members = landmark
@@ -52,10 +54,14 @@ class _Node:
                 landmarks.append(landmark)
         paid = self.paid + residual[label]
         residual[label] = 0
-        return _Node(residual, paid, charged, landmarks)
+        share = self.share / among
+        self.share -= share
+        return _Node(residual, paid, charged, landmarks, share)
 
     def leave_out(self, labels: Collection[int]) -> bool:
         """Do without the labels from now on; False if a landmark has no other members."""
+        if not labels:
+            return True
         residual = self.residual
         for label in labels:
             residual[label] = LEFT_OUT
@@ -90,6 +96,11 @@ class Branching:
             self._go_on()
         return not self._ahead
 
+    @property
+    def done(self) -> float:
+        """About what share of the whole search is done."""
+        return 1.0 - sum(node.share for node in self._ahead)
+
     def others(self, plan: Collection[int], steps: int) -> set[int] | None:
         """Labels outside a plan that plans below the limit have, perhaps more; None if so many steps are too few.
 
@@ -104,7 +115,7 @@ class Branching:
         for label in range(len(self._cost)):
             if label in plan or label in found or root.residual[label] == LEFT_OUT:
                 continue
-            self.best, self._ahead, enough = None, [root.take(label)], self.enough
+            self.best, self._ahead, enough = None, [root.take(label, 2)], self.enough
             while self._ahead and self.best is None:
                 if self._is_late():
                     return None
@@ -117,7 +128,7 @@ class Branching:
         return found
 
     def _root(self) -> _Node:
-        return _Node(self._cost[:], 0, 0, [])
+        return _Node(self._cost[:], 0, 0, [], 1.0)
 
     def _is_late(self) -> bool:
         return self._steps <= 0 or self._is_over()
@@ -140,7 +151,7 @@ class Branching:
         near = self._nearest(node)
         if near:
             label = min(near, key=lambda member: (node.residual[member], member not in plan, member))
-            taken = node.take(label)
+            taken = node.take(label, len(near))
             if len(near) > 1 and node.leave_out([label]):
                 self._ahead.append(node)
             self._ahead.append(taken)

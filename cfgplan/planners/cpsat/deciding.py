@@ -23,12 +23,11 @@ from cfgplan.planners.cpsat.structure import Structure
 from cfgplan.planners.cpsat.weighing import Weighing
 from cfgplan.planning import Problem, Progress
 
-MOST, SMALL = 1000, 250
-"""So many labels a problem may have, and so many a search, when those that are too dear by themselves are left out."""
-FILTERED = 120
-"""Up to so many it does not pay to look for those."""
-STEPS = 600
-"""So many steps a search may take."""
+SMALL, FILTERED = 250, 120
+"""So many labels a problem may have; with more than so many it pays to leave out those that are too dear by themselves.
+"""
+FIRST, STEPS, SOON = 300, 1500, 0.01
+"""So many steps a search may take at first, and in all if so much of it is done by then."""
 
 
 def decided(
@@ -41,7 +40,7 @@ def decided(
     inputs.
     """
     network = structure.network
-    if not steps or network.special or len(network.labels) > MOST:
+    if not steps or network.special or len(network.labels) > SMALL:
         return None
     weighing = Weighing.with_changes(problem, network, structure.pinned)
     plan = None if weighing is None else first_plan(network, weighing.weight, 0, clock.is_over)
@@ -51,10 +50,9 @@ def decided(
     is_proven = weighing.least(chained_bound(network.core, weighing.weight)) >= limit
     if not is_proven:
         core, weight = _filtered(network.core, weighing, limit)
-        if core.goal > SMALL:
-            return None
         search = Branching(core, weight, limit, weighing.step, clock.is_over)
-        is_proven, nodes = search.run(steps), search.nodes
+        is_proven = search.run(min(steps, FIRST)) or (search.done >= SOON and search.run(max(0, steps - FIRST)))
+        nodes = search.nodes
         if search.best is not None:
             plan = set(core.labels[sorted(search.best)].tolist()).union(network.pinned)
     plan = _lean(network, weighing.weight, plan)
