@@ -82,7 +82,8 @@ def test_repairs_give_plans_that_are_never_dearer(problem: Problem) -> None:
 
 def test_the_linear_program_charges_a_landmark_of_each_pair_of_three_half_of_its_price() -> None:
     pairs = [Landmark(np.array([0]), np.array(pair)) for pair in combinations(range(3), 2)]
-    program = LandmarkProgram(np.array([10, 10, 10]))
+    core = Core(Rows.of([[], [], [], []]), Rows.of([]), np.arange(3), np.arange(0))
+    program = LandmarkProgram(core, np.arange(3), np.array([10, 10, 10]))
     assert program.add(pairs[0])
     fractions = program.solve(None)
     assert fractions is not None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from cfgplan.planners.cpsat.alike import alike
 from cfgplan.planners.cpsat.bounds import Bound
 from cfgplan.planners.cpsat.clock import Clock
 from cfgplan.planners.cpsat.network import Flags, Floats, Graph, Ints
@@ -17,10 +18,10 @@ PACE = 0.04
 """The least part of the gap that so many rounds must close to go on."""
 INWARD = 0.5
 """How far from the fractions towards something that hits every landmark the missed ones are looked for."""
-TRUST = 0.5
+TRUST = 0.8
 """How much cheaper a label is in repairs if the fractions use it as a whole."""
-ROUND_S, MEMBER_S = 2e-3, 1.4e-9
-"""About what a round takes, and for each member of a landmark and each landmark.
+ROUND_S, MEMBER_S = 1.6e-5, 1.4e-9
+"""About what a round takes for each fact that is needed, and for each member of a landmark and each landmark.
 
 Time is estimated, not measured, so that a plan can be repeated.
 """
@@ -42,6 +43,7 @@ class Closing:
         self._step = step
         self._attempt_s = ATTEMPT_S + NEED_S * len(network.core.needs.items)
         self._repairs = Repairs(network, cost, set(plan.tolist()))
+        self._kinds = alike(network, cost)
         self._rounds: _Rounds | None = None
         self._fractions: Floats = np.zeros(len(cost))
 
@@ -68,7 +70,7 @@ class Closing:
         """Raise the bound and look for a cheaper plan for about so long, or until they meet or hardly move."""
         self._repair(REPAIRS * for_s, clock)
         if self._rounds is None:
-            self._rounds = _Rounds(self.bound)
+            self._rounds = _Rounds(self.bound, self._kinds)
         while for_s > 0 and not self.is_closed and not clock.is_over():
             self._rounds.restrict(self.bound.may_be_used(self.limit))
             before = self.bound.value
@@ -92,8 +94,9 @@ class Closing:
 class _Rounds:
     """Rounds of solving the linear program and adding landmarks that its fractions miss."""
 
-    def __init__(self, bound: Bound) -> None:
+    def __init__(self, bound: Bound, kinds: Ints) -> None:
         self.bound = bound
+        self._kinds = kinds
         self.fractions: Floats = np.zeros(bound.core.goal)
         self._draw = np.random.default_rng(bound.core.goal)
         self._inside: Floats = np.ones(bound.core.goal)
@@ -101,7 +104,7 @@ class _Rounds:
 
     def _begin(self) -> None:
         self._separator = Separator(self.bound.core)
-        self._program = LandmarkProgram(self.bound.cost)
+        self._program = LandmarkProgram(self.bound.core, self._kinds[self.bound.core.labels], self.bound.cost)
         self._landmarks = [one for one in self.bound.landmarks if self._program.add(one)]
 
     def restrict(self, keep: Flags) -> None:
@@ -109,7 +112,7 @@ class _Rounds:
         counting = sum(weight > 0 for weight in self.bound.weights)
         if keep.sum() < 0.9 * len(keep) or 2 * counting < len(self.bound.landmarks):
             self.bound = self.bound.restricted(keep)
-            self._inside = self._inside[keep]
+            self._inside, self.fractions = self._inside[keep], self.fractions[keep]
             self._begin()
 
     def improve(self, enough: int, for_s: float, clock: Clock) -> float:
@@ -120,13 +123,23 @@ class _Rounds:
             if fractions is None or clock.is_over():
                 break
             self.fractions = fractions
-            took_s += ROUND_S + MEMBER_S * self._program.members * len(self._landmarks)
+            took_s += ROUND_S * len(self.bound.core.needs.items)
+            took_s += MEMBER_S * self._program.members * len(self._landmarks)
             if self._program.value >= enough or took_s >= for_s or not self._add_missed(fractions):
                 break
-        weights = self._program.weights
-        self.bound = Bound(self.bound.core, self.bound.cost, self._landmarks[:])
-        self.bound.recharge(weights)
+        bound = self._charged()
+        if bound.value >= self.bound.value:
+            self.bound = bound
         return took_s
+
+    def _charged(self) -> Bound:
+        """The bound of the last solution, in integers."""
+        value, left = self._program.fed
+        bound = Bound(self.bound.core, left, self._landmarks[:])
+        bound.recharge(self._program.weights)
+        bound.value += value
+        bound.cost = self.bound.cost
+        return bound
 
     def _add_missed(self, fractions: Floats) -> bool:
         """Landmarks missed by a point further inside, which cut deeper; if none are, by the fractions themselves."""

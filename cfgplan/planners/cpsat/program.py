@@ -10,17 +10,22 @@ from itertools import repeat
 
 import numpy as np
 
+from cfgplan.planners.cpsat.feeding import Feeding
 from cfgplan.planners.cpsat.landmarks import Landmark
-from cfgplan.planners.cpsat.network import Floats, Ints
+from cfgplan.planners.cpsat.network import Core, Floats, Ints
 
 FROM_THE_LAST_BASIS = "use_preprocessing: false use_dual_simplex: true initial_condition_number_threshold: 1e300"
 """Preprocessing and doubts about the last basis would make the engine begin anew each time."""
 
 
 class LandmarkProgram:
-    """Labels that hit all landmarks; `value` is the optimum of the last solution, a bound on cost but for rounding."""
+    """Labels that are fed and hit all landmarks. Labels of the same number in `kinds` are alike.
 
-    def __init__(self, cost: Ints) -> None:
+    `value` is the optimum of the last solution, a bound on cost but for rounding. `fed` is what it says without
+    landmarks: a bound, and what is left of each cost to be charged by landmarks.
+    """
+
+    def __init__(self, core: Core, kinds: Ints, cost: Ints) -> None:
         from ortools.linear_solver import pywraplp  # type: ignore[import-untyped]
 
         self._optimal = pywraplp.Solver.OPTIMAL
@@ -33,11 +38,14 @@ class LandmarkProgram:
         objective = self._engine.Objective()
         for uses, price in zip(self._uses, cost.tolist(), strict=True):
             objective.SetCoefficient(uses, price / self._unit)
+        self._cost = cost
+        self._feeding = Feeding(core, kinds, self._engine, self._uses)
         self._rows: list[pywraplp.Constraint] = []
         self._known: set[tuple[int, bytes]] = set()
         self.members = 0
         self.value = 0.0
         self.weights: list[int] = []
+        self.fed: tuple[int, Ints] = 0, cost
 
     def add(self, landmark: Landmark) -> bool:
         """Demand that the landmark is hit; False if that is done already."""
@@ -55,7 +63,7 @@ class LandmarkProgram:
         return True
 
     def solve(self, time_limit_s: float | None) -> Floats | None:
-        """The cheapest fractions, None if they are not found in time; sets `value` and the `weights` of the landmarks.
+        """The cheapest fractions, None if they are not found in time; sets `value`, `fed` and the landmarks' `weights`.
 
         Weights are rounded down, so that they can be charged.
         """
@@ -64,5 +72,6 @@ class LandmarkProgram:
         if self._engine.Solve() != self._optimal:
             return None
         self.value = self._engine.Objective().Value() * self._unit
+        self.fed = self._feeding.charged(self._cost, self._unit)
         self.weights = [max(0, int(row.dual_value() * self._unit)) for row in self._rows]
         return np.array([uses.solution_value() for uses in self._uses])

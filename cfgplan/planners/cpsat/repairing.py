@@ -15,9 +15,9 @@ from cfgplan.planners.cpsat.network import Floats, Graph, Ints
 
 TORN = 3
 """At most so many members are torn out at a time."""
-NOISE = 0.4
+NOISE = 0.3
 """The standard deviation of the logarithm of a price."""
-PATIENCE = 60
+PATIENCE = 150
 """After so many repairs that did not pay, the search begins anew."""
 
 

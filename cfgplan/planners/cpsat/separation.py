@@ -21,7 +21,7 @@ CREEP = 50
 """Added to each capacity, so that among equal cuts one with few labels is the smallest."""
 MISSED = 1e-3
 """A landmark counts as missed if it is hit by so much less than a whole label."""
-VARIANTS, NOISE, GOALS, NESTED = 2, 0.05, 8, 6
+VARIANTS, NOISE, GOALS, NESTED = 4, 1.0, 8, 6
 """So often needs are taken, with so much noise; for so many wanted facts cuts are made, so many behind one another."""
 ROUNDS = 60
 """The support of facts is followed so far."""
@@ -42,7 +42,6 @@ class Separator:
         """Landmarks that the fractions do not hit."""
         support = self._support(fractions)
         wanted = self._core.needs[self._core.goal]
-        wanted = wanted[support[wanted] < 1 - MISSED]
         found: dict[bytes, Landmark] = {}
         for variant in range(VARIANTS):
             noise = draw.random(len(support)) * NOISE if variant else 0.0
@@ -98,6 +97,8 @@ class Separator:
         flow.solve(self._source, goal)
         behind = np.sort(np.array(flow.get_sink_side_min_cut(), np.int64))
         smallest = behind[behind < facts]
-        largest = np.setdiff1d(np.arange(facts), np.array(flow.get_source_side_min_cut(), np.int64))
+        beyond = np.ones(self._source + 1, np.bool_)
+        beyond[flow.get_source_side_min_cut()] = False
+        largest = np.flatnonzero(beyond[:facts])
         zones = [smallest] if np.array_equal(smallest, largest) else [smallest, largest]
         return flow.optimal_flow() / WHOLE, zones
