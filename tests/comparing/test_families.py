@@ -57,6 +57,14 @@ def test_without_back_edges_inputs_ask_only_for_lower_layers() -> None:
     assert climbs(random_library(3, back=0.5))
 
 
+def test_distinct_inputs_ask_for_the_same() -> None:
+    plain, fused = (random_library(4, distinct=share).environment.library for share in (0.0, 1.0))
+    assert not any(port.distinct for t in plain for port in t.inputs)
+    fed = [t.inputs for t in fused if t.inputs]
+    assert all(port.distinct and port.tag == ports[0].tag for ports in fed for port in ports)
+    assert len(plain) == len(fused)
+
+
 def test_more_sharing_means_fewer_demanded_concepts() -> None:
     def demanded(sharing: float) -> int:
         library = random_library(2, transformations=200, sharing=sharing).environment.library

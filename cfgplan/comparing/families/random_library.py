@@ -35,6 +35,7 @@ def random_library(
     sharing: float = 0.0,
     targets: int = 3,
     running: float = 0.0,
+    distinct: float = 0.0,
     horizon_s: int = 60,
 ) -> Problem:
     """A library of `depth` layers, whose first needs no input, and targets among its last concepts that can be met.
@@ -42,8 +43,9 @@ def random_library(
     About `branching` outputs give one concept. An input asks for a concept of the layer before (70 %) or
     of any lower one, or, with probability `back`, of its own layer or a higher one, which closes cycles.
     It asks for a parent of four concepts with probability `parents`, and for one of the tenth of the
-    layer that all like best with probability `sharing`. A unit of each transformation runs
-    with probability `running`. Costs are whole milliseconds.
+    layer that all like best with probability `sharing`. All inputs of a transformation ask for the same, from
+    different ones, with probability `distinct`. A unit of each transformation runs with probability `running`.
+    Costs are whole milliseconds.
     """
     if min(transformations, depth, branching, outputs) < 1 or transformations < depth:
         raise InvalidValueError("a random library needs a transformation for each layer, a branching and an output")
@@ -54,10 +56,11 @@ def random_library(
         given = layer.given(random, outputs)
         for position, concepts in enumerate(given):
             asked = [_asked(random, layers, number, back, parents, sharing) for _ in range(arity if number else 0)]
+            group = "sources" if distinct and asked and random.random() < distinct else None
             library.append(
                 Transformation(
                     f"t{number}_{position}",
-                    tuple(InputPort(f"in{i}", tag) for i, tag in enumerate(asked)),
+                    tuple(InputPort(f"in{i}", asked[0] if group else tag, group) for i, tag in enumerate(asked)),
                     tuple(OutputPort(f"out{i}", tag) for i, tag in enumerate(concepts)),
                     labor_us=max(1, round(1000 * random.lognormvariate(0, 1))) * MILLISECONDS,
                     upkeep_us=max(1, round(10 * random.lognormvariate(0, 1))) * MILLISECONDS,
