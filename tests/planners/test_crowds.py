@@ -64,7 +64,7 @@ def test_every_plan_hits_each_landmark_however_it_was_made(problem: Problem) -> 
     again = [landmark.outside(part.core).made_again(core) for landmark in part.landmarks]
     bound.improve(2**50, 100, lambda: False)
     landmarks = [*bound.landmarks, *again]
-    program = LandmarkProgram(stage.cost)
+    program = LandmarkProgram(core, np.arange(core.goal), stage.cost)
     for landmark in landmarks:
         program.add(landmark)
     fractions = program.solve(None)
