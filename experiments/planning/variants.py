@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 
 from ortools.sat.python.cp_model import CpSolver
 
-from cfgplan.planners.cpsat.clock import Clock
+from cfgplan.planners.cpsat.clock import Clock, OutOfTimeError
 from cfgplan.planners.cpsat.grounding import Grounding
 from cfgplan.planners.cpsat.prepared import Prepared
 from cfgplan.planners.cpsat.search import Search
@@ -37,7 +38,8 @@ def _unprepared(
     labels = relevant(problem.environment, givers, startable(problem.environment, givers))
     prepared = Prepared(sorted(labels))
     standing = Standing(Site(problem, givers, labels), prepared, clock, report)
-    search(standing, prepared, grounding).run()
+    with suppress(OutOfTimeError):
+        search(standing, prepared, grounding).run()
     clock.end("search")
     return standing.plan()
 

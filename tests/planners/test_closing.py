@@ -15,6 +15,7 @@ from test_preprocessing import Stage
 from worlds import problems
 
 from cfgplan.comparing.families.random_library import random_library
+from cfgplan.costs import start_cost_us
 from cfgplan.planners.cpsat import PlannerSession, session
 from cfgplan.planners.cpsat.bounds import Bound
 from cfgplan.planners.cpsat.clock import Clock
@@ -25,6 +26,7 @@ from cfgplan.planners.cpsat.network import Core, Graph, Rows
 from cfgplan.planners.cpsat.program import LandmarkProgram
 from cfgplan.planners.cpsat.repairing import Repairs
 from cfgplan.planners.cpsat.separation import Separator
+from cfgplan.planners.cpsat.structure import Structure
 from cfgplan.planning import Problem, Status
 from cfgplan.validity import plan_violations
 
@@ -48,6 +50,23 @@ def test_the_bound_stays_below_the_optimum_and_the_plan_above(problem: Problem) 
     left = set(both.bound.core.labels[both.bound.may_be_used(both.limit)].tolist())
     if both.bound.value <= (stage.plan.cost_us or 0) < both.limit:
         assert used <= left
+
+
+def test_bounds_that_are_cut_short_at_any_round_are_no_worse_than_before() -> None:
+    problem = random_library(2, transformations=60)
+    network = Structure.of(problem, None, Clock()).network
+    cost = np.array([start_cost_us(t, problem.horizon_s) for t in network.transformations], np.int64)
+    plan = np.array(sorted(first_plan(network, cost, 0, lambda: False) or ()), np.int64)
+    solve, values = LandmarkProgram.solve, []
+    for rounds in range(12):
+        left = iter(range(rounds))
+        both = Closing(network, Bound(network.core, cost), cost, plan, 1)
+        with mock.patch.object(
+            LandmarkProgram, "solve", lambda *of, left=left: None if next(left, None) is None else solve(*of)
+        ):
+            both.go_on(1.0, Clock())
+        values.append(both.bound.value)
+    assert values == sorted(values)
 
 
 @fewer
