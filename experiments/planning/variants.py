@@ -14,8 +14,8 @@ from cfgplan.planners.cpsat.search import Search
 from cfgplan.planners.cpsat.session import PlannerSession
 from cfgplan.planners.cpsat.site import Site, relevant
 from cfgplan.planners.cpsat.standing import Standing
-from cfgplan.planning import Plan, Problem, Progress
-from cfgplan.reasons import Givers, startable
+from cfgplan.planning import Plan, Problem, Progress, Status
+from cfgplan.reasons import Givers, startable, unmet_reasons
 
 
 class Defaults(Search):
@@ -35,7 +35,11 @@ def _unprepared(
 ) -> Plan:
     clock = Clock(limit_s)
     givers = Givers(problem.environment.library, problem.similarity)
-    labels = relevant(problem.environment, givers, startable(problem.environment, givers))
+    possible = startable(problem.environment, givers)
+    reasons = unmet_reasons(problem, possible=possible)
+    if reasons:
+        return Plan("cpsat", Status.INFEASIBLE, reasons=reasons, seconds=clock.end("closure"))
+    labels = relevant(problem.environment, givers, possible)
     prepared = Prepared(sorted(labels))
     standing = Standing(Site(problem, givers, labels), prepared, clock, report)
     with suppress(OutOfTimeError):

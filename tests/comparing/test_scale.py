@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from made_rows import row
 
 from cfgplan.comparing import Failure, Row, generated, read_rows
+from cfgplan.comparing.families.random_library import random_library
 from cfgplan.comparing.invariants import breaches
 from cfgplan.comparing.scale import behind, building, everyone, families, scale_text, summary
 from cfgplan.comparing.suites import SCALE, SUITES
+from cfgplan.domain import Similarity
+from cfgplan.planning import Status
 from experiments.compare import AT_SCALE, ENTRANTS, in_order
-from experiments.planning import ONE_SEED, takes_part
+from experiments.planning import ONE_SEED, VARIANTS, takes_part
 from experiments.planning.scaling import load_s, read_loads
 
 REPORT = Path(__file__).parents[2] / "experiments" / "planning" / "scale"
@@ -55,6 +59,13 @@ def test_gaps_of_what_is_not_proven_are_to_the_best_cost_of_all_planners() -> No
     lines = {line[:2]: line[2:] for line in everyone(ROWS).lines}
     assert lines["5,000", "highs"] == ("0 of 1", "-", "-5.0%", "+10.0%", "10", "1 open: bounds 0:1, plans 1:0")
     assert lines["50", "highs"] == ("2 of 2", "2", "", "", "10", "1.4")
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_variants_say_what_can_not_be_met(name: str) -> None:
+    found = VARIANTS[name].planner()(replace(random_library(0, transformations=8), similarity=Similarity({})))
+    assert found.status is Status.INFEASIBLE
+    assert found.reasons
 
 
 def test_how_a_planner_failed_is_told() -> None:
