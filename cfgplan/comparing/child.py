@@ -3,8 +3,9 @@
 A task without a problem only asks whether there is such a planner.
 
 The planner first plans some small libraries, which is not counted: what it loads and fills at its first calls is not
-what is compared. Before each run the problem is made anew and garbage collected. A run that took less than
-`SHORT_S` is repeated, for what else the machine does can double it, and of all its runs the median one is told.
+what is compared, and is not looked through for garbage again. Before each run the problem is made anew. A run that took
+less than `SHORT_S` is repeated, for what else the machine does can double it, and of all its runs the median one is
+told.
 
 What the planner prints itself goes to stderr. Nothing is written where the process is killed, and the
 parent makes a row of that too.
@@ -65,6 +66,8 @@ def main() -> None:
 def _run(entrant: Entrant, problem: dict[str, Any], time_limit_s: float, out: TextIO) -> dict[str, Any]:
     planner = entrant.planner()
     _warm_up(planner)
+    gc.collect()
+    gc.freeze()
 
     def tell(point: Point) -> None:
         print(json.dumps(point), file=out, flush=True)
@@ -101,7 +104,6 @@ def _timed(planner: Planner, document: dict[str, Any], time_limit_s: float, tell
     """A run on the problem made anew; each step of its progress is told."""
     problem = restored(document)
     trace: list[Point] = []
-    gc.collect()
     began = perf_counter()
 
     def report(progress: Progress) -> None:
