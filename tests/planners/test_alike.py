@@ -12,7 +12,8 @@ from test_preprocessing import Stage
 from worlds import problems
 
 from cfgplan.planners.cpsat.alike import alike
-from cfgplan.planners.cpsat.network import Core, Graph, Rows
+from cfgplan.planners.cpsat.core import Core, Rows
+from cfgplan.planners.cpsat.network import Graph
 from cfgplan.planners.cpsat.program import LandmarkProgram
 from cfgplan.planning import Problem
 

@@ -20,9 +20,10 @@ from cfgplan.planners.cpsat import PlannerSession, session
 from cfgplan.planners.cpsat.bounds import Bound
 from cfgplan.planners.cpsat.clock import Clock
 from cfgplan.planners.cpsat.closing import Closing
+from cfgplan.planners.cpsat.core import Core, Rows
 from cfgplan.planners.cpsat.greedy import first_plan, is_plan
 from cfgplan.planners.cpsat.landmarks import Landmark, landmark_of
-from cfgplan.planners.cpsat.network import Core, Graph, Rows
+from cfgplan.planners.cpsat.network import Graph
 from cfgplan.planners.cpsat.program import LandmarkProgram
 from cfgplan.planners.cpsat.repairing import Repairs
 from cfgplan.planners.cpsat.separation import Separator

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cfgplan.planners.cpsat.network import Graph, Ints
+from cfgplan.planners.cpsat.core import Ints
+from cfgplan.planners.cpsat.network import Graph
 
 if TYPE_CHECKING:
     from cfgplan.planners.cpsat.model import Model

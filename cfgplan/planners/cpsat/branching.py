@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
-from cfgplan.planners.cpsat.network import NEVER, Core, Ints
+from cfgplan.planners.cpsat.core import NEVER, Core, Ints
 from cfgplan.planners.cpsat.ways import LEFT_OUT, Links, Ways
 
 

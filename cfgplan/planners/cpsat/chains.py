@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from cfgplan.planners.cpsat.bounds import cheapest_way
-from cfgplan.planners.cpsat.network import NEVER, Core, Ints
+from cfgplan.planners.cpsat.core import NEVER, Core, Ints
 
 
 def chained_bound(core: Core, cost: Ints) -> int:

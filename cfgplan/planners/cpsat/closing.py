@@ -7,7 +7,8 @@ import numpy as np
 from cfgplan.planners.cpsat.alike import alike
 from cfgplan.planners.cpsat.bounds import Bound
 from cfgplan.planners.cpsat.clock import Clock
-from cfgplan.planners.cpsat.network import Flags, Floats, Graph, Ints
+from cfgplan.planners.cpsat.core import Flags, Floats, Ints
+from cfgplan.planners.cpsat.network import Graph
 from cfgplan.planners.cpsat.program import LandmarkProgram
 from cfgplan.planners.cpsat.repairing import Repairs
 from cfgplan.planners.cpsat.separation import Separator

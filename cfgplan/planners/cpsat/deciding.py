@@ -14,8 +14,9 @@ from cfgplan.planners.cpsat.bounds import Bound
 from cfgplan.planners.cpsat.branching import Branching
 from cfgplan.planners.cpsat.chains import chained_bound
 from cfgplan.planners.cpsat.clock import Clock
+from cfgplan.planners.cpsat.core import Core, Ints
 from cfgplan.planners.cpsat.greedy import first_plan, without_redundant
-from cfgplan.planners.cpsat.network import Core, Ints, Network
+from cfgplan.planners.cpsat.network import Network
 from cfgplan.planners.cpsat.prepared import Prepared
 from cfgplan.planners.cpsat.site import Site
 from cfgplan.planners.cpsat.standing import Standing

@@ -11,7 +11,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from cfgplan.planners.cpsat.network import Floats, Graph, Ints
+from cfgplan.planners.cpsat.core import Floats, Ints
+from cfgplan.planners.cpsat.network import Graph
 from cfgplan.reasons import assign_different, distinct_groups
 
 FREE = 1e-3

@@ -10,8 +10,8 @@ import numpy as np
 from cfgplan.planners.cpsat.bounds import Bound
 from cfgplan.planners.cpsat.clock import Clock
 from cfgplan.planners.cpsat.closing import Closing
+from cfgplan.planners.cpsat.core import Ints
 from cfgplan.planners.cpsat.greedy import FREE, plan_at
-from cfgplan.planners.cpsat.network import Ints
 from cfgplan.planners.cpsat.prepared import Prepared
 from cfgplan.planners.cpsat.rest import Left
 from cfgplan.planners.cpsat.separation import Separator

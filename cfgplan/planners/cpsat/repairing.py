@@ -10,8 +10,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from cfgplan.planners.cpsat.core import Floats, Ints
 from cfgplan.planners.cpsat.greedy import FREE, cost_of, plan_at
-from cfgplan.planners.cpsat.network import Floats, Graph, Ints
+from cfgplan.planners.cpsat.network import Graph
 
 TORN = 3
 """At most so many members are torn out at a time."""

@@ -12,9 +12,10 @@ import numpy as np
 
 from cfgplan.planners.cpsat.bounds import Bound
 from cfgplan.planners.cpsat.clock import Clock
+from cfgplan.planners.cpsat.core import Ints
 from cfgplan.planners.cpsat.greedy import first_plan, support_of
 from cfgplan.planners.cpsat.grounding import Grounding
-from cfgplan.planners.cpsat.network import Ints, Network, costs
+from cfgplan.planners.cpsat.network import Network, costs
 from cfgplan.planners.cpsat.prepared import Prepared
 from cfgplan.planners.cpsat.rest import Left
 from cfgplan.planners.cpsat.site import Site

@@ -14,7 +14,7 @@ import numpy as np
 
 from cfgplan.planners.cpsat.bounds import Bound
 from cfgplan.planners.cpsat.clock import Clock
-from cfgplan.planners.cpsat.network import Ints
+from cfgplan.planners.cpsat.core import Ints
 from cfgplan.planners.cpsat.rivals import is_without_rival
 from cfgplan.planners.cpsat.tightening import tightened
 

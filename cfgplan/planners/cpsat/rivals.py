@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cfgplan.planners.cpsat.bounds import Bound
-from cfgplan.planners.cpsat.network import Ints
+from cfgplan.planners.cpsat.core import Ints
 
 LONGEST_S = 1.0
 """Longer than this the question is not worth."""

@@ -15,10 +15,11 @@ import numpy as np
 from cfgplan.planners.cpsat.bounds import Bound
 from cfgplan.planners.cpsat.chains import chained_bound
 from cfgplan.planners.cpsat.clock import Clock, OutOfTimeError
+from cfgplan.planners.cpsat.core import Ints
 from cfgplan.planners.cpsat.deciding import STEPS, decided
 from cfgplan.planners.cpsat.greedy import first_plan, improved, is_plan, with_less
 from cfgplan.planners.cpsat.grounding import Grounding
-from cfgplan.planners.cpsat.network import Ints, costs
+from cfgplan.planners.cpsat.network import costs
 from cfgplan.planners.cpsat.prepared import Prepared
 from cfgplan.planners.cpsat.preparing import Preparation
 from cfgplan.planners.cpsat.rest import Left, Rest

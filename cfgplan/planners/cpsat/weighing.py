@@ -12,7 +12,8 @@ from functools import cached_property
 
 import numpy as np
 
-from cfgplan.planners.cpsat.network import NEVER, Ints, Network, costs
+from cfgplan.planners.cpsat.core import NEVER, Ints
+from cfgplan.planners.cpsat.network import Network, costs
 from cfgplan.planners.cpsat.quality import Key
 from cfgplan.planners.cpsat.site import may_stay
 from cfgplan.planning import Problem

@@ -14,7 +14,7 @@ import numpy as np
 
 from cfgplan.planners.cpsat.bounds import Bound
 from cfgplan.planners.cpsat.clock import Clock
-from cfgplan.planners.cpsat.network import Core, Rows
+from cfgplan.planners.cpsat.core import Core, Rows
 from cfgplan.planners.cpsat.tightening import tightened
 from cfgplan.planners.fleet.flat import Fact, Flat, Met
 from cfgplan.planners.fleet.flat_model import FlatModel

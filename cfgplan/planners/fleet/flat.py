@@ -16,7 +16,8 @@ import numpy as np
 
 from cfgplan.costs import transfer_cost_us
 from cfgplan.domain import Stream
-from cfgplan.planners.cpsat.network import Core, Graph, Ints, Rows
+from cfgplan.planners.cpsat.core import Core, Ints, Rows
+from cfgplan.planners.cpsat.network import Graph
 from cfgplan.planners.fleet.candidates import Candidates
 
 Host = str | None

@@ -12,7 +12,7 @@ import numpy as np
 
 from cfgplan.domain import Target
 from cfgplan.planners.cpsat.clock import Clock
-from cfgplan.planners.cpsat.network import Floats, Ints
+from cfgplan.planners.cpsat.core import Floats, Ints
 from cfgplan.planners.cpsat.program import FROM_THE_LAST_BASIS
 from cfgplan.planners.fleet.flat import Flat
 from cfgplan.planners.fleet.quality_chains import ChainCut, Chains, Root

@@ -14,7 +14,7 @@ import numpy as np
 
 from cfgplan.domain import ComputationUnit, Publication, Subscription
 from cfgplan.planners.cpsat.clock import Clock
-from cfgplan.planners.cpsat.network import Floats
+from cfgplan.planners.cpsat.core import Floats
 from cfgplan.planners.fleet.candidates import Candidates
 from cfgplan.planners.fleet.decode import lean, named
 from cfgplan.planners.fleet.quality_chains import Chains

@@ -1,0 +1,210 @@
+"""Transformations and facts as arrays: what each label needs and offers.
+
+See `network` for what labels and facts are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import chain
+from typing import TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from cfgplan.planners.cpsat.crowds import Crowds
+
+Ints = npt.NDArray[np.int64]
+Floats = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+Number = TypeVar("Number", np.int64, np.float64)
+
+NEVER = np.int64(2**60)
+"""A cost that no sum of real costs reaches."""
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Lists of integers, one after the other: row i is `items[starts[i]:starts[i + 1]]`."""
+
+    starts: Ints
+    items: Ints
+
+    @classmethod
+    def of(cls, rows: Sequence[Iterable[int]]) -> Rows:
+        lists = [list(row) for row in rows]
+        items = np.fromiter(chain.from_iterable(lists), np.int64)
+        return cls(_starts([len(row) for row in lists]), items)
+
+    def __len__(self) -> int:
+        return len(self.starts) - 1
+
+    def __getitem__(self, row: int) -> Ints:
+        return self.items[self.starts[row] : self.starts[row + 1]]
+
+    @cached_property
+    def lists(self) -> dict[int, list[int]]:
+        """The rows as plain lists, each made when it is asked for."""
+        return _Lists(self)
+
+    @cached_property
+    def row_of_item(self) -> Ints:
+        return np.repeat(np.arange(len(self)), np.diff(self.starts))
+
+    def transposed(self, columns: int) -> Rows:
+        """Row j holds the i whose row held j."""
+        order = np.argsort(self.items, kind="stable")
+        return Rows(_starts(np.bincount(self.items, minlength=columns)), self.row_of_item[order])
+
+    def restricted(self, rows: Flags, number: Ints) -> Rows:
+        """The rows flagged, with their items renumbered; items whose new number is negative are left out."""
+        items = number[self.items]
+        stays = rows[self.row_of_item] & (items >= 0)
+        counts = np.bincount(self.row_of_item[stays], minlength=len(self))[rows]
+        return Rows(_starts(counts), items[stays])
+
+
+class _Lists(dict[int, list[int]]):
+    def __init__(self, rows: Rows) -> None:
+        self._rows = rows
+
+    def __missing__(self, row: int) -> list[int]:
+        found: list[int] = self._rows[row].tolist()
+        self[row] = found
+        return found
+
+
+def _starts(counts: npt.ArrayLike) -> Ints:
+    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+
+
+@dataclass(frozen=True)
+class Core:
+    """`needs[label]` are facts, `givers[fact]` labels. The last label is the goal, which needs all that is wanted.
+
+    `labels` and `facts` are the numbers that they have in the network of which this is a part. So many givers
+    as a fact `takes` must be there for it to hold; None if one is enough everywhere.
+    """
+
+    needs: Rows
+    givers: Rows
+    labels: Ints
+    facts: Ints
+    takes: Ints | None = None
+
+    @property
+    def goal(self) -> int:
+        return len(self.labels)
+
+    @cached_property
+    def crowds(self) -> Crowds | None:
+        """The facts that take more than one giver, if there are any."""
+        facts = np.flatnonzero(self.takes > 1) if self.takes is not None else np.zeros(0, np.int64)
+        if self.takes is None or not len(facts):
+            return None
+        givers = [self.givers[fact].tolist() for fact in facts.tolist()]
+        return Crowds(facts, self.takes[facts].tolist(), givers, self.goal)
+
+    @cached_property
+    def crowd_takes(self) -> dict[int, int]:
+        """How many givers they take."""
+        if self.takes is None or self.crowds is None:
+            return {}
+        return {fact: int(self.takes[fact]) for fact in self.crowds.facts.tolist()}
+
+    @cached_property
+    def gives(self) -> Rows:
+        return self.givers.transposed(self.goal + 1)
+
+    @cached_property
+    def needed_by(self) -> Rows:
+        return self.needs.transposed(len(self.givers))
+
+    @cached_property
+    def _fed(self) -> Ints:
+        """The labels that need something at all."""
+        return np.flatnonzero(np.diff(self.needs.starts))
+
+    @cached_property
+    def _giving(self) -> Ints:
+        """The labels that give something at all."""
+        return np.flatnonzero(np.diff(self.gives.starts))
+
+    def most_of_needs(self, of_fact: Ints) -> Ints:
+        """For each label the greatest value of the facts it needs; 0 for sources."""
+        return _most(self.needs, self._fed, of_fact)
+
+    def most_of_gifts(self, of_fact: Ints) -> Ints:
+        """For each label the greatest value of the facts it gives; 0 if it gives none."""
+        return _most(self.gives, self._giving, of_fact)
+
+    def needs_with(self, of_fact: npt.NDArray[Number], of_label: npt.NDArray[Number]) -> tuple[Ints, Ints]:
+        """The labels that need something, and for each the first of its needs that has the label's value."""
+        items = np.flatnonzero(of_fact[self.needs.items] == of_label[self.needs.row_of_item])
+        first = items[np.diff(self.needs.row_of_item[items], prepend=-1) > 0]
+        return self._fed, self.needs.items[first]
+
+    def sum_of_needs(self, of_fact: Floats) -> Floats:
+        """For each label the sum over the facts it needs."""
+        value = np.zeros(self.goal + 1)
+        if len(self._fed):
+            value[self._fed] = np.add.reduceat(of_fact[self.needs.items], self.needs.starts[self._fed])
+        return value
+
+    def least_of_needs(self, of_fact: Floats) -> Floats:
+        """For each label the least value of the facts it needs; 1 for sources."""
+        value = np.ones(self.goal + 1)
+        if len(self._fed):
+            value[self._fed] = np.minimum.reduceat(of_fact[self.needs.items], self.needs.starts[self._fed])
+        return value
+
+    def share_of_givers(self, of_label: Floats) -> Floats:
+        """For each fact the sum over the labels that offer it, divided by how many it takes."""
+        if not len(self.givers):
+            return np.zeros(0)
+        total: Floats = np.add.reduceat(of_label[self.givers.items], self.givers.starts[:-1])
+        return total if self.takes is None else total / self.takes
+
+    def least_sum_of_givers(self, of_label: Floats) -> Floats:
+        """For each fact the least sum over as many labels that offer it as it takes; every fact has such labels."""
+        least = self.least_of_givers(of_label)
+        if self.crowds is not None:
+            least[self.crowds.facts] = self.crowds.least_sums(of_label)
+        return least
+
+    def least_of_givers(self, of_label: npt.NDArray[Number]) -> npt.NDArray[Number]:
+        """For each fact the least value that as many labels that offer it as it takes do not exceed.
+
+        Every fact has labels that offer it.
+        """
+        if not len(self.givers):
+            return np.zeros(0, of_label.dtype)
+        least: npt.NDArray[Number] = np.minimum.reduceat(of_label[self.givers.items], self.givers.starts[:-1])
+        if self.crowds is not None:
+            least[self.crowds.facts] = self.crowds.least(of_label)
+        return least
+
+    def restricted(self, keep: Flags) -> Core:
+        """The part with the labels flagged and the facts they need; what a kept label needs must be kept."""
+        stays = np.append(keep, True)
+        needed = np.zeros(len(self.givers), np.bool_)
+        needed[self.needs.items[stays[self.needs.row_of_item]]] = True
+        label_number = np.where(keep, np.cumsum(keep) - 1, -1)
+        fact_number = np.where(needed, np.cumsum(needed) - 1, -1)
+        return Core(
+            self.needs.restricted(stays, fact_number),
+            self.givers.restricted(needed, label_number),
+            self.labels[keep],
+            self.facts[needed],
+            None if self.takes is None else self.takes[needed],
+        )
+
+
+def _most(rows: Rows, filled: Ints, of_item: Ints) -> Ints:
+    """For each row the greatest value of its items; 0 for those that are not filled."""
+    value = np.zeros(len(rows), np.int64)
+    if len(filled):
+        value[filled] = np.maximum.reduceat(of_item[rows.items], rows.starts[filled])
+    return value
