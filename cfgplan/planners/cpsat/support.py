@@ -68,7 +68,8 @@ class Support:
     def _ways_into(self, unfounded: list[int]) -> list[int]:
         """What any of some propositions can rest on first.
 
-        Whatever rests on all of some parts, one of them among these, can't be the first way into them; what is left can.
+        Whatever rests on all of some parts, one of them among these, can't be the first way into them; what is left
+        can.
         """
         dead = set(unfounded)
         ahead = list(unfounded)
