@@ -26,7 +26,7 @@ from cfgplan.planners.cpsat.rest import Left, Rest
 from cfgplan.planners.cpsat.site import Site
 from cfgplan.planners.cpsat.standing import Standing
 from cfgplan.planners.cpsat.structure import Structure
-from cfgplan.planners.cpsat.tightening import begun
+from cfgplan.planners.cpsat.tightening import begun, tightened
 from cfgplan.planners.cpsat.weighing import Weighing
 from cfgplan.planning import Plan, Problem, Progress, Status
 from cfgplan.reasons import unmet_reasons
@@ -160,7 +160,7 @@ class PlannerSession:
             left = self._rest.left(weighing.weight, weighing.step, plan, clock)
         preparation = Preparation(structure, weighing, plan, left, quick)
         if left is None:
-            preparation.begin(bound or _known_bound(structure, weighing), clock)
+            preparation.begin(bound or _known_bound(structure, weighing.weight, weighing.scale), clock)
         return preparation
 
     def _with_required(
@@ -213,7 +213,9 @@ class PlannerSession:
             plan = first_plan(network, cost, 0, clock.is_over)
             limit = 0 if plan is None else int(cost[list(plan)].sum())
             if plan is not None and limit > quick:
-                bound = begun(_known_bound(structure, weighing), limit - weighing.step + 1, limit, clock)
+                bound = begun(
+                    _known_bound(structure, weighing.weight, weighing.scale), limit - weighing.step + 1, limit, clock
+                )
                 if bound.value <= limit - weighing.step:
                     numbers = bound.core.labels.tolist()
                     without = {numbers[label]: value for label, value in bound.without().items()}
@@ -232,15 +234,15 @@ class PlannerSession:
         limit = int(cost[plan].sum()) + dearest
         self._rest = self._rest and self._rest.moved(plan, cost, limit, clock)
         if self._rest is None:
-            landmarks, weights = structure.landmarks()
-            bound = Bound(network.core, cost, landmarks)
-            bound.recharge(weights)
+            value = int(cost[plan].sum())
+            structure.remember(tightened(_known_bound(structure, cost), value, value, clock), 1)
+            bound = _known_bound(structure, cost)
             self._rest = Rest.of(plan, cost, int(ROOM * limit), bound, clock)
 
 
-def _known_bound(structure: Structure, weighing: Weighing) -> Bound:
+def _known_bound(structure: Structure, weight: Ints, scale: int = 1) -> Bound:
     """The bound by the landmarks that are remembered."""
     landmarks, weights = structure.landmarks()
-    bound = Bound(structure.network.core, weighing.weight, landmarks)
-    bound.recharge([weight * weighing.scale for weight in weights])
+    bound = Bound(structure.network.core, weight, landmarks)
+    bound.recharge([weight * scale for weight in weights])
     return bound
