@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterable, Sequence
 from ortools.sat.python.cp_model import CpModel, IntVar, LinearExprT
 
 from cfgplan.domain import InputPort
-from cfgplan.planners.cpsat.alike import one_of_those_alike_is_enough
 from cfgplan.planners.cpsat.engine import at_least
 from cfgplan.planners.cpsat.site import Site
 from cfgplan.planners.cpsat.support import Support
@@ -47,7 +46,6 @@ class Model:
         a_target_is_published_by_one_unit(self)
         pinned_units_run(self)
         required_transformations_serve_a_target(self)
-        one_of_those_alike_is_enough(self)
 
     def boolean(self) -> IntVar:
         literal = self.cp.new_bool_var("")

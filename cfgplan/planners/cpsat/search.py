@@ -16,6 +16,7 @@ from ortools.sat.python.cp_model import (
     LinearExprT,
 )
 
+from cfgplan.planners.cpsat.alike import one_of_those_alike_is_enough
 from cfgplan.planners.cpsat.decode import decode
 from cfgplan.planners.cpsat.engine import OnSolution, repeatable_solver, solve
 from cfgplan.planners.cpsat.grounding import Grounding
@@ -97,6 +98,7 @@ class Search:
         model = self.model
         self.standing.counts = {"rounds": 0, "cuts": 0, "conflicts": 0} | self.standing.counts
         self.standing.counts["booleans"] = len(model.literals)
+        one_of_those_alike_is_enough(model)
         model.enough_of_each_run(self.prepared.landmarks)
         if self.grounding is Grounding.LEVELS:
             from cfgplan.planners.cpsat.levels import everything_rests_on_something_lower  # networkx takes long too
