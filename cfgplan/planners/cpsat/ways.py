@@ -47,17 +47,11 @@ class Ways:
 
     def _derive(self) -> None:
         """From sources on, cheapest facts first (Dijkstra)."""
-        links, price, facts, before, dearest = self._links, self._price, self._facts, self._before, self._dearest
-        gives, needed_by, goal, giver = links.gives, links.needed_by, links.goal, self._giver
-        missing, ahead = links.missing[:], list[tuple[int, int]]()
-        for label in links.sources:
+        facts, before, dearest, needed_by = self._facts, self._before, self._dearest, self._links.needed_by
+        missing, ahead = self._links.missing[:], list[tuple[int, int]]()
+        for label in self._links.sources:
             before[label] = 0
-            if label != goal:
-                cost = price[label]
-                for given in gives[label]:
-                    if cost < facts[given]:
-                        facts[given], giver[given] = cost, label
-                        heappush(ahead, (cost, given))
+            self._offer(label, ahead)
         while ahead:
             value, fact = heappop(ahead)
             if value > facts[fact]:
@@ -66,25 +60,15 @@ class Ways:
                 missing[label] -= 1
                 if not missing[label]:
                     before[label], dearest[label] = value, fact
-                    if label != goal:
-                        cost = value + price[label]
-                        for given in gives[label]:
-                            if cost < facts[given]:
-                                facts[given], giver[given] = cost, label
-                                heappush(ahead, (cost, given))
+                    self._offer(label, ahead)
 
     def lower(self, cheaper: Iterable[int]) -> None:
         """Follow some labels that became cheaper, and all that becomes cheaper through them."""
-        links, price, facts, before, dearest = self._links, self._price, self._facts, self._before, self._dearest
-        gives, needs, needed_by, goal, giver = links.gives, links.needs, links.needed_by, links.goal, self._giver
+        facts, before, dearest = self._facts, self._before, self._dearest
+        needs, needed_by, value_of = self._links.needs, self._links.needed_by, self._facts.__getitem__
         ahead = list[tuple[int, int]]()
-        value_of = facts.__getitem__
         for label in cheaper:
-            cost = before[label] + price[label]
-            for given in gives[label]:
-                if cost < facts[given]:
-                    facts[given], giver[given] = cost, label
-                    heappush(ahead, (cost, given))
+            self._offer(label, ahead)
         while ahead:
             value, fact = heappop(ahead)
             if value > facts[fact]:
@@ -94,12 +78,18 @@ class Ways:
                     dearest[label] = need = max(needs[label], key=value_of)
                     if facts[need] < before[label]:
                         before[label] = facts[need]
-                        if label != goal:
-                            cost = facts[need] + price[label]
-                            for given in gives[label]:
-                                if cost < facts[given]:
-                                    facts[given], giver[given] = cost, label
-                                    heappush(ahead, (cost, given))
+                        self._offer(label, ahead)
+
+    def _offer(self, label: int, ahead: list[tuple[int, int]]) -> None:
+        """Put ahead what a label gives more cheaply than was known."""
+        if label == self._links.goal:
+            return
+        facts = self._facts
+        cost = self._before[label] + self._price[label]
+        for given in self._links.gives[label]:
+            if cost < facts[given]:
+                facts[given], self._giver[given] = cost, label
+                heappush(ahead, (cost, given))
 
     def landmark(self) -> tuple[int, ...]:
         """The labels that may enter first the zone from which the goal comes free by the dearest needs."""
