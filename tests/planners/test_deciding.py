@@ -6,6 +6,7 @@ from itertools import combinations
 
 import numpy as np
 from hypothesis import given
+from hypothesis import strategies as st
 from test_against_the_oracle import fewer
 from test_planners import make, world
 from test_preprocessing import Stage
@@ -37,7 +38,7 @@ def all_plans(stage: Stage) -> list[set[int]]:
 def test_ways_on_lists_cost_what_they_cost_on_arrays_also_after_labels_became_cheaper(problem: Problem) -> None:
     stage = Stage(problem)
     core, price = stage.network.core, stage.cost.tolist()
-    ways = Ways(Links(core), price)
+    ways = Ways(Links.of(core), price)
     for _ in range(3):
         _, before = cheapest_way(core, np.array(price, np.int64))
         assert ways.to_goal == before[-1]
@@ -50,6 +51,45 @@ def test_ways_on_lists_cost_what_they_cost_on_arrays_also_after_labels_became_ch
 
 
 @fewer
+@given(problems(special=False), st.integers(1, 30))
+def test_what_costs_less_than_the_most_that_is_asked_for_costs_the_same(problem: Problem, most: int) -> None:
+    core = Stage(problem).network.core
+    price = Stage(problem).cost.tolist()
+    all_ways, near = Ways(Links.of(core), price), Ways(Links.of(core), price, most)
+    assert near.to_goal == (all_ways.to_goal if all_ways.to_goal < most else LEFT_OUT)
+    assert near.labels_from(most) == all_ways.labels_from(most)
+
+
+@fewer
+@given(problems(special=False), st.data())
+def test_a_part_of_the_lists_has_the_ways_of_the_whole_without_the_others(
+    problem: Problem, data: st.DataObject
+) -> None:
+    stage = Stage(problem)
+    plan = stage.numbers(stage.used) | set(stage.network.pinned)
+    kept = sorted(plan | data.draw(st.sets(st.sampled_from(range(len(stage.cost))))))
+    price = [cost if label in kept else LEFT_OUT for label, cost in enumerate(stage.cost.tolist())]
+    whole = Ways(Links.of(stage.network.core), price)
+    part = Links.of(stage.network.core).among(kept)
+    ways = Ways(part, [price[label] for label in kept])
+    assert ways.to_goal == whole.to_goal
+    assert is_plan(stage.network, {part.labels[label] for label in ways.plan()})
+
+
+@fewer
+@given(problems(special=False), st.integers(1, 10))
+def test_the_first_node_has_a_bound_on_every_plan(problem: Problem, steps: int) -> None:
+    stage = Stage(problem)
+    search = Branching(stage.network.core, stage.cost, LIMIT, 1, lambda: False)
+    search.run(steps)
+    bound = search.bound()
+    assert bound.value <= min(int(stage.cost[list(plan)].sum()) for plan in all_plans(stage))
+    for landmark in bound.landmarks:
+        assert all(not plan.isdisjoint(landmark.members.tolist()) for plan in all_plans(stage))
+        assert set(landmark.members.tolist()) <= set(landmark.made_again(stage.network.core).members.tolist())
+
+
+@fewer
 @given(problems(special=False))
 def test_every_plan_without_what_is_left_out_has_a_label_of_the_landmark(problem: Problem) -> None:
     stage = Stage(problem)
@@ -57,7 +97,7 @@ def test_every_plan_without_what_is_left_out_has_a_label_of_the_landmark(problem
     plans = all_plans(stage)
     for left_out in range(len(price)):
         price[left_out] = LEFT_OUT
-        ways = Ways(Links(stage.network.core), price)
+        ways = Ways(Links.of(stage.network.core), price)
         if 0 < ways.to_goal < LEFT_OUT:
             members = ways.landmark()
             assert all(price[label] for label in members)

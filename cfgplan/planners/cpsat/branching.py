@@ -11,14 +11,22 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
+import numpy as np
+
+from cfgplan.planners.cpsat.bounds import Bound
 from cfgplan.planners.cpsat.core import NEVER, Core, Ints
+from cfgplan.planners.cpsat.landmarks import Landmark
 from cfgplan.planners.cpsat.ways import LEFT_OUT, Links, Ways
+
+LARGE = 60
+"""With fewer labels than this it does not pay to go on without those that are left out."""
 
 
 @dataclass(slots=True)
 class _Node:
     """What labels still cost: what landmarks don't charge, nothing if taken, `LEFT_OUT` if left out."""
 
+    links: Links
     residual: list[int]
     paid: int
     charged: int
@@ -56,7 +64,18 @@ class _Node:
         residual[label] = 0
         share = self.share / among
         self.share -= share
-        return _Node(residual, paid, charged, landmarks, share)
+        return _Node(self.links, residual, paid, charged, landmarks, share)
+
+    def shrunk(self) -> _Node:
+        """The node without what is left out, if that is much."""
+        residual = self.residual
+        kept = [label for label, price in enumerate(residual) if price < LEFT_OUT]
+        if len(residual) < LARGE or 2 * len(kept) > len(residual):
+            return self
+        number = {label: i for i, label in enumerate(kept)}
+        landmarks = [(weight, tuple([number[member] for member in members])) for weight, members in self.landmarks]
+        left = [residual[label] for label in kept]
+        return _Node(self.links.among(kept), left, self.paid, self.charged, landmarks, self.share)
 
     def leave_out(self, labels: Collection[int]) -> bool:
         """Do without the labels from now on; False if a landmark has no other members."""
@@ -80,7 +99,8 @@ class Branching:
     def __init__(self, core: Core, cost: Ints, limit: int, step: int, is_over: Callable[[], bool]) -> None:
         self.best: set[int] | None = None
         self.nodes = 0
-        self._links = Links(core)
+        self._core, self._weight = core, cost
+        self._links = Links.of(core)
         self._cost: list[int] = cost.tolist()
         self.enough = limit - step + 1
         """A bound of so much says that nothing is better."""
@@ -88,6 +108,15 @@ class Branching:
         self._steps = 0
         self._is_over = is_over
         self._ahead = [self._root()]
+        self._first: tuple[list[list[int]], list[tuple[int, tuple[int, ...]]]] | None = None
+
+    def bound(self) -> Bound:
+        """The bound of the first node on plans below the limit, as landmarks of the core."""
+        zones, landmarks = self._first or ([], [])
+        found = [Landmark(np.array(z), np.array(m)) for z, (_, m) in zip(zones, landmarks, strict=False)]
+        bound = Bound(self._core, self._weight, found)
+        bound.recharge([weight for weight, _ in landmarks])
+        return bound
 
     def run(self, steps: int) -> bool:
         """Go on for so many steps, a landmark or a node each; whether nothing is better than `best`, or the limit."""
@@ -128,7 +157,7 @@ class Branching:
         return found
 
     def _root(self) -> _Node:
-        return _Node(self._cost[:], 0, 0, [], 1.0)
+        return _Node(self._links, self._cost[:], 0, 0, [], 1.0)
 
     def _is_late(self) -> bool:
         return self._steps <= 0 or self._is_over()
@@ -142,15 +171,17 @@ class Branching:
             if self._steps <= 0:
                 self._ahead.append(node)
             return
-        plan = ways.plan()
+        plan = {node.links.labels[label] for label in ways.plan()}
         weight = sum([self._cost[label] for label in plan])
         if weight < self.enough:
             self.enough, self.best = weight - self._step + 1, plan
         if not node.leave_out(ways.labels_from(self.enough - node.bound)) or node.bound >= self.enough:
             return
+        node = node.shrunk()
         near = self._nearest(node)
         if near:
-            label = min(near, key=lambda member: (node.residual[member], member not in plan, member))
+            residual, labels = node.residual, node.links.labels
+            label = min(near, key=lambda member: (residual[member], labels[member] not in plan, member))
             taken = node.take(label, len(near))
             if len(near) > 1 and node.leave_out([label]):
                 self._ahead.append(node)
@@ -158,7 +189,8 @@ class Branching:
 
     def _tighten(self, node: _Node) -> Ways | None:
         """Charge landmarks until the goal is free; None if no plan is good enough, or the steps are over."""
-        ways = Ways(self._links, node.residual)
+        ways = Ways(node.links, node.residual, self.enough - node.bound)
+        self._first = self._first or (ways.zones, node.landmarks)
         while node.bound + ways.to_goal < self.enough:
             self._steps -= 1
             if not ways.to_goal:

@@ -24,7 +24,7 @@ from cfgplan.planners.cpsat.structure import Structure
 from cfgplan.planners.cpsat.weighing import Weighing
 from cfgplan.planning import Problem, Progress
 
-SMALL, FILTERED = 250, 120
+SMALL, FILTERED = 600, 120
 """So many labels a problem may have; with more than so many it pays to leave out those that are too dear by themselves.
 """
 FIRST, STEPS, SOON = 300, 1500, 0.01
@@ -54,6 +54,7 @@ def decided(
         search = Branching(core, weight, limit, weighing.step, clock.is_over)
         is_proven = search.run(min(steps, FIRST)) or (search.done >= SOON and search.run(max(0, steps - FIRST)))
         nodes = search.nodes
+        structure.remember(search.bound, weighing.scale)
         if search.best is not None:
             plan = set(core.labels[sorted(search.best)].tolist()).union(network.pinned)
     plan = _lean(network, weighing.weight, plan)

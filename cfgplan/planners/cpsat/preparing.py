@@ -44,7 +44,7 @@ class Preparation:
         if plan is not None and bound.value <= limit - weighing.step and bound.core.crowds is not None:
             self._plan = plan = self._at_what_is_left(bound, plan)
             limit = weighing.of_plan(plan)
-        self._structure.remember(bound, weighing.scale)
+        self._structure.remember(lambda: bound, weighing.scale)
         self._left = Left.by(bound, limit)
         if plan is not None and weighing.least(max(bound.value, self._least)) < limit:
             self._closing = Closing(self._structure.network, bound, weighing.weight, plan, weighing.step)

@@ -235,7 +235,8 @@ class PlannerSession:
         self._rest = self._rest and self._rest.moved(plan, cost, limit, clock)
         if self._rest is None:
             value = int(cost[plan].sum())
-            structure.remember(tightened(_known_bound(structure, cost), value, value, clock), 1)
+            close = tightened(_known_bound(structure, cost), value, value, clock)
+            structure.remember(lambda: close, 1)
             bound = _known_bound(structure, cost)
             self._rest = Rest.of(plan, cost, int(ROOM * limit), bound, clock)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -29,7 +30,7 @@ class Structure:
     possible: frozenset[str]
     _landmarks: list[Landmark] = field(default_factory=list)
     _weights: list[int] = field(default_factory=list)
-    _bound: tuple[Bound, int] | None = None
+    _found: tuple[Callable[[], Bound], int] | None = None
 
     @classmethod
     def of(cls, problem: Problem, old: Structure | None, clock: Clock) -> Structure:
@@ -86,14 +87,15 @@ class Structure:
         """Whether some transformation that may be of use is required to be used."""
         return any(t.required for t in self.network.transformations)
 
-    def remember(self, bound: Bound, scale: int) -> None:
+    def remember(self, bound: Callable[[], Bound], scale: int) -> None:
         """Keep the landmarks that count for the next time. In the bound a microsecond weighs `scale`."""
-        self._bound = bound, scale
+        self._found = bound, scale
 
     def landmarks(self) -> tuple[list[Landmark], list[int]]:
         """What is remembered, as landmarks of the whole network, and how much each was charged."""
-        if self._bound is not None:
-            (bound, scale), self._bound = self._bound, None
+        if self._found is not None:
+            (found, scale), self._found = self._found, None
+            bound = found()
             known = {landmark.key: landmark for landmark in self._landmarks}
             counted = [
                 (landmark.outside(bound.core), weight // scale)

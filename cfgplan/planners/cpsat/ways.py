@@ -6,7 +6,7 @@ left out opens no way.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from heapq import heappop, heappush
 
 from cfgplan.planners.cpsat.core import NEVER, Core
@@ -16,29 +16,56 @@ LEFT_OUT = int(NEVER)
 
 
 class Links:
-    """A core as plain lists."""
+    """A core, or a part of it, as plain lists; `labels` are their numbers in the core."""
 
-    def __init__(self, core: Core) -> None:
-        labels, facts = range(core.goal + 1), range(len(core.givers))
-        self.goal = core.goal
-        self.needs = [core.needs.lists[label] for label in labels]
-        self.gives = [core.gives.lists[label] for label in labels]
-        self.givers = [core.givers.lists[fact] for fact in facts]
-        self.needed_by = [core.needed_by.lists[fact] for fact in facts]
-        self.missing = [len(needs) for needs in self.needs]
-        self.sources = [label for label in labels if not self.needs[label]]
+    def __init__(self, labels: Sequence[int], needs: list[list[int]], givers: list[list[int]]) -> None:
+        """The last of `needs` are those of the goal."""
+        self.labels = labels
+        self.goal = len(needs) - 1
+        self.needs = needs
+        self.givers = givers
+        self.gives = _transposed(givers, len(needs))
+        self.needed_by = _transposed(needs, len(givers))
+        self.missing = [len(row) for row in needs]
+        self.sources = [label for label, row in enumerate(needs) if not row]
+
+    @classmethod
+    def of(cls, core: Core) -> Links:
+        needs, givers = core.needs.lists, core.givers.lists
+        rows = [needs[label] for label in range(core.goal + 1)]
+        return cls(range(core.goal), rows, [givers[fact] for fact in range(len(core.givers))])
+
+    def among(self, kept: Sequence[int]) -> Links:
+        """The part with these labels and the facts they need."""
+        number = {label: i for i, label in enumerate(kept)}
+        facts: dict[int, int] = {}
+        needs = [[facts.setdefault(fact, len(facts)) for fact in self.needs[label]] for label in (*kept, self.goal)]
+        givers = [[number[label] for label in self.givers[fact] if label in number] for fact in facts]
+        return Links([self.labels[label] for label in kept], needs, givers)
+
+
+def _transposed(rows: list[list[int]], columns: int) -> list[list[int]]:
+    """Row j holds the i whose row held j."""
+    turned: list[list[int]] = [[] for _ in range(columns)]
+    for i, row in enumerate(rows):
+        for j in row:
+            turned[j].append(i)
+    return turned
 
 
 class Ways:
     """What facts cost by their dearest chains, and labels before their own price; `price` is shared, not copied."""
 
-    def __init__(self, links: Links, price: list[int]) -> None:
+    def __init__(self, links: Links, price: list[int], most: int = LEFT_OUT) -> None:
+        """What costs `most` or more at first counts as not to be had."""
         self._links = links
         self._price = price
-        self._facts = [LEFT_OUT] * len(links.givers)
+        self._facts = [most] * len(links.givers)
         self._before = [LEFT_OUT] * (links.goal + 1)
         self._dearest = [-1] * (links.goal + 1)
         self._giver = [-1] * len(links.givers)
+        self.zones: list[list[int]] = []
+        """Those of the landmarks so far."""
         self._derive()
 
     @property
@@ -105,6 +132,7 @@ class Ways:
                     seen.add(dearest[label])
                     zone.append(dearest[label])
         members.difference_update(*[needed_by[fact] for fact in zone])
+        self.zones.append(zone)
         return tuple([label for label in sorted(members) if price[label] < LEFT_OUT and before[label] < LEFT_OUT])
 
     def plan(self) -> set[int]:
