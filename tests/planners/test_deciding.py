@@ -16,8 +16,11 @@ from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planners.cpsat.bounds import cheapest_way
 from cfgplan.planners.cpsat.branching import Branching
 from cfgplan.planners.cpsat.clock import Clock
-from cfgplan.planners.cpsat.deciding import decided
+from cfgplan.planners.cpsat.deciding import decide
 from cfgplan.planners.cpsat.greedy import is_plan
+from cfgplan.planners.cpsat.prepared import Prepared
+from cfgplan.planners.cpsat.site import Site
+from cfgplan.planners.cpsat.standing import Standing
 from cfgplan.planners.cpsat.structure import Structure
 from cfgplan.planners.cpsat.ways import LEFT_OUT, Links, Ways
 from cfgplan.planners.cpsat.weighing import Weighing
@@ -174,8 +177,8 @@ def test_a_small_problem_is_decided_without_the_solver_and_with_too_few_steps_by
     assert "nodes" in quick.counts
     assert "rounds" not in quick.counts
     structure = Structure.of(problem, None, Clock())
-    hasty, patient = (decided(problem, structure, steps, Clock(), None) for steps in (1, 100))
-    assert hasty is not None
-    assert patient is not None
+    hasty, patient = (Standing(Site(problem, structure.givers, ()), Prepared([]), Clock(), None) for _ in range(2))
+    assert not decide(hasty, structure, 1)
     assert not hasty.is_over
+    assert decide(patient, structure, 100)
     assert patient.is_over

@@ -49,19 +49,21 @@ class _Node:
             self.charged += weight
         return weight
 
-    def take(self, label: int, among: int) -> _Node:
-        """The node below that has the label, about one of so many."""
+    def take(self, labels: set[int], among: int = 1) -> _Node:
+        """The node below that has the labels, about one of so many."""
         residual, charged, landmarks = self.residual[:], self.charged, []
         for landmark in self.landmarks:
             weight, members = landmark
-            if label in members:
+            if labels.isdisjoint(members):
+                landmarks.append(landmark)
+            else:
                 charged -= weight
                 for member in members:
                     residual[member] += weight
-            else:
-                landmarks.append(landmark)
-        paid = self.paid + residual[label]
-        residual[label] = 0
+        paid = self.paid
+        for label in labels:
+            paid += residual[label]
+            residual[label] = 0
         share = self.share / among
         self.share -= share
         return _Node(self.links, residual, paid, charged, landmarks, share)
@@ -144,7 +146,7 @@ class Branching:
         for label in range(len(self._cost)):
             if label in plan or label in found or root.residual[label] == LEFT_OUT:
                 continue
-            self.best, self._ahead, enough = None, [root.take(label, 2)], self.enough
+            self.best, self._ahead, enough = None, [root.take({label}, 2)], self.enough
             while self._ahead and self.best is None:
                 if self._is_late():
                     return None
@@ -178,11 +180,14 @@ class Branching:
         if not node.leave_out(ways.labels_from(self.enough - node.bound)) or node.bound >= self.enough:
             return
         node = node.shrunk()
+        forced = {members[0] for _, members in node.landmarks if len(members) == 1}
         near = self._nearest(node)
-        if near:
+        if forced:
+            self._ahead.append(node.take(forced))
+        elif near:
             residual, labels = node.residual, node.links.labels
             label = min(near, key=lambda member: (residual[member], labels[member] not in plan, member))
-            taken = node.take(label, len(near))
+            taken = node.take({label}, len(near))
             if len(near) > 1 and node.leave_out([label]):
                 self._ahead.append(node)
             self._ahead.append(taken)

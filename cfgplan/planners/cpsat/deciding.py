@@ -1,11 +1,11 @@
-"""Small problems are decided by a search of the planner's own, before anything is prepared for the solver.
+"""Small problems, and what bounds leave of others, are decided by a search of the planner's own.
 
-Building a model and calling the solver takes longer there than looking at all that bounds leave.
+Building a model and calling the solver takes longer there than looking at all that may be in a better plan.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
@@ -13,74 +13,106 @@ import numpy as np
 from cfgplan.planners.cpsat.bounds import Bound
 from cfgplan.planners.cpsat.branching import Branching
 from cfgplan.planners.cpsat.chains import chained_bound
-from cfgplan.planners.cpsat.clock import Clock
 from cfgplan.planners.cpsat.core import Core, Ints
 from cfgplan.planners.cpsat.greedy import first_plan, without_redundant
 from cfgplan.planners.cpsat.network import Network
 from cfgplan.planners.cpsat.prepared import Prepared
-from cfgplan.planners.cpsat.site import Site
 from cfgplan.planners.cpsat.standing import Standing
 from cfgplan.planners.cpsat.structure import Structure
 from cfgplan.planners.cpsat.weighing import Weighing
-from cfgplan.planning import Problem, Progress
 
-SMALL, FILTERED = 600, 120
-"""So many labels a problem may have; with more than so many it pays to leave out those that are too dear by themselves.
+SMALL, LEFT, FILTERED = 600, 200, 120
+"""So many labels a network may have that is searched, or so many may be left of one.
+
+Of more than so many those that are too dear by themselves are left out first.
 """
 FIRST, STEPS, SOON = 300, 1500, 0.01
 """So many steps a search may take at first, and in all if so much of it is done by then."""
 
 
-def decided(
-    problem: Problem, structure: Structure, steps: int, clock: Clock, report: Callable[[Progress], None] | None
-) -> Standing | None:
-    """The best plan that is found in so many steps; where its cost is proven, but not that no other changes less, with
-    all labels that such a plan could have: `is_complete`.
+def decide(standing: Standing, structure: Structure, steps: int, among: Collection[str] | None = None) -> bool:
+    """Look for a better plan in so many steps; no labels but `among` these can be in one.
 
-    None if the problem is not for such a search: a plan must be no more than its labels, without distinct and feedback
-    inputs.
+    True if all is proven or, where only the cost is, if the standing has all labels that can be in a better plan.
+    A plan must be no more than its labels, without distinct and feedback inputs, else nothing is done.
     """
     network = structure.network
-    if not steps or network.special or len(network.labels) > SMALL:
-        return None
-    weighing = Weighing.with_changes(problem, network, structure.pinned)
-    plan = None if weighing is None else first_plan(network, weighing.weight, 0, clock.is_over)
-    if weighing is None or plan is None:
-        return None
-    limit, nodes = weighing.of_plan(_numbers(plan)), 0
-    is_proven = weighing.least(chained_bound(network.core, weighing.weight)) >= limit
-    if not is_proven:
-        core, weight = _filtered(network.core, weighing, limit)
-        search = Branching(core, weight, limit, weighing.step, clock.is_over)
-        is_proven = search.run(min(steps, FIRST)) or (search.done >= SOON and search.run(max(0, steps - FIRST)))
-        nodes = search.nodes
-        structure.remember(search.bound, weighing.scale)
-        if search.best is not None:
-            plan = set(core.labels[sorted(search.best)].tolist()).union(network.pinned)
-    plan = _lean(network, weighing.weight, plan)
-    value = weighing.of_plan(_numbers(plan)) if is_proven else 0
-    labels = [network.labels[i] for i in sorted(plan)]
-    prepared = Prepared(
-        labels,
-        labels,
-        bound_us=weighing.cost_us(value),
-        counts={"nodes": nodes, "left by bounds": len(labels)},
-        fewest_changes=weighing.changes(value),
-        is_complete=False,
-    )
-    standing = Standing(Site(problem, structure.givers, labels), prepared, clock, report)
-    if is_proven and standing.best is not None and not standing.is_over:
-        limit = weighing.of_key(standing.best.key)
-        core, weight = _filtered(network.core, weighing, limit)
-        search = Branching(core, weight, limit, weighing.step, clock.is_over)
+    is_large = len(network.labels) > SMALL if among is None else len(among) > LEFT
+    if not steps or is_large or network.special:
+        return False
+    weighing = Weighing.with_changes(standing.site.problem, network, structure.pinned)
+    if weighing is None:
+        return False
+    plan: set[int] | None
+    if standing.best is None:
+        plan = first_plan(network, weighing.weight, 0, standing.clock.is_over)
+    else:
+        plan = {network.number[unit.transformation] for unit in standing.best.units}.union(network.pinned)
+    return plan is not None and _Deciding(standing, structure, weighing, among).run(plan, steps)
+
+
+class _Deciding:
+    """A search for what weighs less than a plan, and what its answer means for a standing."""
+
+    def __init__(
+        self, standing: Standing, structure: Structure, weighing: Weighing, among: Collection[str] | None
+    ) -> None:
+        self._standing, self._structure, self._weighing = standing, structure, weighing
+        self._core, self._weight = structure.network.core, weighing.weight
+        self._is_part = among is not None
+        if among is not None:
+            keep = np.zeros(self._core.goal, np.bool_)
+            keep[[structure.network.number[label] for label in among]] = True
+            self._core, self._weight = self._core.restricted(keep), self._weight[keep]
+
+    def run(self, plan: set[int], steps: int) -> bool:
+        network, weighing, standing = self._structure.network, self._weighing, self._standing
+        limit, nodes = weighing.of_plan(_numbers(plan)), 0
+        is_proven = not self._is_part and weighing.least(chained_bound(self._core, self._weight)) >= limit
+        if not is_proven:
+            core, search = self._below(limit)
+            is_proven = search.run(min(steps, FIRST)) or (search.done >= SOON and search.run(max(0, steps - FIRST)))
+            nodes = search.nodes
+            if not self._structure.has_landmarks:
+                self._structure.remember(search.bound, weighing.scale)
+            if search.best is not None:
+                plan = set(core.labels[sorted(search.best)].tolist()).union(network.pinned)
+        plan = _lean(network, weighing.weight, plan)
+        value = weighing.of_plan(_numbers(plan)) if is_proven else 0
+        labels = [network.labels[i] for i in sorted(plan)]
+        prepared = Prepared(
+            labels,
+            labels,
+            bound_us=weighing.cost_us(value),
+            counts={"nodes": nodes, "left by bounds": len(labels)},
+            fewest_changes=weighing.changes(value),
+            is_complete=False,
+        )
+        standing.go_on_with(prepared)
+        return is_proven and (standing.is_over or self._has_all(prepared, plan, steps))
+
+    def _has_all(self, prepared: Prepared, plan: set[int], steps: int) -> bool:
+        """Give the standing all labels that plans have that change less than its own, which is a cheapest one."""
+        network, standing = self._structure.network, self._standing
+        if standing.best is None:
+            return False
+        core, search = self._below(self._weighing.of_key(standing.best.key))
         others = search.others(np.flatnonzero(np.isin(core.labels, _numbers(plan))).tolist(), steps)
-        if others is not None:
-            plan |= set(core.labels[sorted(others)].tolist())
-            labels = [network.labels[i] for i in sorted(plan)]
-            counts = {**prepared.counts, "left by bounds": len(labels)}
-            standing.go_on_with(replace(prepared, labels=labels, counts=counts, is_complete=True))
-    clock.end("bounds")
-    return standing
+        if others is None:
+            return False
+        labels = [network.labels[i] for i in sorted(plan.union(core.labels[sorted(others)].tolist()))]
+        counts = {**prepared.counts, "left by bounds": len(labels)}
+        standing.go_on_with(replace(prepared, labels=labels, counts=counts, is_complete=True))
+        return True
+
+    def _below(self, limit: int) -> tuple[Core, Branching]:
+        """A search for plans that weigh less, and the core that it looks at."""
+        core, weight, step = self._core, self._weight, self._weighing.step
+        if not self._is_part and core.goal > FILTERED:
+            bound = Bound(core, weight)
+            part = bound.restricted(bound.may_be_used(limit - step))
+            core, weight = part.core, part.cost
+        return core, Branching(core, weight, limit, step, self._standing.clock.is_over)
 
 
 def _numbers(labels: set[int]) -> Ints:
@@ -95,12 +127,3 @@ def _lean(network: Network, weight: Ints, plan: set[int]) -> set[int]:
             break
         plan = lean
     return plan
-
-
-def _filtered(core: Core, weighing: Weighing, limit: int) -> tuple[Core, Ints]:
-    """The part of a core that may be in a plan better than `limit`, if it is not small anyway, and its weights."""
-    if core.goal <= FILTERED:
-        return core, weighing.weight
-    bound = Bound(core, weighing.weight)
-    part = bound.restricted(bound.may_be_used(limit - weighing.step))
-    return part.core, part.cost

@@ -16,7 +16,7 @@ from cfgplan.planners.cpsat.bounds import Bound
 from cfgplan.planners.cpsat.chains import chained_bound
 from cfgplan.planners.cpsat.clock import Clock, OutOfTimeError
 from cfgplan.planners.cpsat.core import Ints
-from cfgplan.planners.cpsat.deciding import STEPS, decided
+from cfgplan.planners.cpsat.deciding import STEPS, decide
 from cfgplan.planners.cpsat.greedy import first_plan, improved, is_plan, with_less
 from cfgplan.planners.cpsat.grounding import Grounding
 from cfgplan.planners.cpsat.network import costs
@@ -79,7 +79,7 @@ class PlannerSession:
             reasons = unmet_reasons(problem, possible=structure.possible)
             return Plan("cpsat", Status.INFEASIBLE, reasons=reasons, seconds=clock.end("closure"))
         clock.end("closure")
-        standing: Standing | None = None
+        standing = Standing(Site(problem, structure.givers, ()), Prepared([]), clock, report)
         try:
             if structure.has_required:
                 from cfgplan.planners.cpsat.required import with_any_plan
@@ -87,25 +87,12 @@ class PlannerSession:
                 standing = with_any_plan(problem, structure, clock)
                 standing = self._with_required(problem, structure, standing, report)
             else:
-                if self._rest is None:
-                    standing = decided(problem, structure, self._steps, clock, report)
-                if standing is None or not (standing.is_over or standing.is_complete):
-                    self._remember(standing)
-                    preparation = self._prepare(problem, structure, clock)
-                    prepared = preparation.prepared(clock)
-                    clock.end("bounds")
-                    standing = standing or Standing(Site(problem, structure.givers, ()), Prepared([]), clock, report)
-                    standing.go_on_with(prepared)
-                    self._solve(standing, preparation, prepared)
-                elif not standing.is_over and standing.best is not None:
-                    self._search(standing, None, Prepared([], cost_us=standing.best.key[1]), None)
+                self._bring_forward(standing, structure)
         except OutOfTimeError:
             pass
         except KeyboardInterrupt:
             clock.stop.set()
         clock.end("search")
-        if standing is None:
-            return Plan("cpsat", Status.UNKNOWN, seconds=clock.seconds)
         self._remember(standing)
         standing.counts = structure.counts() | standing.counts
         found = standing.plan()
@@ -117,8 +104,29 @@ class PlannerSession:
                 clock.stop.set()
         return found
 
-    def _remember(self, standing: Standing | None) -> None:
-        if standing is not None and standing.best is not None:
+    def _bring_forward(self, standing: Standing, structure: Structure) -> None:
+        """Search first where nothing is known yet, else prepare first; the solver comes last."""
+        clock, is_new = standing.clock, not structure.has_landmarks
+        is_decided = is_new and decide(standing, structure, self._steps)
+        self._remember(standing)
+        clock.end("bounds")
+        if not is_decided:
+            preparation = self._prepare(standing.site.problem, structure, clock)
+            prepared = preparation.prepared(clock)
+            standing.go_on_with(prepared)
+            clock.end("bounds")
+            if not standing.is_over:
+                is_decided = decide(standing, structure, self._steps, prepared.labels)
+                if not is_decided:
+                    standing.go_on_with(prepared)
+                clock.end("bounds")
+        if not is_decided:
+            self._solve(standing, preparation, prepared)
+        elif not standing.is_over and standing.best is not None:
+            self._search(standing, None, Prepared([], cost_us=standing.best.key[1]), None)
+
+    def _remember(self, standing: Standing) -> None:
+        if standing.best is not None:
             self._last = frozenset(unit.transformation for unit in standing.best.units)
 
     def _solve(self, standing: Standing, preparation: Preparation, prepared: Prepared) -> None:

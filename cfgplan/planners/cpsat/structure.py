@@ -91,6 +91,11 @@ class Structure:
         """Keep the landmarks that count for the next time. In the bound a microsecond weighs `scale`."""
         self._found = bound, scale
 
+    @property
+    def has_landmarks(self) -> bool:
+        """Whether some are remembered."""
+        return self._found is not None or bool(self._landmarks)
+
     def landmarks(self) -> tuple[list[Landmark], list[int]]:
         """What is remembered, as landmarks of the whole network, and how much each was charged."""
         if self._found is not None:
