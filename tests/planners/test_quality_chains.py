@@ -9,19 +9,20 @@ from hypothesis import strategies as st
 from test_fleets_against_the_oracle import some
 
 from cfgplan.comparing.families.random_library import random_library
-from cfgplan.domain import ComputationUnit, Environment, InputPort, OutputPort, Similarity, Target, Transformation
+from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Target, Transformation
 from cfgplan.errors import InputError
 from cfgplan.figures import qualities_of_targets
 from cfgplan.planners import PLANNERS
 from cfgplan.planners.cpsat.clock import Clock
 from cfgplan.planners.fleet.best_case import leave_out_what_is_too_bad
 from cfgplan.planners.fleet.candidates import Candidates
+from cfgplan.planners.fleet.first_plans import FirstPlans
 from cfgplan.planners.fleet.flat import Flat
 from cfgplan.planners.fleet.flatness import is_flat
-from cfgplan.planners.fleet.keys import key_of
 from cfgplan.planners.fleet.quality_chains import Chains
 from cfgplan.planners.fleet.quality_cuts import QUICK, chain_cuts
 from cfgplan.planners.fleet.quality_plan import QualityPlanner, can_be_planned
+from cfgplan.planners.fleet.standing import Standing
 from cfgplan.planning import Notion, Problem
 from cfgplan.qualities import MICRO, Better, Contribution, QualityAttribute, Rule, Wish
 from cfgplan.reasons import unmet_reasons
@@ -116,10 +117,12 @@ def test_a_plan_without_search_costs_what_it_says(problem: Problem) -> None:
     plan = planner.best([], np.zeros(len(candidates.all)))
     assume(plan is not None)
     assert plan is not None
-    units: list[ComputationUnit] = planner.units(plan)
+    standing = Standing(problem, Clock(), None)
+    assert FirstPlans(candidates, standing).offer(plan)
     said_us = planner.total_us(plan)
+    assert standing.best is not None
     assert said_us is not None
-    assert key_of(problem, units)[1] <= said_us
+    assert standing.best[0][1] <= said_us
 
 
 def test_a_fleet_too_large_for_the_relaxation_gets_no_cuts() -> None:

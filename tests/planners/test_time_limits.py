@@ -87,7 +87,7 @@ def test_the_time_may_be_over_at_any_moment(kind: str) -> None:
             assert found.bound_us <= best.cost_us <= found.cost_us
 
 
-@pytest.mark.parametrize("kind", ["plain", "running", "required"])
+@pytest.mark.parametrize("kind", PROBLEMS)
 def test_soon_after_the_closure_a_plan_is_known(kind: str) -> None:
     best, _ = after(10**9, PROBLEMS[kind])
     found, _ = after(round(best.seconds["closure"]) + FEW_MORE, PROBLEMS[kind])

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from cfgplan.planners.cpsat.clock import Clock, OutOfTimeError
 from cfgplan.planners.fleet.best_case import bound_by_price, leave_out_what_is_too_bad
 from cfgplan.planners.fleet.candidates import Candidates
+from cfgplan.planners.fleet.first_plans import FirstPlans
 from cfgplan.planners.fleet.flat import Flat
 from cfgplan.planners.fleet.flatness import is_flat
 from cfgplan.planners.fleet.hostless import hostless
@@ -47,10 +48,14 @@ def plan(
         if reasons := unmet_reasons(problem, candidates.givers, candidates.possible):
             return Plan("cpsat", Status.INFEASIBLE, reasons=reasons, seconds=clock.end("closure"))
         standing.counts = {"candidates": len(candidates.all), "conflicts": 0}
+        _ = candidates.network
+        clock.end("closure")
+        first = FirstPlans(candidates, standing)
+        first.look()
+        clock.end("first plans")
         if Notion.SURVIVAL not in problem.notions:  # a hot spare may get any quality
             leave_out_what_is_too_bad(candidates)
-        clock.end("closure")
-        _search(candidates, standing)
+        _search(candidates, standing, first)
     except OutOfTimeError:
         pass
     except KeyboardInterrupt:
@@ -59,11 +64,11 @@ def plan(
     return standing.plan()
 
 
-def _search(candidates: Candidates, standing: Standing) -> None:
+def _search(candidates: Candidates, standing: Standing, first: FirstPlans) -> None:
     """The fast way where it is exact; what it leaves open, and all else, in the explicit model."""
     problem, clock = candidates.problem, standing.clock
     if is_flat(candidates):
-        search = _solve_flat(candidates, standing)
+        search = _solve_flat(candidates, standing, first)
         clock.end("flat")
         standing.is_optimal = search is not None and search.is_done
         if search is None or standing.is_optimal or standing.is_infeasible or clock.is_over():
@@ -77,14 +82,14 @@ def _search(candidates: Candidates, standing: Standing) -> None:
     explicit.run()
 
 
-def _solve_flat(candidates: Candidates, standing: Standing) -> FlatSearch | None:
+def _solve_flat(candidates: Candidates, standing: Standing, first: FirstPlans) -> FlatSearch | None:
     """The search that proved the cost, or the last one; None if no plan is possible."""
     from cfgplan.planners.fleet.flat_search import FlatSearch  # the solver takes long to import
     from cfgplan.planners.fleet.kernels import look_among_few, well_below_best_us
 
     problem, clock = candidates.problem, standing.clock
     hostless_us, slice_s, bound = 0, SLICE_S, None
-    quality = QualityStart(candidates, standing)
+    quality = QualityStart(candidates, standing, first)
     flat = Flat(candidates)
     is_probing = bool(problem.environment.hosts) and not flat.is_impossible
     if is_probing:

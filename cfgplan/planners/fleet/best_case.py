@@ -47,8 +47,7 @@ def range_of_use(candidates: Candidates, attribute: QualityAttribute) -> dict[St
     streams_of = Counter(stream.unit for stream in used)
     for stream, worst in used.items():
         i = candidates.index_of[stream.unit]
-        is_asked_for = candidates.is_pinned(i) or candidates.all[i].transformation.min_instances
-        if is_asked_for or streams_of[stream.unit] > 1 or attribute.is_better(worst, best[stream]):
+        if candidates.is_asked_for(i) or streams_of[stream.unit] > 1 or attribute.is_better(worst, best[stream]):
             used[stream] = attribute.worst
     return {stream: (best[stream], worst) for stream, worst in used.items()}
 
@@ -101,24 +100,31 @@ def _best_values(candidates: Candidates, attribute: QualityAttribute) -> dict[St
     best: dict[Stream, int] = {}
     at: dict[str, int] = {}
     demands = _demands(candidates)
+    ordinary = [[port.tag for port in c.transformation.inputs if not port.feedback] for c in candidates.all]
+    needing: dict[str, list[int]] = defaultdict(list)
+    for i, tags in enumerate(ordinary):
+        for tag in set(tags):
+            needing[tag].append(i)
+    ahead = [i for i, candidate in enumerate(candidates.all) if candidate.may_run]
     for _ in candidates.all:
-        grew = False
-        for candidate in candidates.all:
+        better: set[str] = set()
+        for i in ahead:
             candidates.watch()
-            inputs = [at.get(port.tag) for port in candidate.transformation.inputs if not port.feedback]
-            fed = [value for value in inputs if value is not None]
-            if len(fed) < len(inputs) or not candidate.may_run:
+            candidate = candidates.all[i]
+            fed = [at[tag] for tag in ordinary[i] if tag in at]
+            if len(fed) < len(ordinary[i]) or not candidate.may_run:
                 continue
             for port in candidate.transformation.outputs:
                 value = propagated(attribute, {c.attribute: c for c in port.quality}.get(attribute.name), fed)
                 stream = Stream(candidate.id, port.name)
                 if stream not in best or attribute.is_better(value, best[stream]):
-                    grew = True
                     best[stream] = value
                     for tag in demands.get(port.tag, ()):
                         if tag not in at or attribute.is_better(value, at[tag]):
                             at[tag] = value
-        if not grew:
+                            better.add(tag)
+        ahead = sorted({i for tag in better for i in needing[tag]})
+        if not ahead:
             break
     return best
 
@@ -151,7 +157,7 @@ def _worst_of_use(candidates: Candidates, attribute: QualityAttribute) -> dict[s
 
     for target in candidates.environment.targets:
         allow(target.tag, candidates.bounds.get((target.label, attribute.name), attribute.worst))
-    asked = [i for i, c in enumerate(candidates.all) if candidates.is_pinned(i) or c.transformation.min_instances]
+    asked = [i for i in range(len(candidates.all)) if candidates.is_asked_for(i)]
     for i in asked:
         for port in candidates.all[i].transformation.inputs:
             allow(port.tag, attribute.worst)
@@ -163,16 +169,22 @@ def _worst_of_use(candidates: Candidates, attribute: QualityAttribute) -> dict[s
         for output in candidate.transformation.outputs
         if output.tag in demands and candidate.transformation.inputs
     ]
-    grew = True
-    while grew:
-        grew = False
-        for tags, stated, candidate in fed:
+    meeting: dict[str, list[int]] = defaultdict(list)
+    for number, (tags, _, _) in enumerate(fed):
+        for tag in tags:
+            meeting[tag].append(number)
+    ahead = set(allowed)
+    while ahead:
+        worse: set[str] = set()
+        for number in sorted({number for tag in ahead for number in meeting[tag]}):
             candidates.watch()
-            wanted = [allowed[tag] for tag in tags if tag in allowed]
-            if wanted:
-                ordinary = _allowed_before(attribute, candidate, stated, worst_of(wanted))
-                for port in candidate.transformation.inputs:
-                    grew |= allow(port.tag, attribute.worst if port.feedback else ordinary)
+            tags, stated, candidate = fed[number]
+            wanted = worst_of([allowed[tag] for tag in tags if tag in allowed])
+            ordinary = _allowed_before(attribute, candidate, stated, wanted)
+            for port in candidate.transformation.inputs:
+                if allow(port.tag, attribute.worst if port.feedback else ordinary):
+                    worse.add(port.tag)
+        ahead = worse
     return allowed
 
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 from cfgplan.costs import keep_cost_us, standby_cost_us, start_cost_us
 from cfgplan.domain import ComputationUnit, Environment, Stream, Transformation
+from cfgplan.planners.cpsat.network import Network
 from cfgplan.planning import Problem, fresh_units
 from cfgplan.qualities import QualityAttribute
 from cfgplan.reasons import Givers, startable
@@ -70,6 +72,35 @@ class Candidates:
         self._by_label: dict[str, list[Candidate]] = defaultdict(list)
         for candidate in self.all:
             self._by_label[candidate.transformation.label].append(candidate)
+        self._is_closed = among is None and len(self._by_label) == len(labels)
+
+    @cached_property
+    def network(self) -> Network:
+        """The transformations that candidates are of and that can be started among themselves, whatever the hosts.
+
+        Targets that none of them can meet are left out.
+        """
+        library = tuple(self._by_label[label][0].transformation for label in sorted(self._by_label))
+        if not self._is_closed:
+            left = startable(Environment((), library), self.givers)
+            library = tuple(t for t in library if t.label in left)
+        labels = {t.label for t in library}
+        asked = {c.transformation.label for i, c in enumerate(self.all) if self.is_asked_for(i)}
+        targets = [target.tag for target in self.environment.targets]
+        return Network(
+            library,
+            [tag for tag in targets if not labels.isdisjoint(self.givers.of(tag))],
+            asked & labels,
+            self.givers,
+        )
+
+    def numbers(self, labels: Iterable[str]) -> list[int]:
+        """The numbers that transformations have in the network, sorted."""
+        return sorted(self.network.number[label] for label in labels if label in self.network.number)
+
+    def of(self, label: str) -> list[Candidate]:
+        """The candidates of a transformation."""
+        return self._by_label.get(label, [])
 
     def streams(self, tag: str) -> tuple[Stream, ...]:
         """The streams of candidates that may run and match the demanded tag."""
@@ -93,6 +124,10 @@ class Candidates:
     def feeders(self, tag: str) -> list[int]:
         """The candidates that have such a stream, each once."""
         return sorted({self.index_of[stream.unit] for stream in self.streams(tag)})
+
+    def is_asked_for(self, index: int) -> bool:
+        """Whether the candidate has to run or its transformation asks for a number of units."""
+        return self.is_pinned(index) or self.all[index].transformation.min_instances > 0
 
     def is_pinned(self, index: int) -> bool:
         """Whether the candidate is a running unit that must be kept."""

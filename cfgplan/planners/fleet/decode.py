@@ -22,7 +22,7 @@ def solution(model: Model, holds: Callable[[IntVar], bool]) -> list[ComputationU
 
 def decode(model: Model, units: list[ComputationUnit]) -> list[ComputationUnit]:
     """The lean configuration of a solution that survives what it has to; it costs no more than the solution says."""
-    return named(model.candidates, lean(model.problem, units))
+    return named(model.candidates, lean(model.candidates, units))
 
 
 def _unit(model: Model, index: int, holds: Callable[[IntVar], bool]) -> ComputationUnit:
@@ -43,25 +43,25 @@ def _unit(model: Model, index: int, holds: Callable[[IntVar], bool]) -> Computat
     return ComputationUnit(candidate.id, candidate.transformation.label, subscriptions, publications, host)
 
 
-def lean(problem: Problem, units: Collection[ComputationUnit]) -> list[ComputationUnit]:
+def lean(candidates: Candidates, units: Collection[ComputationUnit]) -> list[ComputationUnit]:
     """The units less those that no target, pin, number or failure needs, taken away one after the other."""
-    left = list(units)
+    problem, left = candidates.problem, list(units)
+    spares: set[str] = set()
     while True:
-        needed = _needed(left, [unit for unit in left if unit.publications or _is_asked_for(problem, left, unit)])
+        roots = [u for u in left if u.publications or u.id in spares or _is_asked_for(problem, left, u)]
+        needed = _needed(left, roots)
         needless = [unit for unit in left if unit.id not in needed]
-        if not needless:
-            return left
-        spares = [u for u in needless if not bears_all_failures(problem, [other for other in left if other is not u])]
-        needed |= _needed(left, spares)
-        needless = [unit for unit in needless if unit.id not in needed]
         if not needless:
             return left
         # A unit that feeds another needless one goes after it; new units go before kept ones.
         fed_from = {s.stream.unit for unit in needless for s in unit.subscriptions if s.stream.unit != unit.id}
         last = [unit for unit in needless if unit.id not in fed_from] or needless
         goes = min(last, key=lambda unit: (unit.id in problem.environment.unit, unit.id))
-        left = [unit for unit in left if unit is not goes]
-        left = _without_broken(left)
+        others = [unit for unit in left if unit is not goes]
+        if bears_all_failures(candidates, others):
+            left = _without_broken(others)
+        else:
+            spares.add(goes.id)
 
 
 def _without_broken(units: list[ComputationUnit]) -> list[ComputationUnit]:

@@ -38,7 +38,7 @@ def decoded(model: FlatModel, holds: Callable[[IntVar], bool]) -> list[Computati
         )
         published = tuple(topics.get(candidate.id, ()))
         units.append(ComputationUnit(candidate.id, candidate.transformation.label, subscriptions, published, host))
-    return named(candidates, lean(candidates.problem, units))
+    return named(candidates, lean(candidates, units))
 
 
 def true_of(model: FlatModel, holds: Callable[[IntVar], bool]) -> set[int]:

@@ -12,11 +12,9 @@ from heapq import heappop, heappush
 
 import numpy as np
 
-from cfgplan.domain import ComputationUnit, Publication, Subscription
 from cfgplan.planners.cpsat.clock import Clock
 from cfgplan.planners.cpsat.core import Floats
 from cfgplan.planners.fleet.candidates import Candidates
-from cfgplan.planners.fleet.decode import lean, named
 from cfgplan.planners.fleet.quality_chains import Chains
 from cfgplan.planners.fleet.quality_steps import Steps
 from cfgplan.qualities import Better, QualityAttribute, is_met, price_us, propagated
@@ -148,20 +146,3 @@ class QualityPlanner:
                         if not missing[unit]:
                             run(unit)
         return stream_of, value_of
-
-    def units(self, plan: Collection[int]) -> list[ComputationUnit]:
-        """The configuration of a plan."""
-        stream_of, _ = self._wired(plan)
-        meets = {tag: self.chains.streams[stream_of[d]] for tag, d in self.chains.demand.items() if d in stream_of}
-        topics: dict[str, list[Publication]] = {}
-        for target, _ in self.targets:
-            stream = meets[target.tag]
-            topics.setdefault(stream.unit, []).append(Publication(stream.port, target.topic))
-        units = []
-        for i in sorted(plan):
-            candidate = self.candidates.all[i]
-            if all(port.tag in meets for port in candidate.transformation.inputs):
-                subscriptions = tuple(Subscription(p.name, meets[p.tag]) for p in candidate.transformation.inputs)
-                published = tuple(topics.get(candidate.id, ()))
-                units.append(ComputationUnit(candidate.id, candidate.transformation.label, subscriptions, published))
-        return named(self.candidates, lean(self.candidates.problem, units))

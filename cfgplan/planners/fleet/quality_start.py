@@ -7,6 +7,7 @@ from cfgplan.planners.cpsat.greedy import first_plan
 from cfgplan.planners.cpsat.tightening import tightened
 from cfgplan.planners.fleet.best_case import bound_by_price, least_prices_us
 from cfgplan.planners.fleet.candidates import Candidates
+from cfgplan.planners.fleet.first_plans import FirstPlans
 from cfgplan.planners.fleet.flat import Flat
 from cfgplan.planners.fleet.quality_chains import ChainCut
 from cfgplan.planners.fleet.quality_cuts import CLOSE, QUICK, Spreads, chain_cuts
@@ -20,8 +21,8 @@ ATTEMPTS = 30
 class QualityStart:
     """Cuts on chains of streams, a good plan that is offered, and bounds on what targets weigh by what it costs."""
 
-    def __init__(self, candidates: Candidates, standing: Standing) -> None:
-        self.candidates, self.standing = candidates, standing
+    def __init__(self, candidates: Candidates, standing: Standing, first: FirstPlans) -> None:
+        self.candidates, self.standing, self._first = candidates, standing, first
         self.cuts: list[ChainCut] = []
         wishes = [wish for target in candidates.environment.targets for wish in target.quality]
         self._asked = sorted({wish.attribute for wish in wishes})
@@ -46,7 +47,7 @@ class QualityStart:
             planner = QualityPlanner(candidates, candidates.environment.quality[self._asked[0]], clock)
         way = cheapest and {flat.labels[label].unit for label in cheapest}
         if planner is not None and way is not None and planner.total_us(way) is not None:
-            self.standing.offer(planner.units(way))
+            self._first.offer(way)
         # A plan that is good may be dear: landmarks must hold of all, not of the cheapest alone.
         all_us = int(cost.sum())
         enough_us = all_us if cheapest is None else int(cost[sorted(cheapest)].sum())
@@ -57,6 +58,6 @@ class QualityStart:
         if planner is not None:
             plan = planner.best([way], share)
             if plan is not None:
-                self.standing.offer(planner.units(plan))
+                self._first.offer(plan)
         if self.standing.best is not None:
             bound_by_price(candidates, self.standing.best[0][1] - bound.value)

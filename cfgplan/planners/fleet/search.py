@@ -17,7 +17,7 @@ from ortools.sat.python.cp_model import (
     LinearExprT,
 )
 
-from cfgplan.domain import InputPort, Stream
+from cfgplan.domain import ComputationUnit, InputPort, Stream
 from cfgplan.errors import InputError
 from cfgplan.planners.cpsat.engine import repeatable_solver, solve
 from cfgplan.planners.fleet.candidates import Candidates
@@ -49,7 +49,7 @@ class Search:
         there_are_as_many_units_as_asked_for_and_allowed(self.model)
         self._ask_for_quality()
         self.survival = Survival(candidates)
-        self.hint: dict[int, int] = {}
+        self.hint: dict[int, int] = {} if standing.best is None else _hint(self.model, standing.best[1])
 
     def _ask_for_quality(self) -> None:
         model = self.model
@@ -122,11 +122,29 @@ class Search:
     def look_at(self, holds: Callable[[IntVar], bool]) -> None:
         """Take a solution as the best plan if it is one, and the best."""
         units = solution(self.model, holds)
-        if bears_all_failures(self.problem, units):
+        if bears_all_failures(self.model.candidates, units):
             self.standing.offer(decode(self.model, units))
 
     def solver(self) -> CpSolver:
         return repeatable_solver(small=False, time_limit_s=self.standing.clock.left_s())
+
+
+def _hint(model: Model, units: list[ComputationUnit]) -> dict[int, int]:
+    """Values of the booleans that say who is there, where, and who feeds whom."""
+    by_id = {unit.id: unit for unit in units}
+    fed = {(unit.id, s.port, s.stream) for unit in units for s in unit.subscriptions}
+    published = {(p.topic, Stream(unit.id, p.port)) for unit in units for p in unit.publications}
+    ids = [candidate.id for candidate in model.candidates.all]
+    hint = {runs.index: int(ids[i] in by_id and not by_id[ids[i]].standby) for i, runs in model.runs.items()}
+    hint |= {waits.index: int(ids[i] in by_id and by_id[ids[i]].standby) for i, waits in model.waits.items()}
+    for i, places in model.is_on.items():
+        here = by_id[ids[i]].host if ids[i] in by_id else ""
+        hint |= {is_on.index: int(ids[i] in by_id and host == here) for host, is_on in places.items()}
+    for (i, port), choices in model.connects.items():
+        hint |= {taken.index: int((ids[i], port, stream) in fed) for stream, taken in choices.items()}
+    for topic, choices in model.publishes.items():
+        hint |= {taken.index: int((topic, stream) in published) for stream, taken in choices.items()}
+    return hint
 
 
 class _OnSolution(CpSolverSolutionCallback):

@@ -9,16 +9,16 @@ misses are added, round by round.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from dataclasses import dataclass
 
 from ortools.sat.python.cp_model import LinearExpr
 
-from cfgplan.domain import ComputationUnit, Environment, Target
+from cfgplan.domain import ComputationUnit, Target
 from cfgplan.planners.fleet.candidates import Candidates
 from cfgplan.planners.fleet.model import Model
-from cfgplan.planning import Failures
-from cfgplan.reasons import startable
+from cfgplan.planners.fleet.reach import Reach
+from cfgplan.planners.fleet.survivors import failures, is_met, unmet
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,6 @@ class Survival:
 
     def __init__(self, candidates: Candidates) -> None:
         self.candidates = candidates
-        self.problem = candidates.problem
         dear: dict[str, int] = {}
         for candidate in candidates.all:
             label = candidate.transformation.label
@@ -44,11 +43,11 @@ class Survival:
 
     def missed(self, units: Collection[ComputationUnit]) -> list[Missed]:
         """The landmarks of which a configuration has too few units, one for each failure and target."""
-        found: list[Missed] = []
-        for lost, targets, host in self._failures(units):
-            left = {unit.transformation for unit in units if unit.id not in lost}
-            unmet = [target for target in targets if not self._is_met(target, left)]
-            found += [Missed(self._landmark(target, left), host) for target in unmet]
+        found = [
+            Missed(self._landmark(target, failure.left), failure.host)
+            for failure in failures(self.candidates, units)
+            for target in unmet(self.candidates, failure)
+        ]
         return list(dict.fromkeys(found))
 
     def demand(self, model: Model, missed: Collection[Missed]) -> None:
@@ -63,32 +62,18 @@ class Survival:
             else:
                 model.cp.add_bool_or([on for i in units for host, on in model.is_on[i].items() if host != each.host])
 
-    def _failures(
-        self, units: Collection[ComputationUnit]
-    ) -> Iterator[tuple[set[str], tuple[Target, ...], str | None]]:
-        """The ids of the units that each failure takes, and the targets that have to be met all the same."""
-        targets = self.problem.environment.targets
-        if self.problem.survive is None:
-            return
-        for unit in units:
-            if not unit.standby:
-                yield {unit.id}, targets, None
-        for host in self.problem.environment.hosts if self.problem.survive is Failures.HOSTS else ():
-            lost = {unit.id for unit in units if unit.host == host.name}
-            yield lost, tuple(target for target in targets if target.host != host.name), host.name
-
-    def _is_met(self, target: Target, labels: Collection[str]) -> bool:
-        """Units of one transformation feed alike, so the transformations that are left tell all."""
-        self.candidates.watch()
-        environment = self.problem.environment
-        library = tuple(environment.transformation[label] for label in sorted(labels))
-        possible = startable(Environment((), library), self.candidates.givers)
-        return not possible.isdisjoint(self.candidates.givers.of(target.tag))
-
     def _landmark(self, target: Target, left: Collection[str]) -> frozenset[str]:
         """What a largest set of transformations that does not meet the target lacks; the dear ones are in the set."""
+        candidates = self.candidates
         without = set(left)
+        reach = Reach(candidates.network, candidates.numbers(left))
         for label in self._by_cost:
-            if label not in without and not self._is_met(target, without | {label}):
+            candidates.watch()
+            if label not in without:
                 without.add(label)
+                for number in candidates.numbers([label]):
+                    reach.add(number)
+                if is_met(candidates, reach, without, target):
+                    without.remove(label)
+                    reach.take_back()
         return frozenset(self._by_cost) - without

@@ -1,0 +1,78 @@
+"""What some transformations can start among themselves, from sources on, kept while more are added.
+
+Feedback inputs count as fed, and so does a distinct group with enough feeders: where there are such, more is
+reached than there really is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from cfgplan.planners.cpsat.network import Network
+
+
+class Reach:
+    """Labels of a network that are there, and the facts that hold then; the last addition can be taken back."""
+
+    def __init__(self, network: Network, labels: Iterable[int] = ()) -> None:
+        self._network = network
+        self._missing: dict[int, int] = {}
+        self._waiting: dict[int, list[int]] = {}
+        self._given: dict[int, int] = {}
+        self._holding: set[int] = set()
+        self._added: int | None = None
+        self._fired: list[int] = []
+        for label in labels:
+            self.add(label)
+
+    def meets(self, tag: str) -> bool:
+        """Whether what the tag demands is there."""
+        return self._network.fact_of_tag.get(tag) in self._holding
+
+    def runs(self, label: int) -> bool:
+        """Whether a label is there and what it needs holds."""
+        return self._missing.get(label) == 0
+
+    def add(self, label: int) -> None:
+        """One more label is there."""
+        self._added, self._fired = None, []
+        if label in self._missing:
+            return
+        needs = self._network.core.needs.lists[label]
+        self._added, self._missing[label] = label, 0
+        for fact in needs:
+            if fact not in self._holding:
+                self._missing[label] += 1
+            self._waiting.setdefault(fact, []).append(label)
+        if not self._missing[label]:
+            self._fire(label)
+
+    def _fire(self, label: int) -> None:
+        core = self._network.core
+        self._fired.append(label)
+        for one in self._fired:
+            for fact in core.gives.lists[one]:
+                given = self._given[fact] = self._given.get(fact, 0) + 1
+                if given == core.crowd_takes.get(fact, 1):
+                    self._holding.add(fact)
+                    for consumer in self._waiting.get(fact, ()):
+                        self._missing[consumer] -= 1
+                        if not self._missing[consumer]:
+                            self._fired.append(consumer)
+
+    def take_back(self) -> None:
+        """The label added last is not there after all."""
+        if self._added is None:
+            return
+        core = self._network.core
+        for one in self._fired:
+            for fact in core.gives.lists[one]:
+                if self._given[fact] == core.crowd_takes.get(fact, 1):
+                    self._holding.discard(fact)
+                    for consumer in self._waiting.get(fact, ()):
+                        self._missing[consumer] += 1
+                self._given[fact] -= 1
+        for fact in core.needs.lists[self._added]:
+            self._waiting[fact].pop()
+        del self._missing[self._added]
+        self._added, self._fired = None, []

@@ -1,0 +1,93 @@
+"""Plans for fleets before any model is built: valid whatever is asked, and there where they are easy to see."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from fleets import fleets
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from test_fleets_against_the_oracle import some
+from worlds import problems
+
+from cfgplan.domain import Environment
+from cfgplan.planners import PLANNERS
+from cfgplan.planners.cpsat.clock import Clock
+from cfgplan.planners.fleet.candidates import Candidates
+from cfgplan.planners.fleet.first_plans import FirstPlans
+from cfgplan.planners.fleet.reach import Reach
+from cfgplan.planners.fleet.standing import Standing
+from cfgplan.planning import Failures, Notion, Plan, Problem, Status
+from cfgplan.reasons import startable, unmet_reasons
+from cfgplan.validity import plan_violations
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "experiments" / "fleet"))
+
+import instances
+
+
+def first(problem: Problem) -> Plan:
+    standing = Standing(problem, Clock(), None)
+    FirstPlans(Candidates(problem), standing).look()
+    return standing.plan()
+
+
+@some
+@given(st.frozensets(st.sampled_from(Notion), min_size=1).flatmap(lambda notions: fleets(notions, most=3)))
+def test_first_plans_are_valid_and_no_cheaper_than_the_optimum(problem: Problem) -> None:
+    assume(not unmet_reasons(problem))
+    found = first(problem)
+    assert plan_violations(problem, found) == []
+    if found.cost_us is not None and not found.unused_required:
+        best = PLANNERS["cpsat"](problem)
+        assert best.cost_us is not None
+        assert best.cost_us <= found.cost_us
+
+
+@some
+@given(fleets(frozenset({Notion.SURVIVAL, Notion.HOSTS, Notion.QUALITY}), most=9))
+def test_first_plans_are_valid_beyond_the_oracles_reach(problem: Problem) -> None:
+    assume(not unmet_reasons(problem))
+    assert plan_violations(problem, first(problem)) == []
+
+
+@pytest.mark.parametrize(
+    "problem",
+    [
+        instances.weighted(0, 100),
+        instances.bounded(0, 100),
+        instances.hosted(0, 100),
+        instances.surviving(0, 100),
+        replace(instances.hosted(0, 60, hosts=4, tight=False), survive=Failures.HOSTS),
+    ],
+    ids=["weighed", "bounded", "hosts", "lost units", "lost hosts"],
+)
+def test_there_is_a_first_plan(problem: Problem) -> None:
+    found = first(problem)
+    assert found.status is Status.FEASIBLE
+    assert plan_violations(problem, found) == []
+
+
+@some
+@given(problems(most=9, special=False), st.data())
+def test_what_is_reached_is_the_closure_of_what_was_added_and_not_taken_back(
+    problem: Problem, data: st.DataObject
+) -> None:
+    assume(not unmet_reasons(problem))
+    candidates = Candidates(problem)
+    network, reach = candidates.network, Reach(candidates.network)
+    there: set[str] = set()
+    for number in data.draw(st.permutations(range(len(network.labels)))):
+        reach.add(number)
+        if data.draw(st.booleans()):
+            there.add(network.labels[number])
+        else:
+            reach.take_back()
+        library = tuple(t for t in problem.environment.library if t.label in there)
+        possible = startable(Environment((), library), candidates.givers)
+        assert {network.labels[n] for n in range(len(network.labels)) if reach.runs(n)} == possible
+        for target in problem.environment.targets:
+            assert reach.meets(target.tag) == (not possible.isdisjoint(candidates.givers.of(target.tag)))
