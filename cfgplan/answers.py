@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from threading import Event
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from cfgplan.api import UntruthfulPlanError, World, accepted, nearest_offers, plan_violations
 from cfgplan.api import plan as judged_plan
+from cfgplan.errors import InputError, known
 from cfgplan.planning import Plan, Planner, Problem, Progress
 
 if TYPE_CHECKING:
@@ -45,9 +46,22 @@ def why(
     planner: str = "cpsat",
     time_limit_s: float | None = None,
 ) -> Why:
-    """Why a plan with a change set uses a unit, a transformation or an output (transformation/port), or why not."""
+    """Why a plan with a change set uses a unit, a transformation or an output (transformation/port), or why not.
+
+    Raises InputError for what is not there.
+    """
     from cfgplan import explaining
 
+    if plan.change_set is None:
+        raise InputError.of("there is no plan to ask about", mend="ask `why_not`")
+    environment = problem.environment
+    after = environment.update(plan.change_set)
+    subjects: dict[str, Iterable[str]] = {
+        "unit": {*environment.unit, *after.unit},
+        "transformation": environment.transformation,
+        "stream": [f"{t.label}/{port.name}" for t in environment.library for port in t.outputs],
+    }
+    known(name, subjects[known(kind, subjects, "kind of subject")], "output" if kind == "stream" else kind)
     ask = _judged(planner, time_limit_s)
     if kind == "unit":
         return explaining.why_unit(problem, ask, plan, name)
@@ -63,14 +77,22 @@ def front(
     """What better quality of a target's stream costs; see `cfgplan.explaining`."""
     from cfgplan import explaining
 
+    known(target, problem.environment.target, "target")
+    known(attribute, problem.environment.quality, "quality attribute")
     return explaining.front(problem, _judged(planner, None), target, attribute, time_limit_s=time_limit_s)
 
 
 def alternatives(
     problem: Problem, count: int, *, planner: str = "cpsat", time_limit_s: float | None = None
 ) -> Alternatives:
-    """The `count` best configurations that differ in what runs, in order; see `cfgplan.explaining`."""
+    """The `count` best configurations that differ in what runs, in order; see `cfgplan.explaining`.
+
+    Raises InputError for a count below 1.
+    """
     from cfgplan import explaining
+
+    if count < 1:
+        raise InputError.of(f"{count} alternatives are asked for", mend="ask for at least 1")
 
     found = explaining.alternatives(problem, _judged(planner, None), count, time_limit_s=time_limit_s)
     for each in found.plans:
@@ -92,6 +114,7 @@ def sensitivity(
     ask = _judged(planner, time_limit_s)
     if upkeep_of is None:
         return explaining.horizon_sensitivity(problem, ask)
+    known(upkeep_of, problem.environment.transformation, "transformation")
     return explaining.upkeep_sensitivity(problem, ask, upkeep_of)
 
 

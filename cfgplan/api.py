@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Literal
 
 from cfgplan import validity
 from cfgplan.domain import Environment, Similarity
-from cfgplan.errors import CfgplanError, InputError
+from cfgplan.errors import CfgplanError, InputError, known
 from cfgplan.matching import REASONERS, MatchExplanation, Matching, Nearest, Ontology, load_ontology, read_owlready
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import Failures, Plan, Problem, Progress
@@ -106,6 +106,9 @@ def what_if(world: World, *, without: Collection[str] = (), settings: Mapping[st
     """
     from cfgplan.explaining import what_if as supposing
 
+    if isinstance(without, str):
+        raise InputError.of(f"`without` is the name {without!r}", mend="write a list of names")
+
     environment = supposing.without(world.environment, without)
     supposed = supposing.Supposed(environment, world.horizon_s, world.max_cost_us)
     supposed = supposing.with_settings(supposed, settings or {})
@@ -121,7 +124,8 @@ def world(
 ) -> World:
     """A world built in code; `ontology` is an `owlready2` ontology, a file's path or a list of paths.
 
-    Without an ontology every name in a tag is free. Raises InputError for tags that don't parse.
+    Without an ontology every name in a tag is free. Tags are read by `match`, which raises InputError for what does
+    not parse.
     """
     known = _as_ontology(ontology)
     return World(environment, known, horizon_s, max_cost_us)
@@ -198,9 +202,10 @@ def plan(
 ) -> Plan:
     """The optimal update, by one of `PLANNER_NAMES`, accepted by the judge.
 
-    Raises UntruthfulPlanError if the judge does not accept it.
+    Raises InputError for an unknown planner, and UntruthfulPlanError if the judge does not accept the plan.
     """
-    return accepted(problem, PLANNERS[planner](problem, time_limit_s=time_limit_s, report=report))
+    chosen = PLANNERS[known(planner, PLANNERS, "planner")]
+    return accepted(problem, chosen(problem, time_limit_s=time_limit_s, report=report))
 
 
 def accepted(problem: Problem, answer: Plan) -> Plan:

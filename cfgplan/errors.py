@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 
@@ -47,3 +47,21 @@ class InputError(CfgplanError):
     def of(cls, message: str, *, file: str | None = None, mend: str | None = None) -> InputError:
         """An error with a single fault that concerns a whole file."""
         return cls([Fault(message, file=file, mend=mend)])
+
+
+def known(name: str, names: Iterable[str], what: str) -> str:
+    """A name, if it is one of these; raises InputError with the nearest one."""
+    names = sorted(names)
+    if name in names:
+        return name
+    raise InputError.of(f"there is no {what} {name!r}", mend=nearest(name, names))
+
+
+def nearest(name: str, names: Collection[str]) -> str | None:
+    """The name that somebody who wrote an unknown one probably meant, or some of them, as a mend."""
+    from difflib import get_close_matches
+
+    close = get_close_matches(name, names, n=1)
+    if close:
+        return f"did you mean {close[0]!r}?"
+    return f"there are {len(names)}, such as {', '.join(sorted(names)[:3])}" if names else None

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import os
+import pickle
 from pathlib import Path
 
 import networkx
@@ -109,3 +111,40 @@ def test_a_file_that_can_not_be_written_leaves_nothing_behind(tmp_path: Path) ->
         with pytest.raises(InputError, match="can't be written"):
             cfgplan.api.write_file(path, b"content")
     assert [path.name for path in tmp_path.iterdir()] == ["folder"]
+
+
+@pytest.fixture(scope="module")
+def lost() -> tuple[cfgplan.World, cfgplan.Problem, cfgplan.Plan]:
+    world = cfgplan.load(NAO / "2-segmenter-lost.yaml")
+    problem = cfgplan.match(world)
+    return world, problem, cfgplan.plan(problem)
+
+
+def test_problems_and_plans_go_to_other_processes_and_are_copied(lost: tuple[object, object, object]) -> None:
+    for value in lost[1:]:
+        assert pickle.loads(pickle.dumps(value)) == value
+        assert copy.deepcopy(value) == value
+
+
+def test_what_is_not_there_is_bad_input_that_names_the_nearest(
+    lost: tuple[cfgplan.World, cfgplan.Problem, cfgplan.Plan],
+) -> None:
+    world, problem, plan = lost
+    with pytest.raises(InputError, match="did you mean 'cpsat'"):
+        cfgplan.plan(problem, planner="cp-sat")
+    with pytest.raises(InputError, match=r"did you mean 'segmenter\(piff\)\.1'"):
+        cfgplan.why(problem, plan, "unit", "segmenter(piff)")
+    with pytest.raises(InputError, match="no output 'bottom_cam'"):
+        cfgplan.why(problem, plan, "stream", "bottom_cam")
+    with pytest.raises(InputError, match="no kind of subject 'topic'"):
+        cfgplan.why(problem, plan, "topic", "/ball")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="no transformation 'segmenter'"):
+        cfgplan.sensitivity(problem, upkeep_of="segmenter")
+    with pytest.raises(InputError, match="no target 'nothing'"):
+        cfgplan.front(problem, "nothing", "error")
+    with pytest.raises(InputError, match="at least 1"):
+        cfgplan.alternatives(problem, -1)
+    with pytest.raises(InputError, match="list of names"):
+        cfgplan.what_if(world, without="segmenter(piff)")
+    with pytest.raises(InputError, match="why_not"):
+        cfgplan.why(problem, cfgplan.Plan("none", cfgplan.Status.INFEASIBLE), "transformation", "segmenter(piff)")

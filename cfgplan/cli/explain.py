@@ -92,17 +92,15 @@ def _names_one(options: argparse.Namespace) -> bool:
 def _subjects(options: argparse.Namespace, problem: Problem, plan: Plan) -> list[tuple[Subject, str]]:
     """What is asked for, or all that the plan uses."""
     assert plan.change_set is not None
-    environment = problem.environment
-    after = environment.update(plan.change_set)
+    after = problem.environment.update(plan.change_set)
     if options.unit:
-        return [("unit", shared.known(options.unit, {*environment.unit, *after.unit}, "unit"))]
+        return [("unit", options.unit)]
     if options.transformation:
-        return [("transformation", shared.known(options.transformation, environment.transformation, "transformation"))]
+        return [("transformation", options.transformation)]
     if options.stream:
-        outputs = {f"{t.label}/{port.name}" for t in environment.library for port in t.outputs}
         unit, _, port = options.stream.rpartition("/")
         running = after.unit.get(unit)
-        return [("stream", shared.known(f"{running.transformation if running else unit}/{port}", outputs, "output"))]
+        return [("stream", f"{running.transformation if running else unit}/{port}")]
     from cfgplan.cli.update_text import with_the_stream
 
     used = dict.fromkeys(unit.transformation for unit in with_the_stream(after))

@@ -29,6 +29,7 @@ from cfgplan.cli import (
 )
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.interrupts import Ending, ended_cleanly
+from cfgplan.cli.overwriting import refuse_overwriting
 from cfgplan.cli.screen import Screen
 from cfgplan.errors import CfgplanError, Fault, InputError
 
@@ -59,6 +60,7 @@ def _main(arguments: Sequence[str], ending: Ending) -> int:
                 return Exit.BAD_INPUT
             screen = Screen(json=getattr(options, "json", False))
             _say_every_character(screen)
+            refuse_overwriting(options)
             code = Exit(options.run(options, screen))
         except (CfgplanError, ModuleNotFoundError) as error:
             if isinstance(error, ModuleNotFoundError) and (error.name or "").startswith("cfgplan"):

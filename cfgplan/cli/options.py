@@ -5,14 +5,14 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import asdict
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from cfgplan.cli.screen import Screen
-from cfgplan.errors import InputError, InvalidValueError
+from cfgplan.errors import InvalidValueError
 
 if TYPE_CHECKING:
     from cfgplan import api
@@ -230,15 +230,3 @@ def put(text: str, out: str | None, screen: Screen) -> None:
     else:
         api.write_file(Path(out), text.encode())
         screen.note(f"Wrote {out}.")
-
-
-def known(name: str, names: Iterable[str], what: str) -> str:
-    """A name, if it is one of these; raises InputError with the nearest one."""
-    names = sorted(names)
-    if name in names:
-        return name
-    from difflib import get_close_matches
-
-    close = get_close_matches(name, names, n=1)
-    mend = f"did you mean {close[0]!r}?" if close else f"there are {len(names)}, such as {', '.join(names[:3])}"
-    raise InputError.of(f"there is no {what} {name!r}", mend=mend if names else None)

@@ -38,9 +38,10 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         raise InputError.of("not a kind of picture", file=options.out, mend=f"use one of {', '.join(_ENDINGS)}")
     world = shared.load(options, screen)
     problem = shared.problem(options, screen, world)
-    label = options.upkeep_of and shared.known(options.upkeep_of, problem.environment.transformation, "transformation")
     with screen.phase("plan"):
-        found = answers.sensitivity(problem, upkeep_of=label, planner=options.planner, time_limit_s=options.timeout)
+        found = answers.sensitivity(
+            problem, upkeep_of=options.upkeep_of, planner=options.planner, time_limit_s=options.timeout
+        )
     if screen.json:
         from cfgplan.explaining import plain
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from decimal import Decimal, InvalidOperation
-from difflib import get_close_matches
 
 from cfgplan.costs import microseconds
 from cfgplan.domain import Environment, Transformation
-from cfgplan.errors import Fault, InputError, InvalidValueError
+from cfgplan.errors import Fault, InputError, InvalidValueError, nearest
 
 _COSTS = ("labor", "upkeep")
 _FLAGS = ("pinned", "required")
@@ -35,7 +34,7 @@ def without(environment: Environment, names: Collection[str]) -> Environment:
         known = [*environment.transformation, *environment.unit, *environment.target]
         if name not in known:
             message = f"there is no transformation, unit or target {name!r}"
-            faults.append(Fault(message, key="--without", mend=_mend(name, known)))
+            faults.append(Fault(message, key="--without", mend=nearest(name, known)))
     if faults:
         raise InputError(faults)
     return replace(
@@ -74,7 +73,7 @@ def _with_setting(supposed: Supposed, key: str, value: str) -> Supposed:
     label, _, name = key.rpartition(".")
     if name == "priority":
         if label not in environment.target:
-            raise InputError.of(f"there is no target {label!r}", mend=_mend(label, environment.target))
+            raise InputError.of(f"there is no target {label!r}", mend=nearest(label, environment.target))
         changed = replace(environment.target[label], priority=_whole(value, signed=True))
         targets = tuple(changed if t.label == label else t for t in environment.targets)
         return replace(supposed, environment=replace(environment, targets=targets))
@@ -82,7 +81,7 @@ def _with_setting(supposed: Supposed, key: str, value: str) -> Supposed:
         known = "horizon, max_cost, T.labor, T.upkeep, T.pinned, T.required or T.priority"
         raise InputError.of(f"{key!r} can't be set", mend=f"set {known}")
     if label not in environment.transformation:
-        raise InputError.of(f"there is no transformation {label!r}", mend=_mend(label, environment.transformation))
+        raise InputError.of(f"there is no transformation {label!r}", mend=nearest(label, environment.transformation))
     library = tuple(_changed(t, name, value) if t.label == label else t for t in environment.library)
     return replace(supposed, environment=replace(environment, library=library))
 
@@ -117,10 +116,3 @@ def _number(value: str) -> Decimal:
     if not number.is_finite():
         raise InputError.of(f"{value!r} is not a number")
     return number
-
-
-def _mend(name: str, known: Collection[str]) -> str | None:
-    close = get_close_matches(name, known, n=1)
-    if close:
-        return f"did you mean {close[0]!r}?"
-    return f"there are {len(known)}, such as {', '.join(sorted(known)[:3])}" if known else None

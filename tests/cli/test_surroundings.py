@@ -239,3 +239,22 @@ def test_no_other_file_is_taken_for_estimates(run: Run, tmp_path: Path) -> None:
     assert result.code == 30
     assert "name a file of its own, such as env.json" in result.out + result.err
     assert [path.name for path in tmp_path.iterdir()] == ["env.yaml"]
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("solve", "ENV", "--out", "ENV"),
+        ("export", "yaml", "ENV", "--out", "ENV"),
+        ("run", "ENV", "--dry-run", "--log", "ENV"),
+        ("solve", UNMET, "--with", "ENV", "--out", "ENV"),
+        ("compare", "ENV", "--results", "ENV"),
+    ],
+)
+def test_what_is_read_is_not_written_over(command: tuple[object, ...], run: Run, tmp_path: Path) -> None:
+    env = tmp_path / "env.yaml"
+    env.write_text(text := "format: cfgplan/1\ntransformations:\n  - {label: a, outputs: {o: A}}\n")
+    result = run(*(env if word == "ENV" else word for word in command))
+    assert result.code == 30
+    assert "not written over" in result.err
+    assert env.read_text() == text
