@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable
-from typing import TypeVar
+from dataclasses import fields
+from operator import index
+from typing import Any, TypeVar
 
 from cfgplan.errors import InvalidValueError
 
@@ -14,6 +16,22 @@ T = TypeVar("T")
 def store_sorted(holder: object, name: str, values: Iterable[T], key: Callable[[T], object]) -> None:
     """Put a tuple of a frozen dataclass in order, while that is being made."""
     object.__setattr__(holder, name, tuple(sorted(values, key=key)))  # type: ignore[arg-type]
+
+
+def store_whole(holder: object, name: str) -> None:
+    """Make an int of a frozen dataclass's whole number, such as one of NumPy's; raises InvalidValueError for others."""
+    value = getattr(holder, name)
+    if type(value) is int or value is None:
+        return
+    try:
+        object.__setattr__(holder, name, index(value))
+    except TypeError:
+        raise InvalidValueError(f"{name} must be a whole number, but is {value!r}") from None
+
+
+def fields_of(value: Any) -> dict[str, Any]:
+    """What is pickled and copied of a frozen dataclass: its fields, not what is derived from them."""
+    return {field.name: getattr(value, field.name) for field in fields(value)}
 
 
 def refuse_duplicates(what: str, names: list[str]) -> None:

@@ -13,7 +13,7 @@ from operator import attrgetter
 from types import MappingProxyType
 from typing import TypeVar
 
-from cfgplan.canonical import refuse_duplicates, store_sorted
+from cfgplan.canonical import fields_of, refuse_duplicates, store_sorted, store_whole
 from cfgplan.errors import InvalidValueError
 from cfgplan.qualities import QualityAttribute, Wish
 from cfgplan.transformations import START_MODES as START_MODES
@@ -82,6 +82,8 @@ class ComputationUnit:
         refuse_duplicates(f"topic of unit {self.id!r}", [p.topic for p in self.publications])
         if self.standby and (self.subscriptions or self.publications):
             raise InvalidValueError(f"unit {self.id!r} is in standby: it can't subscribe or publish")
+
+    __getstate__ = fields_of
 
     @cached_property
     def feeds(self) -> Mapping[str, Stream]:
@@ -189,6 +191,7 @@ class Environment:
         refuse_duplicates("topic of a target", [target.topic for target in self.targets])
         store_sorted(self, "hosts", self.hosts, attrgetter("name"))
         store_sorted(self, "qualities", self.qualities, attrgetter("name"))
+        store_whole(self, "transfer_us")
         refuse_duplicates("host", [host.name for host in self.hosts])
         refuse_duplicates("quality attribute", [attribute.name for attribute in self.qualities])
         placed = next((unit for unit in self.units if unit.host is not None), None)
@@ -200,6 +203,8 @@ class Environment:
                     raise InvalidValueError(f"target {target.label!r} asks for {wish.attribute}, which is no attribute")
             if target.host is not None and target.host not in self.host:
                 raise InvalidValueError(f"target {target.label!r} is at {target.host}, which is no host")
+
+    __getstate__ = fields_of
 
     @cached_property
     def unit(self) -> Mapping[str, ComputationUnit]:

@@ -8,6 +8,7 @@ from enum import StrEnum
 from functools import cached_property
 from typing import Protocol
 
+from cfgplan.canonical import store_whole
 from cfgplan.costs import LARGEST_COST_US, standby_cost_us, start_cost_us, transfer_cost_us
 from cfgplan.domain import ChangeSet, Environment, Similarity, Transformation
 from cfgplan.errors import InputError, InvalidValueError
@@ -50,6 +51,8 @@ class Problem:
     survive: Failures | None = None
 
     def __post_init__(self) -> None:
+        store_whole(self, "horizon_s")
+        store_whole(self, "max_cost_us")
         if self.horizon_s < 0:
             raise InvalidValueError(f"the horizon is {self.horizon_s} seconds, but must be at least 0")
         if self.max_cost_us is not None and self.max_cost_us < 0:

@@ -8,7 +8,7 @@ from functools import cached_property
 from operator import attrgetter
 from types import MappingProxyType
 
-from cfgplan.canonical import refuse_duplicates, store_sorted
+from cfgplan.canonical import fields_of, refuse_duplicates, store_sorted, store_whole
 from cfgplan.errors import InvalidValueError
 from cfgplan.qualities import Contribution
 
@@ -118,6 +118,9 @@ class Transformation:
         refuse_duplicates(
             f"port of transformation {self.label!r}", [*(p.name for p in self.inputs), *(p.name for p in self.outputs)]
         )
+        store_whole(self, "labor_us")
+        store_whole(self, "upkeep_us")
+        store_whole(self, "standby_us")
         if self.labor_us < 0 or self.upkeep_us < 0:
             raise InvalidValueError(f"transformation {self.label!r} has a negative cost")
         if self.hosts or self.conflicts:
@@ -130,6 +133,8 @@ class Transformation:
             raise InvalidValueError(f"transformation {self.label!r} takes less than nothing")
         if self.min_instances < 0 or (self.max_instances is not None and self.max_instances < self.min_instances):
             raise InvalidValueError(f"transformation {self.label!r} asks for more instances than it allows")
+
+    __getstate__ = fields_of
 
     @property
     def needs_mb(self) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy
 import pytest
 
 from cfgplan.domain import (
@@ -106,3 +107,19 @@ def test_costs_that_can_not_be_summed_exactly_are_refused() -> None:
         Problem(Environment(library=(dear,)), Similarity({}), horizon_s=8)
     with pytest.raises(InvalidValueError, match="horizon"):
         Problem(Environment(), Similarity({}), horizon_s=-1)
+
+
+@pytest.mark.parametrize("value", [1.5, "1", float("nan")])
+def test_costs_and_horizons_are_whole_numbers(value: object) -> None:
+    for make in (
+        lambda: Transformation("a", labor_us=value),  # type: ignore[arg-type]
+        lambda: Transformation("a", upkeep_us=value),  # type: ignore[arg-type]
+        lambda: Problem(Environment(), Similarity({}), value),  # type: ignore[arg-type]
+        lambda: Problem(Environment(), Similarity({}), 1, value),  # type: ignore[arg-type]
+    ):
+        with pytest.raises(InvalidValueError, match="whole number"):
+            make()
+
+
+def test_a_whole_number_of_another_library_becomes_an_int() -> None:
+    assert type(Transformation("a", labor_us=numpy.int64(3)).labor_us) is int
