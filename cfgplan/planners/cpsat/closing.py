@@ -17,6 +17,8 @@ CHUNK = 25
 """After so many rounds of landmarks the network is restricted, and the plan repaired."""
 PACE = 0.04
 """The least part of the gap that so many rounds must close to go on."""
+FAR, PATIENCE = 0.2, 10
+"""While the bound is so far below the plan that the solver has little hope, so many times longer and more slowly."""
 INWARD = 0.5
 """How far from the fractions towards something that hits every landmark the missed ones are looked for."""
 TRUST = 0.8
@@ -62,6 +64,10 @@ class Closing:
         """Whether no plan is cheaper."""
         return self.bound.value > self.limit - self._step
 
+    @property
+    def _patience(self) -> int:
+        return PATIENCE if self.bound.value < (1 - FAR) * self.limit else 0
+
     def take(self, plan: Ints) -> None:
         """Go on from a plan that was found elsewhere, if it is better."""
         if self._cost[plan].sum() < self.limit:
@@ -72,7 +78,8 @@ class Closing:
         self._repair(REPAIRS * for_s, clock)
         if self._rounds is None:
             self._rounds = _Rounds(self.bound, self._kinds)
-        while for_s > 0 and not self.is_closed and not clock.is_over():
+        left_s = for_s
+        while left_s > -for_s * self._patience and not self.is_closed and not clock.is_over():
             self._rounds.restrict(self.bound.may_be_used(self.limit))
             before = self.bound.value
             took_s = self._rounds.improve(self.limit - self._step + 1, for_s, clock)
@@ -80,9 +87,9 @@ class Closing:
             self._fractions[:] = 0.0
             self._fractions[self.bound.core.labels] = self._rounds.fractions
             self._repair(REPAIRS * took_s, clock)
-            if self.bound.value - before < PACE * (self.limit - before):
+            if (self.bound.value - before) * (1 + self._patience) < PACE * (self.limit - before):
                 break
-            for_s -= (1 + REPAIRS) * took_s
+            left_s -= (1 + REPAIRS) * took_s
 
     def _repair(self, for_s: float, clock: Clock) -> None:
         """Look for a cheaper plan for about so long."""
