@@ -9,7 +9,7 @@ from pathlib import Path
 from cfgplan.errors import InputError
 
 _READ = ("env", "envs", "also", "path", "features")
-_WRITTEN = ("out", "plot", "log", "record", "results", "report")
+_WRITTEN = ("out", "plot", "log", "record", "results")
 
 
 def refuse_overwriting(options: argparse.Namespace) -> None:
