@@ -71,8 +71,10 @@ class _Node:
     def shrunk(self) -> _Node:
         """The node without what is left out, if that is much."""
         residual = self.residual
+        if len(residual) < LARGE:
+            return self
         kept = [label for label, price in enumerate(residual) if price < LEFT_OUT]
-        if len(residual) < LARGE or 2 * len(kept) > len(residual):
+        if 2 * len(kept) > len(residual):
             return self
         number = {label: i for i, label in enumerate(kept)}
         landmarks = [(weight, tuple([number[member] for member in members])) for weight, members in self.landmarks]
@@ -180,15 +182,15 @@ class Branching:
         if not node.leave_out(ways.labels_from(self.enough - node.bound)) or node.bound >= self.enough:
             return
         node = node.shrunk()
-        forced = {members[0] for _, members in node.landmarks if len(members) == 1}
         near = self._nearest(node)
-        if forced:
-            self._ahead.append(node.take(forced))
+        if len(near) == 1:
+            forced = [members[0] for _, members in node.landmarks if len(members) == 1]
+            self._ahead.append(node.take({*near, *forced}))
         elif near:
             residual, labels = node.residual, node.links.labels
             label = min(near, key=lambda member: (residual[member], labels[member] not in plan, member))
             taken = node.take({label}, len(near))
-            if len(near) > 1 and node.leave_out([label]):
+            if node.leave_out([label]):
                 self._ahead.append(node)
             self._ahead.append(taken)
 

@@ -21,10 +21,10 @@ from cfgplan.planners.cpsat.standing import Standing
 from cfgplan.planners.cpsat.structure import Structure
 from cfgplan.planners.cpsat.weighing import Weighing
 
-SMALL, LEFT, FILTERED = 600, 200, 120
+SMALL, LEFT, FILTERED, CHAINED = 600, 200, 120, 16
 """So many labels a network may have that is searched, or so many may be left of one.
 
-Of more than so many those that are too dear by themselves are left out first.
+Of more than so many those that are too dear by themselves are left out first; of more than so many chains are charged.
 """
 FIRST, STEPS, SOON = 300, 1500, 0.01
 """So many steps a search may take at first, and in all if so much of it is done by then."""
@@ -68,7 +68,8 @@ class _Deciding:
     def run(self, plan: set[int], steps: int) -> bool:
         network, weighing, standing = self._structure.network, self._weighing, self._standing
         limit, nodes = weighing.of_plan(_numbers(plan)), 0
-        is_proven = not self._is_part and weighing.least(chained_bound(self._core, self._weight)) >= limit
+        is_chained = not self._is_part and self._core.goal > CHAINED
+        is_proven = is_chained and weighing.least(chained_bound(self._core, self._weight)) >= limit
         if not is_proven:
             core, search = self._below(limit)
             is_proven = search.run(min(steps, FIRST)) or (search.done >= SOON and search.run(max(0, steps - FIRST)))

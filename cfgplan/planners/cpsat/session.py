@@ -115,7 +115,8 @@ class PlannerSession:
             prepared = preparation.prepared(clock)
             standing.go_on_with(prepared)
             clock.end("bounds")
-            if not standing.is_over:
+            is_worth_it = not is_new or 2 * len(prepared.labels) <= len(structure.network.labels)
+            if is_worth_it and not standing.is_over:
                 is_decided = decide(standing, structure, self._steps, prepared.labels)
                 if not is_decided:
                     standing.go_on_with(prepared)
