@@ -17,7 +17,7 @@ from cfgplan.domain import Environment
 from cfgplan.planners import PLANNERS
 from cfgplan.planners.cpsat.clock import Clock
 from cfgplan.planners.fleet.candidates import Candidates
-from cfgplan.planners.fleet.first_plans import FirstPlans
+from cfgplan.planners.fleet.first_plans import ATTEMPTS, FirstPlans
 from cfgplan.planners.fleet.reach import Reach
 from cfgplan.planners.fleet.standing import Standing
 from cfgplan.planning import Failures, Notion, Plan, Problem, Status
@@ -31,7 +31,7 @@ import instances
 
 def first(problem: Problem) -> Plan:
     standing = Standing(problem, Clock(), None)
-    FirstPlans(Candidates(problem), standing).look()
+    FirstPlans(Candidates(problem), standing).look(ATTEMPTS)
     return standing.plan()
 
 

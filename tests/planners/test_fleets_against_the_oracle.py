@@ -18,6 +18,7 @@ from cfgplan.errors import InputError
 from cfgplan.planners import PLANNERS, exhaustive_fleet, fleet
 from cfgplan.planners.cpsat.clock import Clock
 from cfgplan.planners.fleet.candidates import Candidates
+from cfgplan.planners.fleet.first_plans import FirstPlans
 from cfgplan.planners.fleet.flatness import is_flat
 from cfgplan.planners.fleet.search import Search
 from cfgplan.planners.fleet.standing import Standing
@@ -58,7 +59,7 @@ def agree_with_the_explicit_model(problem: Problem) -> None:
     assume(is_flat(candidates) and not unmet_reasons(problem))
     standing = Standing(problem, Clock(), None)
     standing.counts = {"conflicts": 0}
-    Search(candidates, standing).run()
+    Search(candidates, standing, FirstPlans(candidates, standing)).run()
     fast = fleet.plan(problem)
     assert plan_violations(problem, fast) == []
     assert quality(fast) == quality(standing.plan())

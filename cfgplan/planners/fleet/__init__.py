@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from cfgplan.planners.cpsat.clock import Clock, OutOfTimeError
 from cfgplan.planners.fleet.best_case import bound_by_price, leave_out_what_is_too_bad
 from cfgplan.planners.fleet.candidates import Candidates
-from cfgplan.planners.fleet.first_plans import FirstPlans
+from cfgplan.planners.fleet.first_plans import ATTEMPTS, FEW, FirstPlans
 from cfgplan.planners.fleet.flat import Flat
 from cfgplan.planners.fleet.flatness import is_flat
 from cfgplan.planners.fleet.hostless import hostless
@@ -51,7 +51,8 @@ def plan(
         _ = candidates.network
         clock.end("closure")
         first = FirstPlans(candidates, standing)
-        first.look()
+        are_cheap = problem.survive is None or len(candidates.network.labels) < FEW
+        first.look(ATTEMPTS if are_cheap else 0)
         clock.end("first plans")
         if Notion.SURVIVAL not in problem.notions:  # a hot spare may get any quality
             leave_out_what_is_too_bad(candidates)
@@ -75,9 +76,13 @@ def _search(candidates: Candidates, standing: Standing, first: FirstPlans) -> No
             return
         if standing.is_cost_proven:
             candidates = Candidates(problem, search.left(), clock.check)
+            first = FirstPlans(candidates, standing)
+    from cfgplan.planners.fleet.kernels import look_among_few_explicitly
     from cfgplan.planners.fleet.search import Search
 
-    explicit = Search(candidates, standing)
+    if not standing.is_cost_proven:
+        look_among_few_explicitly(candidates, standing)
+    explicit = Search(candidates, standing, first)
     clock.end("model")
     explicit.run()
 

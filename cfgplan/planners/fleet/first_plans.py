@@ -22,6 +22,8 @@ from cfgplan.qualities import Better, QualityAttribute, Rule, is_met
 
 ATTEMPTS = 30
 """How many transformations of a plan are tried to be done without."""
+FEW = 100
+"""With fewer transformations attempts take little time even if each needs spares."""
 SHARES = (0.0, 0.5, 2.0, 8.0, 32.0)
 """How much dearer transformations are, as a part of what they usually cost, until a plan keeps all bounds."""
 
@@ -39,14 +41,14 @@ class FirstPlans:
         self._attribute = _asked(candidates)
         self._is_weighed = any(wish.weight_us for target in candidates.environment.targets for wish in target.quality)
 
-    def look(self) -> None:
-        """Offer a plan of cheap transformations, and better ones without some of its dearest."""
+    def look(self, attempts: int) -> None:
+        """Offer a plan of cheap transformations, and better ones after attempts to do without some of its dearest."""
         candidates, standing = self.candidates, self.standing
         if len(self.network.targets) < len(candidates.environment.targets):
             return
         price = self._first()
         tried: set[str] = set()
-        while price is not None and standing.best is not None and len(tried) < ATTEMPTS:
+        while price is not None and standing.best is not None and len(tried) < attempts:
             standing.clock.check()
             labels = {unit.transformation for unit in standing.best[1] if not unit.standby}
             ahead = sorted(candidates.numbers(labels - tried), key=lambda n: (-self._cost[n], n))

@@ -7,10 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
+import numpy as np
+
 from cfgplan.planners.cpsat.bounds import Bound, cheapest_way
 from cfgplan.planners.cpsat.tightening import tightened
 from cfgplan.planners.fleet.best_case import least_prices_us
 from cfgplan.planners.fleet.candidates import Candidates
+from cfgplan.planners.fleet.first_plans import ATTEMPTS, FirstPlans
 from cfgplan.planners.fleet.flat import Flat
 from cfgplan.planners.fleet.flat_search import FlatSearch
 from cfgplan.planners.fleet.standing import Standing
@@ -50,6 +53,33 @@ def _look_among(labels: Collection[str], candidates: Candidates, standing: Stand
     if not flat.is_impossible:
         limit_us = well_below_best_us(standing)
         FlatSearch(flat, standing, hostless_us, SLICE_S, is_all=False, limit_us=limit_us).run()
+
+
+def look_among_few_explicitly(candidates: Candidates, standing: Standing) -> None:
+    """Offer plans made of the best plan's transformations and of more and more others; raise the bound.
+
+    Without hosts, quality and failures all costs less, so landmarks of the network hold here too.
+    """
+    from cfgplan.planners.fleet.search import Search
+
+    network = candidates.network
+    labels = [candidates.of(label) for label in network.labels]
+    cost = np.array([min(c.cost_us for c in these) for these in labels], np.int64)
+    most = int(cost.sum())
+    if len(network.targets) == len(candidates.environment.targets):
+        bound = tightened(Bound(network.core, cost), most, most, standing.clock)
+        standing.raise_bound(bound.value)
+        _, before = cheapest_way(bound.core, bound.residual)
+        least = (before[:-1] + bound.residual).tolist()
+        order = [n for _, n in sorted(zip(least, bound.core.labels.tolist(), strict=True))]
+        for size in SIZES:
+            if 2 * size > len(order) or standing.clock.is_over():
+                break
+            best = set() if standing.best is None else {unit.transformation for unit in standing.best[1]}
+            few = Candidates(candidates.problem, best.union(network.labels[n] for n in order[:size]), candidates.watch)
+            first = FirstPlans(few, standing)
+            first.look(ATTEMPTS)
+            Search(few, standing, first, SLICE_S, is_all=False).run()
 
 
 def well_below_best_us(standing: Standing) -> int | None:

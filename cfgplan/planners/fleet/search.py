@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import ceil
+from math import ceil, inf
 
 from ortools.sat.python.cp_model import (
     FEASIBLE,
@@ -22,6 +22,7 @@ from cfgplan.errors import InputError
 from cfgplan.planners.cpsat.engine import repeatable_solver, solve
 from cfgplan.planners.fleet.candidates import Candidates
 from cfgplan.planners.fleet.decode import decode, solution
+from cfgplan.planners.fleet.first_plans import FirstPlans
 from cfgplan.planners.fleet.instances import (
     there_are_as_many_units_as_asked_for_and_allowed,
     units_that_conflict_are_not_there_together,
@@ -38,9 +39,24 @@ from cfgplan.qualities import QualityAttribute
 class Search:
     """A problem on its way to its optimum: the model, the best plan so far, and what is proven."""
 
-    def __init__(self, candidates: Candidates, standing: Standing) -> None:
+    def __init__(
+        self,
+        candidates: Candidates,
+        standing: Standing,
+        first: FirstPlans,
+        slice_s: float = inf,
+        *,
+        is_all: bool = True,
+    ) -> None:
+        """With `is_all` false some candidates are left out: nothing is learned but plans.
+
+        `first` makes plans of what does not survive yet; `slice_s` are the engine's own seconds for all rounds.
+        """
         self.problem = candidates.problem
         self.standing = standing
+        self.is_all = is_all
+        self._first = first
+        self._left_s = slice_s
         self.is_bounding_cost = False
         self.model = Model(candidates)
         hosts_bear_their_units(self.model)
@@ -71,10 +87,12 @@ class Search:
             model.cp.add(used >= len(model.uses_required) + hopeless - standing.best[0][0])
         cost = model.cost()
         if not standing.is_cost_proven:
-            self.is_bounding_cost = True
+            self.is_bounding_cost = self.is_all
             if not self.minimise(cost):
                 return
             self.is_bounding_cost = False
+            if not self.is_all:
+                return
             standing.prove_cost()
         assert standing.best is not None
         model.cp.add(cost <= standing.best[0][1])
@@ -83,7 +101,7 @@ class Search:
     def minimise(self, objective: LinearExprT) -> bool:
         """Rounds of solving and of demanding what is missed; True with a proof that the best plan is best in this."""
         self.model.cp.minimize(objective)
-        while not self.standing.clock.is_over():
+        while self._left_s > 0 and not self.standing.clock.is_over():
             is_proven, missed = self._round()
             if not missed:
                 return is_proven
@@ -101,18 +119,21 @@ class Search:
             solver.best_bound_callback = lambda bound: self.standing.raise_bound(ceil(bound - 0.5))
         status = solve(solver, self.model.cp, _OnSolution(self.look_at), self.standing.clock)
         self.standing.counts["conflicts"] += solver.num_conflicts
+        self._left_s -= solver.response_proto.deterministic_time
         missed: list[Missed] = []
         if status == MODEL_INVALID:
             mend = "give the quality attributes a `worst` and a `best` that are closer, or fewer decimals"
             raise InputError.of("the numbers are too large to be computed exactly", mend=mend)
         if status == INFEASIBLE:
-            self.standing.is_infeasible = self.standing.best is None
+            self.standing.is_infeasible = self.is_all and self.standing.best is None
             return False, []
         if self.is_bounding_cost:
             self.standing.raise_bound(ceil(solver.best_objective_bound - 0.5))
         if status in (OPTIMAL, FEASIBLE):
             self.look_at(solver.boolean_value)
             missed = self.survival.missed(solution(self.model, solver.boolean_value))
+            if missed:
+                self._first.offer({i for i, runs in self.model.runs.items() if solver.boolean_value(runs)})
             self.hint = {
                 index: solver.value(self.model.cp.get_int_var_from_proto_index(index))
                 for index in range(len(self.model.cp.proto.variables))
@@ -126,7 +147,10 @@ class Search:
             self.standing.offer(decode(self.model, units))
 
     def solver(self) -> CpSolver:
-        return repeatable_solver(small=False, time_limit_s=self.standing.clock.left_s())
+        solver = repeatable_solver(small=False, time_limit_s=self.standing.clock.left_s())
+        if self._left_s < inf:
+            solver.parameters.max_deterministic_time = self._left_s
+        return solver
 
 
 def _hint(model: Model, units: list[ComputationUnit]) -> dict[int, int]:
