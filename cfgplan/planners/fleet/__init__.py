@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from cfgplan.planners.cpsat.clock import Clock, OutOfTimeError
 from cfgplan.planners.fleet.best_case import bound_by_price, leave_out_what_is_too_bad
 from cfgplan.planners.fleet.candidates import Candidates
-from cfgplan.planners.fleet.first_plans import ATTEMPTS, FEW, FirstPlans
+from cfgplan.planners.fleet.first_plans import ATTEMPTS, FirstPlans
 from cfgplan.planners.fleet.flat import Flat
 from cfgplan.planners.fleet.flatness import is_flat
 from cfgplan.planners.fleet.hostless import hostless
@@ -51,8 +51,7 @@ def plan(
         _ = candidates.network
         clock.end("closure")
         first = FirstPlans(candidates, standing)
-        are_cheap = problem.survive is None or len(candidates.network.labels) < FEW
-        first.look(ATTEMPTS if are_cheap else 0)
+        first.look(ATTEMPTS if problem.survive is None else 0)  # each attempt needs spares
         clock.end("first plans")
         if Notion.SURVIVAL not in problem.notions:  # a hot spare may get any quality
             leave_out_what_is_too_bad(candidates)
@@ -75,13 +74,13 @@ def _search(candidates: Candidates, standing: Standing, first: FirstPlans) -> No
         if search is None or standing.is_optimal or standing.is_infeasible or clock.is_over():
             return
         if standing.is_cost_proven:
-            candidates = Candidates(problem, search.left(), clock.check)
+            candidates = Candidates(problem, search.left(), clock.check, candidates)
             first = FirstPlans(candidates, standing)
     from cfgplan.planners.fleet.kernels import look_among_few_explicitly
     from cfgplan.planners.fleet.search import Search
 
     if not standing.is_cost_proven:
-        look_among_few_explicitly(candidates, standing)
+        look_among_few_explicitly(candidates, standing, first)
     explicit = Search(candidates, standing, first)
     clock.end("model")
     explicit.run()
@@ -100,6 +99,7 @@ def _solve_flat(candidates: Candidates, standing: Standing, first: FirstPlans) -
     if is_probing:
         hostless_us, labels = hostless(candidates, clock)
         standing.raise_bound(hostless_us)
+        first.offer(first.units_of(labels))
         bound = look_among_few(flat, standing, hostless_us, labels)
         slice_s *= 2
     while not flat.is_impossible:

@@ -36,19 +36,28 @@ class Candidates:
     """The candidates by index, in canonical order; the new ones of a transformation stand side by side."""
 
     def __init__(
-        self, problem: Problem, among: Collection[str] | None = None, watch: Callable[[], None] = lambda: None
+        self,
+        problem: Problem,
+        among: Collection[str] | None = None,
+        watch: Callable[[], None] = lambda: None,
+        known: Candidates | None = None,
     ) -> None:
         """All candidates, or those of the transformations in `among`.
 
         `watch` is called again and again, here and in what is made of the candidates, and can end it by an exception.
+        Where all candidates are `known`, what can be started is not looked for again.
         """
         self.problem = problem
         self.environment = problem.environment
         self.watch = watch
-        self.givers = Givers(problem.environment.library, problem.similarity)
-        self.givers.watch = watch
-        self.possible = startable(problem.environment, self.givers)
-        labels = _relevant(problem, self.givers, self.possible)
+        if known is None:
+            self.givers = Givers(problem.environment.library, problem.similarity)
+            self.givers.watch = watch
+            self.possible = startable(problem.environment, self.givers)
+            self._relevant = _relevant(problem, self.givers, self.possible)
+        else:
+            self.givers, self.possible, self._relevant = known.givers, known.possible, known._relevant
+        labels = self._relevant
         if among is not None:
             labels = labels.intersection(among)
         found: list[Candidate] = []

@@ -11,7 +11,7 @@ from ortools.sat.python.cp_model import IntVar
 from cfgplan.domain import ComputationUnit, Publication, Stream, Subscription
 from cfgplan.planners.fleet.candidates import Candidates
 from cfgplan.planners.fleet.model import Model
-from cfgplan.planners.fleet.survivors import bears_all_failures
+from cfgplan.planners.fleet.survivors import can_do_without
 from cfgplan.planning import Problem, fresh_units
 
 
@@ -44,7 +44,10 @@ def _unit(model: Model, index: int, holds: Callable[[IntVar], bool]) -> Computat
 
 
 def lean(candidates: Candidates, units: Collection[ComputationUnit]) -> list[ComputationUnit]:
-    """The units less those that no target, pin, number or failure needs, taken away one after the other."""
+    """The units less those that no target, pin, number or failure needs, taken away one after the other.
+
+    What has to survive failures does so before.
+    """
     problem, left = candidates.problem, list(units)
     spares: set[str] = set()
     while True:
@@ -57,9 +60,8 @@ def lean(candidates: Candidates, units: Collection[ComputationUnit]) -> list[Com
         fed_from = {s.stream.unit for unit in needless for s in unit.subscriptions if s.stream.unit != unit.id}
         last = [unit for unit in needless if unit.id not in fed_from] or needless
         goes = min(last, key=lambda unit: (unit.id in problem.environment.unit, unit.id))
-        others = [unit for unit in left if unit is not goes]
-        if bears_all_failures(candidates, others):
-            left = _without_broken(others)
+        if can_do_without(candidates, left, goes):
+            left = _without_broken([unit for unit in left if unit is not goes])
         else:
             spares.add(goes.id)
 
@@ -76,7 +78,7 @@ def _without_broken(units: list[ComputationUnit]) -> list[ComputationUnit]:
 
 def _is_asked_for(problem: Problem, units: Iterable[ComputationUnit], unit: ComputationUnit) -> bool:
     transformation = problem.environment.transformation[unit.transformation]
-    if unit.standby:
+    if unit.standby or not (transformation.pinned or transformation.min_instances):
         return False
     if transformation.pinned and unit.id in problem.environment.unit:
         return True

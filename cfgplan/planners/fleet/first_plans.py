@@ -22,8 +22,6 @@ from cfgplan.qualities import Better, QualityAttribute, Rule, is_met
 
 ATTEMPTS = 30
 """How many transformations of a plan are tried to be done without."""
-FEW = 100
-"""With fewer transformations attempts take little time even if each needs spares."""
 SHARES = (0.0, 0.5, 2.0, 8.0, 32.0)
 """How much dearer transformations are, as a part of what they usually cost, until a plan keeps all bounds."""
 
@@ -73,7 +71,7 @@ class FirstPlans:
         found: Floats | None = None
         for share in SHARES if usual else SHARES[:1]:
             priced, before = price + share * usual * burden, self.standing.best
-            if self._offer_supports(priced) and self.standing.best is not before:
+            if self._offer_supports(priced) and (found is None or self.standing.best is not before):
                 found = priced
             if found is not None and not self._is_weighed:
                 break
@@ -103,7 +101,7 @@ class FirstPlans:
             labels = {self.network.labels[n] for n in support}
             dearer = self._dearer_in_conflict(labels)
             if dearer is None:
-                return self.offer(self._units_of(labels))
+                return self.offer(self.units_of(labels))
             price = price.copy()
             price[dearer] = np.inf
         return False
@@ -116,7 +114,7 @@ class FirstPlans:
                     return max(number[label], number[other], key=lambda n: (self._cost[n], n))
         return None
 
-    def _units_of(self, labels: Iterable[str]) -> set[int]:
+    def units_of(self, labels: Iterable[str]) -> set[int]:
         """As many candidates of each transformation as have to run, the cheapest first."""
         candidates = self.candidates
         chosen: set[int] = set()

@@ -49,13 +49,13 @@ def look_among_few(flat: Flat, standing: Standing, hostless_us: int, labels: Col
 
 
 def _look_among(labels: Collection[str], candidates: Candidates, standing: Standing, hostless_us: int) -> None:
-    flat = Flat(Candidates(candidates.problem, labels, candidates.watch))
+    flat = Flat(Candidates(candidates.problem, labels, candidates.watch, candidates))
     if not flat.is_impossible:
         limit_us = well_below_best_us(standing)
         FlatSearch(flat, standing, hostless_us, SLICE_S, is_all=False, limit_us=limit_us).run()
 
 
-def look_among_few_explicitly(candidates: Candidates, standing: Standing) -> None:
+def look_among_few_explicitly(candidates: Candidates, standing: Standing, first: FirstPlans) -> None:
     """Offer plans made of the best plan's transformations and of more and more others; raise the bound.
 
     Without hosts, quality and failures all costs less, so landmarks of the network hold here too.
@@ -63,23 +63,28 @@ def look_among_few_explicitly(candidates: Candidates, standing: Standing) -> Non
     from cfgplan.planners.fleet.search import Search
 
     network = candidates.network
-    labels = [candidates.of(label) for label in network.labels]
-    cost = np.array([min(c.cost_us for c in these) for these in labels], np.int64)
+    if len(network.targets) < len(candidates.environment.targets):
+        return
+    cost = np.array([min(c.cost_us for c in candidates.of(label)) for label in network.labels], np.int64)
     most = int(cost.sum())
-    if len(network.targets) == len(candidates.environment.targets):
-        bound = tightened(Bound(network.core, cost), most, most, standing.clock)
-        standing.raise_bound(bound.value)
-        _, before = cheapest_way(bound.core, bound.residual)
-        least = (before[:-1] + bound.residual).tolist()
-        order = [n for _, n in sorted(zip(least, bound.core.labels.tolist(), strict=True))]
-        for size in SIZES:
-            if 2 * size > len(order) or standing.clock.is_over():
-                break
-            best = set() if standing.best is None else {unit.transformation for unit in standing.best[1]}
-            few = Candidates(candidates.problem, best.union(network.labels[n] for n in order[:size]), candidates.watch)
-            first = FirstPlans(few, standing)
-            first.look(ATTEMPTS)
-            Search(few, standing, first, SLICE_S, is_all=False).run()
+    bound = tightened(Bound(network.core, cost), most, most, standing.clock)
+    standing.raise_bound(bound.value)
+    _, before = cheapest_way(bound.core, bound.residual)
+    least = (before[:-1] + bound.residual).tolist()
+    order = [network.labels[n] for _, n in sorted(zip(least, bound.core.labels.tolist(), strict=True))]
+
+    def among(size: int) -> Candidates:
+        best = set() if standing.best is None else {unit.transformation for unit in standing.best[1]}
+        return Candidates(candidates.problem, best.union(order[:size]), candidates.watch, candidates)
+
+    sizes = [size for size in SIZES if 2 * size <= len(order)]
+    if sizes:
+        FirstPlans(among(sizes[0]), standing).look(ATTEMPTS)
+    first.look(ATTEMPTS)
+    for size in sizes:
+        standing.clock.check()
+        few = among(size)
+        Search(few, standing, FirstPlans(few, standing), SLICE_S, is_all=False).run()
 
 
 def well_below_best_us(standing: Standing) -> int | None:

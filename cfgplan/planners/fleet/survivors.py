@@ -63,3 +63,11 @@ def is_met(candidates: Candidates, reach: Reach, labels: Collection[str], target
 def bears_all_failures(candidates: Candidates, units: Collection[ComputationUnit]) -> bool:
     """Whether no single failure leaves a target without a stream; always so if none has to be survived."""
     return not any(unmet(candidates, failure) for failure in failures(candidates, units))
+
+
+def can_do_without(candidates: Candidates, units: Collection[ComputationUnit], one: ComputationUnit) -> bool:
+    """Whether units that bear all failures do so without one of them: it matters where no other of its kind is left."""
+    others = [unit for unit in units if unit is not one]
+    return not any(
+        unmet(candidates, failure) for failure in failures(candidates, others) if one.transformation not in failure.left
+    )
