@@ -35,6 +35,13 @@ def test_a_unit_that_had_lived_well_fails_as_if_for_the_first_time() -> None:
     assert back_offs.avoided == frozenset()
 
 
+def test_what_can_not_start_waits_from_the_first_time_on_and_is_counted_once_each_time() -> None:
+    life = started(behaviours=DYING)
+    life.pass_time(100)
+    waits = [report.backing_off for report in life.reports if isinstance(report, BackedOff)]
+    assert [(each.failures, round(each.left_s)) for each in waits[:5]] == [(1, 1), (2, 2), (3, 4), (4, 8), (5, 16)]
+
+
 def test_a_transformation_that_keeps_crashing_is_not_restarted_for_ever() -> None:
     life = started(behaviours=CRASHING)
     life.pass_time(600)

@@ -59,6 +59,15 @@ def test_unit_code_that_fails_in_a_step_is_reported_and_goes_on(
     assert listener.values == list(range(listener.values[0], listener.values[0] + len(listener.values)))
 
 
+def test_failures_that_are_not_reported_one_by_one_say_what_failed(run_units: StartRuntime) -> None:
+    runtime = run_units(source(), worker("naughty", "TwoOutputs", outputs=("even", "double"), deed="wrong ports"))
+    runtime.apply(start(unit("count.1"), unit("naughty.1", x="count.1/n")))
+    eventually(lambda: any(failure.suppressed for failure in seen(runtime, UnitFailed)))
+    failure = next(failure for failure in seen(runtime, UnitFailed) if failure.suppressed)
+    assert failure.kind == "wrong ports"
+    assert failure.text
+
+
 def test_the_traceback_names_the_users_line(run_units: StartRuntime) -> None:
     runtime = run_units(source(), worker("naughty", "Naughty", deed="raise"))
     runtime.apply(start(unit("count.1"), unit("naughty.1", x="count.1/n")))

@@ -96,6 +96,7 @@ def test_what_unit_code_prints_and_raises_is_shown(env: Path, capsys: pytest.Cap
     out = capsys.readouterr().out
     assert "detector.1 | looking" in out
     assert "ValueError: blind" in out
+    assert "): \n" not in out
 
 
 def test_a_unit_without_source_is_told_and_not_started(env: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -107,7 +107,7 @@ class Lost(msgspec.Struct, tag=True):
 
 
 class Trouble(msgspec.Struct, tag=True):
-    """Unit code failed in a step; `suppressed` counts like failures that are not reported one by one."""
+    """Unit code failed in a step; if `suppressed`, so many failures up to it are not reported one by one."""
 
     kind: str
     step: int

@@ -52,6 +52,7 @@ class UnitChild:
         self.step = 0
         """How many steps have begun."""
         self._errors = self._reported = 0
+        self._suppressed = ("", "")
         self._is_exhausted = self._is_finishing = False
         self._tick_ns = time.monotonic_ns()
 
@@ -169,16 +170,20 @@ class UnitChild:
     def _fail(self, error: Exception) -> None:
         self._errors += 1
         self._reported += 1
-        if self._reported > _MOST_REPORTS:
+        if self._reported > _MOST_REPORTS + 1:
             return
         kind = next((kind for known, kind in _KINDS if isinstance(error, known)), "raised")
         text = "".join(traceback.format_exception(error)) if kind == "raised" else str(error)
-        self._ports.say(Trouble(kind, self.step, text))
+        if self._reported > _MOST_REPORTS:
+            self._suppressed = kind, text
+        else:
+            self._ports.say(Trouble(kind, self.step, text))
 
     def _say_status(self) -> None:
         self._status_ns = time.monotonic_ns() + int(STATUS_PERIOD_S * 1e9)
         if self._reported > _MOST_REPORTS:
-            self._ports.say(Trouble("raised", self.step, "", self._reported - _MOST_REPORTS))
+            kind, text = self._suppressed
+            self._ports.say(Trouble(kind, self.step, text, self._reported - _MOST_REPORTS))
         self._reported = 0
         self._ports.say(
             Status(self.step, self._errors, self._input_counts(), self._ports.output_counts(), self._state())

@@ -49,8 +49,8 @@ class BackOffs:
         """
         before = self._records.get(label)
         is_new = before is None or lived_s >= self._rules.good_life_s
-        failures = (0 if is_new or before is None else before.failures) + (2 if is_costly else 1)
-        delay_s = self._rules.delay_s(failures)
+        failures = 1 if is_new or before is None else before.failures + 1
+        delay_s = self._rules.delay_s(failures + is_costly)
         self._note(label, _Record(failures, now_s + delay_s, cause), waits=delay_s > 0)
 
     def refuse(self, label: str, cause: str) -> None:

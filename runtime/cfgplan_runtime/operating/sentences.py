@@ -208,8 +208,9 @@ def _event(event: events.Event) -> str | None:
         case events.UnitDied(unit, cause):
             return f"{unit} died: {short(cause)}"
         case events.UnitFailed(unit, kind, step, text, suppressed):
-            more = f" (and {_times(suppressed)} more)" if suppressed else ""
-            return f"{unit} failed in step {step} ({kind}): {short(text)}{more}"
+            if suppressed:
+                return f"{unit} failed {_times(suppressed)} more, up to step {step}, such as ({kind}): {short(text)}"
+            return f"{unit} failed in step {step} ({kind}): {short(text)}"
         case events.UnitHung(unit, silent_s):
             return f"{unit} gave no sign of life for {silent_s:.1f} s and is killed"
         case events.UnitTooLarge(unit, memory_bytes):

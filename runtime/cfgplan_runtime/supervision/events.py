@@ -33,7 +33,10 @@ class UnitStopped:
 
 @dataclass(frozen=True, slots=True)
 class UnitFailed:
-    """Unit code failed in a step, and the unit goes on. `suppressed` such failures are not reported one by one."""
+    """Unit code failed in a step, and the unit goes on.
+
+    If `suppressed`, so many failures up to this step are not reported one by one; the text is that of the first.
+    """
 
     unit: str
     kind: str
