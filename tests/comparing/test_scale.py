@@ -61,6 +61,14 @@ def test_gaps_of_what_is_not_proven_are_to_the_best_cost_of_all_planners() -> No
     assert lines["50", "highs"] == ("2 of 2", "2", "", "", "10", "1.4")
 
 
+def test_gaps_are_those_after_ten_seconds_also_of_what_is_proven_later() -> None:
+    trace = ((1.0, 20, 0), (9.0, 12, 8), (11.0, 10, 9))
+    late = row("highs", 10, 12.0, instance="s#0", parameters=SMALL, time_limit_s=30.0, trace=trace)
+    assert everyone([ROWS[0], late]).lines[1][2:6] == ("1 of 1", "12", "-20.0%", "+20.0%")
+    assert late.after(12.0) is late
+    assert late.after(0.5).outcome is Status.UNKNOWN
+
+
 @pytest.mark.parametrize("name", VARIANTS)
 def test_variants_say_what_can_not_be_met(name: str) -> None:
     found = VARIANTS[name].planner()(replace(random_library(0, transformations=8), similarity=Similarity({})))

@@ -167,12 +167,12 @@ class Branching:
         return self._steps <= 0 or self._is_over()
 
     def _go_on(self) -> None:
-        """Look at the node ahead; it stays there if the steps are over."""
+        """Look at the node ahead; it stays there if steps or time are over."""
         node = self._ahead.pop()
         self.nodes += 1
         ways = self._tighten(node)
         if ways is None:
-            if self._steps <= 0:
+            if self._is_late():
                 self._ahead.append(node)
             return
         plan = {node.links.labels[label] for label in ways.plan()}
@@ -195,14 +195,14 @@ class Branching:
             self._ahead.append(taken)
 
     def _tighten(self, node: _Node) -> Ways | None:
-        """Charge landmarks until the goal is free; None if no plan is good enough, or the steps are over."""
+        """Charge landmarks until the goal is free; None if no plan is good enough, or steps or time are over."""
         ways = Ways(node.links, node.residual, self.enough - node.bound)
         self._first = self._first or (ways.zones, node.landmarks)
         while node.bound + ways.to_goal < self.enough:
             self._steps -= 1
             if not ways.to_goal:
                 return ways
-            if self._steps <= 0:
+            if self._is_late():
                 return None
             members = ways.landmark()
             node.landmarks.append((node.charge(members), members))
