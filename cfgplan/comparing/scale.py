@@ -113,7 +113,7 @@ def everyone(rows: Sequence[Row]) -> Table:
     for name, group in families(rows).items():
         for planner in planners(group):
             own = [row for row in group if row.planner == planner]
-            left = [known for row in own if not (known := row.after(GAPS_S)).proven]
+            left = [row for row in (run.after(GAPS_S) for run in own) if not row.proven]
             known = [(row, best.cost_us) for row in left if (best := reference.get((row.instance, row.digest)))]
             below = [1 - row.bound_us / cost_us for row, cost_us in known if cost_us]
             above = [found for row in left if (found := gap(row, reference)) is not None]
