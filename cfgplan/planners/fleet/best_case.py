@@ -46,6 +46,7 @@ def range_of_use(candidates: Candidates, attribute: QualityAttribute) -> dict[St
                 used[stream] = worst
     streams_of = Counter(stream.unit for stream in used)
     for stream, worst in used.items():
+        candidates.watch()
         i = candidates.index_of[stream.unit]
         if candidates.is_asked_for(i) or streams_of[stream.unit] > 1 or attribute.is_better(worst, best[stream]):
             used[stream] = attribute.worst

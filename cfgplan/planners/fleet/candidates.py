@@ -113,8 +113,8 @@ class Candidates:
 
     def streams(self, tag: str) -> tuple[Stream, ...]:
         """The streams of candidates that may run and match the demanded tag."""
+        self.watch()
         if tag not in self._streams:
-            self.watch()
             self._streams[tag] = tuple(
                 Stream(candidate.id, port.name)
                 for label in self.givers.of(tag)

@@ -24,7 +24,9 @@ from cfgplan.qualities import QualityAttribute
 
 
 def spare_prices(candidates: Candidates) -> Floats:
-    """What a spare of each transformation in the network costs where no unit of it is there."""
+    """What a spare of each transformation in the network costs where no unit of it is there; 0 if none is needed."""
+    if candidates.problem.survive is None:
+        return np.zeros(len(candidates.network.labels))
     units = [candidates.of(label) for label in candidates.network.labels]
     return np.array([min(map(_spare_us, these), default=np.inf) for these in units], np.float64)
 
@@ -37,11 +39,20 @@ class Configuration:
     """Chosen units on their way to a valid configuration: `hot` ones run, `cold` ones wait."""
 
     def __init__(
-        self, candidates: Candidates, hot: Collection[int], attribute: QualityAttribute | None, spare_us: Floats
+        self,
+        candidates: Candidates,
+        hot: Collection[int],
+        attribute: QualityAttribute | None,
+        spare_us: Floats,
+        is_quick: bool,
     ) -> None:
-        """Inputs take the streams with the best of an `attribute`; `spare_us` are the `spare_prices`."""
+        """Inputs take the streams with the best of an `attribute`; `spare_us` are the `spare_prices`.
+
+        If it has to be quick, spares are of the transformations that are lost.
+        """
         self.candidates = candidates
         self._spare_us = spare_us
+        self._is_quick = is_quick
         self.hot = set(hot)
         self.cold: set[int] = set()
         self._attribute = attribute
@@ -110,6 +121,8 @@ class Configuration:
         if not unmet(candidates, Failure(host, labels, targets)):
             return True
         candidates.watch()
+        if self._is_quick and self._doubled(labels, host):
+            return True
         network = candidates.network
         there = candidates.numbers(labels)
         price = self._spare_us + 1
@@ -123,6 +136,14 @@ class Configuration:
         more = [] if support is None else [self._spare(network.labels[n], host) for n in sorted(support - set(there))]
         self._add([one for one in more if one is not None])
         return support is not None
+
+    def _doubled(self, left: frozenset[str], host: str | None) -> bool:
+        """Add one more unit of each transformation that is not left; False if there is none."""
+        twins = [self._spare(label, host) for label in sorted(self._labels(self.hot | self.cold) - left)]
+        found = [twin for twin in twins if twin is not None]
+        if len(found) == len(twins):
+            self._add(found)
+        return len(found) == len(twins)
 
     def _spare(self, label: str, host: str | None) -> int | None:
         """The cheapest further candidate of a transformation that may be on another host."""

@@ -34,6 +34,7 @@ class FirstPlans:
         self.network = candidates.network
         self._spare_us = spare_prices(candidates)
         units = [[c.cost_us for c in candidates.of(label) if c.may_run] for label in self.network.labels]
+        candidates.watch()
         self._run_us = np.array([min(these, default=np.inf) for these in units], np.float64)
         self._cost = np.where(np.isfinite(self._run_us), self._run_us, 0).astype(np.int64)
         self._attribute = _asked(candidates)
@@ -85,6 +86,7 @@ class FirstPlans:
             cpu_us = sum(host.cpu_us or 0 for host in hosts) or np.inf
             memory_mb = sum(host.memory_mb or 0 for host in hosts) or np.inf
             return np.array([t.upkeep_us / cpu_us + t.needs_mb / memory_mb for t in transformations], np.float64)
+        self.candidates.watch()
         sign = 1 if attribute.better is Better.LOWER else -1
         stated = [
             [c for port in t.outputs for c in port.quality if c.attribute == attribute.name] for t in transformations
@@ -127,12 +129,15 @@ class FirstPlans:
 
     def offer(self, hot: Collection[int]) -> bool:
         """Offer a configuration in which these candidates run; False if there is none."""
-        self.candidates.watch()
-        units = Configuration(self.candidates, hot, self._attribute, self._spare_us).units()
-        if units is None or not _is_valid(self.candidates, units):
-            return False
-        self.standing.offer(units)
-        return True
+        is_offered = False
+        ways = (True, False) if self.candidates.problem.survive is not None and self.standing.best is None else (False,)
+        for is_quick in ways:
+            self.candidates.watch()
+            units = Configuration(self.candidates, hot, self._attribute, self._spare_us, is_quick).units()
+            if units is not None and _is_valid(self.candidates, units):
+                self.standing.offer(units)
+                is_offered = True
+        return is_offered
 
 
 def _asked(candidates: Candidates) -> QualityAttribute | None:

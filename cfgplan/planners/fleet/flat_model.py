@@ -21,8 +21,8 @@ class FlatModel:
         self.environment = flat.candidates.environment
         self.cp = CpModel()
         self.support = Support()
-        self.uses = [self.cp.new_bool_var("") for _ in flat.labels]
-        self.holds = {fact: self.cp.new_bool_var("") for fact in flat.facts}
+        self.uses = [self._boolean() for _ in flat.labels]
+        self.holds = {fact: self._boolean() for fact in flat.facts}
         self.feeds: dict[Fact, dict[tuple[int, Stream], IntVar]] = {}
         self.more_costs: list[LinearExprT] = []
         self.runs = {i: [self.uses[place] for place in flat.places(i)] for i in range(len(flat.candidates.all))}
@@ -35,6 +35,10 @@ class FlatModel:
         a_unit_is_in_one_place(self)
         hosts_bear_their_units(self)
         numbers_and_conflicts_are_kept(self)
+
+    def _boolean(self) -> IntVar:
+        self.candidates.watch()
+        return self.cp.new_bool_var("")
 
     def ground(self) -> None:
         """Facts rest on what gives them: call when it is known where `feeds` matter."""

@@ -156,6 +156,7 @@ class FlatSearch:
     def _ask_for_quality(self, cuts: Iterable[ChainCut]) -> None:
         model, flat = self.model, self.flat
         for fact in flat.facts:
+            flat.candidates.watch()
             if isinstance(fact, Met):
                 model.feeds[fact] = {
                     (label, stream): model.cp.new_bool_var("")

@@ -49,6 +49,7 @@ class Model:
         new_units_come_in_order(self)
 
     def boolean(self) -> IntVar:
+        self.candidates.watch()
         return self.cp.new_bool_var("")
 
     def presence(self, unit: int) -> IntVar:
@@ -91,7 +92,6 @@ class Model:
 
 def a_running_unit_is_fed_at_every_input(model: Model) -> None:
     for i, runs in model.runs.items():
-        model.candidates.watch()
         for port in model.candidates.all[i].transformation.inputs:
             choices = model.connects[i, port.name] = {}
             for stream in model.candidates.streams(port.tag):

@@ -40,13 +40,13 @@ def streams_are_carried_to_where_they_are_wanted(model: Model) -> None:
         """The stream is carried to the host unless it is made there or one of these holds."""
         if host is None or price[stream] == 0:
             return
+        model.candidates.watch()
         here = model.is_on[model.candidates.index_of[stream.unit]].get(host)
         if (stream, host) not in carried:
             carried[stream, host] = model.boolean()
         model.cp.add_bool_or([*unless, *([] if here is None else [here]), carried[stream, host]])
 
     for (i, _), choices in model.connects.items():
-        model.candidates.watch()
         for stream, connected in choices.items():
             if stream.unit != model.candidates.all[i].id:
                 for host, is_on in model.is_on[i].items():

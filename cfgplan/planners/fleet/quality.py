@@ -157,6 +157,7 @@ def _values(
     attribute, ranges = scaled.attribute, scaled.ranges
     values = {stream: model.cp.new_int_var(min(ends), max(ends), "") for stream, ends in ranges.items()}
     for i, candidate in enumerate(model.candidates.all):
+        model.candidates.watch()
         outputs = [port for port in candidate.transformation.outputs if Stream(candidate.id, port.name) in values]
         ordinary = [port for port in candidate.transformation.inputs if not port.feedback] if outputs else []
         inputs = [value_at(attribute, i, port, values) for port in ordinary]

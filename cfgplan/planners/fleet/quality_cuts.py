@@ -80,7 +80,9 @@ class Relaxation:
         self.value_us = 0.0
         self.share = np.zeros(len(flat.candidates.all))
         self._unit_us = float(max(1, *flat.cost_us))
+        flat.candidates.watch()
         self._uses = [self.lp.NumVar(0.0, 1.0, "") for _ in flat.labels]
+        flat.candidates.watch()
         self._places = [[self._uses[n] for n in flat.places(unit)] for unit in range(len(flat.candidates.all))]
         objective = self.lp.Objective()
         objective.SetMinimization()
@@ -104,6 +106,7 @@ class Relaxation:
     def _need(self, landmarks: list[list[int]]) -> None:
         flat = self._flat
         for members in landmarks:
+            flat.candidates.watch()
             self._any_of(members)
         for fact in flat.wanted:
             self._any_of(list(flat.givers[fact]))

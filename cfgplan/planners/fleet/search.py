@@ -134,10 +134,7 @@ class Search:
             missed = self.survival.missed(solution(self.model, solver.boolean_value))
             if missed:
                 self._first.offer({i for i, runs in self.model.runs.items() if solver.boolean_value(runs)})
-            self.hint = {
-                index: solver.value(self.model.cp.get_int_var_from_proto_index(index))
-                for index in range(len(self.model.cp.proto.variables))
-            }
+            self.hint = dict(enumerate(solver.response_proto.solution))
         return status == OPTIMAL, missed
 
     def look_at(self, holds: Callable[[IntVar], bool]) -> None:
