@@ -89,7 +89,7 @@ def _search(candidates: Candidates, standing: Standing, first: FirstPlans) -> No
 def _solve_flat(candidates: Candidates, standing: Standing, first: FirstPlans) -> FlatSearch | None:
     """The search that proved the cost, or the last one; None if no plan is possible."""
     from cfgplan.planners.fleet.flat_search import FlatSearch  # the solver takes long to import
-    from cfgplan.planners.fleet.kernels import look_among_few, well_below_best_us
+    from cfgplan.planners.fleet.kernels import MANY, look_among_few, well_below_best_us
 
     problem, clock = candidates.problem, standing.clock
     hostless_us, slice_s, bound = 0, SLICE_S, None
@@ -102,6 +102,9 @@ def _solve_flat(candidates: Candidates, standing: Standing, first: FirstPlans) -
         first.offer(first.units_of(labels))
         bound = look_among_few(flat, standing, hostless_us, labels)
         slice_s *= 2
+    elif standing.best is not None and quality.is_bounded_only and len(flat.labels) >= MANY:
+        labels = frozenset(unit.transformation for unit in standing.best[1])
+        bound = look_among_few(flat, standing, 0, labels)
     while not flat.is_impossible:
         limit_us = well_below_best_us(standing) if is_probing else None
         search = FlatSearch(flat, standing, hostless_us, slice_s, bound=bound, limit_us=limit_us, cuts=quality.cuts)

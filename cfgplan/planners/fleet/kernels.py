@@ -11,13 +11,15 @@ import numpy as np
 
 from cfgplan.planners.cpsat.bounds import Bound, cheapest_way
 from cfgplan.planners.cpsat.tightening import tightened
-from cfgplan.planners.fleet.best_case import least_prices_us
+from cfgplan.planners.fleet.best_case import least_prices_us, leave_out_what_is_too_bad
 from cfgplan.planners.fleet.candidates import Candidates
 from cfgplan.planners.fleet.first_plans import ATTEMPTS, FirstPlans
 from cfgplan.planners.fleet.flat import Flat
 from cfgplan.planners.fleet.flat_search import FlatSearch
 from cfgplan.planners.fleet.standing import Standing
 
+MANY = 400
+"""Fewer labels than these are soon looked through all at once where there are no hosts."""
 SIZES = (50, 100, 200)
 """Among so many units is looked, one after the other, if there are twice as many."""
 STEPS = 4
@@ -49,9 +51,11 @@ def look_among_few(flat: Flat, standing: Standing, hostless_us: int, labels: Col
 
 
 def _look_among(labels: Collection[str], candidates: Candidates, standing: Standing, hostless_us: int) -> None:
-    flat = Flat(Candidates(candidates.problem, labels, candidates.watch, candidates))
+    few = Candidates(candidates.problem, labels, candidates.watch, candidates)
+    leave_out_what_is_too_bad(few)
+    flat = Flat(few)
     if not flat.is_impossible:
-        limit_us = well_below_best_us(standing)
+        limit_us = well_below_best_us(standing) if candidates.environment.hosts else None
         FlatSearch(flat, standing, hostless_us, SLICE_S, is_all=False, limit_us=limit_us).run()
 
 

@@ -27,7 +27,8 @@ class QualityStart:
         wishes = [wish for target in candidates.environment.targets for wish in target.quality]
         self._asked = sorted({wish.attribute for wish in wishes})
         self._ahead = [CLOSE] if wishes else []
-        if any(wish.weight_us for wish in wishes):
+        self.is_bounded_only = bool(wishes) and not any(wish.weight_us for wish in wishes)
+        if wishes and not self.is_bounded_only:
             self._look(QUICK)
 
     def look_closer(self) -> None:
