@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 from cfgplan.cli import options as shared
@@ -38,6 +39,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan import api, drawing
 
     kind = options.format or _kind_of(options.out)
+    if kind == "png" and options.out is None and sys.stdout.isatty():
+        raise InputError.of("a PNG picture is nothing for a terminal", mend="name a file by --out, or pipe it on")
     world = shared.load(options, screen)
     code, change_set = Exit.OK, None
     if not options.running:

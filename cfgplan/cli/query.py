@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -81,6 +82,8 @@ def add_to(verbs: shared.Subparsers) -> None:
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan_runtime.reasoning import features
 
+    if options.env is None and os.path.isfile(options.formula):  # noqa: PTH113 - a long formula is no path
+        raise InputError.of("a file is given and no formula", file=options.formula, mend="write FORMULA after ENV")
     if options.env is None or options.run_id is not None:
         from cfgplan_runtime.operating.control_client import connect
         from cfgplan_runtime.reasoning.managed import RemoteSubscriptions

@@ -64,6 +64,10 @@ def _fault(source: Source, path: Path, at_key: bool, error: Any, part: type[Base
         return source.fault(
             path, f"`{path[-1]}` is {_shown(value)}", f"this cfgplan reads `{path[-1]}: {_bare(error)}`"
         )
+    if kind == "model_type" and error["loc"][-1:] == (FULL_FORM,):
+        short = "a tag" if path[-2] in ("inputs", "outputs") else "a number"
+        message = f"this must be {short} or a mapping, but is {_described(value)}"
+        return source.fault(path, message, f"write {short} here")
     if kind in _KINDS:
         return source.fault(path, *_wrong_kind(source, path, _KINDS[kind], value), at_key=at_key)
     if kind == "string_pattern_mismatch":

@@ -208,8 +208,8 @@ _MENDS = {
     "cannot start any token": "indent by spaces, not tabs; quote a text that begins with @, ` or %",
     "mapping values are not allowed": 'quote a text that has ": " in it, and check the indentation',
     "expected <block end>": "check the indentation; a text that begins with a quote, { or [ must be quoted as a whole",
-    "did not find expected ',' or '}'": "close the mapping, and quote a text that begins with {",
-    "did not find expected ',' or ']'": "close the list, and quote a text that begins with [",
+    "expected ',' or '}'": "quote a text that has one of { } [ ] in it, such as a tag with {a}, or close the mapping",
+    "expected ',' or ']'": "quote a text that has one of { } [ ] in it, or close the list",
 }
 
 

@@ -258,3 +258,21 @@ def test_what_is_read_is_not_written_over(command: tuple[object, ...], run: Run,
     assert result.code == 30
     assert "not written over" in result.err
     assert env.read_text() == text
+
+
+def test_a_png_picture_is_not_written_to_a_terminal(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    result = run("graph", FUSION, "--format", "png")
+    assert (result.code, result.out) == (30, "")
+    assert "--out" in result.err
+
+
+def test_a_query_without_a_formula_says_so(run: Run) -> None:
+    result = run("query", FUSION)
+    assert result.code == 30
+    assert "no formula" in result.err
+
+
+def test_a_long_formula_is_no_file(run: Run) -> None:
+    result = run("query", f"a > {'1' * 5000}")
+    assert result.code == 30

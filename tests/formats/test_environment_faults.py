@@ -265,6 +265,17 @@ def test_a_port_with_an_unquoted_nominal_is_told_to_quote_it(tmp_path: Path) -> 
     assert fault.mend == "write it in quotes: a text that begins with { is read as a mapping"
 
 
+def test_a_nominal_inside_of_a_tag_is_told_to_be_quoted(tmp_path: Path) -> None:
+    fault = only_fault(tmp_path, HEAD + "transformations: [{label: a, outputs: {o: r some {cam1}}}]\n")
+    assert place_of(fault) == (2, 50)
+    assert fault.mend is not None and fault.mend.startswith("quote a text")
+
+
+def test_a_port_may_be_a_tag_or_a_mapping(tmp_path: Path) -> None:
+    fault = only_fault(tmp_path, HEAD + "transformations: [{label: a, outputs: {o: [A]}}]\n")
+    assert (fault.message, fault.mend) == ("this must be a tag or a mapping, but is a list", "write a tag here")
+
+
 def test_every_cycle_of_units_is_named(tmp_path: Path) -> None:
     units = "".join(
         f"  - {{id: {unit}, transformation: a, inputs: {{i: {feeder}/o}}}}\n"
