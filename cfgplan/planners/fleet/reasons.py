@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping
 
-from cfgplan.domain import Environment, Target
+from cfgplan.domain import Environment, Target, Transformation
 from cfgplan.planning import Failures, Problem
 from cfgplan.qualities import Better, is_met, propagated, units
 from cfgplan.reasons import Givers, startable
@@ -12,10 +13,12 @@ from cfgplan.reasons import Givers, startable
 
 def joint_reasons(problem: Problem) -> dict[str, str]:
     """A reason for each target that can't be met for itself; else one for all targets together."""
+    bounded = {w.attribute for target in problem.environment.targets for w in target.quality if w.bound is not None}
+    best = {name: _best_values(problem, name) for name in sorted(bounded)}
     unreachable = {
         target.label: reason
         for target in problem.environment.targets
-        for reason in [_missed_bound(problem, target) or _fatal_failure(problem, target)]
+        for reason in [_missed_bound(problem, target, best) or _fatal_failure(problem, target)]
         if reason
     }
     asked = ", ".join(sorted(problem.notions))
@@ -23,11 +26,11 @@ def joint_reasons(problem: Problem) -> dict[str, str]:
     return unreachable or {target.label: joint for target in problem.environment.targets}
 
 
-def _missed_bound(problem: Problem, target: Target) -> str | None:
+def _missed_bound(problem: Problem, target: Target, best: Mapping[str, Mapping[str, int]]) -> str | None:
     for wish in target.quality:
         attribute = problem.environment.quality[wish.attribute]
-        best = _best_values(problem, wish.attribute)
-        values = [value for tag, value in best.items() if problem.similarity.holds(tag, target.tag)]
+        known = best.get(wish.attribute, {})
+        values = [value for tag, value in known.items() if problem.similarity.holds(tag, target.tag)]
         if values and wish.bound is not None and not any(is_met(attribute, wish, value) for value in values):
             is_low = attribute.better is Better.LOWER
             reached = min(values) if is_low else max(values)
@@ -71,30 +74,44 @@ def _best_values(problem: Problem, name: str) -> dict[str, int]:
     pick = min if attribute.better is Better.LOWER else max
     number = Counter(unit.transformation for unit in environment.units)
     number.update({t.label: problem.most_new(t) for t in environment.library})
+    offering: dict[str, list[tuple[str, str]]] = defaultdict(list)
+    needing: dict[str, list[Transformation]] = defaultdict(list)
+    for t in environment.library:
+        for output in t.outputs:
+            offering[output.tag].append((t.label, output.tag))
+        for tag in {port.tag for port in t.inputs if not port.feedback}:
+            for offered in problem.similarity.offers.get(tag, ()):
+                needing[offered].append(t)
     best: dict[tuple[str, str], int] = {}
+
+    def inputs_of(t: Transformation) -> list[int] | None:
+        """The best value of each input; None if one can't be fed."""
+        found = []
+        for port in t.inputs:
+            if not port.feedback:
+                feeders = [f for tag in problem.similarity.offers.get(port.tag, ()) for f in offering[tag] if f in best]
+                values = [best[feeder] for feeder in feeders if feeder[0] != t.label or number[t.label] > 1]
+                if not values:
+                    return None
+                found.append(pick(values))
+        return found
+
+    ahead: Iterable[Transformation] = environment.library
     for _ in range(number.total()):
-        before = dict(best)
-        for transformation in environment.library:
-            label = transformation.label
-            inputs = [
-                [
-                    value
-                    for (feeder, output), value in before.items()
-                    if (feeder != label or number[label] > 1)
-                    and problem.similarity.holds(environment.transformation[feeder].output[output].tag, port.tag)
-                ]
-                for port in transformation.inputs
-                if not port.feedback
-            ]
-            if all(inputs):
-                for output in transformation.outputs:
-                    stated = {c.attribute: c for c in output.quality}.get(name)
-                    value = propagated(attribute, stated, [pick(fit) for fit in inputs])
-                    best[label, output.name] = pick(value, best.get((label, output.name), value))
-        if best == before:
+        better: dict[tuple[str, str], int] = {}
+        for t in ahead:
+            inputs = inputs_of(t)
+            for output in t.outputs if inputs is not None else ():
+                stated = {c.attribute: c for c in output.quality}.get(name)
+                value = propagated(attribute, stated, inputs or [])
+                known = better.get((t.label, output.tag), best.get((t.label, output.tag), value))
+                better[t.label, output.tag] = pick(value, known)
+        changed = {place: value for place, value in better.items() if best.get(place) != value}
+        best.update(changed)
+        ahead = {t.label: t for _, tag in sorted(changed) for t in needing[tag]}.values()
+        if not changed:
             break
     found: dict[str, int] = {}
-    for (label, port_name), value in best.items():
-        tag = environment.transformation[label].output[port_name].tag
+    for (_, tag), value in best.items():
         found[tag] = pick(value, found.get(tag, value))
     return found

@@ -11,7 +11,6 @@ from ortools.sat.python.cp_model import (
     MODEL_INVALID,
     OPTIMAL,
     CpSolver,
-    CpSolverSolutionCallback,
     IntVar,
     LinearExpr,
     LinearExprT,
@@ -19,7 +18,7 @@ from ortools.sat.python.cp_model import (
 
 from cfgplan.domain import ComputationUnit, InputPort, Stream
 from cfgplan.errors import InputError
-from cfgplan.planners.cpsat.engine import repeatable_solver, solve
+from cfgplan.planners.cpsat.engine import OnSolution, repeatable_solver, solve
 from cfgplan.planners.fleet.candidates import Candidates
 from cfgplan.planners.fleet.decode import decode, solution
 from cfgplan.planners.fleet.first_plans import FirstPlans
@@ -117,7 +116,7 @@ class Search:
         solver = self.solver()
         if self.is_bounding_cost:
             solver.best_bound_callback = lambda bound: self.standing.raise_bound(ceil(bound - 0.5))
-        status = solve(solver, self.model.cp, _OnSolution(self.look_at), self.standing.clock)
+        status = solve(solver, self.model.cp, OnSolution(self.look_at), self.standing.clock)
         self.standing.counts["conflicts"] += solver.num_conflicts
         self._left_s -= solver.response_proto.deterministic_time
         missed: list[Missed] = []
@@ -166,12 +165,3 @@ def _hint(model: Model, units: list[ComputationUnit]) -> dict[int, int]:
     for topic, choices in model.publishes.items():
         hint |= {taken.index: int((topic, stream) in published) for stream, taken in choices.items()}
     return hint
-
-
-class _OnSolution(CpSolverSolutionCallback):
-    def __init__(self, look_at: Callable[[Callable[[IntVar], bool]], None]) -> None:
-        super().__init__()
-        self._look_at = look_at
-
-    def on_solution_callback(self) -> None:
-        self._look_at(self.boolean_value)
