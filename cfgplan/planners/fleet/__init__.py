@@ -1,6 +1,7 @@
 """The exact planner for what the paper leaves to the future: quality, hosts, conflicts, instances, spares.
 
-One constraint model in which every possible subscription has a boolean, solved objective by objective.
+First plans are made without search. Where it does not matter who feeds whom, landmarks and a model of what is
+where prove the cost; all else is one model in which every possible subscription has a boolean.
 """
 
 from __future__ import annotations

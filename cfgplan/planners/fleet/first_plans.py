@@ -48,7 +48,8 @@ class FirstPlans:
         price = self._first()
         tried: set[str] = set()
         while price is not None and standing.best is not None and len(tried) < attempts:
-            standing.clock.check()
+            if standing.clock.is_over():
+                break
             labels = {unit.transformation for unit in standing.best[1] if not unit.standby}
             ahead = sorted(candidates.numbers(labels - tried), key=lambda n: (-self._cost[n], n))
             if not ahead:
