@@ -16,7 +16,7 @@ def alternatives_text(problem: Problem, found: Alternatives) -> Text:
     lines = [line for place, plan in enumerate(found.plans) for line in _plan(problem, found.plans[0], place, plan)]
     lines.append(verdict(problem, found.plans[0]))
     if not found.complete:
-        lines.append(Text("Time ran out: further alternatives may be missing.", style="yellow"))
+        lines.append(Text("Further alternatives may be missing: not all could be decided.", style="yellow"))
     elif found.has_more:
         lines.append(Text("There are more: ask for a larger number of alternatives.", style="dim"))
     else:

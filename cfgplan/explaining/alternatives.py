@@ -11,6 +11,7 @@ from itertools import combinations
 
 from cfgplan.costs import keep_cost_us, start_cost_us
 from cfgplan.errors import InputError
+from cfgplan.explaining.serving import Kept, unused_required
 from cfgplan.explaining.together import REFUSED
 from cfgplan.planning import Notion, Plan, Planner, Problem, Status
 from cfgplan.reasons import Givers, startable
@@ -28,7 +29,8 @@ class Alternatives:
     """The best `plans` of a problem, no two of which run the same set of transformations, in the order of optimality.
 
     The first is the optimal one; each of the others is the best of all that run the same transformations. It is
-    `complete` if it was not stopped by the clock, and `has_more` if there are further configurations.
+    `complete` if it was not stopped by the clock, nor by a configuration of which it can't be decided whether something
+    required serves a target in it or only what runs anyway, and `has_more` if there are further configurations.
     """
 
     plans: tuple[Plan, ...]
@@ -47,11 +49,6 @@ def alternatives(problem: Problem, planner: Planner, count: int, *, time_limit_s
         raise InputError.of(
             "alternatives are told apart by what serves targets, and spares for the survival of failures serve none",
             mend="solve with --without NAME for what else there is, or with --survive 0",
-        )
-    if any(transformation.min_instances for transformation in problem.environment.library):
-        raise InputError.of(
-            "alternatives are told apart by what serves targets, and what `min_instances` asks for may serve none",
-            mend="solve with --without NAME for what else there is, or leave `min_instances` out",
         )
     end_s = None if time_limit_s is None else time.monotonic() + time_limit_s
     best = planner(problem, time_limit_s=time_limit_s)
@@ -83,9 +80,9 @@ class _Ranking:
         self._planner = planner
         self._best = best
         environment = problem.environment
-        self._possible = startable(environment, Givers(environment.library, problem.similarity))
         running = {unit.transformation for unit in environment.units}
-        self._kept = frozenset(t.label for t in environment.library if t.pinned and t.label in running & self._possible)
+        self._keeping = Kept(problem)
+        self._kept = self._keeping.labels
         self._required = frozenset(t.label for t in environment.library if t.required)
         self._cost_us = {
             t.label: (keep_cost_us if t.label in running else start_cost_us)(t, problem.horizon_s)
@@ -93,15 +90,17 @@ class _Ranking:
         }
 
     def plans(self, end_s: float | None) -> Iterator[Plan | None]:
-        """The plans in order; None when time is over."""
+        """The plans in order; None when time is over, or when it is not decided which one is next."""
         whole = _Part(frozenset(), frozenset())
-        heap: list[tuple[Key, int, bool, list[str], list[str], _Part | Plan]] = [((0,) * 4, 0, False, [], [], whole)]
+        heap: list[tuple[Key, int, bool, list[str], list[str], _Part | Plan | None]] = [
+            ((0,) * 4, 0, False, [], [], whole)
+        ]
         while heap:
             if end_s is not None and time.monotonic() > end_s:
                 yield None
                 return
             least, kind, is_other, within, without, entry = heapq.heappop(heap)
-            if isinstance(entry, Plan):
+            if not isinstance(entry, _Part):
                 yield entry
                 continue
             cheapest = self._cheapest(entry)
@@ -114,12 +113,14 @@ class _Ranking:
                 continue
             runs = self._runs(cheapest)
             plan = self._best_that_runs(runs)
-            if self._is_allowed(plan.cost_us or 0):
-                heapq.heappush(heap, (self._key(plan), 1, plan != self._best, sorted(runs), [], plan))
+            least_us = cheapest.cost_us or 0
+            key = self._key(plan) if plan else (len(self._required - runs - self._kept), least_us, 0, 0)
+            if self._is_allowed(key[1]):
+                heapq.heappush(heap, (key, 1, plan != self._best, sorted(runs), [], plan))
             for part in self._rest(entry, runs):
-                least_us = max(cheapest.cost_us or 0, sum(self._cost_us[label] for label in part.within))
-                if self._is_allowed(least_us):
-                    bound = (len(self._required & part.without), least_us, 0, 0)
+                part_us = max(least_us, sum(self._cost_us[label] for label in part.within))
+                if self._is_allowed(part_us):
+                    bound = (len(self._required & part.without), part_us, 0, 0)
                     heapq.heappush(heap, (bound, 0, False, sorted(part.within), sorted(part.without), part))
 
     def _rest(self, part: _Part, runs: Labels) -> Iterator[_Part]:
@@ -138,7 +139,7 @@ class _Ranking:
 
         If time ran out, its status is another than optimal.
         """
-        plan = self._planner(self._restricted(part.without, part.within), time_limit_s=part.limit_s)
+        plan = self._plan(part.without, part.within, part.limit_s)
         if plan.status in (Status.FEASIBLE, Status.UNKNOWN):
             return replace(plan, bound_us=0) if plan.unused_required else plan
         if plan.change_set is None or plan.unused_required:
@@ -147,46 +148,51 @@ class _Ranking:
         kept = {unit.transformation for unit in after.units}
         return plan if self._kept <= kept else None
 
-    def _best_that_runs(self, runs: Labels) -> Plan:
-        """The best plan in which just these run, besides the pinned ones."""
+    def _best_that_runs(self, runs: Labels) -> Plan | None:
+        """The best plan in which just these run, besides what runs anyway; None if it is not decided which that is."""
         if runs == self._runs(self._best):
             return self._best
-        plan, idle = self._best_in_which_all_serve(runs)
-        unused = self._required - runs - self._kept | idle
-        return replace(
+        plan = self._best_by_use(runs)
+        return plan and replace(
             plan,
             status=Status.FEASIBLE,
             bound_us=min(self._best.bound_us, plan.cost_us or 0),
-            unused_required=tuple(t.label for t in self._problem.environment.library if t.label in unused),
+            unused_required=self._unused(plan),
         )
 
-    def _best_in_which_all_serve(self, runs: Labels) -> tuple[Plan, Labels]:
-        """The best plan in which these serve targets, besides the pinned ones, and the required ones that do not."""
+    def _best_by_use(self, runs: Labels) -> Plan | None:
+        """The best plan in which these serve targets, or what runs anyway: with most of the required ones used."""
         others = self._problem.environment.transformation.keys() - runs - self._kept
-        required = self._required & self._kept
-        plan = self._planner(self._restricted(others, runs | required))
-        if required.issuperset(plan.unused_required):
-            return plan, frozenset(plan.unused_required)
-        # A pinned one takes the place of one of these: as many of the pinned ones as leave all of them theirs.
-        for size in reversed(range(len(required))):
-            found = [
-                (self._planner(self._restricted(others, runs.union(serving))), required.difference(serving))
-                for serving in combinations(sorted(required), size)
-            ]
-            whole = [each for each in found if not each[0].unused_required]
-            if whole:
-                return min(whole, key=lambda each: self._key(each[0]))
-        return plan, self._required.intersection(plan.unused_required)  # what feeds pinned ones alone serves no target
+        required = sorted(self._required & self._kept)
+        for size in reversed(range(len(required) + 1)):
+            found = []
+            for serving in map(frozenset, combinations(required, size)):
+                plan = self._plan(others, runs | serving, exempt=serving)
+                if plan.change_set is None or plan.unused_required:
+                    continue
+                if runs.intersection(self._required, self._unused(plan)):
+                    strict = self._planner(_restricted(self._problem, others, runs | serving))
+                    if strict.unused_required or self._key(strict) != self._key(plan):
+                        return None
+                    plan = strict
+                found.append(plan)
+            if found:
+                return min(found, key=self._key)
+        return None
 
-    def _restricted(self, without: Iterable[str], required: Labels) -> Problem:
-        environment = self._problem.environment
-        out = set(without)
-        library = tuple(
-            t if t.required == (t.label in required) else replace(t, required=t.label in required)
-            for t in environment.library
-            if t.label not in out
-        )
-        return replace(self._problem, environment=replace(environment, library=library), max_cost_us=None)
+    def _plan(
+        self, without: Iterable[str], required: Labels, limit_s: float | None = None, *, exempt: Labels = frozenset()
+    ) -> Plan:
+        """The best plan without some transformations in which others serve targets, or what runs anyway.
+
+        What runs anyway, but is `exempt`, counts as no target.
+        """
+        restricted = _restricted(self._keeping.serving(exempt), without, required)
+        return self._keeping.really(self._planner(restricted, time_limit_s=limit_s), restricted)
+
+    def _unused(self, plan: Plan) -> tuple[str, ...]:
+        assert plan.change_set is not None
+        return unused_required(self._problem.environment.update(plan.change_set))
 
     def _runs(self, plan: Plan) -> Labels:
         assert plan.change_set is not None
@@ -208,9 +214,21 @@ class _Ranking:
         givers = Givers(environment.library, self._problem.similarity)
         ahead = [target.tag for target in environment.targets]
         ahead += [port.tag for label in sorted(self._kept) for port in environment.transformation[label].inputs]
+        possible = startable(environment, givers)
         found: set[str] = set()
         for tag in ahead:
-            new = self._possible.intersection(givers.of(tag)) - found
+            new = possible.intersection(givers.of(tag)) - found
             found |= new
             ahead += [port.tag for label in sorted(new) for port in environment.transformation[label].inputs]
         return frozenset(found) - self._kept
+
+
+def _restricted(problem: Problem, without: Iterable[str], required: Labels) -> Problem:
+    """The problem without some transformations, with others required, whatever that costs."""
+    out = set(without)
+    library = tuple(
+        t if t.required == (t.label in required) else replace(t, required=t.label in required)
+        for t in problem.environment.library
+        if t.label not in out
+    )
+    return replace(problem, environment=replace(problem.environment, library=library), max_cost_us=None)

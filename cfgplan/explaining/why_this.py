@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment
+from cfgplan.explaining.serving import Kept, unused_required
 from cfgplan.explaining.why_not import requiring
-from cfgplan.planning import Plan, Planner, Problem, Status
+from cfgplan.planning import Notion, Plan, Planner, Problem, Status
 
 
 class Choice(StrEnum):
@@ -125,6 +126,8 @@ def _why(
 ) -> Why:
     after = after_update(problem, plan)
     otherwise = planner(replace(other, max_cost_us=None))
+    if not units and label in otherwise.unused_required:
+        otherwise = _feeding_what_stays(other, planner, label) or otherwise
     choice = _choice(plan, otherwise)
     lost = set(otherwise.unused_required) - set(plan.unused_required)
     usable = label in problem.environment.transformation and label not in otherwise.unused_required
@@ -144,6 +147,22 @@ def _why(
         more=tuple(sorted(then - now)),
         less=tuple(sorted(now - then)),
     )
+
+
+def _feeding_what_stays(problem: Problem, planner: Planner, label: str) -> Plan | None:
+    """The best plan in which a transformation serves what runs anyway, such as pinned units, if there is one."""
+    if Notion.SURVIVAL in problem.notions:
+        return None
+    kept = Kept(problem)
+    serving = kept.serving()
+    if serving is problem:
+        return None
+    found = planner(serving)
+    if found.change_set is None or label in found.unused_required:
+        return None
+    plan = kept.really(found, serving)
+    unused = unused_required(after_update(problem, plan))
+    return replace(plan, unused_required=tuple(each for each in unused if each != label))
 
 
 def _choice(plan: Plan, otherwise: Plan) -> Choice:

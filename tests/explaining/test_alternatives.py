@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from dataclasses import replace
-from itertools import combinations
 
 import pytest
 from fleets import fleets
@@ -13,12 +11,12 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from worlds import problems
 
-from cfgplan.domain import ComputationUnit, Environment, OutputPort, Similarity, Target, Transformation
+from cfgplan.domain import ComputationUnit, Environment, InputPort, OutputPort, Similarity, Target, Transformation
 from cfgplan.errors import InputError
 from cfgplan.explaining import alternatives
-from cfgplan.planners import PLANNERS
+from cfgplan.planners import PLANNERS, exhaustive_fleet
+from cfgplan.planners.exhaustive_judging import key_of
 from cfgplan.planning import Failures, Notion, Plan, Problem, Status
-from cfgplan.reasons import Givers, startable
 from cfgplan.validity import plan_violations
 
 EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "50"))
@@ -42,56 +40,61 @@ def runs(problem: Problem, plan: Plan) -> frozenset[str]:
     return frozenset(unit.transformation for unit in problem.environment.update(plan.change_set).units)
 
 
-def subsets(labels: set[str]) -> Iterator[set[str]]:
-    for size in range(len(labels) + 1):
-        yield from map(set, combinations(sorted(labels), size))
-
-
 def every_configuration(problem: Problem) -> dict[frozenset[str], tuple[int, int, int, int]]:
-    """For each set of transformations of which all serve a target, or are pinned, the best that runs just these."""
-    environment = problem.environment
-    possible = startable(environment, Givers(environment.library, problem.similarity))
-    running = {unit.transformation for unit in environment.units}
-    pinned = {t.label for t in environment.library if t.pinned and t.label in running & possible}
-    really = {t.label for t in environment.library if t.required}
-    others = [t for t in environment.library if t.label not in pinned]
+    """For each set of transformations the best valid configuration that runs just these, of all that there are."""
     found: dict[frozenset[str], tuple[int, int, int, int]] = {}
-    for size in range(len(others) + 1):
-        for chosen in combinations(others, size):
-            labels = {t.label for t in chosen}
-            for serving in subsets(really & pinned):
-                library = [replace(t, required=True) for t in chosen]
-                library += [replace(t, required=t.label in serving) for t in environment.library if t.label in pinned]
-                alone = replace(problem, environment=replace(environment, library=tuple(library)), max_cost_us=None)
-                plan = PLANNERS["exhaustive" if len(library) + len(environment.units) < 6 else "cpsat"](alone)
-                if plan.change_set is None or plan.unused_required or not pinned <= runs(problem, plan):
-                    continue
-                best = (len(really - labels - serving), *key(plan)[1:])
-                which = runs(problem, plan)
+    for _, units in exhaustive_fleet._sets(problem):
+        for wired in exhaustive_fleet._wirings(problem, units):
+            best = key_of(problem, wired)
+            if best is not None and (problem.max_cost_us is None or best[1] <= problem.max_cost_us):
+                which = frozenset(unit.transformation for unit in wired)
                 found[which] = min(best, found.get(which, best))
-    if problem.max_cost_us is not None:
-        return {which: best for which, best in found.items() if best[1] <= problem.max_cost_us}
     return found
+
+
+@st.composite
+def with_some_that_stay(draw: st.DrawFn) -> Problem:
+    """A problem with a pinned unit that runs, or one that `min_instances` asks for, and inputs to feed."""
+    problem = draw(problems(most=3))
+    environment = problem.environment
+    fed = [t.label for t in environment.library if t.inputs]
+    assume(fed)
+    label = draw(st.sampled_from(fed))
+    least = draw(st.integers(0, 2))
+    stays = {"min_instances": least} if least else {"pinned": True}
+    library = tuple(replace(t, **stays) if t.label == label else t for t in environment.library)
+    units = environment.units
+    if not least and label not in {unit.transformation for unit in units}:
+        units = (*units[:2], ComputationUnit(f"{label}.9", label))
+    return replace(problem, environment=replace(environment, library=library, units=units), max_cost_us=None)
+
+
+def may_feed_what_stays(problem: Problem) -> bool:
+    """Whether something required may feed what runs whether a target needs it or not."""
+    library = problem.environment.library
+    stays = [t for t in library if t.pinned or t.min_instances]
+    return any(t.inputs for t in stays) and any(t.required and not t.pinned for t in library)
 
 
 @many
 @given(
     st.one_of(
-        problems(most=4),
+        with_some_that_stay(),
+        problems(most=3),
         fleets(frozenset({Notion.INSTANCES}), most=3),
         fleets(frozenset({Notion.INSTANCES, Notion.CONFLICTS, Notion.QUALITY}), most=3),
     ),
     st.integers(1, 6),
 )
 def test_they_are_the_best_of_all_that_run_something_else_in_order(problem: Problem, count: int) -> None:
-    free = (replace(t, min_instances=0) for t in problem.environment.library)
-    problem = replace(problem, environment=replace(problem.environment, library=tuple(free)))
     assume(cpsat(problem).change_set)
     found = alternatives(problem, cpsat, count)
     expected = every_configuration(problem)
-    assert found.complete
-    assert [key(plan) for plan in found.plans] == sorted(expected.values())[:count]
-    assert found.has_more == (len(expected) > count)
+    assert found.complete or may_feed_what_stays(problem)
+    assert [key(plan) for plan in found.plans] == sorted(expected.values())[
+        : count if found.complete else len(found.plans)
+    ]
+    assert found.has_more == (len(expected) > count) or not found.complete
     assert len({runs(problem, plan) for plan in found.plans}) == len(found.plans)
     for plan in found.plans:
         assert plan_violations(problem, plan) == []
@@ -108,14 +111,27 @@ def test_a_pinned_one_that_is_required_takes_no_place_from_what_has_to_serve() -
     assert [(plan.cost_us, plan.unused_required) for plan in found.plans] == [(0, ()), (1, ("b",))]
 
 
-def test_where_what_runs_may_serve_no_target_alternatives_are_refused_with_the_reason() -> None:
+def test_what_feeds_pinned_units_alone_hides_no_alternative() -> None:
+    log = Transformation("log", (InputPort("i", "M"),), (OutputPort("o", "L"),), pinned=True)
+    givers = [Transformation(label, (), (OutputPort("o", label[0]),), int(label[1])) for label in ("M1", "M2", "S1")]
+    library = (log, *givers, Transformation("S2", (), (OutputPort("o", "S"),), 3))
+    environment = Environment((ComputationUnit("log.1", "log"),), library, (Target("t", "S", "/t"),))
+    problem = Problem(environment, Similarity({tag: frozenset({tag}) for tag in "MSL"}), 0)
+    found = alternatives(problem, cpsat, 9)
+    assert [(plan.cost_us, *sorted(runs(problem, plan) - {"log"})) for plan in found.plans] == [
+        (2, "M1", "S1"),
+        (3, "M2", "S1"),
+        (4, "M1", "S2"),
+        (5, "M2", "S2"),
+    ]
+    assert not found.has_more
+
+
+def test_where_spares_serve_no_target_alternatives_are_refused_with_the_reason() -> None:
     camera = Transformation("a", (), (OutputPort("o", "A"),))
     problem = Problem(Environment((), (camera,), (Target("t", "A", "/t"),)), Similarity({"A": frozenset({"A"})}), 0)
-    spare = replace(problem, survive=Failures.UNITS)
-    twice = replace(problem, environment=replace(problem.environment, library=(replace(camera, min_instances=2),)))
-    for refused, why in ((spare, "spares"), (twice, "min_instances")):
-        with pytest.raises(InputError, match=why):
-            alternatives(refused, cpsat, 3)
+    with pytest.raises(InputError, match="spares"):
+        alternatives(replace(problem, survive=Failures.UNITS), cpsat, 3)
 
 
 def test_where_nothing_can_be_met_there_is_no_alternative_either() -> None:

@@ -107,6 +107,14 @@ def test_what_no_target_can_use_is_impossible() -> None:
     assert (found.choice, found.units) == (Choice.IMPOSSIBLE, ())
 
 
+def test_what_could_feed_a_pinned_unit_says_what_that_costs() -> None:
+    log = Transformation("log", (InputPort("i", "B"),), (OutputPort("o", "C"),), pinned=True)
+    library = log, source("x", "B", 1), source("y", "B", 5), source("z", "A", 1)
+    problem, plan = asked(*library, units=(ComputationUnit("log.1", "log"),))
+    found = why_transformation(problem, cpsat, plan, "y")
+    assert (found.choice, found.difference_us, found.more, found.less) == (Choice.CHEAPER, 4, ("y",), ("x",))
+
+
 def test_a_stream_is_told_by_who_reads_it() -> None:
     relay = Transformation("relay", (InputPort("in", "B"),), (OutputPort("o", "A"),))
     problem, plan = asked(Transformation("x", (), (OutputPort("b", "B"), OutputPort("c", "C"))), relay)

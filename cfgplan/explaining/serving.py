@@ -1,0 +1,110 @@
+"""What runs whether a target needs it or not, and a problem in which what feeds that serves a target too."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+from cfgplan.domain import (
+    ComputationUnit,
+    Environment,
+    OutputPort,
+    Publication,
+    Similarity,
+    Target,
+    Transformation,
+)
+from cfgplan.planning import Plan, Problem
+from cfgplan.reasons import Givers, startable
+
+Labels = frozenset[str]
+
+
+@dataclass(frozen=True)
+class Kept:
+    """What runs in every configuration of a problem: pinned units that run, and what `min_instances` asks for."""
+
+    problem: Problem
+
+    @cached_property
+    def labels(self) -> Labels:
+        return frozenset(label for label, _ in self._stays)
+
+    def serving(self, without: Labels = frozenset()) -> Problem:
+        """The problem in which each of them that has inputs is published for a target of its own, at no cost.
+
+        What feeds them serves these targets: `required` asks for it as for what serves others. Those `without` have
+        none: if they are required, they have to serve another target.
+        """
+        environment, similarity = self.problem.environment, self.problem.similarity
+        names = {
+            (label, unit): f"\0{label}\0{unit}"
+            for label, unit in self._stays
+            if label not in without and environment.transformation[label].inputs
+        }
+        if not names:
+            return self.problem
+        published = {unit: name for (_, unit), name in names.items()}
+        more = [(label, name) for (label, _), name in names.items()]
+        return replace(
+            self.problem,
+            environment=replace(
+                environment,
+                units=tuple(_publishing(unit, published.get(unit.id)) for unit in environment.units),
+                library=tuple(_offering(t, [n for label, n in more if label == t.label]) for t in environment.library),
+                targets=(*environment.targets, *(Target(name, name, name) for _, name in more)),
+            ),
+            similarity=Similarity(
+                {**similarity.offers, **{name: frozenset({name}) for _, name in more}}, similarity.unknown
+            ),
+        )
+
+    def really(self, plan: Plan, serving: Problem) -> Plan:
+        """A plan of `serving`, or of a part of it, without what it has of targets that are not there."""
+        if plan.change_set is None:
+            return plan
+        units = [_without(unit) for unit in serving.environment.update(plan.change_set).units]
+        return replace(plan, change_set=self.problem.environment.change_to(units))
+
+    @cached_property
+    def _stays(self) -> list[tuple[str, str]]:
+        """Each unit of this kind: its transformation, and its id if it runs already, else a number."""
+        environment = self.problem.environment
+        possible = startable(environment, Givers(environment.library, self.problem.similarity))
+        found: list[tuple[str, str]] = []
+        for transformation in environment.library:
+            label, hosts = transformation.label, environment.hosts_for(transformation)
+            running = [u.id for u in environment.units if u.transformation == label and u.host in hosts]
+            pinned = running if transformation.pinned and label in possible else []
+            asked = [*running, *map(str, range(transformation.min_instances))][: transformation.min_instances]
+            found += [(label, unit) for unit in dict.fromkeys([*pinned, *asked])]
+        return found
+
+
+def unused_required(environment: Environment) -> tuple[str, ...]:
+    """The labels of required transformations that serve no target of the environment."""
+    topics = {target.topic for target in environment.targets}
+    ahead = [unit for unit in environment.units if any(p.topic in topics for p in unit.publications)]
+    needed: set[str] = set()
+    used: set[str] = set()
+    while ahead:
+        unit = ahead.pop()
+        if unit.id not in needed:
+            needed.add(unit.id)
+            used.add(unit.transformation)
+            ahead += [environment.unit[s.stream.unit] for s in unit.subscriptions]
+    return tuple(t.label for t in environment.library if t.required and t.label not in used)
+
+
+def _publishing(unit: ComputationUnit, name: str | None) -> ComputationUnit:
+    return unit if name is None else replace(unit, publications=(*unit.publications, Publication(name, name)))
+
+
+def _offering(transformation: Transformation, names: Iterable[str]) -> Transformation:
+    more = tuple(OutputPort(name, name) for name in names)
+    return replace(transformation, outputs=(*transformation.outputs, *more)) if more else transformation
+
+
+def _without(unit: ComputationUnit) -> ComputationUnit:
+    return replace(unit, publications=tuple(p for p in unit.publications if not p.topic.startswith("\0")))
