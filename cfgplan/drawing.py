@@ -19,6 +19,7 @@ from cfgplan.figures import qualities_of_targets
 from cfgplan.qualities import QualityAttribute
 from cfgplan.qualities import units as units_of
 
+_SPECIAL_IN_MERMAID = '"#<>&%$`\\'
 FORMATS = ("svg", "png", "dot", "mermaid")
 
 
@@ -78,16 +79,16 @@ class Picture:
         lines = ["flowchart LR"]
         for number, (host, nodes) in enumerate(self._by_host().items()):
             if host is not None:
-                lines.append(f'  subgraph h{number}["{host.replace(chr(34), "#quot;")}"]')
+                lines.append(f'  subgraph h{number}["{_in_mermaid(host)}"]')
             for node in nodes:
-                text = "<br/>".join(line.replace('"', "#quot;") for line in node.lines)
+                text = "<br/>".join(map(_in_mermaid, node.lines))
                 shape = f'(["{text}"])' if node.is_target else f'["{text}"]'
                 lines.append(f"  {names[node.key]}{shape}:::{node.mark.name.lower()}")
             if host is not None:
                 lines.append("  end")
         for arrow in self.arrows:
             stroke = "-.->" if arrow.mark is Mark.STOPPED else "-->"
-            lines.append(f'  {names[arrow.tail]} {stroke}|"{_arrow_text(arrow)}"| {names[arrow.head]}')
+            lines.append(f'  {names[arrow.tail]} {stroke}|"{_in_mermaid(_arrow_text(arrow))}"| {names[arrow.head]}')
         lines += [f"  classDef {mark.name.lower()} stroke:{mark.line},fill:{mark.fill},color:#1f2328" for mark in Mark]
         return "\n".join(lines) + "\n"
 
@@ -124,8 +125,8 @@ class Picture:
             shape = "cds" if node.is_target else "box"
             width = "1" if node.mark is Mark.KEPT else "1.6"
             graph.add_node(
-                node.key,
-                label="\n".join(node.lines),
+                _name_in_dot(node.key),
+                label="\\n".join(map(_in_dot, node.lines)),
                 shape=shape,
                 margin="0.3,0.1" if node.is_target else "0.11,0.055",
                 style="filled" if node.is_target else _node_style(node.mark),
@@ -136,19 +137,19 @@ class Picture:
         for number, (host, nodes) in enumerate(self._by_host().items()):
             if host is not None:
                 graph.add_subgraph(
-                    [node.key for node in nodes],
+                    [_name_in_dot(node.key) for node in nodes],
                     name=f"cluster_{number}",
-                    label=host,
+                    label=_in_dot(host),
                     style="rounded",
                     color="#d0d7de",
                     fontsize="11",
                 )
         for number, arrow in enumerate(self.arrows):
             graph.add_edge(
-                arrow.tail,
-                arrow.head,
+                _name_in_dot(arrow.tail),
+                _name_in_dot(arrow.head),
                 key=str(number),
-                label=_arrow_text(arrow),
+                label=_in_dot(_arrow_text(arrow)),
                 color=arrow.mark.line,
                 fontcolor=arrow.mark.line,
                 style="dashed" if arrow.mark is Mark.STOPPED else "solid",
@@ -225,6 +226,22 @@ def _target_key(topic: str) -> str:
 
 def _arrow_text(arrow: Arrow) -> str:
     return arrow.port if arrow.input in ("", arrow.port) else f"{arrow.port} → {arrow.input}"
+
+
+def _name_in_dot(key: str) -> str:
+    """A node's name: Graphviz keeps those that begin with % to itself, and reads <a> as HTML."""
+    return f" {key}" if key.startswith(("%", "<")) else key
+
+
+def _in_dot(text: str) -> str:
+    """Text as it is: Graphviz would read backslashes, entities and <a>."""
+    text = text.replace("\\", "\\\\").replace("&", "&amp;")
+    return f"\\{text}" if text.startswith("<") else text
+
+
+def _in_mermaid(text: str) -> str:
+    """Text as it is: Mermaid would read quotes, HTML, entities, directives and formulas."""
+    return "".join(f"#{ord(c)};" if c in _SPECIAL_IN_MERMAID else c for c in text)
 
 
 def _node_style(mark: Mark) -> str:

@@ -127,7 +127,7 @@ def _plotted(found: Front, kind: str) -> bytes:
     except ImportError:
         raise InputError.of("plots need matplotlib", mend="pip install 'cfgplan[plots]'") from None
     matplotlib.use("Agg")
-    matplotlib.rcParams["svg.hashsalt"] = "cfgplan"
+    matplotlib.rcParams.update({"svg.hashsalt": "cfgplan", "text.parse_math": False})
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(6, 4), layout="constrained")

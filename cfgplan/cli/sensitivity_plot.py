@@ -21,7 +21,7 @@ def picture(found: Sensitivity, kind: str) -> bytes:
 
     in_seconds = 1 if found.transformation is None else 1_000_000
     right = _right_edge(found)
-    with matplotlib.rc_context({"svg.hashsalt": "cfgplan"}):
+    with matplotlib.rc_context({"svg.hashsalt": "cfgplan", "text.parse_math": False}):
         figure = Figure(figsize=(8, 4.5), layout="constrained")
         axes = figure.subplots()
         for span in found.spans:
@@ -60,4 +60,5 @@ def _label(found: Sensitivity, span: Span) -> str:
     everywhere = set(found.spans[0].runs).intersection(*(other.runs for other in found.spans))
     own = [label for label in span.runs if label not in everywhere]
     more = f" and {len(own) - 3} more" if len(own) > 3 else ""
-    return ", ".join(own[:3]) + more if own else "the same in all plans"
+    text = ", ".join(own[:3]) + more if own else "the same in all plans"
+    return f" {text}" if text.startswith("_") else text  # a label that begins with _ is left out of a legend

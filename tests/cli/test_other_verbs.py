@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 from command import MODELS, Run
@@ -87,6 +89,38 @@ def test_graph_colours_what_changes(run: Run) -> None:
     assert '["ball_detector(piff).1"]:::rewired' in picture
     running = run("graph", LOST, "--format", "mermaid", "--running").out
     assert ":::started" not in running
+
+
+ODD = ["%a", "<b>", "c\\nd", "&lt;", 'e"f', "%%{init}%%", "$g$", "\\N"]
+
+
+@pytest.fixture
+def odd(tmp_path: Path) -> Path:
+    """Units whose names mean something to those who draw them, as ids and as hosts."""
+    hosts = [{"name": name} for name in ODD]
+    transformations = [{"label": name, "host": name, "outputs": {"o": "A"}} for name in ODD]
+    units = [{"id": name, "transformation": name, "host": name} for name in ODD]
+    document = {"format": "cfgplan/1", "hosts": hosts, "transformations": transformations, "units": units}
+    env = tmp_path / "odd.json"
+    env.write_text(json.dumps(document))
+    return env
+
+
+def test_graph_shows_names_as_they_are_written(run: Run, odd: Path, tmp_path: Path) -> None:
+    out = tmp_path / "odd.svg"
+    result = run("graph", odd, "--running", "--out", out)
+    assert result.code == 0, result.err
+    shown = [text.text for text in ElementTree.parse(out).iter("{http://www.w3.org/2000/svg}text")]
+    assert sorted(shown) == sorted(2 * ODD)
+
+
+def test_a_mermaid_picture_has_no_name_that_mermaid_reads(run: Run, odd: Path) -> None:
+    picture = run("graph", odd, "--running", "--format", "mermaid").out
+    named = [line for line in picture.splitlines() if "[" in line]
+    assert len(named) == 2 * len(ODD)
+    for line in named:
+        text = line.partition('["')[2].rpartition('"]')[0]
+        assert not set(text) & set('"<>&%$\\')
 
 
 @pytest.mark.parametrize("verb", ["check", "match", "solve", "graph", "import", "export"])

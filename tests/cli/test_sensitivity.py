@@ -68,3 +68,11 @@ def test_without_a_plan_there_is_nothing_to_vary(run: Run) -> None:
     result = run("sensitivity", MODELS / "nao" / "0-target-only.yaml")
     assert result.code == 10
     assert "There is no plan for any value of the horizon." in result.out
+
+
+@pytest.mark.parametrize("name", ["a$x_$", "_b", "$\\frac$"])
+def test_names_are_drawn_as_they_are_written(run: Run, write: Callable[[str], Path], tmp_path: Path, name: str) -> None:
+    out = tmp_path / "breaks.svg"
+    result = run("sensitivity", write(TWO_WAYS.replace("cheap", f"'{name}'")), "--upkeep-of", name, "--out", out)
+    assert result.code == 0, result.err
+    assert f"<!-- upkeep of {name} (s/s) -->" in out.read_text()
