@@ -11,13 +11,15 @@ from fleets import fleets
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from test_fleets_against_the_oracle import some
+from test_planners import make, world
 from worlds import problems
 
-from cfgplan.domain import Environment
+from cfgplan.domain import Environment, InputPort
 from cfgplan.planners import PLANNERS
 from cfgplan.planners.cpsat.clock import Clock
 from cfgplan.planners.fleet.candidates import Candidates
 from cfgplan.planners.fleet.first_plans import ATTEMPTS, FirstPlans
+from cfgplan.planners.fleet.grounded import Grounded
 from cfgplan.planners.fleet.reach import Reach
 from cfgplan.planners.fleet.standing import Standing
 from cfgplan.planning import Failures, Notion, Plan, Problem, Status
@@ -52,6 +54,14 @@ def test_first_plans_are_valid_and_no_cheaper_than_the_optimum(problem: Problem)
 def test_first_plans_are_valid_beyond_the_oracles_reach(problem: Problem) -> None:
     assume(not unmet_reasons(problem))
     assert plan_violations(problem, first(problem)) == []
+
+
+def test_a_unit_runs_only_if_its_feedback_inputs_are_fed_too() -> None:
+    loop = replace(make("loop", gives="A"), inputs=(InputPort("in", "B", feedback=True),))
+    candidates = Candidates(world("A", make("source", gives="A"), make("back", gives="B"), loop))
+    numbers = [candidates.index_of[unit_id] for unit_id in ("source.1", "loop.1", "back.1")]
+    assert Grounded(candidates, numbers[:2], None).order == [numbers[0]]
+    assert sorted(Grounded(candidates, numbers, None).order) == sorted(numbers)
 
 
 @pytest.mark.parametrize(

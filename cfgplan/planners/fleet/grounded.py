@@ -22,16 +22,28 @@ class Grounded:
     def __init__(self, candidates: Candidates, chosen: Collection[int], attribute: QualityAttribute | None) -> None:
         """With an `attribute` inputs are fed by streams whose value of it is best."""
         self.candidates = candidates
-        self.order: list[int] = []
-        self.streams: dict[str, list[Stream]] = {}
         self._attribute = attribute
-        self._value: dict[Stream, int] = {}
-        self._place: dict[Stream, int] = {}
-        self._before: dict[int, int] = {}
-        self._assigned: dict[tuple[int, str], Stream] = {}
-        self._ahead: list[tuple[int, int, Stream]] = []
         self._meets = self._tags_of_streams(chosen)
-        self._start(sorted(chosen))
+        left = sorted(chosen)
+        while True:
+            self.order: list[int] = []
+            self.streams: dict[str, list[Stream]] = {}
+            self._value: dict[Stream, int] = {}
+            self._place: dict[Stream, int] = {}
+            self._before: dict[int, int] = {}
+            self._assigned: dict[tuple[int, str], Stream] = {}
+            self._ahead: list[tuple[int, int, Stream]] = []
+            self._start(left)
+            whole = [unit for unit in left if unit in self._before and self._has_feedback(unit)]
+            if len(whole) == len(self.order):
+                break
+            left = whole
+
+    def _has_feedback(self, unit: int) -> bool:
+        """Whether the feedback inputs of a unit that runs can be fed."""
+        return all(
+            port.tag in self.streams for port in self.candidates.all[unit].transformation.inputs if port.feedback
+        )
 
     def choices(self, unit: int, port: InputPort) -> list[Stream]:
         """The streams that may feed an input of a unit that runs, the first to come first."""
