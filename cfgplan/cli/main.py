@@ -9,7 +9,7 @@ import io
 import os
 import sys
 from collections.abc import Sequence
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TextIO, cast
 
 from cfgplan.cli import (
     check,
@@ -27,6 +27,7 @@ from cfgplan.cli import (
     sensitivity,
     solve,
 )
+from cfgplan.cli.chatter import Chatter
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.interrupts import Ending, ended_cleanly
 from cfgplan.cli.overwriting import refuse_overwriting
@@ -43,6 +44,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         with ended_cleanly(for_good=arguments is None) as ending:
             _stand_in_for_closed_streams()
+            if arguments is None:
+                sys.stderr = cast("TextIO", Chatter(sys.stderr))
             return _main(sys.argv[1:] if arguments is None else arguments, ending)
     except KeyboardInterrupt:  # before or after all there is to do
         return Exit.INTERRUPTED

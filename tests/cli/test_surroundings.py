@@ -276,3 +276,23 @@ def test_a_query_without_a_formula_says_so(run: Run) -> None:
 def test_a_long_formula_is_no_file(run: Run) -> None:
     result = run("query", f"a > {'1' * 5000}")
     assert result.code == 30
+
+
+@pytest.mark.skipif(not Path("/dev/full").is_char_device(), reason="this system has no /dev/full")
+def test_nothing_depends_on_stderr(tmp_path: Path) -> None:
+    with Path("/dev/full").open("wb") as full:
+        assert start("solve", "nowhere.yaml", stderr=full).returncode == 30
+        plan = tmp_path / "plan.json"
+        assert start("solve", FUSION, "--progress", "--out", plan, stderr=full).returncode == 0
+    assert json.loads(plan.read_text())["status"] == "optimal"
+
+
+def test_who_reads_stderr_may_go(tmp_path: Path) -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    plan = tmp_path / "plan.json"
+    result = start("solve", FUSION, "--progress", "--out", plan, stderr=writer)
+    os.close(writer)
+    assert result.returncode == 0
+    assert b"Optimal" in result.stdout
+    assert json.loads(plan.read_text())["status"] == "optimal"
