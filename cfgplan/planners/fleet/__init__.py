@@ -68,6 +68,7 @@ def plan(
 def _search(candidates: Candidates, standing: Standing, first: FirstPlans) -> None:
     """The fast way where it is exact; what it leaves open, and all else, in the explicit model."""
     problem, clock = candidates.problem, standing.clock
+    clock.check()
     if is_flat(candidates):
         search = _solve_flat(candidates, standing, first)
         clock.end("flat")

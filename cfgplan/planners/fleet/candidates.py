@@ -93,9 +93,11 @@ class Candidates:
         if not self._is_closed:
             left = startable(Environment((), library), self.givers)
             library = tuple(t for t in library if t.label in left)
+        self.watch()
         labels = {t.label for t in library}
         asked = {c.transformation.label for i, c in enumerate(self.all) if self.is_asked_for(i)}
         targets = [target.tag for target in self.environment.targets]
+        self.watch()
         return Network(
             library,
             [tag for tag in targets if not labels.isdisjoint(self.givers.of(tag))],

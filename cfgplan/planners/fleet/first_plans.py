@@ -37,6 +37,8 @@ class FirstPlans:
         candidates.watch()
         self._run_us = np.array([min(these, default=np.inf) for these in units], np.float64)
         self._cost = np.where(np.isfinite(self._run_us), self._run_us, 0).astype(np.int64)
+        self._numbered = [t for t in candidates.environment.library if t.min_instances]
+        self._pinned = {candidate.id for i, candidate in enumerate(candidates.all) if candidates.is_pinned(i)}
         self._attribute = _asked(candidates)
         self._is_weighed = any(wish.weight_us for target in candidates.environment.targets for wish in target.quality)
 
@@ -135,10 +137,33 @@ class FirstPlans:
         for is_quick in ways:
             self.candidates.watch()
             units = Configuration(self.candidates, hot, self._attribute, self._spare_us, is_quick).units()
-            if units is not None and _is_valid(self.candidates, units):
+            if units is not None and self._is_valid(units):
                 self.standing.offer(units)
                 is_offered = True
         return is_offered
+
+    def _is_valid(self, units: list[ComputationUnit]) -> bool:
+        """Whether a configuration that is wired keeps the bounds, the limits of hosts, numbers and failures."""
+        environment = self.candidates.environment
+        load = loads(environment, units)
+        reached = qualities_of_targets(environment, units)
+        there = Counter(unit.transformation for unit in units)
+        running = Counter(unit.transformation for unit in units if not unit.standby)
+        kinds = [environment.transformation[label] for label in there]
+        return (
+            all(
+                is_met(environment.quality[wish.attribute], wish, reached[target.label][wish.attribute])
+                for target in environment.targets
+                for wish in target.quality
+            )
+            and all(host.cpu_us is None or load[host.name].cpu_us <= host.cpu_us for host in environment.hosts)
+            and all(host.memory_mb is None or load[host.name].memory_mb <= host.memory_mb for host in environment.hosts)
+            and all(running[t.label] >= t.min_instances for t in self._numbered)
+            and all(t.max_instances is None or there[t.label] <= t.max_instances for t in kinds)
+            and not any(other != t.label and other in there for t in kinds for other in t.conflicts)
+            and self._pinned <= {unit.id for unit in units}
+            and bears_all_failures(self.candidates, units)
+        )
 
 
 def _asked(candidates: Candidates) -> QualityAttribute | None:
@@ -147,30 +172,3 @@ def _asked(candidates: Candidates) -> QualityAttribute | None:
     bounded = [wish.attribute for wish in wishes if wish.bound is not None]
     names = bounded or [wish.attribute for wish in wishes]
     return candidates.environment.quality[names[0]] if names else None
-
-
-def _is_valid(candidates: Candidates, units: list[ComputationUnit]) -> bool:
-    """Whether a configuration that is wired keeps the bounds, the limits of hosts, numbers and failures."""
-    environment = candidates.environment
-    load = loads(environment, units)
-    reached = qualities_of_targets(environment, units)
-    there = Counter(unit.transformation for unit in units)
-    running = Counter(unit.transformation for unit in units if not unit.standby)
-    ids = {unit.id for unit in units}
-    return (
-        all(
-            is_met(environment.quality[wish.attribute], wish, reached[target.label][wish.attribute])
-            for target in environment.targets
-            for wish in target.quality
-        )
-        and all(host.cpu_us is None or load[host.name].cpu_us <= host.cpu_us for host in environment.hosts)
-        and all(host.memory_mb is None or load[host.name].memory_mb <= host.memory_mb for host in environment.hosts)
-        and all(
-            t.min_instances <= running[t.label]
-            and (t.max_instances is None or there[t.label] <= t.max_instances)
-            and not any(other != t.label and other in there for other in t.conflicts if t.label in there)
-            for t in environment.library
-        )
-        and all(c.id in ids for i, c in enumerate(candidates.all) if candidates.is_pinned(i))
-        and bears_all_failures(candidates, units)
-    )

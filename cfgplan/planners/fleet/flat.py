@@ -72,9 +72,11 @@ class Flat:
         self.labels: list[Label] = []
         self.cost_us: list[int] = []
         for i, candidate in enumerate(candidates.all):
+            candidates.watch()
             for host in candidate.hosts:
                 self._add(Placed(i, host), candidate.cost_us)
         for i, candidate in enumerate(candidates.all):
+            candidates.watch()
             for port in candidate.transformation.outputs if environment.hosts else ():
                 price_us = transfer_cost_us(port, candidates.problem.horizon_s, environment.transfer_us)
                 for host in hosts:
@@ -91,8 +93,10 @@ class Flat:
         self.is_impossible = any(not self.givers[fact] for fact in self.wanted)
 
     def _link(self) -> None:
+        self.candidates.watch()
         self.number = {label: n for n, label in enumerate(self.labels)}
         self.needs = [self._needs(label) for label in self.labels]
+        self.candidates.watch()
         self.facts: list[Fact] = list(dict.fromkeys([*self.wanted, *(fact for row in self.needs for fact in row)]))
         self.givers = {fact: self._givers(fact) for fact in self.facts}
 
