@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from typing import Final
+from unicodedata import category
 
 from cfgplan.matching.concepts import (
     BOTTOM,
@@ -35,7 +36,9 @@ DEEPEST: Final = 100
 SOURCE_ROLE: Final = "hasSource"
 """The property that the paper's form `P(a)` means: P ⊓ ∃hasSource.{a}."""
 
-_TOKEN: Final = re.compile(r"<[^<>\s]+>|'[^']*'|:?[^\W](?:[\w-]*\w)?(?::\w(?:[\w-]*\w)?)?|\S")
+_TOKEN: Final = r"<[^<>\s]+>|'[^']*'|:?[^\W](?:[{0}-]*[{0}])?(?::[{0}](?:[{0}-]*[{0}])?)?|\S"
+_PLAIN_TOKEN: Final = re.compile(_TOKEN.format(r"\w"))
+_JOINERS: Final = "\u200c\u200d"
 _WORDS: Final = {
     "and": "⊓", "that": "⊓", "&": "⊓", "∧": "⊓", "or": "⊔", "|": "⊔", "∨": "⊔",
     "not": "¬", "~": "¬", "!": "¬", "exists": "∃", "forall": "∀",
@@ -60,7 +63,8 @@ class _Reader:
         self._text = text
         self._ontology = ontology
         words = _WORDS
-        self._tokens: list[str] = [words.get(token, token) for token in _TOKEN.findall(text)]
+        self._token = _token_of(text)
+        self._tokens: list[str] = [words.get(token, token) for token in self._token.findall(text)]
         self._tokens.append("")
         self._at = 0
         self._depth = 0
@@ -233,14 +237,22 @@ class _Reader:
 
     def _written(self) -> str:
         """The token that is to be read next, as it stands in the text."""
-        tokens: list[str] = _TOKEN.findall(self._text)
+        tokens: list[str] = self._token.findall(self._text)
         return tokens[self._at]
 
     def _error(self, message: str, mend: str | None = None, at: int | None = None) -> TagError:
         index = self._at if at is None else at
-        starts = [found.start() for found in _TOKEN.finditer(self._text)]
+        starts = [found.start() for found in self._token.finditer(self._text)]
         column = starts[index] if index < len(starts) else len(self._text.rstrip())
         return TagError(message, column + 1, mend)
+
+
+def _token_of(text: str) -> re.Pattern[str]:
+    """What is one word of a text: vowel signs and accents, which are no letters, belong to the letter before them."""
+    if text.isascii():
+        return _PLAIN_TOKEN
+    marks = {character for character in text if category(character).startswith("M") or character in _JOINERS}
+    return re.compile(_TOKEN.format("\\w" + "".join(sorted(marks)))) if marks else _PLAIN_TOKEN
 
 
 def _cardinality(sign: str, number: int, role: str, filler: Concept) -> Concept:

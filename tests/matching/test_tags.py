@@ -127,3 +127,14 @@ def test_an_error_shows_the_word_that_was_written(text: str) -> None:
     word, column = caught.value.message.split("'")[1], caught.value.column
     assert word in ("and", "or")
     assert text[column - 1 :].startswith(word)
+
+
+@pytest.mark.parametrize("name", ["चित्र", "กล้อง", "Cafe\u0301", "می\u200cخواهم"])
+def test_names_have_the_vowel_signs_and_accents_of_their_script(name: str) -> None:
+    assert parse_tag(f"{name} and at some {name}", OPEN) == parse_tag(f"'{name}' ⊓ ∃at.'{name}'", OPEN)
+
+
+def test_a_column_is_right_behind_a_name_with_vowel_signs() -> None:
+    with pytest.raises(TagError) as caught:
+        parse_tag("चित्र )", OPEN)
+    assert caught.value.column == 7
