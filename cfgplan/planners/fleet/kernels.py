@@ -34,7 +34,7 @@ def look_among_few(flat: Flat, standing: Standing, hostless_us: int, labels: Col
     Returns the bound that says which are more likely.
     """
     candidates = flat.candidates
-    _look_among(labels, candidates, standing, hostless_us)
+    _look_among(labels, candidates, standing, hostless_us, None)
     bound = Bound(flat.graph().core, flat.costs())
     most = sum(flat.cost_us)
     if standing.best is not None:
@@ -46,16 +46,18 @@ def look_among_few(flat: Flat, standing: Standing, hostless_us: int, labels: Col
             break
         best = labels if standing.best is None else {unit.transformation for unit in standing.best[1]}
         more = {candidates.all[unit].transformation.label for unit in order[:size]}
-        _look_among(more.union(best), candidates, standing, hostless_us)
+        limit_us = well_below_best_us(standing) if candidates.environment.hosts else None
+        _look_among(more.union(best), candidates, standing, hostless_us, limit_us)
     return bound
 
 
-def _look_among(labels: Collection[str], candidates: Candidates, standing: Standing, hostless_us: int) -> None:
+def _look_among(
+    labels: Collection[str], candidates: Candidates, standing: Standing, hostless_us: int, limit_us: int | None
+) -> None:
     few = Candidates(candidates.problem, labels, candidates.watch, candidates)
     leave_out_what_is_too_bad(few)
     flat = Flat(few)
     if not flat.is_impossible:
-        limit_us = well_below_best_us(standing) if candidates.environment.hosts else None
         FlatSearch(flat, standing, hostless_us, SLICE_S, is_all=False, limit_us=limit_us).run()
 
 
