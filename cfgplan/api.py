@@ -5,6 +5,7 @@ The rooms for formats, matching and planners know nothing of each other; here th
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -319,10 +320,16 @@ def write_file(path: Path, content: bytes) -> None:
 
 
 def _replace(path: Path, content: bytes) -> None:
+    """Put a new file in the place of an old one, which must be writable and leaves its permissions behind."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.new")
+    exists = path.exists()
+    if exists and not os.access(path, os.W_OK):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
     try:
         with temporary.open("xb") as file:
             file.write(content)
+        if exists:
+            temporary.chmod(path.stat().st_mode & 0o7777)
         temporary.replace(path)
     except OSError:
         with suppress(OSError):

@@ -11,6 +11,7 @@ import networkx
 import pytest
 
 import cfgplan
+from cfgplan.api import write_file
 from cfgplan.errors import InputError
 
 NAO = Path(__file__).parent.parent / "models" / "nao"
@@ -148,3 +149,19 @@ def test_what_is_not_there_is_bad_input_that_names_the_nearest(
         cfgplan.what_if(world, without="segmenter(piff)")
     with pytest.raises(InputError, match="why_not"):
         cfgplan.why(problem, cfgplan.Plan("none", cfgplan.Status.INFEASIBLE), "transformation", "segmenter(piff)")
+
+
+def test_a_file_that_is_written_anew_keeps_its_permissions(tmp_path: Path) -> None:
+    path = tmp_path / "plan.json"
+    path.touch(mode=0o600)
+    write_file(path, b"{}")
+    assert (path.read_bytes(), path.stat().st_mode & 0o777) == (b"{}", 0o600)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everything")
+def test_a_file_that_may_not_be_written_is_not_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "plan.json"
+    path.touch(mode=0o444)
+    with pytest.raises(InputError, match="Permission denied"):
+        write_file(path, b"{}")
+    assert path.read_bytes() == b""

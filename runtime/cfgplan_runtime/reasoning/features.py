@@ -85,7 +85,7 @@ def of_file(path: str | os.PathLike[str]) -> Declared:
         raise InputError([*faults, source.fault((), "this is no features file", _FORM)])
     for key in data:
         if key not in _KEYS:
-            mend = did_you_mean(str(key), _KEYS, "there is features and regions")
+            mend = did_you_mean(str(key), _KEYS, "the keys here are features and regions")
             faults.append(source.fault((key,), f"unknown key `{key}`", mend, at_key=True))
     features, regions = {}, {}
     for name, written in _members(source, "features", faults):
