@@ -80,6 +80,7 @@ class Candidates:
         """What `best_case` found out: the best value of each stream, and what may be allowed with some bounds."""
         self._by_label: dict[str, list[Candidate]] = defaultdict(list)
         for candidate in self.all:
+            watch()
             self._by_label[candidate.transformation.label].append(candidate)
         self._is_closed = among is None and len(self._by_label) == len(labels)
 
@@ -89,6 +90,7 @@ class Candidates:
 
         Targets that none of them can meet are left out.
         """
+        self.watch()
         library = tuple(self._by_label[label][0].transformation for label in sorted(self._by_label))
         if not self._is_closed:
             left = startable(Environment((), library), self.givers)
