@@ -113,7 +113,7 @@ def _show(rows: list[Row], found: list[str], screen: Screen) -> None:
             screen.write(table.markdown() + "\n")
     for text in found:
         screen.show(Text(f"contradiction: {text}", style="bold red"))
-    if not found:
+    if not found and any(row.proven for row in rows):
         screen.show(Text("All proofs agree, and every plan passes the judge.", style="bold green"))
 
 

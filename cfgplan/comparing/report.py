@@ -38,9 +38,8 @@ def head(rows: Sequence[Row]) -> str:
     versions = dict.fromkeys(f"{name} {version}" for row in rows for name, version in sorted(row.versions.items()))
     limits = dict.fromkeys(f"{row.time_limit_s:g} s" for row in rows)
     found = breaches(rows)
-    verdict = (
-        "\n".join(f"* {text}" for text in found) if found else "None: all proofs agree, every plan passes the judge."
-    )
+    agree = "all proofs agree, every plan passes the judge" if any(row.proven for row in rows) else "nothing is proven"
+    verdict = "\n".join(f"* {text}" for text in found) or f"None: {agree}."
     runs = f"{len(rows)} runs, at most {', '.join(limits)} each, one at a time."
     return (
         f"{runs} Machine: {'; '.join(machines)}. Versions: {', '.join(versions)}.\n\n"

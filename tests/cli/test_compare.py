@@ -27,6 +27,12 @@ def test_planners_are_compared_on_an_environment_file(run: Run, write: Callable[
     assert "All proofs agree" in result.out
 
 
+def test_without_any_proof_none_are_said_to_agree(run: Run, write: Callable[[str], Path]) -> None:
+    result = run("compare", write(TWO_WAYS), "--planner", "branch-and-bound")
+    assert result.code == 0
+    assert "proofs agree" not in result.out
+
+
 def test_every_run_is_in_the_json(run: Run, write: Callable[[str], Path]) -> None:
     result = run("compare", write(TWO_WAYS), *PAIR, "--json")
     assert result.code == 0
