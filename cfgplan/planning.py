@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
+from threading import Event
 from typing import Protocol
 
 from cfgplan.canonical import store_whole
@@ -176,6 +177,19 @@ class Planner(Protocol):
         *,
         time_limit_s: float | None = None,
         report: Callable[[Progress], None] | None = None,
+    ) -> Plan: ...
+
+
+class InterruptiblePlanner(Protocol):
+    """A planner that `stop` ends early, with the best plan so far."""
+
+    def __call__(
+        self,
+        problem: Problem,
+        *,
+        time_limit_s: float | None = None,
+        report: Callable[[Progress], None] | None = None,
+        stop: Event | None = None,
     ) -> Plan: ...
 
 

@@ -21,7 +21,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "fleet"))
 import instances
 
 from cfgplan.comparing.families.random_library import random_library
-from cfgplan.planners.cpsat import clock, plan
+from cfgplan.planners.cpsat import plan
+from cfgplan.planners.solving import clock
 from cfgplan.planning import Problem
 
 HERE = Path(__file__).parent

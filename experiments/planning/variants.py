@@ -7,13 +7,13 @@ from contextlib import suppress
 
 from ortools.sat.python.cp_model import CpSolver
 
-from cfgplan.planners.cpsat.clock import Clock, OutOfTimeError
 from cfgplan.planners.cpsat.grounding import Grounding
 from cfgplan.planners.cpsat.prepared import Prepared
 from cfgplan.planners.cpsat.search import Search
 from cfgplan.planners.cpsat.session import PlannerSession
-from cfgplan.planners.cpsat.site import Site, relevant
 from cfgplan.planners.cpsat.standing import Standing
+from cfgplan.planners.networks.site import Site, relevant
+from cfgplan.planners.solving.clock import Clock, OutOfTimeError
 from cfgplan.planning import Plan, Problem, Progress, Status
 from cfgplan.reasons import Givers, startable, unmet_reasons
 

@@ -11,10 +11,10 @@ from test_against_the_oracle import fewer
 from test_preprocessing import Stage
 from worlds import problems
 
-from cfgplan.planners.cpsat.alike import alike
-from cfgplan.planners.cpsat.core import Core, Rows
-from cfgplan.planners.cpsat.network import Graph
-from cfgplan.planners.cpsat.program import LandmarkProgram
+from cfgplan.planners.closing.alike import alike
+from cfgplan.planners.closing.program import LandmarkProgram
+from cfgplan.planners.networks.core import Core, Rows
+from cfgplan.planners.networks.network import Graph
 from cfgplan.planning import Problem
 
 PAIRS = [list(pair) for pair in combinations(range(3), 2)]

@@ -16,18 +16,18 @@ from worlds import problems
 
 from cfgplan.comparing.families.random_library import random_library
 from cfgplan.costs import start_cost_us
+from cfgplan.planners.bounding.bounds import Bound
+from cfgplan.planners.bounding.landmarks import Landmark, landmark_of
+from cfgplan.planners.closing.gap import Closing
+from cfgplan.planners.closing.program import LandmarkProgram
+from cfgplan.planners.closing.repairing import Repairs
+from cfgplan.planners.closing.separation import Separator
 from cfgplan.planners.cpsat import PlannerSession, session
-from cfgplan.planners.cpsat.bounds import Bound
-from cfgplan.planners.cpsat.clock import Clock
-from cfgplan.planners.cpsat.closing import Closing
-from cfgplan.planners.cpsat.core import Core, Rows
-from cfgplan.planners.cpsat.greedy import first_plan, is_plan
-from cfgplan.planners.cpsat.landmarks import Landmark, landmark_of
-from cfgplan.planners.cpsat.network import Graph
-from cfgplan.planners.cpsat.program import LandmarkProgram
-from cfgplan.planners.cpsat.repairing import Repairs
-from cfgplan.planners.cpsat.separation import Separator
 from cfgplan.planners.cpsat.structure import Structure
+from cfgplan.planners.networks.core import Core, Rows
+from cfgplan.planners.networks.greedy import first_plan, is_plan
+from cfgplan.planners.networks.network import Graph
+from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Problem, Status
 from cfgplan.validity import plan_violations
 

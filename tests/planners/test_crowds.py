@@ -13,13 +13,13 @@ from test_closing import closing, hurried
 from test_preprocessing import Stage
 from worlds import fusions
 
-from cfgplan.planners.cpsat.bounds import Bound, cheapest_way
-from cfgplan.planners.cpsat.chains import chained_bound
-from cfgplan.planners.cpsat.clock import Clock
-from cfgplan.planners.cpsat.greedy import first_plan, is_plan
-from cfgplan.planners.cpsat.landmarks import Landmark
-from cfgplan.planners.cpsat.program import LandmarkProgram
-from cfgplan.planners.cpsat.separation import Separator
+from cfgplan.planners.bounding.bounds import Bound, cheapest_way
+from cfgplan.planners.bounding.chains import chained_bound
+from cfgplan.planners.bounding.landmarks import Landmark
+from cfgplan.planners.closing.program import LandmarkProgram
+from cfgplan.planners.closing.separation import Separator
+from cfgplan.planners.networks.greedy import first_plan, is_plan
+from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Problem
 from cfgplan.reasons import startable
 

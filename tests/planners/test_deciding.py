@@ -12,18 +12,18 @@ from test_planners import make, world
 from test_preprocessing import Stage
 from worlds import problems
 
+from cfgplan.planners.bounding.bounds import cheapest_way
+from cfgplan.planners.bounding.branching import Branching
+from cfgplan.planners.bounding.ways import LEFT_OUT, Links, Ways
 from cfgplan.planners.cpsat import PlannerSession
-from cfgplan.planners.cpsat.bounds import cheapest_way
-from cfgplan.planners.cpsat.branching import Branching
-from cfgplan.planners.cpsat.clock import Clock
 from cfgplan.planners.cpsat.deciding import decide
-from cfgplan.planners.cpsat.greedy import is_plan
 from cfgplan.planners.cpsat.prepared import Prepared
-from cfgplan.planners.cpsat.site import Site
 from cfgplan.planners.cpsat.standing import Standing
 from cfgplan.planners.cpsat.structure import Structure
-from cfgplan.planners.cpsat.ways import LEFT_OUT, Links, Ways
-from cfgplan.planners.cpsat.weighing import Weighing
+from cfgplan.planners.networks.greedy import is_plan
+from cfgplan.planners.networks.site import Site
+from cfgplan.planners.networks.weighing import Weighing
+from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Problem, Status
 
 LIMIT = 10**9

@@ -15,13 +15,13 @@ from hypothesis import strategies as st
 from worlds import problems
 
 from cfgplan.errors import InputError
-from cfgplan.planners import PLANNERS, exhaustive_fleet, fleet
-from cfgplan.planners.cpsat.clock import Clock
+from cfgplan.planners import PLANNERS, cpsat, exhaustive_fleet, fleet
 from cfgplan.planners.fleet.candidates import Candidates
 from cfgplan.planners.fleet.first_plans import FirstPlans
 from cfgplan.planners.fleet.flatness import is_flat
 from cfgplan.planners.fleet.search import Search
 from cfgplan.planners.fleet.standing import Standing
+from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Notion, Plan, Problem
 from cfgplan.reasons import unmet_reasons
 from cfgplan.validity import plan_violations
@@ -60,7 +60,7 @@ def agree_with_the_explicit_model(problem: Problem) -> None:
     standing = Standing(problem, Clock(), None)
     standing.counts = {"conflicts": 0}
     Search(candidates, standing, FirstPlans(candidates, standing)).run()
-    fast = fleet.plan(problem)
+    fast = fleet.plan(problem, cpsat.plan)
     assert plan_violations(problem, fast) == []
     assert quality(fast) == quality(standing.plan())
 
@@ -104,7 +104,7 @@ def test_all_notions_together_equal_the_oracle(problem: Problem) -> None:
 @some
 @given(problems(most=4, special=False))
 def test_both_oracles_and_the_planner_for_fleets_agree_on_what_the_paper_asks(problem: Problem) -> None:
-    plans = [PLANNERS["exhaustive"](problem), exhaustive_fleet.plan(problem), fleet.plan(problem)]
+    plans = [PLANNERS["exhaustive"](problem), exhaustive_fleet.plan(problem), fleet.plan(problem, cpsat.plan)]
     assert len({quality(plan) for plan in plans}) == 1
 
 

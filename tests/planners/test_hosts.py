@@ -14,13 +14,13 @@ from hypothesis import assume, given, settings
 from test_fleets_against_the_oracle import EXAMPLES, agree_with_the_explicit_model, some
 
 from cfgplan.domain import Environment, Host, InputPort, OutputPort, Similarity, Target, Transformation
-from cfgplan.planners import fleet
-from cfgplan.planners.cpsat.clock import Clock
+from cfgplan.planners import cpsat, fleet
 from cfgplan.planners.fleet import kernels
 from cfgplan.planners.fleet.anywhere import Anywhere
 from cfgplan.planners.fleet.candidates import Candidates
 from cfgplan.planners.fleet.flat import Flat
 from cfgplan.planners.fleet.flatness import is_flat
+from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Notion, Problem, Status
 from cfgplan.reasons import unmet_reasons
 
@@ -54,7 +54,7 @@ def test_with_hosts_forgotten_no_plan_costs_less_than_the_bound(problem: Problem
     flat = Flat(candidates)
     assume(not flat.is_impossible)
     bound = Anywhere(flat, sum(flat.cost_us), Clock()).bound
-    found = fleet.plan(problem)
+    found = fleet.plan(problem, cpsat.plan)
     assume(found.status is Status.OPTIMAL)
     assert found.cost_us is not None
     assert bound.value <= found.cost_us
@@ -74,7 +74,7 @@ def test_a_dearer_unit_on_the_target_s_host_beats_a_cheap_one_and_a_transfer() -
         (), library, (Target("t", "b", "/t", host="h1"),), (Host("h0"), Host("h1")), transfer_us=20
     )
     problem = Problem(environment, Similarity({"a": frozenset("a"), "b": frozenset("b")}), 1)
-    found = fleet.plan(problem)
+    found = fleet.plan(problem, cpsat.plan)
     assert found.status is Status.OPTIMAL
     assert found.cost_us == 30
     assert found.change_set is not None

@@ -11,14 +11,14 @@ from worlds import problems
 
 from cfgplan.costs import keep_cost_us, start_cost_us
 from cfgplan.planners import PLANNERS
+from cfgplan.planners.bounding.bounds import Bound, cheapest_way
+from cfgplan.planners.bounding.chains import chained_bound
 from cfgplan.planners.cpsat import PlannerSession
-from cfgplan.planners.cpsat.bounds import Bound, cheapest_way
-from cfgplan.planners.cpsat.chains import chained_bound
-from cfgplan.planners.cpsat.greedy import first_plan, is_plan
-from cfgplan.planners.cpsat.network import Network
-from cfgplan.planners.cpsat.site import Site, relevant
-from cfgplan.planners.cpsat.weighing import Weighing
-from cfgplan.planners.cpsat.wiring import wire
+from cfgplan.planners.networks.greedy import first_plan, is_plan
+from cfgplan.planners.networks.network import Network
+from cfgplan.planners.networks.site import Site, relevant
+from cfgplan.planners.networks.weighing import Weighing
+from cfgplan.planners.networks.wiring import wire
 from cfgplan.planning import Plan, Problem, Status
 from cfgplan.reasons import Givers, startable
 

@@ -13,7 +13,6 @@ from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Targe
 from cfgplan.errors import InputError
 from cfgplan.figures import qualities_of_targets
 from cfgplan.planners import PLANNERS
-from cfgplan.planners.cpsat.clock import Clock
 from cfgplan.planners.fleet.best_case import leave_out_what_is_too_bad
 from cfgplan.planners.fleet.candidates import Candidates
 from cfgplan.planners.fleet.first_plans import FirstPlans
@@ -23,6 +22,7 @@ from cfgplan.planners.fleet.quality_chains import Chains
 from cfgplan.planners.fleet.quality_cuts import QUICK, chain_cuts
 from cfgplan.planners.fleet.quality_plan import QualityPlanner, can_be_planned
 from cfgplan.planners.fleet.standing import Standing
+from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Notion, Problem
 from cfgplan.qualities import MICRO, Better, Contribution, QualityAttribute, Rule, Wish
 from cfgplan.reasons import unmet_reasons

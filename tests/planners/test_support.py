@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cfgplan.planners.cpsat.support import Support
+from cfgplan.planners.solving.support import Support
 
 
 def two_loops_and_what_rests_on_one() -> Support:

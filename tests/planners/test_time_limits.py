@@ -17,8 +17,9 @@ from unittest.mock import patch
 import pytest
 
 from cfgplan.comparing.families.random_library import random_library
-from cfgplan.planners.cpsat import clock, plan
-from cfgplan.planners.cpsat.clock import STOPPING_S, Clock, OutOfTimeError
+from cfgplan.planners.cpsat import plan
+from cfgplan.planners.solving import clock
+from cfgplan.planners.solving.clock import STOPPING_S, Clock, OutOfTimeError
 from cfgplan.planning import Failures, Plan, Problem, Status
 from cfgplan.qualities import MICRO
 from cfgplan.validity import plan_violations

@@ -1,4 +1,9 @@
-"""The exact planner: bounds and a first plan from arrays, then CP-SAT with lazily added groundedness."""
+"""The exact planner: bounds and a first plan from arrays, then CP-SAT with lazily added groundedness.
+
+Begin with `session`, which says what is done when, and `model`, the recipe; `search` runs it. What is known on the
+way is in `structure`, `prepared`, `standing` and `rest`. Where nothing more than labels has to be chosen `deciding`
+needs no model. The rooms `networks`, `bounding`, `closing` and `solving` beside this one can be read by themselves.
+"""
 
 from __future__ import annotations
 

@@ -10,16 +10,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from cfgplan.planners.cpsat.bounds import Bound
-from cfgplan.planners.cpsat.branching import Branching
-from cfgplan.planners.cpsat.chains import chained_bound
-from cfgplan.planners.cpsat.core import Core, Ints
-from cfgplan.planners.cpsat.greedy import first_plan, without_redundant
-from cfgplan.planners.cpsat.network import Network
+from cfgplan.planners.bounding.bounds import Bound
+from cfgplan.planners.bounding.branching import Branching
+from cfgplan.planners.bounding.chains import chained_bound
 from cfgplan.planners.cpsat.prepared import Prepared
 from cfgplan.planners.cpsat.standing import Standing
 from cfgplan.planners.cpsat.structure import Structure
-from cfgplan.planners.cpsat.weighing import Weighing
+from cfgplan.planners.networks.core import Core, Ints
+from cfgplan.planners.networks.greedy import first_plan, without_redundant
+from cfgplan.planners.networks.network import Network
+from cfgplan.planners.networks.weighing import Weighing
 
 SMALL, LEFT, FILTERED, CHAINED = 600, 200, 120, 16
 """So many labels a network may have that is searched, or so many may be left of one.

@@ -6,7 +6,7 @@ from collections import defaultdict
 
 from cfgplan.domain import ComputationUnit, InputPort, Publication, Subscription
 from cfgplan.planners.cpsat.model import Model
-from cfgplan.planners.cpsat.wiring import fed_stream, published_port
+from cfgplan.planners.networks.wiring import fed_stream, published_port
 
 
 def decode(model: Model, true: set[int], rank: dict[int, int]) -> list[ComputationUnit] | None:

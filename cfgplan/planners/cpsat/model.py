@@ -14,9 +14,9 @@ from collections.abc import Callable, Iterable, Sequence
 from ortools.sat.python.cp_model import CpModel, IntVar, LinearExprT
 
 from cfgplan.domain import InputPort
-from cfgplan.planners.cpsat.engine import at_least
-from cfgplan.planners.cpsat.site import Site
-from cfgplan.planners.cpsat.support import Support
+from cfgplan.planners.networks.site import Site
+from cfgplan.planners.solving.engine import at_least
+from cfgplan.planners.solving.support import Support
 
 
 class Model:

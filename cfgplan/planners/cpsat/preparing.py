@@ -7,17 +7,17 @@ from functools import cached_property
 
 import numpy as np
 
-from cfgplan.planners.cpsat.bounds import Bound
-from cfgplan.planners.cpsat.clock import Clock
-from cfgplan.planners.cpsat.closing import Closing
-from cfgplan.planners.cpsat.core import Ints
-from cfgplan.planners.cpsat.greedy import FREE, plan_at
+from cfgplan.planners.bounding.bounds import Bound
+from cfgplan.planners.bounding.tightening import tightened
+from cfgplan.planners.closing.gap import Closing
+from cfgplan.planners.closing.separation import Separator
 from cfgplan.planners.cpsat.prepared import Prepared
 from cfgplan.planners.cpsat.rest import Left
-from cfgplan.planners.cpsat.separation import Separator
 from cfgplan.planners.cpsat.structure import Structure
-from cfgplan.planners.cpsat.tightening import tightened
-from cfgplan.planners.cpsat.weighing import Weighing
+from cfgplan.planners.networks.core import Ints
+from cfgplan.planners.networks.greedy import FREE, plan_at
+from cfgplan.planners.networks.weighing import Weighing
+from cfgplan.planners.solving.clock import Clock
 
 
 class Preparation:

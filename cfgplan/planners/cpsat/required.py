@@ -10,18 +10,18 @@ import heapq
 
 import numpy as np
 
-from cfgplan.planners.cpsat.bounds import Bound
-from cfgplan.planners.cpsat.clock import Clock
-from cfgplan.planners.cpsat.core import Ints
-from cfgplan.planners.cpsat.greedy import first_plan, support_of
+from cfgplan.planners.bounding.bounds import Bound
+from cfgplan.planners.bounding.tightening import tightened
 from cfgplan.planners.cpsat.grounding import Grounding
-from cfgplan.planners.cpsat.network import Network, costs
 from cfgplan.planners.cpsat.prepared import Prepared
 from cfgplan.planners.cpsat.rest import Left
-from cfgplan.planners.cpsat.site import Site
 from cfgplan.planners.cpsat.standing import Incumbent, Stage, Standing
 from cfgplan.planners.cpsat.structure import Structure
-from cfgplan.planners.cpsat.tightening import tightened
+from cfgplan.planners.networks.core import Ints
+from cfgplan.planners.networks.greedy import first_plan, support_of
+from cfgplan.planners.networks.network import Network, costs
+from cfgplan.planners.networks.site import Site
+from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Problem
 
 WAYS = 4

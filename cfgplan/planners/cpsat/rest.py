@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cfgplan.planners.cpsat.bounds import Bound
-from cfgplan.planners.cpsat.clock import Clock
-from cfgplan.planners.cpsat.core import Ints
-from cfgplan.planners.cpsat.rivals import is_without_rival
-from cfgplan.planners.cpsat.tightening import tightened
+from cfgplan.planners.bounding.bounds import Bound
+from cfgplan.planners.bounding.rivals import is_without_rival
+from cfgplan.planners.bounding.tightening import tightened
+from cfgplan.planners.networks.core import Ints
+from cfgplan.planners.solving.clock import Clock
 
 MOST_CASES = 4
 """With more labels than this that got dearer or cheaper, all plans are looked at together."""

@@ -16,14 +16,14 @@ from ortools.sat.python.cp_model import (
     LinearExprT,
 )
 
-from cfgplan.planners.cpsat.alike import one_of_those_alike_is_enough
 from cfgplan.planners.cpsat.decode import decode
-from cfgplan.planners.cpsat.engine import OnSolution, repeatable_solver, solve
 from cfgplan.planners.cpsat.grounding import Grounding
 from cfgplan.planners.cpsat.model import Model
 from cfgplan.planners.cpsat.prepared import Prepared
-from cfgplan.planners.cpsat.quality import Key
 from cfgplan.planners.cpsat.standing import Stage, Standing
+from cfgplan.planners.cpsat.symmetry import one_of_those_alike_is_enough
+from cfgplan.planners.networks.quality import Key
+from cfgplan.planners.solving.engine import OnSolution, repeatable_solver, solve
 
 SMALL = 1000
 """With fewer booleans than this, probing and looking for symmetries take longer than they save."""

@@ -7,27 +7,27 @@ the library, the landmarks, and the last plan as a first one. The answer is as g
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from threading import Event
 
 import numpy as np
 
-from cfgplan.planners.cpsat.bounds import Bound
-from cfgplan.planners.cpsat.chains import chained_bound
-from cfgplan.planners.cpsat.clock import Clock, OutOfTimeError
-from cfgplan.planners.cpsat.core import Ints
+from cfgplan.planners.bounding.bounds import Bound
+from cfgplan.planners.bounding.chains import chained_bound
+from cfgplan.planners.bounding.tightening import begun, tightened
 from cfgplan.planners.cpsat.deciding import STEPS, decide
-from cfgplan.planners.cpsat.greedy import first_plan, improved, is_plan, with_less
 from cfgplan.planners.cpsat.grounding import Grounding
-from cfgplan.planners.cpsat.network import costs
 from cfgplan.planners.cpsat.prepared import Prepared
 from cfgplan.planners.cpsat.preparing import Preparation
 from cfgplan.planners.cpsat.rest import Left, Rest
-from cfgplan.planners.cpsat.site import Site
 from cfgplan.planners.cpsat.standing import Standing
 from cfgplan.planners.cpsat.structure import Structure
-from cfgplan.planners.cpsat.tightening import begun, tightened
-from cfgplan.planners.cpsat.weighing import Weighing
+from cfgplan.planners.networks.core import Ints
+from cfgplan.planners.networks.greedy import first_plan, improved, is_plan, with_less
+from cfgplan.planners.networks.network import costs
+from cfgplan.planners.networks.site import Site
+from cfgplan.planners.networks.weighing import Weighing
+from cfgplan.planners.solving.clock import Clock, OutOfTimeError
 from cfgplan.planning import Plan, Problem, Progress, Status
 from cfgplan.reasons import unmet_reasons
 
@@ -66,7 +66,8 @@ class PlannerSession:
         if problem.notions:
             from cfgplan.planners import fleet
 
-            return fleet.plan(problem, time_limit_s=time_limit_s, report=report, stop=stop)
+            without_hosts = PlannerSession(self._grounding, self._steps).plan
+            return fleet.plan(problem, without_hosts, time_limit_s=time_limit_s, report=report, stop=stop)
         clock = Clock(time_limit_s, stop)
         if self._structure is None or not self._structure.serves(problem):
             try:
@@ -105,26 +106,29 @@ class PlannerSession:
         return found
 
     def _bring_forward(self, standing: Standing, structure: Structure) -> None:
-        """Search first where nothing is known yet, else prepare first; the solver comes last."""
+        """What is new is searched first; what is open is prepared, searched if little is left of it, and solved."""
         clock, is_new = standing.clock, not structure.has_landmarks
-        is_decided = is_new and decide(standing, structure, self._steps)
+        if is_new and self._is_decided(standing, structure):
+            return
         self._remember(standing)
-        clock.end("bounds")
-        if not is_decided:
-            preparation = self._prepare(standing.site.problem, structure, clock)
-            prepared = preparation.prepared(clock)
+        preparation = self._prepare(standing.site.problem, structure, clock)
+        prepared = preparation.prepared(clock)
+        standing.go_on_with(prepared)
+        is_less = 2 * len(prepared.labels) <= len(structure.network.labels)
+        if (is_less or not is_new) and not standing.is_over:
+            if self._is_decided(standing, structure, prepared.labels):
+                return
             standing.go_on_with(prepared)
-            clock.end("bounds")
-            is_worth_it = not is_new or 2 * len(prepared.labels) <= len(structure.network.labels)
-            if is_worth_it and not standing.is_over:
-                is_decided = decide(standing, structure, self._steps, prepared.labels)
-                if not is_decided:
-                    standing.go_on_with(prepared)
-                clock.end("bounds")
-        if not is_decided:
-            self._solve(standing, preparation, prepared)
-        elif not standing.is_over and standing.best is not None:
+        clock.end("bounds")
+        self._solve(standing, preparation, prepared)
+
+    def _is_decided(self, standing: Standing, structure: Structure, among: Collection[str] | None = None) -> bool:
+        """Whether a search proves the least cost; the solver then chooses among equals where it has to."""
+        has_all = decide(standing, structure, self._steps, among)
+        standing.clock.end("bounds")
+        if has_all and not standing.is_over and standing.best is not None:
             self._search(standing, None, Prepared([], cost_us=standing.best.key[1]), None)
+        return has_all
 
     def _remember(self, standing: Standing) -> None:
         if standing.best is not None:

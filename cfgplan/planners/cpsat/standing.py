@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from enum import Enum
 
 from cfgplan.domain import ComputationUnit
-from cfgplan.planners.cpsat.clock import Clock
 from cfgplan.planners.cpsat.prepared import Prepared
-from cfgplan.planners.cpsat.quality import Key, key_of, unused_required
-from cfgplan.planners.cpsat.site import Site
-from cfgplan.planners.cpsat.wiring import forced_changes, wire
+from cfgplan.planners.networks.quality import Key, key_of, unused_required
+from cfgplan.planners.networks.site import Site
+from cfgplan.planners.networks.wiring import forced_changes, wire
+from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Plan, Progress, Status
 
 

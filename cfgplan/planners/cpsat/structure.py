@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from cfgplan.domain import Environment, Similarity, Transformation
-from cfgplan.planners.cpsat.bounds import Bound
-from cfgplan.planners.cpsat.clock import Clock
-from cfgplan.planners.cpsat.landmarks import Landmark
-from cfgplan.planners.cpsat.network import Network
-from cfgplan.planners.cpsat.site import relevant
+from cfgplan.planners.bounding.bounds import Bound
+from cfgplan.planners.bounding.landmarks import Landmark
+from cfgplan.planners.networks.network import Network
+from cfgplan.planners.networks.site import relevant
+from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Problem
 from cfgplan.reasons import Givers, startable
 

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from threading import Event
 from typing import TYPE_CHECKING
 
-from cfgplan.planners.cpsat.clock import Clock, OutOfTimeError
 from cfgplan.planners.fleet.best_case import bound_by_price, leave_out_what_is_too_bad
 from cfgplan.planners.fleet.candidates import Candidates
 from cfgplan.planners.fleet.first_plans import ATTEMPTS, FirstPlans
@@ -19,7 +18,8 @@ from cfgplan.planners.fleet.flatness import is_flat
 from cfgplan.planners.fleet.hostless import hostless
 from cfgplan.planners.fleet.quality_start import QualityStart
 from cfgplan.planners.fleet.standing import Standing
-from cfgplan.planning import Notion, Plan, Problem, Progress, Status
+from cfgplan.planners.solving.clock import Clock, OutOfTimeError
+from cfgplan.planning import InterruptiblePlanner, Notion, Plan, Problem, Progress, Status
 from cfgplan.reasons import unmet_reasons
 
 if TYPE_CHECKING:
@@ -36,12 +36,16 @@ After a round that was too short, all that costs more than the best plan by then
 
 def plan(
     problem: Problem,
+    without_hosts: InterruptiblePlanner,
     *,
     time_limit_s: float | None = None,
     report: Callable[[Progress], None] | None = None,
     stop: Event | None = None,
 ) -> Plan:
-    """The optimal update, see `planning.Planner`; `stop` ends it early with the best plan so far, as Ctrl-C does."""
+    """The optimal update, see `planning.Planner`; `stop` ends it early with the best plan so far, as Ctrl-C does.
+
+    The planner `without_hosts` is asked for the same problem with hosts forgotten.
+    """
     clock = Clock(time_limit_s, stop)
     standing = Standing(problem, clock, report)
     try:
@@ -56,7 +60,7 @@ def plan(
         clock.end("first plans")
         if Notion.SURVIVAL not in problem.notions:  # a hot spare may get any quality
             leave_out_what_is_too_bad(candidates)
-        _search(candidates, standing, first)
+        _search(candidates, standing, first, without_hosts)
     except OutOfTimeError:
         pass
     except KeyboardInterrupt:
@@ -65,12 +69,12 @@ def plan(
     return standing.plan()
 
 
-def _search(candidates: Candidates, standing: Standing, first: FirstPlans) -> None:
+def _search(candidates: Candidates, standing: Standing, first: FirstPlans, without_hosts: InterruptiblePlanner) -> None:
     """The fast way where it is exact; what it leaves open, and all else, in the explicit model."""
     problem, clock = candidates.problem, standing.clock
     clock.check()
     if is_flat(candidates):
-        search = _solve_flat(candidates, standing, first)
+        search = _solve_flat(candidates, standing, first, without_hosts)
         clock.end("flat")
         standing.is_optimal = search is not None and search.is_done
         if search is None or standing.is_optimal or standing.is_infeasible or clock.is_over():
@@ -88,7 +92,9 @@ def _search(candidates: Candidates, standing: Standing, first: FirstPlans) -> No
     explicit.run()
 
 
-def _solve_flat(candidates: Candidates, standing: Standing, first: FirstPlans) -> FlatSearch | None:
+def _solve_flat(
+    candidates: Candidates, standing: Standing, first: FirstPlans, without_hosts: InterruptiblePlanner
+) -> FlatSearch | None:
     """The search that proved the cost, or the last one; None if no plan is possible."""
     from cfgplan.planners.fleet.flat_search import FlatSearch  # the solver takes long to import
     from cfgplan.planners.fleet.kernels import MANY, look_among_few, well_below_best_us
@@ -99,7 +105,7 @@ def _solve_flat(candidates: Candidates, standing: Standing, first: FirstPlans) -
     flat = Flat(candidates)
     is_probing = bool(problem.environment.hosts) and not flat.is_impossible
     if is_probing:
-        hostless_us, labels = hostless(candidates, clock)
+        hostless_us, labels = hostless(candidates, clock, without_hosts)
         standing.raise_bound(hostless_us)
         first.offer(first.units_of(labels))
         bound = look_among_few(flat, standing, hostless_us, labels)

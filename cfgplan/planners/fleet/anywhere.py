@@ -12,12 +12,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from cfgplan.planners.cpsat.bounds import Bound
-from cfgplan.planners.cpsat.clock import Clock
-from cfgplan.planners.cpsat.core import Core, Rows
-from cfgplan.planners.cpsat.tightening import tightened
+from cfgplan.planners.bounding.bounds import Bound
+from cfgplan.planners.bounding.tightening import tightened
 from cfgplan.planners.fleet.flat import Fact, Flat, Met
 from cfgplan.planners.fleet.flat_model import FlatModel
+from cfgplan.planners.networks.core import Core, Rows
+from cfgplan.planners.solving.clock import Clock
 
 
 class Anywhere:

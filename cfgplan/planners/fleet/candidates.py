@@ -9,7 +9,7 @@ from functools import cached_property
 
 from cfgplan.costs import keep_cost_us, standby_cost_us, start_cost_us
 from cfgplan.domain import ComputationUnit, Environment, Stream, Transformation
-from cfgplan.planners.cpsat.network import Network
+from cfgplan.planners.networks.network import Network
 from cfgplan.planning import Problem, fresh_units
 from cfgplan.qualities import QualityAttribute
 from cfgplan.reasons import Givers, startable

@@ -10,8 +10,6 @@ from collections.abc import Collection
 import numpy as np
 
 from cfgplan.domain import ComputationUnit, Publication, Subscription, Target
-from cfgplan.planners.cpsat.core import Floats
-from cfgplan.planners.cpsat.greedy import FREE, plan_at
 from cfgplan.planners.fleet.candidates import Candidate, Candidates
 from cfgplan.planners.fleet.decode import lean, named
 from cfgplan.planners.fleet.flat import Host
@@ -19,6 +17,8 @@ from cfgplan.planners.fleet.grounded import Grounded
 from cfgplan.planners.fleet.places import Places
 from cfgplan.planners.fleet.reach import Reach
 from cfgplan.planners.fleet.survivors import Failure, unmet
+from cfgplan.planners.networks.core import Floats
+from cfgplan.planners.networks.greedy import FREE, plan_at
 from cfgplan.planning import Failures
 from cfgplan.qualities import QualityAttribute
 

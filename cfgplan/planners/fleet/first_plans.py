@@ -12,12 +12,12 @@ import numpy as np
 
 from cfgplan.domain import ComputationUnit
 from cfgplan.figures import loads, qualities_of_targets
-from cfgplan.planners.cpsat.core import Floats
-from cfgplan.planners.cpsat.greedy import FREE, plan_at
 from cfgplan.planners.fleet.candidates import Candidates
 from cfgplan.planners.fleet.configuration import Configuration, spare_prices
 from cfgplan.planners.fleet.standing import Standing
 from cfgplan.planners.fleet.survivors import bears_all_failures
+from cfgplan.planners.networks.core import Floats
+from cfgplan.planners.networks.greedy import FREE, plan_at
 from cfgplan.qualities import Better, QualityAttribute, Rule, is_met
 
 ATTEMPTS = 30

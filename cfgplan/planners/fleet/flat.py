@@ -16,9 +16,9 @@ import numpy as np
 
 from cfgplan.costs import transfer_cost_us
 from cfgplan.domain import Stream
-from cfgplan.planners.cpsat.core import Core, Ints, Rows
-from cfgplan.planners.cpsat.network import Graph
 from cfgplan.planners.fleet.candidates import Candidates
+from cfgplan.planners.networks.core import Core, Ints, Rows
+from cfgplan.planners.networks.network import Graph
 
 Host = str | None
 

@@ -8,8 +8,8 @@ from collections.abc import Iterable
 from ortools.sat.python.cp_model import CpModel, IntVar, LinearExpr, LinearExprT
 
 from cfgplan.domain import Stream
-from cfgplan.planners.cpsat.support import Support
 from cfgplan.planners.fleet.flat import Carried, Fact, Flat, Placed
+from cfgplan.planners.solving.support import Support
 
 
 class FlatModel:

@@ -8,11 +8,8 @@ from math import ceil
 from ortools.sat.python.cp_model import INFEASIBLE, MODEL_INVALID, OPTIMAL, CpSolver, IntVar, LinearExpr
 
 from cfgplan.domain import InputPort
-from cfgplan.planners.cpsat.bounds import Bound
-from cfgplan.planners.cpsat.engine import OnSolution, repeatable_solver, solve
-from cfgplan.planners.cpsat.greedy import first_plan
-from cfgplan.planners.cpsat.quality import Key
-from cfgplan.planners.cpsat.tightening import tightened
+from cfgplan.planners.bounding.bounds import Bound
+from cfgplan.planners.bounding.tightening import tightened
 from cfgplan.planners.fleet.anywhere import Anywhere
 from cfgplan.planners.fleet.best_case import least_prices_us
 from cfgplan.planners.fleet.flat import Fact, Flat, Met
@@ -22,6 +19,9 @@ from cfgplan.planners.fleet.quality import Values, targets_get_the_quality_they_
 from cfgplan.planners.fleet.quality_chains import ChainCut
 from cfgplan.planners.fleet.quality_demands import DemandModel, takes_the_worst
 from cfgplan.planners.fleet.standing import Standing
+from cfgplan.planners.networks.greedy import first_plan
+from cfgplan.planners.networks.quality import Key
+from cfgplan.planners.solving.engine import OnSolution, repeatable_solver, solve
 from cfgplan.qualities import QualityAttribute
 
 SMALL = 20000

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from cfgplan.planners.cpsat.clock import Clock
 from cfgplan.planners.fleet.candidates import Candidates
+from cfgplan.planners.solving.clock import Clock
+from cfgplan.planning import InterruptiblePlanner
 
 SHARE = 0.2
 """Of the time that is left, for the problem without hosts."""
 
 
-def hostless(candidates: Candidates, clock: Clock) -> tuple[int, frozenset[str]]:
-    """A bound on all costs but transfers, and the transformations of the plan without hosts."""
+def hostless(candidates: Candidates, clock: Clock, planner: InterruptiblePlanner) -> tuple[int, frozenset[str]]:
+    """A bound on all costs but transfers, and the transformations of the plan without hosts, by a planner."""
     problem, environment = candidates.problem, candidates.environment
-    from cfgplan.planners.cpsat.session import PlannerSession
-
     left_s = clock.left_s()
     anywhere = replace(
         environment,
@@ -24,7 +23,7 @@ def hostless(candidates: Candidates, clock: Clock) -> tuple[int, frozenset[str]]
         targets=tuple(replace(target, host=None) for target in environment.targets),
         hosts=(),
     )
-    found = PlannerSession().plan(
+    found = planner(
         replace(problem, environment=anywhere, max_cost_us=None),
         time_limit_s=None if left_s is None else SHARE * left_s,
         stop=clock.stop,

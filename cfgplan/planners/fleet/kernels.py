@@ -9,8 +9,8 @@ from collections.abc import Collection
 
 import numpy as np
 
-from cfgplan.planners.cpsat.bounds import Bound, cheapest_way
-from cfgplan.planners.cpsat.tightening import tightened
+from cfgplan.planners.bounding.bounds import Bound, cheapest_way
+from cfgplan.planners.bounding.tightening import tightened
 from cfgplan.planners.fleet.best_case import least_prices_us, leave_out_what_is_too_bad
 from cfgplan.planners.fleet.candidates import Candidates
 from cfgplan.planners.fleet.first_plans import ATTEMPTS, FirstPlans

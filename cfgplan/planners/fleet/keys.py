@@ -6,7 +6,7 @@ from collections.abc import Collection
 
 from cfgplan.domain import ComputationUnit
 from cfgplan.figures import cost_parts
-from cfgplan.planners.cpsat.quality import Key, unused_required
+from cfgplan.planners.networks.quality import Key, unused_required
 from cfgplan.planning import Problem
 
 

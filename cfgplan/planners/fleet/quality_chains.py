@@ -20,9 +20,9 @@ from functools import cached_property
 import numpy as np
 
 from cfgplan.domain import Stream
-from cfgplan.planners.cpsat.core import Flags, Ints
 from cfgplan.planners.fleet.best_case import best_values, worst_of_use
 from cfgplan.planners.fleet.candidates import Candidate, Candidates
+from cfgplan.planners.networks.core import Flags, Ints
 from cfgplan.qualities import MICRO, Better, Contribution, Over, QualityAttribute, Rule
 
 GAINS, MOST_GAIN = 12, 64 * MICRO

@@ -11,11 +11,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from cfgplan.domain import Target
-from cfgplan.planners.cpsat.clock import Clock
-from cfgplan.planners.cpsat.core import Floats, Ints
-from cfgplan.planners.cpsat.program import FROM_THE_LAST_BASIS
+from cfgplan.planners.closing.program import FROM_THE_LAST_BASIS
 from cfgplan.planners.fleet.flat import Flat
 from cfgplan.planners.fleet.quality_chains import ChainCut, Chains, Root
+from cfgplan.planners.networks.core import Floats, Ints
+from cfgplan.planners.solving.clock import Clock
 from cfgplan.qualities import MICRO, Wish
 
 Spreads = Sequence[float]

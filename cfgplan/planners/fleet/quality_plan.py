@@ -12,11 +12,11 @@ from heapq import heappop, heappush
 
 import numpy as np
 
-from cfgplan.planners.cpsat.clock import Clock
-from cfgplan.planners.cpsat.core import Floats
 from cfgplan.planners.fleet.candidates import Candidates
 from cfgplan.planners.fleet.quality_chains import Chains
 from cfgplan.planners.fleet.quality_steps import Steps
+from cfgplan.planners.networks.core import Floats
+from cfgplan.planners.solving.clock import Clock
 from cfgplan.qualities import Better, QualityAttribute, is_met, price_us, propagated
 
 ATTEMPTS = 40

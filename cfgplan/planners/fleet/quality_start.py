@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from cfgplan.planners.cpsat.bounds import Bound
-from cfgplan.planners.cpsat.greedy import first_plan
-from cfgplan.planners.cpsat.tightening import tightened
+from cfgplan.planners.bounding.bounds import Bound
+from cfgplan.planners.bounding.tightening import tightened
 from cfgplan.planners.fleet.best_case import bound_by_price, least_prices_us
 from cfgplan.planners.fleet.candidates import Candidates
 from cfgplan.planners.fleet.first_plans import FirstPlans
@@ -13,6 +12,7 @@ from cfgplan.planners.fleet.quality_chains import ChainCut
 from cfgplan.planners.fleet.quality_cuts import CLOSE, QUICK, Spreads, chain_cuts
 from cfgplan.planners.fleet.quality_plan import QualityPlanner, can_be_planned
 from cfgplan.planners.fleet.standing import Standing
+from cfgplan.planners.networks.greedy import first_plan
 
 ATTEMPTS = 30
 """How many members of the cheapest plan are tried to be done without."""

@@ -7,8 +7,8 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from cfgplan.domain import Target
-from cfgplan.planners.cpsat.core import Floats, Ints
 from cfgplan.planners.fleet.quality_chains import Chains
+from cfgplan.planners.networks.core import Floats, Ints
 from cfgplan.qualities import is_met, price_us
 
 STEPS = 48

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from cfgplan.planners.cpsat.network import Network
+from cfgplan.planners.networks.network import Network
 
 
 class Reach:

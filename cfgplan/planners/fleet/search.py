@@ -18,7 +18,6 @@ from ortools.sat.python.cp_model import (
 
 from cfgplan.domain import ComputationUnit, InputPort, Stream
 from cfgplan.errors import InputError
-from cfgplan.planners.cpsat.engine import OnSolution, repeatable_solver, solve
 from cfgplan.planners.fleet.candidates import Candidates
 from cfgplan.planners.fleet.decode import decode, solution
 from cfgplan.planners.fleet.first_plans import FirstPlans
@@ -32,6 +31,7 @@ from cfgplan.planners.fleet.quality import targets_get_the_quality_they_ask_for,
 from cfgplan.planners.fleet.standing import Standing
 from cfgplan.planners.fleet.survival import Missed, Survival
 from cfgplan.planners.fleet.survivors import bears_all_failures
+from cfgplan.planners.solving.engine import OnSolution, repeatable_solver, solve
 from cfgplan.qualities import QualityAttribute
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from cfgplan.domain import ComputationUnit
-from cfgplan.planners.cpsat.clock import Clock
-from cfgplan.planners.cpsat.quality import Key, unused_required
 from cfgplan.planners.fleet.keys import key_of
 from cfgplan.planners.fleet.reasons import joint_reasons
+from cfgplan.planners.networks.quality import Key, unused_required
+from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Plan, Problem, Progress, Status
 
 

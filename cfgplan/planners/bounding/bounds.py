@@ -13,9 +13,9 @@ from heapq import nsmallest
 
 import numpy as np
 
-from cfgplan.planners.cpsat.charging import best_weights, spread
-from cfgplan.planners.cpsat.core import NEVER, Core, Flags, Ints
-from cfgplan.planners.cpsat.landmarks import Crowd, Landmark, ways_into
+from cfgplan.planners.bounding.charging import best_weights, spread
+from cfgplan.planners.bounding.landmarks import Crowd, Landmark, ways_into
+from cfgplan.planners.networks.core import NEVER, Core, Flags, Ints
 
 
 def cheapest_way(core: Core, cost: Ints, above: Ints | None = None) -> tuple[Ints, Ints]:

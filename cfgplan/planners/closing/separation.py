@@ -12,8 +12,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from cfgplan.planners.cpsat.core import Core, Floats, Ints
-from cfgplan.planners.cpsat.landmarks import Landmark, landmark_of
+from cfgplan.planners.bounding.landmarks import Landmark, landmark_of
+from cfgplan.planners.networks.core import Core, Floats, Ints
 
 WHOLE = 1_000_000
 """The capacity of a label that is used as a whole."""

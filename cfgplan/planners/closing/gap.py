@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from cfgplan.planners.cpsat.alike import alike
-from cfgplan.planners.cpsat.bounds import Bound
-from cfgplan.planners.cpsat.clock import Clock
-from cfgplan.planners.cpsat.core import Flags, Floats, Ints
-from cfgplan.planners.cpsat.network import Graph
-from cfgplan.planners.cpsat.program import LandmarkProgram
-from cfgplan.planners.cpsat.repairing import Repairs
-from cfgplan.planners.cpsat.separation import Separator
+from cfgplan.planners.bounding.bounds import Bound
+from cfgplan.planners.closing.alike import alike
+from cfgplan.planners.closing.program import LandmarkProgram
+from cfgplan.planners.closing.repairing import Repairs
+from cfgplan.planners.closing.separation import Separator
+from cfgplan.planners.networks.core import Flags, Floats, Ints
+from cfgplan.planners.networks.network import Graph
+from cfgplan.planners.solving.clock import Clock
 
 CHUNK = 25
 """After so many rounds of landmarks the network is restricted, and the plan repaired."""

@@ -12,10 +12,10 @@ from functools import cached_property
 
 import numpy as np
 
-from cfgplan.planners.cpsat.core import NEVER, Ints
-from cfgplan.planners.cpsat.network import Network, costs
-from cfgplan.planners.cpsat.quality import Key
-from cfgplan.planners.cpsat.site import may_stay
+from cfgplan.planners.networks.core import NEVER, Ints
+from cfgplan.planners.networks.network import Network, costs
+from cfgplan.planners.networks.quality import Key
+from cfgplan.planners.networks.site import may_stay
 from cfgplan.planning import Problem
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cfgplan.planners.cpsat.core import Core, Ints
+from cfgplan.planners.networks.core import Core, Ints
 
 if TYPE_CHECKING:
     from ortools.linear_solver import pywraplp  # type: ignore[import-untyped]

@@ -11,8 +11,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from cfgplan.planners.cpsat.core import Floats, Ints
-from cfgplan.planners.cpsat.network import Graph
+from cfgplan.planners.networks.core import Floats, Ints
+from cfgplan.planners.networks.network import Graph
 from cfgplan.reasons import assign_different, distinct_groups
 
 FREE = 1e-3

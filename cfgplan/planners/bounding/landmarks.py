@@ -17,7 +17,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from cfgplan.planners.cpsat.core import NEVER, Core, Floats, Ints
+from cfgplan.planners.networks.core import NEVER, Core, Floats, Ints
 
 Zones = Mapping[int, Collection[int]]
 NOTHING: Zones = MappingProxyType({})

@@ -15,8 +15,8 @@ import numpy as np
 
 from cfgplan.costs import keep_cost_us, start_cost_us
 from cfgplan.domain import Transformation
-from cfgplan.planners.cpsat.core import Core, Ints, Rows
-from cfgplan.planners.cpsat.crowds import crowds_of_group
+from cfgplan.planners.networks.core import Core, Ints, Rows
+from cfgplan.planners.networks.crowds import crowds_of_group
 from cfgplan.planning import Problem
 from cfgplan.reasons import Givers, distinct_groups
 

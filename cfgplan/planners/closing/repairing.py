@@ -12,10 +12,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from cfgplan.planners.cpsat.branching import Branching
-from cfgplan.planners.cpsat.core import Floats, Ints
-from cfgplan.planners.cpsat.greedy import FREE, cost_of, plan_at
-from cfgplan.planners.cpsat.network import Graph
+from cfgplan.planners.bounding.branching import Branching
+from cfgplan.planners.networks.core import Floats, Ints
+from cfgplan.planners.networks.greedy import FREE, cost_of, plan_at
+from cfgplan.planners.networks.network import Graph
 
 TORN = 3
 """At most so many members are torn out at a time."""

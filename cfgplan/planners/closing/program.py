@@ -10,9 +10,9 @@ from itertools import repeat
 
 import numpy as np
 
-from cfgplan.planners.cpsat.core import Core, Floats, Ints
-from cfgplan.planners.cpsat.feeding import Feeding
-from cfgplan.planners.cpsat.landmarks import Landmark
+from cfgplan.planners.bounding.landmarks import Landmark
+from cfgplan.planners.closing.feeding import Feeding
+from cfgplan.planners.networks.core import Core, Floats, Ints
 
 FROM_THE_LAST_BASIS = "use_preprocessing: false use_dual_simplex: true initial_condition_number_threshold: 1e300"
 """Preprocessing and doubts about the last basis would make the engine begin anew each time."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from cfgplan.planners.cpsat.bounds import Bound
-from cfgplan.planners.cpsat.clock import Clock
+from cfgplan.planners.bounding.bounds import Bound
+from cfgplan.planners.solving.clock import Clock
 
 CHUNK = 20
 """After so many landmarks the network is restricted to what may still be used."""

@@ -1,38 +1,20 @@
-"""Transformations alike: they meet the same demands, so that a cheapest plan has at most one of them.
+"""Of new units alike a cheapest plan has one: rules that the model does not need, but that shorten its proof.
 
-Without the later of two, in a grounded order, all that it gave is still given, and earlier. So it must cost something,
-and nobody may want two different ones.
+Why that is so, see `closing.alike`.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
-from typing import TYPE_CHECKING
 
-import numpy as np
-
-from cfgplan.planners.cpsat.core import Ints
-from cfgplan.planners.cpsat.network import Graph
-
-if TYPE_CHECKING:
-    from cfgplan.planners.cpsat.model import Model
-
-
-def alike(network: Graph, cost: Ints) -> Ints:
-    """A number for each label, equal for those of which a cheapest plan has at most one."""
-    distinct = {network.fact_of_tag[p.tag] for t in network.transformations for p in t.inputs if p.distinct is not None}
-    gives = network.core.gives
-    first: dict[bytes, int] = {}
-    kinds = np.arange(len(cost))
-    for label in np.flatnonzero(cost).tolist():
-        facts = gives[label]
-        if distinct.isdisjoint(facts.tolist()):
-            kinds[label] = first.setdefault(facts.tobytes(), label)
-    return kinds
+from cfgplan.planners.cpsat.model import Model
 
 
 def one_of_those_alike_is_enough(model: Model) -> None:
-    """Of new units that meet the same demands one runs, and those that need something need it together."""
+    """Of new units that meet the same demands one runs, and those that need something need it together.
+
+    Where transformations are required two of them may be wanted.
+    """
     if model.tracked:
         return
     site = model.site

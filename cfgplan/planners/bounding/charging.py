@@ -8,8 +8,8 @@ from math import floor
 
 import numpy as np
 
-from cfgplan.planners.cpsat.core import Ints
-from cfgplan.planners.cpsat.landmarks import Landmark
+from cfgplan.planners.bounding.landmarks import Landmark
+from cfgplan.planners.networks.core import Ints
 
 BUILDING_S = 3e-6
 """What a member of a landmark takes until the engine begins."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from cfgplan.planners.cpsat.bounds import Bound
-from cfgplan.planners.cpsat.core import Ints
+from cfgplan.planners.bounding.bounds import Bound
+from cfgplan.planners.networks.core import Ints
 
 LONGEST_S = 1.0
 """Longer than this the question is not worth."""
@@ -18,7 +18,7 @@ def is_without_rival(bound: Bound, plan: Ints, limit: int, time_limit_s: float |
     """
     from ortools.sat.python.cp_model import INFEASIBLE, CpModel
 
-    from cfgplan.planners.cpsat.engine import at_least, repeatable_solver
+    from cfgplan.planners.solving.engine import at_least, repeatable_solver
 
     core, model = bound.core, CpModel()
     uses = [model.new_bool_var("") for _ in range(core.goal)]

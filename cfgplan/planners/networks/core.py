@@ -14,7 +14,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from cfgplan.planners.cpsat.crowds import Crowds
+from cfgplan.planners.networks.crowds import Crowds
 
 Ints = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]

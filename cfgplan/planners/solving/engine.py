@@ -7,7 +7,7 @@ from threading import Event, Thread
 
 from ortools.sat.python.cp_model import CpModel, CpSolver, CpSolverSolutionCallback, CpSolverStatus, IntVar
 
-from cfgplan.planners.cpsat.clock import Clock
+from cfgplan.planners.solving.clock import Clock
 
 
 def repeatable_solver(*, small: bool, time_limit_s: float | None) -> CpSolver:

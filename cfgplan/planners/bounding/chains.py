@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from cfgplan.planners.cpsat.bounds import cheapest_way
-from cfgplan.planners.cpsat.core import NEVER, Core, Ints
+from cfgplan.planners.bounding.bounds import cheapest_way
+from cfgplan.planners.networks.core import NEVER, Core, Ints
 
 
 def chained_bound(core: Core, cost: Ints) -> int:

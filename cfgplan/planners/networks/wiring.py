@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Collection, Iterable
 
 from cfgplan.domain import ComputationUnit, InputPort, Publication, Stream, Subscription
-from cfgplan.planners.cpsat.site import Site
+from cfgplan.planners.networks.site import Site
 from cfgplan.reasons import assign_different, distinct_groups
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from heapq import heappop, heappush
 
-from cfgplan.planners.cpsat.core import NEVER, Core
+from cfgplan.planners.networks.core import NEVER, Core
 
 LEFT_OUT = int(NEVER)
 """What a label costs that is not to be had."""

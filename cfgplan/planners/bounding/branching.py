@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cfgplan.planners.cpsat.bounds import Bound
-from cfgplan.planners.cpsat.core import NEVER, Core, Ints
-from cfgplan.planners.cpsat.landmarks import Landmark
-from cfgplan.planners.cpsat.ways import LEFT_OUT, Links, Ways
+from cfgplan.planners.bounding.bounds import Bound
+from cfgplan.planners.bounding.landmarks import Landmark
+from cfgplan.planners.bounding.ways import LEFT_OUT, Links, Ways
+from cfgplan.planners.networks.core import NEVER, Core, Ints
 
 LARGE = 60
 """With fewer labels than this it does not pay to go on without those that are left out."""
