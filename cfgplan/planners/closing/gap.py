@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cfgplan.planners.bounding.bounds import Bound
+from cfgplan.planners.bounding.charging import BUILDING_S
 from cfgplan.planners.closing.alike import alike
 from cfgplan.planners.closing.program import LandmarkProgram
 from cfgplan.planners.closing.repairing import Repairs
@@ -76,10 +77,11 @@ class Closing:
     def go_on(self, for_s: float, clock: Clock) -> None:
         """Raise the bound and look for a cheaper plan for about so long, or until they meet or hardly move."""
         self._repair(REPAIRS * for_s, clock)
-        if self._rounds is None:
+        if self._rounds is None and _can_be_built(self.bound, clock):
             self._rounds = _Rounds(self.bound, self._kinds)
         left_s = for_s
-        while left_s > -for_s * self._patience and not self.is_closed and not clock.is_over():
+        while left_s > -for_s * self._patience and not self.is_closed and _can_be_built(self.bound, clock):
+            assert self._rounds is not None, "there was time to build them"
             self._rounds.restrict(self.bound.may_be_used(self.limit))
             before = self.bound.value
             took_s = self._rounds.improve(self.limit - self._step + 1, for_s, clock)
@@ -97,6 +99,13 @@ class Closing:
         is_left[self.bound.core.labels] = True
         guide = (self._cost + 1.0) * (1.0 - TRUST * np.minimum(1.0, self._fractions))
         self._repairs.attempt(int(for_s / self._attempt_s), np.where(is_left, guide, np.inf), clock.is_over)
+
+
+def _can_be_built(bound: Bound, clock: Clock) -> bool:
+    """Whether there is time for a linear program."""
+    left_s, core = clock.left_s(), bound.core
+    entries = len(core.givers.items) + 2 * len(core.needs.items) + sum(len(one.members) for one in bound.landmarks)
+    return not clock.is_over() and (left_s is None or entries * BUILDING_S < left_s)
 
 
 class _Rounds:
