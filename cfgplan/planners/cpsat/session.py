@@ -33,11 +33,11 @@ from cfgplan.reasons import unmet_reasons
 
 ATTEMPTS = 30
 """How many members of the first plan are tried to be done without."""
-SMALL = 750
+SMALL = 300
 """With fewer labels left than this the solver is tried before bounds are raised further."""
 ROOM = 1.05
 """How much dearer plans may be that are known at rest than any that one failure calls for."""
-LEAST_S, SLICE_S, CLOSING_S = 0.1, 1e-4, 6e-5
+LEAST_S, SLICE_S, CLOSING_S = 0.1, 1e-4, 1.5e-5
 """The engine's own seconds for this, at least and for the number of labels to the power of 1.5; and about how many
 seconds bounds are raised then.
 """
