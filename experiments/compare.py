@@ -19,7 +19,7 @@ from cfgplan.comparing.bar import progress_bar
 from cfgplan.comparing.invariants import breaches
 from cfgplan.comparing.report import write_report
 from cfgplan.comparing.runner import everyone
-from cfgplan.comparing.suites import SUITES
+from cfgplan.comparing.suites import SCALE_SEEDS, SUITES
 from cfgplan.comparing.wsc import wsc_sets
 from cfgplan.errors import CfgplanError
 from experiments.peers import PEERS
@@ -67,7 +67,7 @@ def _rows(options: argparse.Namespace, folder: Path) -> list[Row]:
     with progress_bar(console) as watch:
         rows = run(instances, entrants, limits, folder / RESULTS, takes_part=among, watch=watch)
     if options.suite == "scale":
-        measure_loads((instance for instance in instances if instance.seed == 0), folder)
+        measure_loads((instance for instance in instances if instance.seed == SCALE_SEEDS[0]), folder)
     return rows
 
 

@@ -101,7 +101,8 @@ SCALE: Mapping[str, Mapping[str, float]] = MappingProxyType(
     }
 )
 """Families of random libraries by name: sizes, branching, cycles, outputs, running units."""
-SCALE_SEEDS = (0, 1, 2)
+SCALE_SEEDS = (10, 11, 12)
+"""Other ones than those that the planner's constants were chosen on."""
 
 
 def scale() -> Iterator[Instance]:

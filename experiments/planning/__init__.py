@@ -7,6 +7,7 @@ from types import MappingProxyType
 
 from cfgplan.comparing import REGISTERED, Entrant, Instance
 from cfgplan.comparing.scale import PARTS
+from cfgplan.comparing.suites import SCALE_SEEDS
 
 
 def _variant(name: str, function: str) -> Entrant:
@@ -36,7 +37,7 @@ def takes_part(instance: Instance, entrant: Entrant) -> bool:
 
     From `LARGE` transformations on a model without preprocessing has not even a plan within the limit.
     """
-    if instance.seed == 0:
+    if instance.seed == SCALE_SEEDS[0]:
         return True
     size = instance.parameters["transformations"]
     assert isinstance(size, int)
