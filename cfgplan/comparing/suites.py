@@ -1,4 +1,4 @@
-"""Named sets of instances, from seconds to half an hour of planning."""
+"""Named sets of instances, from seconds to an hour of planning."""
 
 from __future__ import annotations
 
