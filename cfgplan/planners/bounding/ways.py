@@ -6,7 +6,7 @@ left out opens no way.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from heapq import heappop, heappush
 
 from cfgplan.planners.networks.core import NEVER, Core
@@ -74,15 +74,12 @@ class Ways:
 
     def _derive(self) -> None:
         """From sources on, cheapest facts first (Dijkstra)."""
-        facts, before, dearest, needed_by = self._facts, self._before, self._dearest, self._links.needed_by
+        before, dearest, needed_by = self._before, self._dearest, self._links.needed_by
         missing, ahead = self._links.missing[:], list[tuple[int, int]]()
         for label in self._links.sources:
             before[label] = 0
             self._offer(label, ahead)
-        while ahead:
-            value, fact = heappop(ahead)
-            if value > facts[fact]:
-                continue
+        for value, fact in self._settled(ahead):
             for label in needed_by[fact]:
                 missing[label] -= 1
                 if not missing[label]:
@@ -96,16 +93,21 @@ class Ways:
         ahead = list[tuple[int, int]]()
         for label in cheaper:
             self._offer(label, ahead)
-        while ahead:
-            value, fact = heappop(ahead)
-            if value > facts[fact]:
-                continue
+        for _, fact in self._settled(ahead):
             for label in needed_by[fact]:
                 if dearest[label] == fact:
                     dearest[label] = need = max(needs[label], key=value_of)
                     if facts[need] < before[label]:
                         before[label] = facts[need]
                         self._offer(label, ahead)
+
+    def _settled(self, ahead: list[tuple[int, int]]) -> Iterator[tuple[int, int]]:
+        """The facts ahead, cheapest first, without those that got cheaper meanwhile; more may be put ahead."""
+        facts = self._facts
+        while ahead:
+            value, fact = heappop(ahead)
+            if value == facts[fact]:
+                yield value, fact
 
     def _offer(self, label: int, ahead: list[tuple[int, int]]) -> None:
         """Put ahead what a label gives more cheaply than was known."""

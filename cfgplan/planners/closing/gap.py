@@ -77,11 +77,10 @@ class Closing:
     def go_on(self, for_s: float, clock: Clock) -> None:
         """Raise the bound and look for a cheaper plan for about so long, or until they meet or hardly move."""
         self._repair(REPAIRS * for_s, clock)
-        if self._rounds is None and _can_be_built(self.bound, clock):
-            self._rounds = _Rounds(self.bound, self._kinds)
         left_s = for_s
         while left_s > -for_s * self._patience and not self.is_closed and _can_be_built(self.bound, clock):
-            assert self._rounds is not None, "there was time to build them"
+            if self._rounds is None:
+                self._rounds = _Rounds(self.bound, self._kinds)
             self._rounds.restrict(self.bound.may_be_used(self.limit))
             before = self.bound.value
             took_s = self._rounds.improve(self.limit - self._step + 1, for_s, clock)

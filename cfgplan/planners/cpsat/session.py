@@ -108,7 +108,7 @@ class PlannerSession:
     def _bring_forward(self, standing: Standing, structure: Structure) -> None:
         """What is new is searched first; what is open is prepared, searched if little is left of it, and solved."""
         clock, is_new = standing.clock, not structure.has_landmarks
-        if is_new and self._is_decided(standing, structure):
+        if is_new and self._try_to_decide(standing, structure):
             return
         self._remember(standing)
         preparation = self._prepare(standing.site.problem, structure, clock)
@@ -116,14 +116,14 @@ class PlannerSession:
         standing.go_on_with(prepared)
         is_less = 2 * len(prepared.labels) <= len(structure.network.labels)
         if (is_less or not is_new) and not standing.is_over:
-            if self._is_decided(standing, structure, prepared.labels):
+            if self._try_to_decide(standing, structure, prepared.labels):
                 return
             standing.go_on_with(prepared)
         clock.end("bounds")
         self._solve(standing, preparation, prepared)
 
-    def _is_decided(self, standing: Standing, structure: Structure, among: Collection[str] | None = None) -> bool:
-        """Whether a search proves the least cost; the solver then chooses among equals where it has to."""
+    def _try_to_decide(self, standing: Standing, structure: Structure, among: Collection[str] | None = None) -> bool:
+        """Search; where that proves the least cost, the solver chooses among equals if it has to. Whether it did."""
         has_all = decide(standing, structure, self._steps, among)
         standing.clock.end("bounds")
         if has_all and not standing.is_over and standing.best is not None:
