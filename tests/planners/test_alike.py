@@ -39,7 +39,8 @@ def test_labels_alike_need_together_what_some_of_them_need() -> None:
     assert together.solve(None) is not None
     assert apart.solve(None) is not None
     assert together.value == pytest.approx(21)
-    assert together.fed == (21, pytest.approx(0))
+    assert together.bound([]).value == 21
+    assert not together.bound([]).residual.any()
     assert apart.value == pytest.approx(11)
 
 
@@ -62,7 +63,7 @@ def test_what_is_fed_is_a_bound_at_any_cost(problem: Problem) -> None:
     stage = Stage(problem)
     program = LandmarkProgram(stage.network.core, alike(stage.network, stage.cost), stage.cost)
     program.solve(None)
-    value, left = program.fed
-    assert (left >= 0).all()
+    bound = program.bound([])
+    assert (bound.residual >= 0).all()
     used = sorted(stage.numbers(stage.used))
-    assert value + int(left[used].sum()) <= int(stage.cost[used].sum())
+    assert bound.value + int(bound.residual[used].sum()) <= int(stage.cost[used].sum())

@@ -162,6 +162,13 @@ class Bound:
                 self.weights[i] -= back
                 self.value -= back * landmark.least
 
+    def as_of(self, parts: int, more: int, cost: Ints) -> Bound:
+        """The bound, and `more`, made in parts of which costs have so many, as one on whole costs."""
+        whole = Bound(self.core, cost, self.landmarks, [weight // parts for weight in self.weights])
+        whole.value = -(-(self.value + more) // parts)
+        whole.residual = self.residual // parts
+        return whole
+
     def restricted(self, keep: Flags) -> Bound:
         """The bound for plans with no labels but those flagged, by the landmarks that count."""
         core = self.core.restricted(keep)

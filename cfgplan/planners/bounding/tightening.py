@@ -9,6 +9,10 @@ CHUNK = 20
 """After so many landmarks the network is restricted to what may still be used."""
 PATIENCE = 1.2e-6
 """Seconds for the square of the number of labels: how long the solver may take, and so how long bounds may."""
+LARGE, LARGE_PATIENCE = 3000, 3e-6
+"""From so many labels on landmarks have so many members that other bounds (`closing`) are better after so many seconds
+for the number of labels to the power of 1.5.
+"""
 STEP_S, CHARGE_S, ROUNDS = 2e-8, 6e-6, 20
 """About what a fact that is needed takes for a round of a landmark, and a member of a landmark in the linear program.
 
@@ -25,10 +29,11 @@ def begun(bound: Bound, enough: int, limit: int, clock: Clock) -> Bound:
     return bound
 
 
-def tightened(bound: Bound, enough: int, limit: int, clock: Clock) -> Bound:
+def tightened(bound: Bound, enough: int, limit: int, clock: Clock, *, closing_follows: bool = False) -> Bound:
     """The bound with more landmarks, for plans that cost at most `limit`, until it is `enough` or that no longer pays.
 
-    Where no plan costs as little as `limit`, its value is above that.
+    Where no plan costs as little as `limit`, its value is above that. For large networks it is left to `closing`,
+    if that follows, to charge landmarks best.
     """
     while bound.value < enough and not clock.is_over():
         before = bound.value
@@ -40,15 +45,20 @@ def tightened(bound: Bound, enough: int, limit: int, clock: Clock) -> Bound:
             bound = bound.restricted(keep)
         step_s = CHUNK * ROUNDS * STEP_S * len(bound.core.needs.items)
         bound.improve(enough, CHUNK, clock.is_over)
-        if bound.value < enough and not _pays(bound, before, enough, step_s):
+        is_left = closing_follows and bound.core.goal >= LARGE
+        if bound.value < enough and not _pays(bound, before, enough, step_s, is_left):
+            if is_left:
+                break
             bound.recharge_best(clock.left_s())
             bound.improve(enough, CHUNK, clock.is_over)
             charge_s = CHARGE_S * sum(len(landmark.members) for landmark in bound.landmarks)
-            if not _pays(bound, before, enough, 2 * step_s + charge_s):
+            if not _pays(bound, before, enough, 2 * step_s + charge_s, is_left):
                 break
     return bound
 
 
-def _pays(bound: Bound, before: int, enough: int, took_s: float) -> bool:
+def _pays(bound: Bound, before: int, enough: int, took_s: float, is_left: bool) -> bool:
     """Whether the whole gap would be closed in time at the pace of a step that began with a bound."""
-    return (bound.value - before) * PATIENCE * bound.core.goal**2 >= (enough - before) * took_s
+    labels = bound.core.goal
+    patience_s = LARGE_PATIENCE * labels**1.5 if is_left else PATIENCE * labels**2
+    return (bound.value - before) * patience_s >= (enough - before) * took_s

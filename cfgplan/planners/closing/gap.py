@@ -14,10 +14,10 @@ from cfgplan.planners.networks.core import Flags, Floats, Ints
 from cfgplan.planners.networks.network import Graph
 from cfgplan.planners.solving.clock import Clock
 
-CHUNK = 25
-"""After so many rounds of landmarks the network is restricted, and the plan repaired."""
-PACE = 0.04
-"""The least part of the gap that so many rounds must close to go on."""
+CHUNK, LEAST, LABELS = 25, 3, 50_000
+"""After so many rounds of landmarks the network is restricted, and the plan repaired: fewer with many labels."""
+PACE = 0.04 / CHUNK
+"""The least part of the gap that a round must close to go on."""
 FAR, PATIENCE = 0.2, 10
 """While the bound is so far below the plan that the solver has little hope, so many times longer and more slowly."""
 INWARD = 0.5
@@ -31,8 +31,8 @@ Time is estimated, not measured, so that a plan can be repeated.
 """
 ATTEMPT_S, NEED_S = 2e-4, 1.5e-7
 """About what a repair takes, and for each fact that is needed."""
-REPAIRS = 0.4
-"""The share of time that repairs get."""
+REPAIRS, FIRST_REPAIRS = 0.4, 800
+"""The share of time that repairs get, and how many there are at first at most."""
 
 
 class Closing:
@@ -76,24 +76,38 @@ class Closing:
 
     def go_on(self, for_s: float, clock: Clock) -> None:
         """Raise the bound and look for a cheaper plan for about so long, or until they meet or hardly move."""
-        self._repair(REPAIRS * for_s, clock)
-        left_s = for_s
+        left_s = for_s - self._begin(for_s, clock)
         while left_s > -for_s * self._patience and not self.is_closed and _can_be_built(self.bound, clock):
-            if self._rounds is None:
-                self._rounds = _Rounds(self.bound, self._kinds)
-            self._rounds.restrict(self.bound.may_be_used(self.limit))
             before = self.bound.value
-            took_s = self._rounds.improve(self.limit - self._step + 1, for_s, clock)
-            self.bound = self._rounds.bound
-            self._fractions[:] = 0.0
-            self._fractions[self.bound.core.labels] = self._rounds.fractions
+            rounds = min(CHUNK, max(LEAST, LABELS // self.bound.core.goal))
+            took_s = self._round(for_s, rounds, clock)
             self._repair(REPAIRS * took_s, clock)
-            if (self.bound.value - before) * (1 + self._patience) < PACE * (self.limit - before):
+            if (self.bound.value - before) * (1 + self._patience) < PACE * rounds * (self.limit - before):
                 break
             left_s -= (1 + REPAIRS) * took_s
 
+    def _begin(self, for_s: float, clock: Clock) -> float:
+        """The first fractions show where to look for a cheaper plan; returns about how many seconds they take."""
+        took_s = self._round(for_s, 1, clock) if _can_be_built(self.bound, clock) else 0.0
+        attempts = min(FIRST_REPAIRS, int(self.bound.may_be_used(self.limit).sum()))
+        self._repair(min(REPAIRS * for_s, attempts * self._attempt_s), clock)
+        return took_s
+
+    def _round(self, for_s: float, most: int, clock: Clock) -> float:
+        """Raise the bound by up to so many linear programs; returns about how many seconds they take."""
+        if self._rounds is None:
+            self._rounds = _Rounds(self.bound, self._kinds)
+        self._rounds.restrict(self.bound.may_be_used(self.limit))
+        took_s = self._rounds.improve(self.limit - self._step + 1, for_s, most, clock)
+        self.bound = self._rounds.bound
+        self._fractions[:] = 0.0
+        self._fractions[self.bound.core.labels] = self._rounds.fractions
+        return took_s
+
     def _repair(self, for_s: float, clock: Clock) -> None:
-        """Look for a cheaper plan for about so long."""
+        """Look for a cheaper plan for about so long, unless there is none."""
+        if self.is_closed:
+            return
         is_left = np.zeros(len(self._cost), np.bool_)
         is_left[self.bound.core.labels] = True
         guide = (self._cost + 1.0) * (1.0 - TRUST * np.minimum(1.0, self._fractions))
@@ -126,15 +140,15 @@ class _Rounds:
     def restrict(self, keep: Flags) -> None:
         """Go on with a part of the labels, and the landmarks that count, if that is much less."""
         counting = sum(weight > 0 for weight in self.bound.weights)
-        if keep.sum() < 0.9 * len(keep) or 2 * counting < len(self.bound.landmarks):
+        if keep.sum() < 0.75 * len(keep) or 2 * counting < len(self.bound.landmarks):
             self.bound = self.bound.restricted(keep)
             self._inside, self.fractions = self._inside[keep], self.fractions[keep]
             self._begin()
 
-    def improve(self, enough: int, for_s: float, clock: Clock) -> float:
-        """Up to `CHUNK` rounds; returns about how many seconds they take."""
+    def improve(self, enough: int, for_s: float, most: int, clock: Clock) -> float:
+        """Up to `most` rounds; returns about how many seconds they take."""
         took_s = 0.0
-        for _ in range(CHUNK):
+        for _ in range(most):
             fractions = self._program.solve(clock.left_s())
             if fractions is None or clock.is_over():
                 break
@@ -143,19 +157,10 @@ class _Rounds:
             took_s += MEMBER_S * self._program.members * len(self._landmarks)
             if self._program.value >= enough or took_s >= for_s or not self._add_missed(fractions):
                 break
-        bound = self._charged()
+        bound = self._program.bound(self._landmarks[:])
         if bound.value >= self.bound.value:
             self.bound = bound
         return took_s
-
-    def _charged(self) -> Bound:
-        """The bound of the last solution, in integers."""
-        value, left = self._program.fed
-        bound = Bound(self.bound.core, left, self._landmarks[:])
-        bound.recharge(self._program.weights)
-        bound.value += value
-        bound.cost = self.bound.cost
-        return bound
 
     def _add_missed(self, fractions: Floats) -> bool:
         """Landmarks missed by a point further inside, which cut deeper; if none are, by the fractions themselves."""

@@ -10,6 +10,7 @@ from itertools import repeat
 
 import numpy as np
 
+from cfgplan.planners.bounding.bounds import Bound
 from cfgplan.planners.bounding.landmarks import Landmark
 from cfgplan.planners.closing.feeding import Feeding
 from cfgplan.planners.networks.core import Core, Floats, Ints
@@ -17,12 +18,14 @@ from cfgplan.planners.networks.core import Core, Floats, Ints
 FROM_THE_LAST_BASIS = "use_preprocessing: false use_dual_simplex: true initial_condition_number_threshold: 1e300"
 """Preprocessing and doubts about the last basis would make the engine begin anew each time."""
 
+FINE, LARGEST = 1024, 2**58
+"""Charges are whole numbers of so small parts of costs that little is lost by rounding, if sums stay below this."""
+
 
 class LandmarkProgram:
     """Labels that are fed and hit all landmarks. Labels of the same number in `kinds` are alike.
 
-    `value` is the optimum of the last solution, a bound on cost but for rounding. `fed` is what it says without
-    landmarks: a bound, and what is left of each cost to be charged by landmarks.
+    `value` is the optimum of the last solution, a bound on cost but for rounding.
     """
 
     def __init__(self, core: Core, kinds: Ints, cost: Ints) -> None:
@@ -38,14 +41,15 @@ class LandmarkProgram:
         objective = self._engine.Objective()
         for uses, price in zip(self._uses, cost.tolist(), strict=True):
             objective.SetCoefficient(uses, price / self._unit)
-        self._cost = cost
+        self._core, self._cost = core, cost
+        self._parts = max(1, min(FINE, LARGEST // (1 + int(cost.sum()))))
         self._feeding = Feeding(core, kinds, self._engine, self._uses)
         self._rows: list[pywraplp.Constraint] = []
         self._known: set[tuple[int, bytes]] = set()
         self.members = 0
         self.value = 0.0
-        self.weights: list[int] = []
-        self.fed: tuple[int, Ints] = 0, cost
+        self._weights: list[int] = []
+        self._fed: tuple[int, Ints] = 0, cost * self._parts
 
     def add(self, landmark: Landmark) -> bool:
         """Demand that the landmark is hit; False if that is done already."""
@@ -63,15 +67,20 @@ class LandmarkProgram:
         return True
 
     def solve(self, time_limit_s: float | None) -> Floats | None:
-        """The cheapest fractions, None if they are not found in time; sets `value`, `fed` and the landmarks' `weights`.
-
-        Weights are rounded down, so that they can be charged.
-        """
+        """The cheapest fractions, None if they are not found in time."""
         if time_limit_s is not None:
             self._engine.SetTimeLimit(1 + int(900 * time_limit_s))
         if self._engine.Solve() != self._optimal:
             return None
         self.value = self._engine.Objective().Value() * self._unit
-        self.fed = self._feeding.charged(self._cost, self._unit)
-        self.weights = [max(0, int(row.dual_value() * self._unit)) for row in self._rows]
+        unit = self._unit * self._parts
+        self._fed = self._feeding.charged(self._cost * self._parts, unit)
+        self._weights = [max(0, int(row.dual_value() * unit)) for row in self._rows]
         return np.array([uses.solution_value() for uses in self._uses])
+
+    def bound(self, landmarks: list[Landmark]) -> Bound:
+        """The last solution's bound in whole numbers; the landmarks are those added, in their order."""
+        value, left = self._fed
+        fine = Bound(self._core, left, landmarks)
+        fine.recharge(self._weights)
+        return fine.as_of(self._parts, value, self._cost)

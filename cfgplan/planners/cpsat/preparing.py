@@ -40,7 +40,7 @@ class Preparation:
         """Raise the bound by landmarks, charged greedily or by the linear program."""
         weighing, plan = self._weighing, self._plan
         limit = int(weighing.weight.sum()) if plan is None else weighing.of_plan(plan)
-        bound = tightened(bound, limit - weighing.step + 1, limit, clock)
+        bound = tightened(bound, limit - weighing.step + 1, limit, clock, closing_follows=plan is not None)
         if plan is not None and bound.value <= limit - weighing.step and bound.core.crowds is not None:
             self._plan = plan = self._at_what_is_left(bound, plan)
             limit = weighing.of_plan(plan)
