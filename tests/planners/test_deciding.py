@@ -125,17 +125,19 @@ def test_branching_finds_a_cheapest_plan_and_no_better_one_than_there_is(problem
 
 @fewer
 @given(problems(special=False))
-def test_a_search_step_by_step_ends_with_the_same_plan(problem: Problem) -> None:
+def test_a_search_step_by_step_ends_with_the_same_plan_and_its_bounds_hold(problem: Problem) -> None:
     stage = Stage(problem)
     whole, parts = (Branching(stage.network.core, stage.cost, LIMIT, 1, lambda: False) for _ in range(2))
     whole.run(10_000)
-    shares = [parts.done]
+    shares, bounds = [parts.done], [parts.least]
     while not parts.run(2):
         shares.append(parts.done)
+        bounds.append(parts.least)
     assert [*shares, 1.0] == sorted([*shares, parts.done])
     assert parts.best is not None
     assert whole.best is not None
     assert stage.cost[list(parts.best)].sum() == stage.cost[list(whole.best)].sum()
+    assert max(bounds) <= stage.cost[list(whole.best)].sum() == whole.least
 
 
 @fewer

@@ -130,6 +130,11 @@ class Branching:
         return not self._ahead
 
     @property
+    def least(self) -> int:
+        """What any plan weighs at least, as far as the search has come: `enough` if it is over."""
+        return min((node.bound for node in self._ahead), default=self.enough)
+
+    @property
     def done(self) -> float:
         """About what share of the whole search is done."""
         return 1.0 - sum(node.share for node in self._ahead)

@@ -9,14 +9,16 @@ better (`bounds`).
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from cfgplan.planners.bounding.bounds import cheapest_way
 from cfgplan.planners.networks.core import NEVER, Core, Ints
 
 
-def chained_bound(core: Core, cost: Ints) -> int:
-    """A lower bound on the cost of a plan."""
+def chained_bound(core: Core, cost: Ints, is_over: Callable[[], bool]) -> int:
+    """A lower bound on the cost of a plan, by the chains for which there is time."""
     residual, value = cost.copy(), 0
     wanted = core.needs[core.goal]
     facts, before = cheapest_way(core, residual)
@@ -24,7 +26,7 @@ def chained_bound(core: Core, cost: Ints) -> int:
         end = int(wanted[np.argmax(facts[wanted])])
         level = int(facts[end])
         value = min(value + level, int(NEVER))
-        if level == 0 or value == NEVER:
+        if level == 0 or value == NEVER or is_over():
             break
         charges = _charges(core, facts, before, end)
         # A label that is there before others that a fact takes is charged no more than it has left.

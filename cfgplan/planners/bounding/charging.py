@@ -21,6 +21,7 @@ def best_weights(landmarks: Sequence[Landmark], cost: Ints, time_limit_s: float 
     No label is charged more than it costs, except that landmarks that demand several members may charge labels more:
     that is not gained (`spread`). Rounded down; empty if the engine fails or the time is over.
     """
+    began = time.monotonic()
     members = [landmark.counted for landmark in landmarks]
     if not members or (time_limit_s is not None and sum(map(len, members)) * BUILDING_S > time_limit_s):
         return []
@@ -30,7 +31,6 @@ def best_weights(landmarks: Sequence[Landmark], cost: Ints, time_limit_s: float 
         return [int(cost[labels].min()) for labels in members]
     from ortools.linear_solver import pywraplp  # type: ignore[import-untyped]
 
-    began = time.monotonic()
     solver = pywraplp.Solver.CreateSolver("GLOP")
     solver.SuppressOutput()
     unit = float(max(1, cost.max()))
@@ -41,6 +41,8 @@ def best_weights(landmarks: Sequence[Landmark], cost: Ints, time_limit_s: float 
     for weight, landmark in zip(weights, landmarks, strict=True):
         objective.SetCoefficient(weight, float(landmark.least))
     for charging, least in shares:
+        if time_limit_s is not None and time.monotonic() - began > time_limit_s:
+            return []
         row = solver.RowConstraint(-solver.infinity(), least / unit, "")
         for i in charging:
             row.SetCoefficient(weights[i], 1.0 if landmarks[i].crowd is None else float(charging.count(i)))

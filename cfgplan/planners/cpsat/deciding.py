@@ -68,18 +68,20 @@ class _Deciding:
     def run(self, plan: set[int], steps: int) -> bool:
         network, weighing, standing = self._structure.network, self._weighing, self._standing
         limit, nodes = weighing.of_plan(_numbers(plan)), 0
-        is_chained = not self._is_part and self._core.goal > CHAINED
-        is_proven = is_chained and weighing.least(chained_bound(self._core, self._weight)) >= limit
+        least, is_proven = limit, False
+        if not self._is_part and self._core.goal > CHAINED:
+            chained = chained_bound(self._core, self._weight, standing.clock.is_over)
+            is_proven = weighing.least(chained) >= limit
         if not is_proven:
             core, search = self._below(limit)
             is_proven = search.run(min(steps, FIRST)) or (search.done >= SOON and search.run(max(0, steps - FIRST)))
-            nodes = search.nodes
+            nodes, least = search.nodes, search.least
             if not self._structure.has_landmarks:
                 self._structure.remember(search.bound, weighing.scale)
             if search.best is not None:
                 plan = set(core.labels[sorted(search.best)].tolist()).union(network.pinned)
         plan = _lean(network, weighing.weight, plan)
-        value = weighing.of_plan(_numbers(plan)) if is_proven else 0
+        value = weighing.of_plan(_numbers(plan)) if is_proven else weighing.least(least)
         labels = [network.labels[i] for i in sorted(plan)]
         prepared = Prepared(
             labels,

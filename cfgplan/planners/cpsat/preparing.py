@@ -46,7 +46,8 @@ class Preparation:
             limit = weighing.of_plan(plan)
         self._structure.remember(lambda: bound, weighing.scale)
         self._left = Left.by(bound, limit)
-        if plan is not None and weighing.least(max(bound.value, self._least)) < limit:
+        is_open = plan is not None and weighing.least(max(bound.value, self._least)) < limit
+        if plan is not None and is_open and not clock.is_over():
             self._closing = Closing(self._structure.network, bound, weighing.weight, plan, weighing.step)
 
     def _at_what_is_left(self, bound: Bound, plan: Ints) -> Ints:

@@ -108,7 +108,7 @@ class PlannerSession:
     def _bring_forward(self, standing: Standing, structure: Structure) -> None:
         """What is new is searched first; what is open is prepared, searched if little is left of it, and solved."""
         clock, is_new = standing.clock, not structure.has_landmarks
-        if is_new and self._try_to_decide(standing, structure):
+        if is_new and (self._try_to_decide(standing, structure) or (clock.is_over() and standing.best is not None)):
             return
         self._remember(standing)
         preparation = self._prepare(standing.site.problem, structure, clock)
@@ -164,7 +164,8 @@ class PlannerSession:
         """Bounds on the cost from both sides, and what may still be used between them."""
         network = structure.network
         weighing = Weighing.of(problem, network, structure.pinned)
-        quick = weighing.least(chained_bound(network.core, weighing.weight)) if weighing.counts_starts else 0
+        chained = chained_bound(network.core, weighing.weight, clock.is_over) if weighing.counts_starts else 0
+        quick = weighing.least(chained)
         plan, bound = self._first_plan(problem, structure, weighing, quick, clock)
         left = None
         if plan is not None and weighing.counts_starts and weighing.of_plan(plan) == quick:
@@ -221,7 +222,7 @@ class PlannerSession:
         bound = None
         if is_plan(network, known):
             running = {unit.transformation for unit in problem.environment.units}
-            plan = improved(network, cost, known, {i for i in known if network.labels[i] not in running})
+            plan = improved(network, cost, known, {i for i in known if network.labels[i] not in running}, clock.is_over)
         else:
             plan = first_plan(network, cost, 0, clock.is_over)
             limit = 0 if plan is None else int(cost[list(plan)].sum())

@@ -60,7 +60,6 @@ class Structure:
     def network(self) -> Network:
         """The network of what is relevant."""
         labels = relevant(self.environment, self.givers, self.possible)
-        self.givers.watch()
         return _network(self.environment, self.givers, self.possible, labels, frozenset())
 
     def counts(self) -> dict[str, int]:

@@ -51,10 +51,10 @@ def with_less(
     return plan
 
 
-def improved(network: Graph, cost: Ints, plan: set[int], doubtful: set[int]) -> set[int]:
+def improved(network: Graph, cost: Ints, plan: set[int], doubtful: set[int], is_over: Callable[[], bool]) -> set[int]:
     """The plan, or a cheaper one without some of its doubtful members."""
     for label in sorted(doubtful):
-        if label in plan:
+        if label in plan and not is_over():
             plan = _without(network, cost, plan, label)
     return plan
 

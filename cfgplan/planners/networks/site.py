@@ -92,6 +92,7 @@ def relevant(environment: Environment, givers: Givers, possible: frozenset[str])
                     tags.add(port.tag)
                     tags_ahead.append(port.tag)
         while tags_ahead:
+            givers.watch()
             new = [label for label in givers.of(tags_ahead.pop()) if label in possible and label not in found]
             found.update(new)
             ahead += new
