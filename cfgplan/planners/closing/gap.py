@@ -155,22 +155,22 @@ class _Rounds:
             self.fractions = fractions
             took_s += ROUND_S * len(self.bound.core.needs.items)
             took_s += MEMBER_S * self._program.members * len(self._landmarks)
-            if self._program.value >= enough or took_s >= for_s or not self._add_missed(fractions):
+            if self._program.value >= enough or took_s >= for_s or not self._add_missed(fractions, clock):
                 break
         bound = self._program.bound(self._landmarks[:])
         if bound.value >= self.bound.value:
             self.bound = bound
         return took_s
 
-    def _add_missed(self, fractions: Floats) -> bool:
+    def _add_missed(self, fractions: Floats, clock: Clock) -> bool:
         """Landmarks missed by a point further inside, which cut deeper; if none are, by the fractions themselves."""
         inward = fractions + INWARD * (self._inside - fractions)
-        if self._add(inward):
+        if self._add(inward, clock):
             return True
         self._inside = inward
-        return self._add(fractions)
+        return self._add(fractions, clock)
 
-    def _add(self, fractions: Floats) -> bool:
-        new = [one for one in self._separator.missed(fractions, self._draw) if self._program.add(one)]
+    def _add(self, fractions: Floats, clock: Clock) -> bool:
+        new = [one for one in self._separator.missed(fractions, self._draw, clock.is_over) if self._program.add(one)]
         self._landmarks += new
         return bool(new)

@@ -8,7 +8,7 @@ cut. Taken is the need that the fractions support least.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
@@ -38,8 +38,10 @@ class Separator:
         self._tails = np.concatenate([entering, entering[core.givers.items] + labels])
         self._heads = np.concatenate([entering, entering + labels, core.givers.row_of_item])
 
-    def missed(self, fractions: Floats, draw: np.random.Generator) -> list[Landmark]:
-        """Landmarks that the fractions do not hit."""
+    def missed(
+        self, fractions: Floats, draw: np.random.Generator, is_over: Callable[[], bool] = lambda: False
+    ) -> list[Landmark]:
+        """Landmarks that the fractions do not hit, those for which there is time."""
         support = self._support(fractions)
         wanted = self._core.needs[self._core.goal]
         found: dict[bytes, Landmark] = {}
@@ -47,6 +49,8 @@ class Separator:
             noise = draw.random(len(support)) * NOISE if variant else 0.0
             feeding = self._least_of_needs(support + noise)
             for goal in draw.permutation(wanted)[:GOALS].tolist():
+                if is_over():
+                    return list(found.values())
                 found |= {one.members.tobytes(): one for one in self._nested(fractions, feeding, goal)}
         return list(found.values())
 

@@ -95,12 +95,12 @@ class Preparation:
             fewest_changes=weighing.changes(value),
         )
 
-    def missed(self, labels: Collection[str]) -> list[tuple[list[str], int]]:
+    def missed(self, labels: Collection[str], clock: Clock) -> list[tuple[list[str], int]]:
         """Landmarks that some labels do not hit; none if they can be grounded and meet what is wanted."""
         network = self._structure.network
         uses = np.zeros(len(network.labels))
         uses[[network.number[label] for label in labels]] = 1.0
-        found = self._separator.missed(uses, np.random.default_rng(len(labels)))
+        found = self._separator.missed(uses, np.random.default_rng(len(labels)), clock.is_over)
         return [([network.labels[i] for i in one.counted.tolist()], one.least) for one in found]
 
     @cached_property

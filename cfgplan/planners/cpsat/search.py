@@ -23,6 +23,7 @@ from cfgplan.planners.cpsat.prepared import Prepared
 from cfgplan.planners.cpsat.standing import Stage, Standing
 from cfgplan.planners.cpsat.symmetry import one_of_those_alike_is_enough
 from cfgplan.planners.networks.quality import Key
+from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.solving.engine import OnSolution, repeatable_solver, solve
 
 SMALL = 1000
@@ -50,7 +51,7 @@ class Search:
         prepared: Prepared,
         grounding: Grounding,
         slice_s: float | None = None,
-        missed: Callable[[Collection[str]], Iterable[tuple[Collection[str], int]]] = lambda _: (),
+        missed: Callable[[Collection[str], Clock], Iterable[tuple[Collection[str], int]]] = lambda *_: (),
     ) -> None:
         """`slice_s` are the engine's own seconds, which do not depend on the machine, for each round.
 
@@ -203,7 +204,7 @@ class Search:
             self.standing.counts["cuts"] += len(unfounded)
         running = zip(self.model.runs, self.site.candidates, strict=True)
         used = {candidate.transformation.label for runs, candidate in running if runs.index in true}
-        self.model.enough_of_each_run(self.missed(used))
+        self.model.enough_of_each_run(self.missed(used, self.standing.clock))
 
     def learn_bound(self, objective: int) -> None:
         """What a bound on the present stage's objective says about the cost."""

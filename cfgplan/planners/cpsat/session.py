@@ -156,7 +156,7 @@ class PlannerSession:
     ) -> None:
         from cfgplan.planners.cpsat.search import Search  # the solver takes long to import
 
-        missed = (lambda _: ()) if preparation is None else preparation.missed
+        missed = (lambda *_: ()) if preparation is None else preparation.missed
         Search(standing, prepared, self._grounding, slice_s, missed).run()
         standing.clock.end("search")
 
