@@ -217,6 +217,11 @@ class Environment:
         return MappingProxyType({transformation.label: transformation for transformation in self.library})
 
     @cached_property
+    def required(self) -> tuple[str, ...]:
+        """The labels of the required transformations, in the library's order."""
+        return tuple(transformation.label for transformation in self.library if transformation.required)
+
+    @cached_property
     def target(self) -> Mapping[str, Target]:
         """The targets by label."""
         return MappingProxyType({target.label: target for target in self.targets})

@@ -22,11 +22,8 @@ GAPS_S = 10.0
 
 def scale_text(rows: Sequence[Row], loads: Mapping[str, float]) -> str:
     """The tables in Markdown; `loads` are the seconds to load an environment file, by the name of its instance."""
-    parts = [
-        "# The planner at scale, and its peers",
-        head(rows),
-        *(table.markdown() for table in (summary(rows), behind(rows), building(rows, loads), everyone(rows))),
-    ]
+    tables = (summary(rows), peer_by_peer(rows), behind(rows), building(rows, loads), everyone(rows))
+    parts = ["# The planner at scale, and its peers", head(rows), *(table.markdown() for table in tables)]
     return "\n\n".join(part.strip() for part in parts) + "\n"
 
 
@@ -38,7 +35,7 @@ def families(rows: Sequence[Row]) -> dict[str, list[Row]]:
 
 def summary(rows: Sequence[Row]) -> Table:
     """For each family the closest of the peers that ran on all of it; then the mean over the families."""
-    peers = [name for name in planners(rows) if name not in (BASE, *PARTS)]
+    peers = _peers(rows)
     lines, closest, fastest = [], [], []
     for name, group in families(rows).items():
         own = [row for row in group if row.planner == BASE]
@@ -61,6 +58,18 @@ def summary(rows: Sequence[Row]) -> Table:
         "lead over the fastest peer each time",
     )
     return Table(f"How far {BASE} is ahead of {', '.join(peers)}", heads, tuple(lines))
+
+
+def peer_by_peer(rows: Sequence[Row]) -> Table:
+    """Each peer by itself on all families that it ran on."""
+    lines = []
+    for peer in _peers(rows):
+        leads = {name: lead(matched(group, BASE, [peer])) for name, group in families(rows).items()}
+        least = min(leads, key=lambda name: _closeness(leads[name]))
+        own = _proven([row for row in rows if row.planner == peer])
+        lines.append((peer, own, _mean(list(leads.values())), f"{leads[least].text()} ({least})"))
+    heads = ("peer", "proves", f"lead of {BASE}: geometric mean over families", "least lead")
+    return Table(f"How far {BASE} is ahead of each of them", heads, tuple(lines))
 
 
 def behind(rows: Sequence[Row]) -> Table:
@@ -137,6 +146,10 @@ def everyone(rows: Sequence[Row]) -> Table:
     heads = ("family", "planner", "proven", "s to proof", *gaps, "peak MB", f"lead of {BASE}")
     title = "Every planner: geometric mean of its times to proof, worst gaps of bound and plan where it had none yet"
     return Table(title, heads, tuple(lines))
+
+
+def _peers(rows: Sequence[Row]) -> list[str]:
+    return [name for name in planners(rows) if name not in (BASE, *PARTS)]
 
 
 def _closeness(found: Lead) -> tuple[float, int]:

@@ -83,7 +83,7 @@ class _Ranking:
         running = {unit.transformation for unit in environment.units}
         self._keeping = Kept(problem)
         self._kept = self._keeping.labels
-        self._required = frozenset(t.label for t in environment.library if t.required)
+        self._required = frozenset(environment.required)
         self._cost_us = {
             t.label: (keep_cost_us if t.label in running else start_cost_us)(t, problem.horizon_s)
             for t in environment.library

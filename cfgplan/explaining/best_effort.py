@@ -81,7 +81,7 @@ class _Search:
         self._plans: dict[frozenset[Target], Plan] = {}
         self._freely: dict[frozenset[Target], Plan] = {}
         self._refused: list[frozenset[Target]] = []
-        self._is_free = not any(t.required for t in problem.environment.library)
+        self._is_free = not problem.environment.required
 
     @cached_property
     def _free(self) -> Problem:

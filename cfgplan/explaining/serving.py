@@ -94,7 +94,7 @@ def unused_required(environment: Environment) -> tuple[str, ...]:
             needed.add(unit.id)
             used.add(unit.transformation)
             ahead += [environment.unit[s.stream.unit] for s in unit.subscriptions]
-    return tuple(t.label for t in environment.library if t.required and t.label not in used)
+    return tuple(label for label in environment.required if label not in used)
 
 
 def _publishing(unit: ComputationUnit, name: str | None) -> ComputationUnit:

@@ -26,7 +26,7 @@ class Demands:
         running = {unit.transformation for unit in environment.units}
         return cls(
             frozenset(target.label for target in environment.targets),
-            frozenset(t.label for t in environment.library if t.required),
+            frozenset(environment.required),
             frozenset(t.label for t in environment.library if t.pinned and t.label in running),
         )
 

@@ -56,7 +56,7 @@ def _unused(problem: Problem, planner: Planner, plan: Plan, label: str, nearest:
     blocked = unreachable(running(problem, label), nearest)
     if blocked:
         return Unused(label, blocked[0])
-    others = {t.label for t in problem.environment.library if t.required} - {*plan.unused_required}
+    others = {*problem.environment.required} - {*plan.unused_required}
     for other in sorted(others):
         if planner(requiring(problem, {label, *others} - {other})).unused_required:
             others.remove(other)

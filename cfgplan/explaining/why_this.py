@@ -111,7 +111,7 @@ def without_transformations(problem: Problem, labels: Collection[str]) -> Proble
 
 def requiring_also(problem: Problem, label: str) -> Problem:
     """The problem with one more transformation required, whatever that costs."""
-    return requiring(problem, {label, *(t.label for t in problem.environment.library if t.required)})
+    return requiring(problem, {label, *problem.environment.required})
 
 
 def _why(

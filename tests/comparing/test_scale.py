@@ -11,7 +11,7 @@ from made_rows import row
 from cfgplan.comparing import Failure, Row, generated, read_rows
 from cfgplan.comparing.families.random_library import random_library
 from cfgplan.comparing.invariants import breaches
-from cfgplan.comparing.scale import behind, building, everyone, families, scale_text, summary
+from cfgplan.comparing.scale import behind, building, everyone, families, peer_by_peer, scale_text, summary
 from cfgplan.comparing.suites import SCALE, SCALE_SEEDS, SUITES
 from cfgplan.domain import Similarity
 from cfgplan.planning import Status
@@ -43,6 +43,10 @@ def test_the_summary_names_the_closest_peer_and_the_mean_over_families() -> None
         ("5,000", "0 of 1", "-", "highs", "1 open: bounds 0:1, plans 1:0", "1 open: bounds 0:1, plans 1:0"),
         ("geometric mean", "", "", "", "1.4 (families: 1)", "1.4 (families: 1)"),
     )
+
+
+def test_each_peer_is_compared_by_itself_on_all_families() -> None:
+    assert peer_by_peer(ROWS).lines == (("highs", "2 of 3", "1.4 (families: 1)", "1.4 (50)"),)
 
 
 def test_every_instance_with_another_ahead_is_named() -> None:

@@ -35,4 +35,4 @@ def unused_required(problem: Problem, units: Collection[ComputationUnit]) -> tup
         serving |= new
         ahead += sorted(new)
     used = {by_id[unit_id].transformation for unit_id in serving}
-    return tuple(t.label for t in problem.environment.library if t.required and t.label not in used)
+    return tuple(label for label in problem.environment.required if label not in used)
