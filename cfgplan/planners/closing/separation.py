@@ -21,8 +21,8 @@ CREEP = 50
 """Added to each capacity, so that among equal cuts one with few labels is the smallest."""
 MISSED = 1e-3
 """A landmark counts as missed if it is hit by so much less than a whole label."""
-VARIANTS, NOISE, GOALS, NESTED = 4, 1.0, 8, 6
-"""So often needs are taken, with so much noise; for so many wanted facts cuts are made, so many behind one another."""
+GOALS, NESTED = 8, 6
+"""For so many wanted facts cuts are made, so many behind one another."""
 ROUNDS = 60
 """The support of facts is followed so far."""
 
@@ -45,13 +45,11 @@ class Separator:
         support = self._support(fractions)
         wanted = self._core.needs[self._core.goal]
         found: dict[bytes, Landmark] = {}
-        for variant in range(VARIANTS):
-            noise = draw.random(len(support)) * NOISE if variant else 0.0
-            feeding = self._least_of_needs(support + noise)
-            for goal in draw.permutation(wanted)[:GOALS].tolist():
-                if is_over():
-                    return list(found.values())
-                found |= {one.members.tobytes(): one for one in self._nested(fractions, feeding, goal)}
+        feeding = self._least_of_needs(support)
+        for goal in draw.permutation(wanted)[:GOALS].tolist():
+            if is_over():
+                break
+            found |= {one.members.tobytes(): one for one in self._nested(fractions, feeding, goal)}
         return list(found.values())
 
     def _nested(self, fractions: Floats, feeding: Ints, goal: int) -> Iterable[Landmark]:

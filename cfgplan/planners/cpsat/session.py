@@ -37,7 +37,7 @@ SMALL = 300
 """With fewer labels left than this the solver is tried before bounds are raised further."""
 ROOM = 1.05
 """How much dearer plans may be that are known at rest than any that one failure calls for."""
-LEAST_S, SLICE_S, CLOSING_S = 0.1, 1e-4, 1.5e-5
+LEAST_S, SLICE_S, CLOSING_S = 0.1, 1e-4, 5e-6
 """The engine's own seconds for this, at least and for the number of labels to the power of 1.5; and about how many
 seconds bounds are raised then.
 """
