@@ -44,7 +44,7 @@ def closing(stage: Stage) -> Closing:
 def test_the_bound_stays_below_the_optimum_and_the_plan_above(problem: Problem) -> None:
     stage = Stage(problem)
     both = closing(stage)
-    both.go_on(0.05, Clock())
+    both.go_on(1e-3, Clock())
     assert both.bound.value <= (stage.plan.cost_us or 0) <= both.limit
     assert is_plan(stage.network, set(both.plan.tolist()))
     used = stage.numbers(stage.used)

@@ -107,7 +107,7 @@ def test_the_first_plan_feeds_distinct_inputs_and_closing_keeps_both_sides(probl
     assert plan is not None
     assert plan in list(plans(stage, problem))
     both = closing(stage)
-    both.go_on(0.05, Clock())
+    both.go_on(1e-3, Clock())
     assert both.bound.value <= (stage.plan.cost_us or 0) <= both.limit
 
 

@@ -18,20 +18,23 @@ CHUNK, LEAST, LABELS = 25, 3, 50_000
 """After so many rounds of landmarks the network is restricted, and the plan repaired: fewer with many labels."""
 PACE = 0.04 / CHUNK
 """The least part of the gap that a round must close to go on."""
-FAR, PATIENCE = 0.2, 10
+FAR, PATIENCE = 0.3, 30
 """While the bound is so far below the plan that the solver has little hope, so many times longer and more slowly."""
+MANY, TIMES = 3000, 4
+"""With so many labels, or so far below the plan, a linear program takes so long that more landmarks are looked for."""
 INWARD = 0.5
 """How far from the fractions towards something that hits every landmark the missed ones are looked for."""
 TRUST = 0.8
 """How much cheaper a label is in repairs if the fractions use it as a whole."""
-ROUND_S, MEMBER_S = 1.6e-5, 1.4e-9
-"""About what a round takes for each fact that is needed, and for each member of a landmark and each landmark.
+ROUND_S, MEMBER_S, LABEL_S = 1.6e-5, 1.4e-9, 1.2e-8
+"""About what a round takes for each fact that is needed, for each member of a landmark and each landmark, and for the
+square of the number of labels.
 
 Time is estimated, not measured, so that a plan can be repeated.
 """
 ATTEMPT_S, NEED_S = 2e-4, 1.5e-7
 """About what a repair takes, and for each fact that is needed."""
-REPAIRS, FIRST_REPAIRS = 0.4, 800
+REPAIRS, FIRST_REPAIRS = 0.4, 300
 """The share of time that repairs get, and how many there are at first at most."""
 
 
@@ -74,23 +77,32 @@ class Closing:
         if self._cost[plan].sum() < self.limit:
             self._repairs.best = set(plan.tolist())
 
-    def go_on(self, for_s: float, clock: Clock) -> None:
-        """Raise the bound and look for a cheaper plan for about so long, or until they meet or hardly move."""
-        left_s = for_s - self._begin(for_s, clock)
-        while left_s > -for_s * self._patience and not self.is_closed and _can_be_built(self.bound, clock):
+    def go_on(self, label_s: float, clock: Clock) -> None:
+        """Raise the bound and look for a cheaper plan until they meet or hardly move, or it has taken too long.
+
+        That is about so many seconds for the number of labels that the first fractions leave to the power of 1.5.
+        """
+        took_s = self._begin(label_s, clock)
+        for_s = label_s * self._left**1.5
+        while took_s < for_s * (1 + self._patience) and not self.is_closed and _can_be_built(self.bound, clock):
             before = self.bound.value
             rounds = min(CHUNK, max(LEAST, LABELS // self.bound.core.goal))
-            took_s = self._round(for_s, rounds, clock)
-            self._repair(REPAIRS * took_s, clock)
+            rounds_s = self._round(for_s, rounds, clock)
+            self._repair(REPAIRS * rounds_s, clock)
             if (self.bound.value - before) * (1 + self._patience) < PACE * rounds * (self.limit - before):
                 break
-            left_s -= (1 + REPAIRS) * took_s
+            took_s += (1 + REPAIRS) * rounds_s
 
-    def _begin(self, for_s: float, clock: Clock) -> float:
+    @property
+    def _left(self) -> int:
+        """How many labels may be in a plan that is no dearer."""
+        return int(self.bound.may_be_used(self.limit).sum())
+
+    def _begin(self, label_s: float, clock: Clock) -> float:
         """The first fractions show where to look for a cheaper plan; returns about how many seconds they take."""
+        for_s = label_s * self._left**1.5
         took_s = self._round(for_s, 1, clock) if _can_be_built(self.bound, clock) else 0.0
-        attempts = min(FIRST_REPAIRS, int(self.bound.may_be_used(self.limit).sum()))
-        self._repair(min(REPAIRS * for_s, attempts * self._attempt_s), clock)
+        self._repair(min(REPAIRS * for_s, min(FIRST_REPAIRS, self._left) * self._attempt_s), clock)
         return took_s
 
     def _round(self, for_s: float, most: int, clock: Clock) -> float:
@@ -98,6 +110,7 @@ class Closing:
         if self._rounds is None:
             self._rounds = _Rounds(self.bound, self._kinds)
         self._rounds.restrict(self.bound.may_be_used(self.limit))
+        self._rounds.times = TIMES if self._patience or self.bound.core.goal >= MANY else 1
         took_s = self._rounds.improve(self.limit - self._step + 1, for_s, most, clock)
         self.bound = self._rounds.bound
         self._fractions[:] = 0.0
@@ -126,6 +139,7 @@ class _Rounds:
 
     def __init__(self, bound: Bound, kinds: Ints) -> None:
         self.bound = bound
+        self.times = 1
         self._kinds = kinds
         self.fractions: Floats = np.zeros(bound.core.goal)
         self._draw = np.random.default_rng(bound.core.goal)
@@ -154,7 +168,7 @@ class _Rounds:
                 break
             self.fractions = fractions
             took_s += ROUND_S * len(self.bound.core.needs.items)
-            took_s += MEMBER_S * self._program.members * len(self._landmarks)
+            took_s += MEMBER_S * self._program.members * len(self._landmarks) + LABEL_S * self.bound.core.goal**2
             if self._program.value >= enough or took_s >= for_s or not self._add_missed(fractions, clock):
                 break
         bound = self._program.bound(self._landmarks[:])
@@ -171,6 +185,7 @@ class _Rounds:
         return self._add(fractions, clock)
 
     def _add(self, fractions: Floats, clock: Clock) -> bool:
-        new = [one for one in self._separator.missed(fractions, self._draw, clock.is_over) if self._program.add(one)]
+        missed = self._separator.missed(fractions, self._draw, self.times, clock.is_over)
+        new = [one for one in missed if self._program.add(one)]
         self._landmarks += new
         return bool(new)

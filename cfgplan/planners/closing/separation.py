@@ -21,8 +21,10 @@ CREEP = 50
 """Added to each capacity, so that among equal cuts one with few labels is the smallest."""
 MISSED = 1e-3
 """A landmark counts as missed if it is hit by so much less than a whole label."""
-GOALS, NESTED = 8, 6
-"""For so many wanted facts cuts are made, so many behind one another."""
+NOISE, GOALS, NESTED = 1.0, 8, 6
+"""From the second time on needs are taken with so much noise; for so many wanted facts cuts are made, so many behind
+one another.
+"""
 ROUNDS = 60
 """The support of facts is followed so far."""
 
@@ -39,17 +41,23 @@ class Separator:
         self._heads = np.concatenate([entering, entering + labels, core.givers.row_of_item])
 
     def missed(
-        self, fractions: Floats, draw: np.random.Generator, is_over: Callable[[], bool] = lambda: False
+        self,
+        fractions: Floats,
+        draw: np.random.Generator,
+        times: int = 1,
+        is_over: Callable[[], bool] = lambda: False,
     ) -> list[Landmark]:
-        """Landmarks that the fractions do not hit, those for which there is time."""
+        """Landmarks that the fractions do not hit, those for which there is time; needs are taken so many times."""
         support = self._support(fractions)
         wanted = self._core.needs[self._core.goal]
         found: dict[bytes, Landmark] = {}
-        feeding = self._least_of_needs(support)
-        for goal in draw.permutation(wanted)[:GOALS].tolist():
-            if is_over():
-                break
-            found |= {one.members.tobytes(): one for one in self._nested(fractions, feeding, goal)}
+        for time in range(times):
+            noise = draw.random(len(support)) * NOISE if time else 0.0
+            feeding = self._least_of_needs(support + noise)
+            for goal in draw.permutation(wanted)[:GOALS].tolist():
+                if is_over():
+                    return list(found.values())
+                found |= {one.members.tobytes(): one for one in self._nested(fractions, feeding, goal)}
         return list(found.values())
 
     def _nested(self, fractions: Floats, feeding: Ints, goal: int) -> Iterable[Landmark]:

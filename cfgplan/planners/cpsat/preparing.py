@@ -64,13 +64,13 @@ class Preparation:
         """Whether there is something left to be found out."""
         return self._closing is not None and not self._closing.is_closed
 
-    def go_on(self, for_s: float, best: Collection[str], clock: Clock) -> None:
-        """Bring bound and plan closer for about so long, from the labels of the search's best plan if there is one."""
+    def go_on(self, label_s: float, best: Collection[str], clock: Clock) -> None:
+        """Bring bound and plan closer, from the labels of the search's best plan if there is one; see `Closing.go_on`."""
         assert self._closing is not None
         number = self._structure.network.number
         if best:
             self._closing.take(np.array(sorted(number[label] for label in best), np.int64))
-        self._closing.go_on(for_s, clock)
+        self._closing.go_on(label_s, clock)
         self._plan = self._closing.plan
         bound, limit = self._closing.bound, self._closing.limit
         self._left = Left.by(bound.restricted(bound.may_be_used(limit)), limit)
@@ -100,7 +100,7 @@ class Preparation:
         network = self._structure.network
         uses = np.zeros(len(network.labels))
         uses[[network.number[label] for label in labels]] = 1.0
-        found = self._separator.missed(uses, np.random.default_rng(len(labels)), clock.is_over)
+        found = self._separator.missed(uses, np.random.default_rng(len(labels)), is_over=clock.is_over)
         return [([network.labels[i] for i in one.counted.tolist()], one.least) for one in found]
 
     @cached_property

@@ -39,7 +39,7 @@ ROOM = 1.05
 """How much dearer plans may be that are known at rest than any that one failure calls for."""
 LEAST_S, SLICE_S, CLOSING_S = 0.1, 1e-4, 5e-6
 """The engine's own seconds for this, at least and for the number of labels to the power of 1.5; and about how many
-seconds bounds are raised then.
+seconds bounds are raised then, by labels in the same way.
 """
 
 
@@ -144,7 +144,7 @@ class PlannerSession:
             self._search(standing, preparation, prepared, max(LEAST_S, SLICE_S * size**1.5))
         if preparation.may_go_on and not standing.is_over:
             running = standing.best.units if standing.best is not None else ()
-            preparation.go_on(CLOSING_S * size**1.5, {unit.transformation for unit in running}, clock)
+            preparation.go_on(CLOSING_S, {unit.transformation for unit in running}, clock)
             prepared = preparation.prepared(clock)
             standing.go_on_with(prepared)
             clock.end("bounds")
