@@ -65,7 +65,7 @@ class Preparation:
         return self._closing is not None and not self._closing.is_closed
 
     def go_on(self, label_s: float, best: Collection[str], clock: Clock) -> None:
-        """Bring bound and plan closer, from the labels of the search's best plan if there is one; see `Closing.go_on`."""
+        """Bring bound and plan closer, from the labels of the search's best plan if there is one (`Closing.go_on`)."""
         assert self._closing is not None
         number = self._structure.network.number
         if best:
