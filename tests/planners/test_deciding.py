@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import combinations
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from test_against_the_oracle import fewer
@@ -12,6 +13,7 @@ from test_planners import make, world
 from test_preprocessing import Stage
 from worlds import problems
 
+from cfgplan.comparing.families.random_library import random_library
 from cfgplan.planners.bounding.bounds import cheapest_way
 from cfgplan.planners.bounding.branching import Branching
 from cfgplan.planners.bounding.ways import LEFT_OUT, Links, Ways
@@ -130,7 +132,7 @@ def test_a_search_step_by_step_ends_with_the_same_plan_and_its_bounds_hold(probl
     whole, parts = (Branching(stage.network.core, stage.cost, LIMIT, 1, lambda: False) for _ in range(2))
     whole.run(10_000)
     shares, bounds = [parts.done], [parts.least]
-    while not parts.run(2):
+    while not parts.run(1):
         shares.append(parts.done)
         bounds.append(parts.least)
     assert [*shares, 1.0] == sorted([*shares, parts.done])
@@ -138,6 +140,20 @@ def test_a_search_step_by_step_ends_with_the_same_plan_and_its_bounds_hold(probl
     assert whole.best is not None
     assert stage.cost[list(parts.best)].sum() == stage.cost[list(whole.best)].sum()
     assert max(bounds) <= stage.cost[list(whole.best)].sum() == whole.least
+
+
+@pytest.mark.parametrize("seed", [2, 20])
+def test_no_bound_of_an_interrupted_search_is_above_the_best_plan_though_some_nodes_ahead_are(seed: int) -> None:
+    problem = random_library(seed, transformations=20, depth=3, targets=2)
+    structure = Structure.of(problem, None, Clock())
+    weight = Weighing.of(problem, structure.network, structure.pinned).weight
+    search = Branching(structure.network.core, weight, 2**50, 1, lambda: False)
+    bounds = []
+    while not search.run(1):
+        bounds.append(search.least)
+        assert search.best is None or search.least <= weight[list(search.best)].sum()
+    assert bounds == sorted(bounds)
+    assert bounds[-1] <= search.least
 
 
 @fewer

@@ -131,8 +131,8 @@ class Branching:
 
     @property
     def least(self) -> int:
-        """What any plan weighs at least, as far as the search has come: `enough` if it is over."""
-        return min((node.bound for node in self._ahead), default=self.enough)
+        """What any plan weighs at least, as far as the search has come, up to `enough`: so much if it is over."""
+        return min([self.enough, *(node.bound for node in self._ahead)])
 
     @property
     def done(self) -> float:
@@ -204,11 +204,11 @@ class Branching:
         ways = Ways(node.links, node.residual, self.enough - node.bound)
         self._first = self._first or (ways.zones, node.landmarks)
         while node.bound + ways.to_goal < self.enough:
+            if self._is_late():
+                return None
             self._steps -= 1
             if not ways.to_goal:
                 return ways
-            if self._is_late():
-                return None
             members = ways.landmark()
             node.landmarks.append((node.charge(members), members))
             ways.lower(members)

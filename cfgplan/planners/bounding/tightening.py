@@ -43,22 +43,22 @@ def tightened(bound: Bound, enough: int, limit: int, clock: Clock, *, closing_fo
             break
         if keep.sum() < 0.8 * len(keep):
             bound = bound.restricted(keep)
+        labels = bound.core.goal
+        is_left = closing_follows and labels >= LARGE
+        patience_s = LARGE_PATIENCE * labels**1.5 if is_left else PATIENCE * labels**2
         step_s = CHUNK * ROUNDS * STEP_S * len(bound.core.needs.items)
         bound.improve(enough, CHUNK, clock.is_over)
-        is_left = closing_follows and bound.core.goal >= LARGE
-        if bound.value < enough and not _pays(bound, before, enough, step_s, is_left):
+        if bound.value < enough and not _pays(bound.value - before, enough - before, step_s, patience_s):
             if is_left:
                 break
             bound.recharge_best(clock.left_s())
             bound.improve(enough, CHUNK, clock.is_over)
             charge_s = CHARGE_S * sum(len(landmark.members) for landmark in bound.landmarks)
-            if not _pays(bound, before, enough, 2 * step_s + charge_s, is_left):
+            if not _pays(bound.value - before, enough - before, 2 * step_s + charge_s, patience_s):
                 break
     return bound
 
 
-def _pays(bound: Bound, before: int, enough: int, took_s: float, is_left: bool) -> bool:
-    """Whether the whole gap would be closed in time at the pace of a step that began with a bound."""
-    labels = bound.core.goal
-    patience_s = LARGE_PATIENCE * labels**1.5 if is_left else PATIENCE * labels**2
-    return (bound.value - before) * patience_s >= (enough - before) * took_s
+def _pays(closed: int, gap: int, took_s: float, patience_s: float) -> bool:
+    """Whether, at the pace of a step that closed so much of a gap, all of it would be closed in time."""
+    return closed * patience_s >= gap * took_s
