@@ -162,6 +162,15 @@ class Bound:
                 self.weights[i] -= back
                 self.value -= back * landmark.least
 
+    def short(self) -> list[Landmark]:
+        """The landmarks with the fewest members, as many as have no more entries than the core has links.
+
+        Many that are long make a linear program, or the solver, slower than what they add is worth.
+        """
+        entries = np.cumsum(sorted(len(landmark.members) for landmark in self.landmarks))
+        few = int(np.searchsorted(entries, self.core.links, side="right"))
+        return nsmallest(few, self.landmarks, key=lambda landmark: len(landmark.members))
+
     def as_of(self, parts: int, more: int, cost: Ints) -> Bound:
         """The bound, and `more`, made in parts of which costs have so many, as one on whole costs."""
         whole = Bound(self.core, cost, self.landmarks, [weight // parts for weight in self.weights])

@@ -7,14 +7,12 @@ from cfgplan.planners.solving.clock import Clock
 
 CHUNK = 20
 """After so many landmarks the network is restricted to what may still be used."""
-PATIENCE = 1.2e-6
-"""Seconds for the square of the number of labels: how long the solver may take, and so how long bounds may."""
-LARGE, LARGE_PATIENCE = 3000, 3e-6
-"""From so many labels on landmarks have so many members that other bounds (`closing`) are better after so many seconds
-for the number of labels to the power of 1.5.
+PATIENCE, LAST_PATIENCE = 2e-6, 8e-6
+"""Seconds for the number of labels to the power of 1.5 that landmarks may take: about as long as other bounds take
+(`closing`) where those follow, and else about as long as the solver does.
 """
-STEP_S, CHARGE_S, ROUNDS = 2e-8, 6e-6, 20
-"""About what a fact that is needed takes for a round of a landmark, and a member of a landmark in the linear program.
+LANDMARK_S, NEED_S, CHARGE_S = 2e-4, 4e-8, 6e-6
+"""About what a landmark takes, and for each fact that is needed; and a member of one in the linear program.
 
 Time is estimated, not measured, so that a plan can be repeated.
 """
@@ -32,8 +30,8 @@ def begun(bound: Bound, enough: int, limit: int, clock: Clock) -> Bound:
 def tightened(bound: Bound, enough: int, limit: int, clock: Clock, *, closing_follows: bool = False) -> Bound:
     """The bound with more landmarks, for plans that cost at most `limit`, until it is `enough` or that no longer pays.
 
-    Where no plan costs as little as `limit`, its value is above that. For large networks it is left to `closing`,
-    if that follows, to charge landmarks best.
+    Where no plan costs as little as `limit`, its value is above that. To charge landmarks best is left to `closing`
+    if that follows.
     """
     while bound.value < enough and not clock.is_over():
         before = bound.value
@@ -43,13 +41,11 @@ def tightened(bound: Bound, enough: int, limit: int, clock: Clock, *, closing_fo
             break
         if keep.sum() < 0.8 * len(keep):
             bound = bound.restricted(keep)
-        labels = bound.core.goal
-        is_left = closing_follows and labels >= LARGE
-        patience_s = LARGE_PATIENCE * labels**1.5 if is_left else PATIENCE * labels**2
-        step_s = CHUNK * ROUNDS * STEP_S * len(bound.core.needs.items)
+        patience_s = (PATIENCE if closing_follows else LAST_PATIENCE) * bound.core.goal**1.5
+        step_s = CHUNK * (LANDMARK_S + NEED_S * len(bound.core.needs.items))
         bound.improve(enough, CHUNK, clock.is_over)
         if bound.value < enough and not _pays(bound.value - before, enough - before, step_s, patience_s):
-            if is_left:
+            if closing_follows:
                 break
             bound.recharge_best(clock.left_s())
             bound.improve(enough, CHUNK, clock.is_over)

@@ -6,10 +6,11 @@ import numpy as np
 
 from cfgplan.planners.bounding.bounds import Bound
 from cfgplan.planners.bounding.charging import BUILDING_S
+from cfgplan.planners.bounding.landmarks import Landmark
 from cfgplan.planners.closing.alike import alike
 from cfgplan.planners.closing.program import LandmarkProgram
 from cfgplan.planners.closing.repairing import Repairs
-from cfgplan.planners.closing.separation import Separator
+from cfgplan.planners.closing.separation import MISSED, Separator
 from cfgplan.planners.networks.core import Flags, Floats, Ints
 from cfgplan.planners.networks.network import Graph
 from cfgplan.planners.solving.clock import Clock
@@ -20,8 +21,12 @@ PACE = 0.04 / CHUNK
 """The least part of the gap that a round must close to go on."""
 FAR, PATIENCE = 0.3, 30
 """While the bound is so far below the plan that the solver has little hope, so many times longer and more slowly."""
+AGAIN = 40
+"""So many landmarks that were charged greedily, if the fractions miss them, are added again in a round."""
 MANY, TIMES = 3000, 4
 """With so many labels, or so far below the plan, a linear program takes so long that more landmarks are looked for."""
+ENTRIES = 3
+"""About how many entries the first linear program has for each link."""
 INWARD = 0.5
 """How far from the fractions towards something that hits every landmark the missed ones are looked for."""
 TRUST = 0.8
@@ -129,9 +134,8 @@ class Closing:
 
 def _can_be_built(bound: Bound, clock: Clock) -> bool:
     """Whether there is time for a linear program."""
-    left_s, core = clock.left_s(), bound.core
-    entries = len(core.givers.items) + 2 * len(core.needs.items) + sum(len(one.members) for one in bound.landmarks)
-    return not clock.is_over() and (left_s is None or entries * BUILDING_S < left_s)
+    left_s = clock.left_s()
+    return not clock.is_over() and (left_s is None or ENTRIES * bound.core.links * BUILDING_S < left_s)
 
 
 class _Rounds:
@@ -149,7 +153,8 @@ class _Rounds:
     def _begin(self) -> None:
         self._separator = Separator(self.bound.core)
         self._program = LandmarkProgram(self.bound.core, self._kinds[self.bound.core.labels], self.bound.cost)
-        self._landmarks = [one for one in self.bound.landmarks if self._program.add(one)]
+        self._landmarks = [one for one in self.bound.short() if self._program.add(one)]
+        self._waiting = self.bound.landmarks[:]
 
     def restrict(self, keep: Flags) -> None:
         """Go on with a part of the labels, and the landmarks that count, if that is much less."""
@@ -185,7 +190,16 @@ class _Rounds:
         return self._add(fractions, clock)
 
     def _add(self, fractions: Floats, clock: Clock) -> bool:
-        missed = self._separator.missed(fractions, self._draw, self.times, clock.is_over)
+        missed = self._waiting_missed(fractions)
+        missed += self._separator.missed(fractions, self._draw, self.times, clock.is_over)
         new = [one for one in missed if self._program.add(one)]
         self._landmarks += new
         return bool(new)
+
+    def _waiting_missed(self, fractions: Floats) -> list[Landmark]:
+        """Of the landmarks known before those that the fractions hit least, which no longer wait."""
+        hit = np.array([landmark.hit_by(fractions) for landmark in self._waiting])
+        least = [i for i in np.argsort(hit, kind="stable")[:AGAIN].tolist() if hit[i] < 1 - MISSED]
+        missed = [self._waiting[i] for i in least]
+        self._waiting = [one for i, one in enumerate(self._waiting) if i not in set(least)]
+        return missed

@@ -72,8 +72,7 @@ class Preparation:
             self._closing.take(np.array(sorted(number[label] for label in best), np.int64))
         self._closing.go_on(label_s, clock)
         self._plan = self._closing.plan
-        bound, limit = self._closing.bound, self._closing.limit
-        self._left = Left.by(bound.restricted(bound.may_be_used(limit)), limit)
+        self._left = Left.by(self._closing.bound, self._closing.limit)
 
     def prepared(self, clock: Clock) -> Prepared:
         """What is handed to the search; after the time limit no labels but the plan's."""

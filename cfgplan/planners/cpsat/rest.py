@@ -24,7 +24,7 @@ MOST_CASES = 4
 
 @dataclass(frozen=True)
 class Left:
-    """What bounds leave of a network: labels, a bound on cost, and landmarks.
+    """What bounds leave of a network: labels, a bound on cost, and landmarks, none of them long.
 
     Of the labels of a landmark, of which those count twice that are in it twice, a plan has so many or more.
     """
@@ -36,9 +36,9 @@ class Left:
     @classmethod
     def by(cls, bound: Bound, limit: int) -> Left:
         """What may be in a plan that costs at most `limit`."""
-        keep = bound.may_be_used(limit)
-        labels = bound.core.labels
-        return cls(labels[keep], bound.value, [(labels[one.counted], one.least) for one in bound.landmarks])
+        part = bound.restricted(bound.may_be_used(limit))
+        labels = part.core.labels
+        return cls(labels, part.value, [(labels[one.counted], one.least) for one in part.short()])
 
 
 @dataclass(frozen=True)

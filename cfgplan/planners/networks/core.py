@@ -98,6 +98,11 @@ class Core:
     def goal(self) -> int:
         return len(self.labels)
 
+    @property
+    def links(self) -> int:
+        """How many offers and needs there are."""
+        return len(self.givers.items) + len(self.needs.items)
+
     @cached_property
     def crowds(self) -> Crowds | None:
         """The facts that take more than one giver, if there are any."""
