@@ -159,7 +159,7 @@ class Search:
                 return False
             true = {x.index for x in self.model.literals if solver.boolean_value(x)}
             level = self.level_of(self.consider(true))
-            if status != OPTIMAL:
+            if level is not None and status != OPTIMAL:
                 return False
             if level is not None and level <= round(solver.objective_value):
                 return True
@@ -185,9 +185,12 @@ class Search:
         units = decode(self.model, true, rank)
         return None if units is None else self.standing.offer(units)
 
-    def look_at(self, holds: Callable[[IntVar], bool]) -> None:
-        """Look at a solution on the way: one that is grounded is a plan."""
-        self.consider({literal.index for literal in self.model.literals if holds(literal)})
+    def look_at(self, holds: Callable[[IntVar], bool]) -> bool:
+        """Look at a solution on the way: one that is grounded is a plan, after which the solver may go on.
+
+        One that is not is forbidden at once, since to see what is best beside it takes long.
+        """
+        return self.consider({literal.index for literal in self.model.literals if holds(literal)}) is not None
 
     def cut(self, true: set[int]) -> None:
         """Forbid a solution that is not grounded, and all others that fail for the same reason."""

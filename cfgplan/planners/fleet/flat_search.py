@@ -193,10 +193,12 @@ class FlatSearch:
             model, lambda target: model.streams(Met(target.tag, target.host)), value_at, cuts
         )
 
-    def _look_at(self, holds: Callable[[IntVar], bool]) -> None:
+    def _look_at(self, holds: Callable[[IntVar], bool]) -> bool:
+        """Take a solution as a plan if it is grounded; the solver goes on in any case."""
         units = decoded(self.model, holds)
         if units is not None:
             self.standing.offer(units)
+        return True
 
     def _cut(self, holds: Callable[[IntVar], bool]) -> None:
         """Forbid a solution that is not grounded, and all others that fail for the same reason."""

@@ -136,11 +136,12 @@ class Search:
             self.hint = dict(enumerate(solver.response_proto.solution))
         return status == OPTIMAL, missed
 
-    def look_at(self, holds: Callable[[IntVar], bool]) -> None:
-        """Take a solution as the best plan if it is one, and the best."""
+    def look_at(self, holds: Callable[[IntVar], bool]) -> bool:
+        """Take a solution as the best plan if it is one, and the best; in any case the solver may go on."""
         units = solution(self.model, holds)
         if bears_all_failures(self.model.candidates, units):
             self.standing.offer(decode(self.model, units))
+        return True
 
     def solver(self) -> CpSolver:
         solver = repeatable_solver(small=False, time_limit_s=self.standing.clock.left_s())

@@ -74,11 +74,12 @@ def solve(solver: CpSolver, model: CpModel, callback: CpSolverSolutionCallback, 
 
 
 class OnSolution(CpSolverSolutionCallback):
-    """Hands each solution to `look_at`, as the function that says which booleans hold."""
+    """Hands each solution to `look_at`, as the function that says which booleans hold; that says whether to go on."""
 
-    def __init__(self, look_at: Callable[[Callable[[IntVar], bool]], None]) -> None:
+    def __init__(self, look_at: Callable[[Callable[[IntVar], bool]], bool]) -> None:
         super().__init__()
         self._look_at = look_at
 
     def on_solution_callback(self) -> None:
-        self._look_at(self.boolean_value)
+        if not self._look_at(self.boolean_value):
+            self.stop_search()
