@@ -7,11 +7,11 @@ from cfgplan.planners.solving.clock import Clock
 
 CHUNK = 20
 """After so many landmarks the network is restricted to what may still be used."""
-PATIENCE, LAST_PATIENCE = 2e-6, 8e-6
+PATIENCE, LAST_PATIENCE = 2e-6, 2e-5
 """Seconds for the number of labels to the power of 1.5 that landmarks may take: about as long as other bounds take
 (`closing`) where those follow, and else about as long as the solver does.
 """
-LANDMARK_S, NEED_S, CHARGE_S = 2e-4, 4e-8, 6e-6
+LANDMARK_S, NEED_S, CHARGE_S = 1.5e-4, 4e-8, 6e-6
 """About what a landmark takes, and for each fact that is needed; and a member of one in the linear program.
 
 Time is estimated, not measured, so that a plan can be repeated.

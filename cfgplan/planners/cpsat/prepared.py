@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 
@@ -19,7 +20,7 @@ class Prepared:
     plan: list[str] | None = None
     cost_us: int | None = None
     bound_us: int = 0
-    landmarks: list[tuple[list[str], int]] = field(default_factory=list)
+    landmarks: Callable[[], list[tuple[list[str], int]]] = list
     counts: dict[str, int] = field(default_factory=dict)
     holds_for: int | None = None
     fewest_changes: tuple[int, int] | None = None

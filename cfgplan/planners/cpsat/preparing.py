@@ -72,7 +72,8 @@ class Preparation:
             self._closing.take(np.array(sorted(number[label] for label in best), np.int64))
         self._closing.go_on(label_s, clock)
         self._plan = self._closing.plan
-        self._left = Left.by(self._closing.bound, self._closing.limit)
+        bound, limit = self._closing.bound, self._closing.limit
+        self._left = Left.by(bound.restricted(bound.may_be_used(limit)), limit)
 
     def prepared(self, clock: Clock) -> Prepared:
         """What is handed to the search; after the time limit no labels but the plan's."""
@@ -82,15 +83,13 @@ class Preparation:
         labels = left.labels
         if plan is not None and value < weighing.of_plan(plan) and clock.is_over():
             labels = plan
-        is_left = np.zeros(len(network.labels), np.bool_)
-        is_left[labels] = True
         return Prepared(
             [network.labels[i] for i in labels.tolist()],
             None if plan is None else [network.labels[i] for i in plan.tolist()],
             None if plan is None else weighing.cost_us(weighing.of_plan(plan)),
             weighing.cost_us(value),
-            [([network.labels[i] for i in of[is_left[of]].tolist()], least) for of, least in left.landmarks],
-            {"landmarks": len(left.landmarks), "left by bounds": len(labels)},
+            lambda: left.landmarks(labels, network.labels),
+            {"landmarks": left.known, "left by bounds": len(labels)},
             fewest_changes=weighing.changes(value),
         )
 

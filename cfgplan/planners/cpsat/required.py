@@ -57,15 +57,13 @@ def prepared_with_all(
     bound = tightened(Bound(network.core, cost), limit, limit, clock)
     left = Left.by(bound, limit)
     labels = np.union1d(left.labels, np.array(network.pinned, np.int64))
-    is_left = np.zeros(len(network.labels), np.bool_)
-    is_left[labels] = True
     prepared = Prepared(
         [network.labels[i] for i in labels.tolist()],
         None,
         None if incumbent is None else incumbent.key[1],
         left.value + fixed_us,
-        [([network.labels[i] for i in of[is_left[of]].tolist()], least) for of, least in left.landmarks],
-        {"landmarks": len(left.landmarks), "left by bounds": len(labels)},
+        lambda: left.landmarks(labels, network.labels),
+        {"landmarks": left.known, "left by bounds": len(labels)},
         holds_for=sum(t.required for t in problem.environment.library) - len(required),
     )
     return prepared, incumbent

@@ -8,6 +8,7 @@ landmarks, charged from where they stood at rest, mostly show that to be dearer.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,21 +25,32 @@ MOST_CASES = 4
 
 @dataclass(frozen=True)
 class Left:
-    """What bounds leave of a network: labels, a bound on cost, and landmarks, none of them long.
-
-    Of the labels of a landmark, of which those count twice that are in it twice, a plan has so many or more.
-    """
+    """What bounds leave of a network: labels, and a bound on cost with its landmarks if there are any."""
 
     labels: Ints
     value: int
-    landmarks: list[tuple[Ints, int]]
+    bound: Bound | None = None
 
     @classmethod
     def by(cls, bound: Bound, limit: int) -> Left:
         """What may be in a plan that costs at most `limit`."""
-        part = bound.restricted(bound.may_be_used(limit))
+        return cls(bound.core.labels[bound.may_be_used(limit)], bound.value, bound)
+
+    @property
+    def known(self) -> int:
+        """How many landmarks there are."""
+        return 0 if self.bound is None else len(self.bound.landmarks)
+
+    def landmarks(self, among: Ints, names: Sequence[str]) -> list[tuple[list[str], int]]:
+        """Short landmarks for plans that have no labels but these, by the names of labels.
+
+        Of the labels of a landmark, of which those count twice that are in it twice, a plan has so many or more.
+        """
+        if self.bound is None:
+            return []
+        part = self.bound.restricted(np.isin(self.bound.core.labels, among))
         labels = part.core.labels
-        return cls(labels, part.value, [(labels[one.counted], one.least) for one in part.short()])
+        return [([names[i] for i in labels[one.counted].tolist()], one.least) for one in part.short()]
 
 
 @dataclass(frozen=True)
@@ -97,11 +109,11 @@ class Rest:
         lefts += [_with(label, bound, limit, clock) for label in cheaper.tolist()]
         value = int(cost[self.plan].sum())
         if value <= limit:
-            lefts.append(Left(np.union1d(self.plan, self.rivals), value, []))
+            lefts.append(Left(np.union1d(self.plan, self.rivals), value))
         return Left(
             np.unique(np.concatenate([one.labels for one in lefts])),
             min(one.value for one in lefts),
-            lefts[0].landmarks if len(lefts) == 1 else Left.by(bound, limit).landmarks,
+            lefts[0].bound if len(lefts) == 1 else bound,
         )
 
     def _bound_at(self, cost: Ints) -> Bound:
@@ -119,8 +131,8 @@ def _with(label: int, bound: Bound, limit: int, clock: Clock) -> Left:
     is_it = bound.core.labels == label
     own = int(bound.cost[is_it][0])
     if not bound.may_be_used(limit)[is_it][0]:
-        return Left(bound.core.labels[:0], limit + 1, [])
+        return Left(bound.core.labels[:0], limit + 1)
     for_others = limit - own
     free = bound.at(np.where(is_it, 0, bound.cost))
     left = Left.by(tightened(free, for_others + 1, for_others, clock), for_others)
-    return Left(np.union1d(left.labels, [label]), left.value + own, left.landmarks)
+    return Left(np.union1d(left.labels, [label]), left.value + own, left.bound)

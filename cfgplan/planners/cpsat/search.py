@@ -100,7 +100,7 @@ class Search:
         self.standing.counts = {"rounds": 0, "cuts": 0, "conflicts": 0} | self.standing.counts
         self.standing.counts["booleans"] = len(model.literals)
         one_of_those_alike_is_enough(model)
-        model.enough_of_each_run(self.prepared.landmarks)
+        model.enough_of_each_run(self.prepared.landmarks())
         if self.grounding is Grounding.LEVELS:
             from cfgplan.planners.cpsat.levels import everything_rests_on_something_lower  # networkx takes long too
 

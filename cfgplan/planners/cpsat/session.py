@@ -169,7 +169,7 @@ class PlannerSession:
         plan, bound = self._first_plan(problem, structure, weighing, quick, clock)
         left = None
         if plan is not None and weighing.counts_starts and weighing.of_plan(plan) == quick:
-            left = Left(plan, quick, [])
+            left = Left(plan, quick)
         elif plan is not None and self._rest is not None and not weighing.counts_starts:
             left = self._rest.left(weighing.weight, weighing.step, plan, clock)
         preparation = Preparation(structure, weighing, plan, left, quick)
