@@ -128,6 +128,19 @@ def test_what_plans_without_a_label_cost_at_least_is_no_more_than_they_do(proble
 
 @fewer
 @given(problems(special=False))
+def test_short_landmarks_have_no_more_members_than_others_and_than_there_are_offers_and_needs(problem: Problem) -> None:
+    stage = Stage(problem)
+    bound = Bound(stage.network.core, stage.cost)
+    bound.improve(2**50, 100, lambda: False)
+    short = bound.short()
+    lengths = sorted(len(landmark.members) for landmark in bound.landmarks)
+    assert [len(landmark.members) for landmark in short] == lengths[: len(short)]
+    assert sum(lengths[: len(short)]) <= bound.core.links
+    assert len(short) == len(lengths) or sum(lengths[: len(short) + 1]) > bound.core.links
+
+
+@fewer
+@given(problems(special=False))
 def test_the_dearest_unavoidable_chain_is_never_more_than_the_optimum(problem: Problem) -> None:
     stage = Stage(problem)
     _, before = cheapest_way(stage.network.core, stage.cost)

@@ -199,7 +199,7 @@ class _Rounds:
     def _waiting_missed(self, fractions: Floats) -> list[Landmark]:
         """Of the landmarks known before those that the fractions hit least, which no longer wait."""
         hit = np.array([landmark.hit_by(fractions) for landmark in self._waiting])
-        least = [i for i in np.argsort(hit, kind="stable")[:AGAIN].tolist() if hit[i] < 1 - MISSED]
-        missed = [self._waiting[i] for i in least]
-        self._waiting = [one for i, one in enumerate(self._waiting) if i not in set(least)]
+        least = {i for i in np.argsort(hit, kind="stable")[:AGAIN].tolist() if hit[i] < 1 - MISSED}
+        missed = [one for i, one in enumerate(self._waiting) if i in least]
+        self._waiting = [one for i, one in enumerate(self._waiting) if i not in least]
         return missed
