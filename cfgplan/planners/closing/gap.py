@@ -19,8 +19,8 @@ CHUNK, LEAST, LABELS = 25, 3, 50_000
 """After so many rounds of landmarks the network is restricted, and the plan repaired: fewer with many labels."""
 PACE = 0.04 / CHUNK
 """The least part of the gap that a round must close to go on."""
-FAR, PATIENCE = 0.3, 30
-"""While the bound is so far below the plan that the solver has little hope, so many times longer and more slowly."""
+FAR, PATIENCE = 0.3, 100
+"""While the bound is so far below the plan that the solver has little hope, so many times longer, however slowly."""
 AGAIN = 40
 """So many landmarks that were charged greedily, if the fractions miss them, are added again in a round."""
 MANY, TIMES = 3000, 4
@@ -94,7 +94,7 @@ class Closing:
             rounds = min(CHUNK, max(LEAST, LABELS // self.bound.core.goal))
             rounds_s = self._round(for_s, rounds, clock)
             self._repair(REPAIRS * rounds_s, clock)
-            if (self.bound.value - before) * (1 + self._patience) < PACE * rounds * (self.limit - before):
+            if not self._patience and self.bound.value - before < PACE * rounds * (self.limit - before):
                 break
             took_s += (1 + REPAIRS) * rounds_s
 
