@@ -94,7 +94,8 @@ class Closing:
             rounds = min(CHUNK, max(LEAST, LABELS // self.bound.core.goal))
             rounds_s = self._round(for_s, rounds, clock)
             self._repair(REPAIRS * rounds_s, clock)
-            if not self._patience and self.bound.value - before < PACE * rounds * (self.limit - before):
+            least = 0.0 if self._patience else PACE * rounds * (self.limit - before)
+            if self.bound.value - before <= least:
                 break
             took_s += (1 + REPAIRS) * rounds_s
 
