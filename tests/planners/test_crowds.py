@@ -13,14 +13,16 @@ from test_closing import closing, hurried
 from test_preprocessing import Stage
 from worlds import fusions
 
+from cfgplan.comparing.families.nao import nao
 from cfgplan.planners.bounding.bounds import Bound, cheapest_way
 from cfgplan.planners.bounding.chains import chained_bound
 from cfgplan.planners.bounding.landmarks import Landmark
 from cfgplan.planners.closing.program import LandmarkProgram
 from cfgplan.planners.closing.separation import Separator
+from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planners.networks.greedy import first_plan, is_plan
 from cfgplan.planners.solving.clock import Clock
-from cfgplan.planning import Problem
+from cfgplan.planning import Problem, Status
 from cfgplan.reasons import startable
 
 
@@ -117,3 +119,9 @@ def test_with_distinct_inputs_the_planner_agrees_with_the_oracle(problem: Proble
     agree(problem)
     with hurried(10**6):
         agree(problem)
+
+
+def test_the_fusion_of_ten_robots_needs_no_solver_since_landmarks_are_charged_best() -> None:
+    plan = PlannerSession().plan(nao(0, robots=10, fusion=2))
+    assert plan.status is Status.OPTIMAL
+    assert "rounds" not in plan.counts

@@ -27,11 +27,11 @@ def begun(bound: Bound, enough: int, limit: int, clock: Clock) -> Bound:
     return bound
 
 
-def tightened(bound: Bound, enough: int, limit: int, clock: Clock, *, closing_follows: bool = False) -> Bound:
+def tightened(bound: Bound, enough: int, limit: int, clock: Clock, *, greedily: bool = False) -> Bound:
     """The bound with more landmarks, for plans that cost at most `limit`, until it is `enough` or that no longer pays.
 
-    Where no plan costs as little as `limit`, its value is above that. To charge landmarks best is left to `closing`
-    if that follows.
+    Where no plan costs as little as `limit`, its value is above that. `greedily` leaves it to `closing`, which is to
+    follow, to charge landmarks best.
     """
     while bound.value < enough and not clock.is_over():
         before = bound.value
@@ -41,11 +41,11 @@ def tightened(bound: Bound, enough: int, limit: int, clock: Clock, *, closing_fo
             break
         if keep.sum() < 0.8 * len(keep):
             bound = bound.restricted(keep)
-        patience_s = (PATIENCE if closing_follows else LAST_PATIENCE) * bound.core.goal**1.5
+        patience_s = (PATIENCE if greedily else LAST_PATIENCE) * bound.core.goal**1.5
         step_s = CHUNK * (LANDMARK_S + NEED_S * len(bound.core.needs.items))
         bound.improve(enough, CHUNK, clock.is_over)
         if bound.value < enough and not _pays(bound.value - before, enough - before, step_s, patience_s):
-            if closing_follows:
+            if greedily:
                 break
             bound.recharge_best(clock.left_s())
             bound.improve(enough, CHUNK, clock.is_over)

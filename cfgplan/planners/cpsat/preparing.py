@@ -37,11 +37,16 @@ class Preparation:
         self._closing: Closing | None = None
 
     def begin(self, bound: Bound, clock: Clock) -> None:
-        """Raise the bound by landmarks, charged greedily or by the linear program."""
+        """Raise the bound by landmarks, charged greedily if closing may follow and there are no crowds.
+
+        Charged best, what they leave for nothing often is a cheaper plan where inputs are distinct.
+        """
         weighing, plan = self._weighing, self._plan
         limit = int(weighing.weight.sum()) if plan is None else weighing.of_plan(plan)
-        bound = tightened(bound, limit - weighing.step + 1, limit, clock, closing_follows=plan is not None)
-        if plan is not None and bound.value <= limit - weighing.step and bound.core.crowds is not None:
+        is_crowded = bound.core.crowds is not None
+        greedily = plan is not None and not is_crowded
+        bound = tightened(bound, limit - weighing.step + 1, limit, clock, greedily=greedily)
+        if plan is not None and bound.value <= limit - weighing.step and is_crowded:
             self._plan = plan = self._at_what_is_left(bound, plan)
             limit = weighing.of_plan(plan)
         self._structure.remember(lambda: bound, weighing.scale)
