@@ -6,7 +6,7 @@ are equal exactly when they mean the same, whatever order they were written in.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from operator import attrgetter
@@ -125,16 +125,35 @@ class Similarity:
     """The relation ~ between tags (Definition 5): which offered tag may feed which demanded tag.
 
     `offers` maps each demanded tag to the offered tags that it accepts; collected over the ports
-    of a library this is the paper's validity matrix. `unknown` holds the (offered, demanded) pairs
-    that no reasoner could decide in time: they do not match.
+    of a library this is the paper's validity matrix. `open` maps a demanded tag to offered tags that no reasoner has
+    decided: such a pair does not match, and nothing may be claimed that hangs on it. Where a row of `offers` and one
+    of `open` share a tag, it matches.
     """
 
     offers: Mapping[str, frozenset[str]] = field(hash=False)
-    unknown: frozenset[tuple[str, str]] = frozenset()
+    open: Mapping[str, frozenset[str]] = field(default_factory=dict, hash=False)
 
     def holds(self, offered: str, demanded: str) -> bool:
         """Whether an output tagged `offered` may feed an input or a target tagged `demanded`."""
         return offered in self.offers.get(demanded, ())
+
+    def is_open(self, offered: str, demanded: str) -> bool:
+        """Whether it is not decided if `offered` may feed `demanded`."""
+        return offered in self.open.get(demanded, ()) and not self.holds(offered, demanded)
+
+    def open_pairs(self) -> Iterator[tuple[str, str]]:
+        """The (offered, demanded) pairs that are not decided, sorted by the demanded tag."""
+        for demanded, offered in sorted(self.open.items()):
+            for each in sorted(offered - self.offers.get(demanded, frozenset())):
+                yield each, demanded
+
+    @cached_property
+    def optimistic(self) -> Similarity:
+        """The relation in which every open pair matches: no plan is cheaper than the optimum under it."""
+        if not self.open:
+            return self
+        rows = {tag: self.offers.get(tag, frozenset()) | more for tag, more in self.open.items()}
+        return Similarity({**self.offers, **rows})
 
 
 @dataclass(frozen=True)

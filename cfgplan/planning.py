@@ -119,7 +119,7 @@ class Status(StrEnum):
     """How a planner ended."""
 
     OPTIMAL = "optimal"
-    """The plan is proven cheapest, ties broken by fewest rewired, then fewest started units."""
+    """The plan is proven cheapest; `Plan.ties_proven` says more."""
     FEASIBLE = "feasible"
     """There is a plan, not proven cheapest."""
     INFEASIBLE = "infeasible"
@@ -139,6 +139,11 @@ class Plan:
     `bound_us` is proven: no update is cheaper. `reasons` says for each target that can't be met why. `unused_required`
     names the required transformations that could not be used. `seconds` is the wall time of each
     phase; `counts` are the planner's own figures (nodes, conflicts, rounds).
+
+    Three fields say what is proven besides the cost: `ties_proven`, that no plan of this cost rewires fewer running
+    units, or as many and starts fewer; `required_proven`, that no valid configuration uses more of the required
+    transformations; `undecided` names the (offered, demanded) pairs of tags that the bound hangs on: a cheaper
+    plan may exist if they match. A plan that is optimal has none.
     """
 
     planner: str
@@ -148,6 +153,9 @@ class Plan:
     bound_us: int = 0
     reasons: Mapping[str, str] = field(default_factory=dict, hash=False)
     unused_required: tuple[str, ...] = ()
+    ties_proven: bool = False
+    required_proven: bool = False
+    undecided: tuple[tuple[str, str], ...] = ()
     seconds: Mapping[str, float] = field(default_factory=dict, compare=False)
     counts: Mapping[str, int] = field(default_factory=dict, compare=False)
 

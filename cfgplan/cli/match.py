@@ -72,7 +72,9 @@ def _show_matrix(environment: Environment, similarity: Similarity, screen: Scree
         fed_by[input_] = sorted(output for offer in offers for output in by_tag.get(offer, ()))
     if screen.json:
         matches = {input_: {"tag": rows[input_], "outputs": outputs} for input_, outputs in fed_by.items()}
-        screen.show_json({"inputs": matches, "outputs": columns, "unknown": sorted(map(list, similarity.unknown))})
+        screen.show_json(
+            {"inputs": matches, "outputs": columns, "unknown": [list(pair) for pair in similarity.open_pairs()]}
+        )
         return
     from rich.text import Text
 

@@ -56,7 +56,7 @@ class Kept:
                 targets=(*environment.targets, *(Target(name, name, name) for _, name in more)),
             ),
             similarity=Similarity(
-                {**similarity.offers, **{name: frozenset({name}) for _, name in more}}, similarity.unknown
+                {**similarity.offers, **{name: frozenset({name}) for _, name in more}}, similarity.open
             ),
         )
 

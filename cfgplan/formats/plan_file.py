@@ -73,6 +73,11 @@ class PlanPart(_Part):
     change_set: ChangeSetPart | None = Field(default=None, description="there if the status is optimal or feasible")
     reasons: dict[str, str] = Field(default={}, description="why a target can't be met, by its label")
     unused_required: list[str] = []
+    ties_proven: bool = Field(default=False, description="no plan of this cost rewires, or then starts, fewer units")
+    required_proven: bool = Field(default=False, description="no configuration uses more required transformations")
+    undecided: list[tuple[str, str]] = Field(
+        default=[], description="pairs of tags (offered, demanded) that nobody has decided and the bound hangs on"
+    )
     seconds: dict[str, Any] = Field(default={}, description="wall time of each phase")
     counts: dict[str, int] = Field(default={}, description="the planner's own figures")
     survive: Literal["units", "hosts"] | None = Field(default=None, description="single failures that it bears")
@@ -109,6 +114,9 @@ def plain_plan(plan: Plan, problem: Problem, digest: str) -> dict[str, Any]:
         "change_set": None if plan.change_set is None else _change_set(plan.change_set, problem),
         "reasons": dict(plan.reasons),
         "unused_required": list(plan.unused_required),
+        "ties_proven": plan.ties_proven,
+        "required_proven": plan.required_proven,
+        "undecided": [list(pair) for pair in plan.undecided],
         "seconds": dict(plan.seconds),
         "counts": dict(plan.counts),
         **_beyond_the_paper(plan, problem),
@@ -204,6 +212,9 @@ def _plan(part: PlanPart) -> Plan:
         part.bound_us,
         part.reasons,
         tuple(part.unused_required),
+        part.ties_proven,
+        part.required_proven,
+        tuple(part.undecided),
         _floats(part.seconds),
         part.counts,
     )

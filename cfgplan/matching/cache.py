@@ -42,7 +42,7 @@ def load(folder: Path, key: str, offered: Collection[str], demanded: Collection[
 
 def store(folder: Path, key: str, offered: Collection[str], demanded: Collection[str], matching: Matching) -> None:
     """Keep an answer, unless something in it is unknown: the next run may have more time."""
-    if matching.similarity.unknown:
+    if matching.similarity.open:
         return
     number = {tag: index for index, tag in enumerate(sorted(set(offered)))}
     rows = [sorted(number[tag] for tag in matching.similarity.offers[wanted]) for wanted in sorted(set(demanded))]

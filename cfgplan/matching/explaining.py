@@ -68,7 +68,7 @@ def explain_match(
         if steps is None:
             steps = _steps_of_the_reference(offered, demanded, ontology, reasoner)
         return MatchExplanation(offered_tag, demanded_tag, True, steps, warnings=found.warnings)
-    undecided = tuple(part for part in parts if (offered_tag, part) in found.similarity.unknown)
+    undecided = tuple(part for part in parts if found.similarity.is_open(offered_tag, part))
     missing = tuple(part for part in parts if not holds(offered_tag, part) and part not in undecided)
     return MatchExplanation(
         offered_tag, demanded_tag, False, missing=missing, undecided=undecided, warnings=found.warnings

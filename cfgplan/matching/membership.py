@@ -22,7 +22,7 @@ def instances(
     parse_tag(name, ontology)
     tags = {f"{{{individual}}}": individual for individual in ontology.individuals}
     found = match(tags, [name], ontology, reasoner=reasoner, time_limit_s=time_limit_s)
-    if found.similarity.unknown:
+    if found.similarity.open:
         message = f"it could not be decided in {time_limit_s} s which individuals belong to {name!r}"
         raise ReasonerTimeoutError(message, "simplify the ontology, or name the individuals")
     return tuple(sorted(tags[tag] for tag in found.similarity.offers[name]))

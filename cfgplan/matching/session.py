@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from itertools import islice
-from typing import Final
 
 from cfgplan.domain import Similarity
 from cfgplan.errors import Fault, InputError
@@ -19,9 +17,6 @@ from cfgplan.matching.registry import TagRegistry
 from cfgplan.matching.rows import Rows
 from cfgplan.matching.tracing import contradiction
 from cfgplan.matching.verdicts import Question, Verdicts
-
-MOST_UNKNOWN_PAIRS: Final = 100_000
-"""So many undecided pairs are listed at most; a warning tells how many there are."""
 
 
 @dataclass(frozen=True)
@@ -186,39 +181,30 @@ class Matcher:
             full = self._offered.spelled((row.union(more) if more else row).difference(never) if never or more else row)
             for text in self._demanded.texts(name):
                 offers[text] = full
-        return Similarity(offers, self._unknown(offers, open_questions, warnings))
+        return Similarity(offers, self._open(offers, open_questions, warnings))
 
-    def _unknown(
+    def _open(
         self, offers: Mapping[str, frozenset[str]], open_questions: list[Question], warnings: list[str]
-    ) -> frozenset[tuple[str, str]]:
-        if not open_questions:
-            return frozenset()
-        pairs = (
-            (offered, demanded)
-            for question in open_questions
-            for wanted in sorted(map(self._demanded.name_of, question.demanded))
-            for demanded in self._demanded.texts(wanted)
-            for name in sorted(map(self._offered.name_of, question.offered))
-            for offered in self._offered.texts(name)
-            if offered not in offers[demanded]
-        )
-        unknown = frozenset(islice(pairs, MOST_UNKNOWN_PAIRS))
-        more = next(pairs, None) is not None
-        if unknown:
-            count = (
-                f"more than {len(unknown)} pairs"
-                if more
-                else "1 pair"
-                if len(unknown) == 1
-                else f"{len(unknown)} pairs"
-            )
+    ) -> dict[str, frozenset[str]]:
+        """The rows of pairs that are not decided; a warning says how many there are."""
+        rows: dict[str, frozenset[str]] = {}
+        for question in open_questions:
+            names = frozenset(map(self._offered.name_of, question.offered))
+            offered = self._offered.spelled(names)
+            for wanted in map(self._demanded.name_of, question.demanded):
+                for demanded in self._demanded.texts(wanted):
+                    if not offered <= offers[demanded]:
+                        rows[demanded] = rows.get(demanded, frozenset()) | offered
+        count = sum(len(row - offers[demanded]) for demanded, row in rows.items())
+        if count:
             why = ""
             if self._uses_engine and self._classifier is None and self.outside():
                 axiom, reason = next(iter(self.outside().items()))
                 told = self._ontology.shortened(axiom)
                 why = f"; the ontology is outside the fast engine's fragment: {told} ({reason})"
-            warnings.append(f"{count} of tags could not be decided and do not match{why}")
-        return unknown
+            pairs = "1 pair" if count == 1 else f"{count} pairs"
+            warnings.append(f"{pairs} of tags could not be decided and do not match{why}")
+        return rows
 
     def _contradiction(self) -> InconsistentOntologyError:
         steps = "; ".join(contradiction(self._ontology))
