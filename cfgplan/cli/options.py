@@ -51,7 +51,7 @@ def add_matching(parser: argparse.ArgumentParser) -> None:
         type=positive,
         default=60.0,
         metavar="S",
-        help="what HermiT or Konclude can't decide in S seconds does not match (60)",
+        help="what HermiT can't decide in S seconds does not match (60)",
     )
     parser.add_argument("--no-cache", action="store_true", help="neither read nor write the cache of matches")
 

@@ -11,10 +11,9 @@ if TYPE_CHECKING:
 
 REASONERS: Final[Mapping[str, str]] = MappingProxyType(
     {
-        "auto": "the fast engine, and for what it can't certify Konclude (if it works here) or HermiT",
+        "auto": "the fast engine, and for what it can't certify HermiT",
         "el": "the fast engine alone; what it can't certify is unknown",
         "hermit": "HermiT for everything",
-        "konclude": "Konclude for everything; it must be installed",
     }
 )
 """What each reasoner that `match` accepts does."""
@@ -25,7 +24,7 @@ def reference_named(reasoner: str) -> tuple[str, Classifier | None]:
 
     Raises UnknownNameError.
     """
-    from cfgplan.matching import hermit, konclude
+    from cfgplan.matching import hermit
     from cfgplan.matching.faults import UnknownNameError
     from cfgplan.matching.names import suggestion
 
@@ -36,6 +35,4 @@ def reference_named(reasoner: str) -> tuple[str, Classifier | None]:
         )
     if reasoner == "el":
         return "el", None
-    if reasoner == "konclude" or (reasoner == "auto" and konclude.is_usable()):
-        return "konclude", konclude.classify
     return "hermit", hermit.classify

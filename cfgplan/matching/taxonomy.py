@@ -10,7 +10,6 @@ from typing import Final
 from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI
 
 _LINE: Final = re.compile(r"^\s*(SubClassOf|EquivalentClasses)\((.*)\)\s*$", re.MULTILINE)
-_BUILT_IN: Final = {"owl:Thing": THING_IRI, "owl:Nothing": NOTHING_IRI}
 _IRI: Final = re.compile(r"<([^<>]*)>")
 
 
@@ -69,21 +68,5 @@ def read_taxonomy(text: str) -> Taxonomy:
         if keyword == "EquivalentClasses":
             equivalents.append(names)
         elif len(names) == 2:
-            links.append((names[0], names[1]))
-    return Taxonomy(equivalents, links)
-
-
-def read_taxonomy_xml(text: str) -> Taxonomy:
-    """Read the SubClassOf and EquivalentClasses axioms between named classes in OWL/XML."""
-    from xml.etree import ElementTree
-
-    equivalents: list[list[str]] = []
-    links: list[tuple[str, str]] = []
-    for axiom in ElementTree.fromstring(text):
-        names = [part.get("IRI") or _BUILT_IN.get(part.get("abbreviatedIRI", ""), "") for part in axiom]
-        keyword = axiom.tag.rpartition("}")[2]
-        if keyword == "EquivalentClasses":
-            equivalents.append(names)
-        elif keyword == "SubClassOf":
             links.append((names[0], names[1]))
     return Taxonomy(equivalents, links)

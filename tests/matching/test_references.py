@@ -1,18 +1,17 @@
 from __future__ import annotations
 
-import stat
-import sys
+import os
 from pathlib import Path
 from tempfile import gettempdir
 
 import pytest
 
 from cfgplan.errors import InputError
-from cfgplan.matching import REASONERS, MatchingError, Ontology, konclude, match
+from cfgplan.matching import REASONERS, MatchingError, Ontology, match
 
 
 def leftovers() -> set[Path]:
-    return {path for pattern in ("cfgplan-hermit-*", "cfgplan-konclude-*") for path in Path(gettempdir()).glob(pattern)}
+    return set(Path(gettempdir()).glob("cfgplan-hermit-*"))
 
 
 @pytest.fixture(autouse=True)
@@ -20,7 +19,7 @@ def _temporary_files_in_a_folder_of_their_own(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
 
 
-@pytest.mark.parametrize("reasoner", [name for name in REASONERS if name != "konclude"])
+@pytest.mark.parametrize("reasoner", REASONERS)
 def test_every_reasoner_decides_the_example_of_the_paper(reasoner: str, streams: Ontology) -> None:
     offered, demanded = "Undistorted ⊓ ∃hasSource.{cam1}", "Undistorted ⊓ ∃hasSource.Camera"
     matching = match([offered, "Undistorted"], [demanded, "⊤"], streams, reasoner=reasoner)
@@ -78,40 +77,33 @@ def test_literals_of_datatypes_that_hermit_does_not_know_are_no_obstacle(streams
     assert match(["Image"], ["¬Device"], dated).similarity.holds("Image", "¬Device")
 
 
-FAKE = """#!{python}
-import sys
-from pathlib import Path
-arguments = dict(zip(sys.argv[2::2], sys.argv[3::2]))
-{do}
-"""
-ANSWER = """<Ontology xmlns="http://www.w3.org/2002/07/owl#">
-<SubClassOf><Class IRI="t:0"/><Class IRI="t:2"/></SubClassOf>
-<EquivalentClasses><Class abbreviatedIRI="owl:Nothing"/><Class IRI="t:5"/></EquivalentClasses></Ontology>"""
+CHAIN_INTO_A_RANGE = [
+    *(f"Declaration(Class(<w#{name}>))" for name in "ABC"),
+    "Declaration(ObjectProperty(<w#r>))",
+    "ObjectPropertyRange(<w#t> <w#B>)",
+    "SubObjectPropertyOf(ObjectPropertyChain(<w#r> <w#s>) <w#t>)",
+]
+CHAIN_TO_A_VALUE = [
+    "EquivalentClasses(<w#C> ObjectHasValue(<w#t> <w#i3>))",
+    "ClassAssertion(<w#C> <w#b>)",
+    "ObjectPropertyAssertion(<w#s> <w#i1> <w#b>)",
+    "SubObjectPropertyOf(ObjectPropertyChain(<w#s> <w#t>) <w#t>)",
+]
 
 
+@pytest.mark.parametrize("reasoner", ["auto", "hermit"])
 @pytest.mark.parametrize(
-    ("do", "usable"),
-    [
-        (f"Path(arguments['-o']).write_text('''{ANSWER}''')", True),
-        ("Path(arguments['-o']).write_text('<Ontology')", False),
-        ("import time; time.sleep(60)", False),
-        ("sys.exit('{{error}} 10:00 >> no')", False),
-    ],
+    ("axioms", "offered", "demanded"),
+    [(CHAIN_INTO_A_RANGE, "r some (s some A)", "r some (s some B)"), (CHAIN_TO_A_VALUE, "{i1}", "C")],
 )
-def test_konclude_is_used_only_where_it_passes_a_trial(
-    do: str, usable: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_matches_that_other_reasoners_miss_are_found_whatever_is_installed(
+    axioms: list[str], offered: str, demanded: str, reasoner: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    program = tmp_path / "Konclude"
-    program.write_text(FAKE.format(python=sys.executable, do=do))
-    program.chmod(program.stat().st_mode | stat.S_IXUSR)
-    monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.setattr(konclude, "TRIAL_S", 1.0)
-    konclude.is_usable.cache_clear()
-    assert konclude.is_usable() is usable
-    konclude.is_usable.cache_clear()
-
-
-def test_konclude_must_be_installed_to_be_chosen(streams: Ontology, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PATH", "")
-    with pytest.raises(InputError, match="not installed"):
-        match(["Image"], ["Image"], streams, reasoner="konclude")
+    for name in ("Konclude", "java"):
+        program = tmp_path / name
+        program.write_text("#!/bin/sh\nexit 1\n")
+        program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    matching = match([offered], [demanded], Ontology(axioms), reasoner=reasoner)
+    assert matching.similarity.holds(offered, demanded)
+    assert not matching.similarity.open
