@@ -23,6 +23,8 @@ class Ontology:
 
     An *open* ontology knows no names: every name is free to use in tags and means nothing but itself.
     Ontologies are values: those with the same axioms and prefixes are equal. `files` says where it was read from.
+    `dropped` maps what its files say and no reasoner is told to the reason: matches are right all the same, but
+    whatever does not match may do so by it.
     """
 
     def __init__(
@@ -32,19 +34,25 @@ class Ontology:
         *,
         is_open: bool = False,
         files: Iterable[Path] = (),
+        dropped: Mapping[str, str] | None = None,
     ) -> None:
         self.axioms: frozenset[str] = frozenset(axioms)
         self.prefixes: Mapping[str, str] = MappingProxyType(dict(prefixes or {}))
         self.is_open = is_open
         self.files = tuple(files)
+        self.dropped: Mapping[str, str] = MappingProxyType(dict(sorted((dropped or {}).items())))
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Ontology):
             return NotImplemented
-        return (self.axioms, self.prefixes, self.is_open) == (other.axioms, other.prefixes, other.is_open)
+        return self._content == other._content
 
     def __hash__(self) -> int:
         return hash((self.axioms, self.is_open))
+
+    @property
+    def _content(self) -> tuple[object, ...]:
+        return self.axioms, self.prefixes, self.is_open, self.dropped
 
     def __repr__(self) -> str:
         return f"<Ontology of {len(self.axioms)} axioms{', open' if self.is_open else ''}>"
@@ -58,7 +66,13 @@ class Ontology:
     def digest(self) -> str:
         """A hash of the axioms: equal for ontologies that say the same in the same words."""
         lines = "\n".join(sorted(self.axioms)) + ("\nopen" if self.is_open else "")
+        lines += "".join(f"\ndropped {text}" for text in self.dropped)
         return hashlib.sha256(lines.encode()).hexdigest()
+
+    @cached_property
+    def warnings(self) -> tuple[str, ...]:
+        """A sentence on each thing that no reasoner is told."""
+        return tuple(f"the ontology says more than cfgplan reads: {text}: {why}" for text, why in self.dropped.items())
 
     @cached_property
     def _signature(self) -> Signature:

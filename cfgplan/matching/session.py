@@ -107,7 +107,7 @@ class Matcher:
         """The similarity of the tags registered now. Raises InputError for an ontology that can't be reasoned with."""
         rows = self._current_rows()
         wanted = self._for_the_reference(rows)
-        warnings: list[str] = []
+        warnings = [*self._ontology.warnings]
         try:
             questions = self._verdicts.open_questions(wanted)
             if questions and self._classifier is not None:

@@ -223,3 +223,12 @@ def test_members_that_can_not_be_found_in_time_are_an_error_and_not_left_out() -
     assert instances(outside, "A") == ("one",)
     with pytest.raises(ReasonerTimeoutError, match="could not be decided"):
         instances(outside, "B ⊔ C", time_limit_s=1e-3)
+
+
+def test_what_no_reasoner_is_told_is_a_warning_and_part_of_the_ontology() -> None:
+    axioms = ["SubClassOf(<a> <b>)"]
+    less = Ontology(axioms, dropped={"a rule": "it counts"})
+    assert less != Ontology(axioms)
+    assert less.digest != Ontology(axioms).digest
+    (warning,) = match(["<a>"], ["<b>"], less).warnings
+    assert "a rule: it counts" in warning
