@@ -1,0 +1,336 @@
+"""Models of a problem with some of their booleans fixed: what each allows, and at what cost.
+
+A `Fact` says something about a configuration; each model here knows which of its booleans says so. Solutions that are
+not grounded are cut, as the searches do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable
+from dataclasses import dataclass, replace
+from math import inf
+
+from ortools.sat.python.cp_model import OPTIMAL, CpModel, CpSolver, IntVar, LinearExprT
+
+from cfgplan.domain import (
+    ComputationUnit,
+    Environment,
+    InputPort,
+    OutputPort,
+    Publication,
+    Similarity,
+    Stream,
+    Subscription,
+    Target,
+    Transformation,
+)
+from cfgplan.planners.cpsat.grounding import Grounding
+from cfgplan.planners.cpsat.prepared import Prepared
+from cfgplan.planners.cpsat.search import Search as PlainSearch
+from cfgplan.planners.cpsat.standing import Standing as PlainStanding
+from cfgplan.planners.cpsat.symmetry import one_of_those_alike_is_enough
+from cfgplan.planners.fleet.anywhere import Anywhere as WithoutHosts
+from cfgplan.planners.fleet.candidates import Candidates
+from cfgplan.planners.fleet.decode import solution
+from cfgplan.planners.fleet.first_plans import FirstPlans
+from cfgplan.planners.fleet.flat import Flat as Labels
+from cfgplan.planners.fleet.flat import Met
+from cfgplan.planners.fleet.flat_decode import decoded
+from cfgplan.planners.fleet.flat_model import FlatModel
+from cfgplan.planners.fleet.flat_search import FlatSearch
+from cfgplan.planners.fleet.flatness import is_flat
+from cfgplan.planners.fleet.search import Search as FleetSearch
+from cfgplan.planners.fleet.standing import Standing as FleetStanding
+from cfgplan.planners.networks.site import Site, relevant
+from cfgplan.planners.solving.clock import Clock
+from cfgplan.planning import Problem
+from cfgplan.reasons import Givers, startable
+
+
+@dataclass(frozen=True)
+class Fact:
+    """Something about a configuration that can be so or not."""
+
+    kind: str
+    of: tuple[str, ...]
+    holds: bool = True
+
+    def __invert__(self) -> Fact:
+        return replace(self, holds=not self.holds)
+
+
+def runs(unit: str) -> Fact:
+    return Fact("runs", (unit,))
+
+
+def waits(unit: str) -> Fact:
+    """It is a cold spare."""
+    return Fact("waits", (unit,))
+
+
+def rewired(unit: str) -> Fact:
+    """It ran before, and runs with other subscriptions or topics."""
+    return Fact("rewired", (unit,))
+
+
+def feeds(feeder: str, port: str) -> Fact:
+    """A unit feeds an input, written `unit/port`."""
+    return Fact("feeds", (feeder, port))
+
+
+def publishes(unit: str, target: str) -> Fact:
+    return Fact("publishes", (unit, target))
+
+
+def on(unit: str, host: str) -> Fact:
+    return Fact("on", (unit, host))
+
+
+def uses(label: str) -> Fact:
+    """A required transformation is used by some target."""
+    return Fact("uses", (label,))
+
+
+class Fixed:
+    """A model that answers what it allows. Subclasses name booleans and say whether a solution is one."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+
+    def allows(self, *facts: Fact) -> bool:
+        """Whether some configuration has all these facts."""
+        return self.least_us(*facts) is not None
+
+    def least_us(self, *facts: Fact) -> int | None:
+        """The least cost of a configuration with these facts; None if there is none."""
+        return self._least(facts, lambda: self.cost())
+
+    def fewest_changes(self, *facts: Fact) -> int | None:
+        """The least that rewired and started units weigh."""
+        return self._least(facts, lambda: self.changes())
+
+    def _least(self, facts: Iterable[Fact], objective: Callable[[], LinearExprT]) -> int | None:
+        cp = self.build()
+        for fact in facts:
+            ways = self.booleans(fact)
+            if fact.holds:
+                cp.add_bool_or(ways)
+            else:
+                cp.add_bool_and([way.negated() for way in ways])
+        cp.minimize(objective())
+        while True:
+            solver = CpSolver()
+            solver.parameters.num_workers = 1
+            if solver.solve(cp) != OPTIMAL:
+                return None
+            if self.is_one(solver):
+                return round(solver.objective_value)
+
+    def build(self) -> CpModel:
+        """The model, anew."""
+        raise NotImplementedError
+
+    def booleans(self, fact: Fact) -> list[IntVar]:
+        """Booleans one of which holds if the fact does; none if it can't."""
+        raise NotImplementedError
+
+    def is_one(self, solver: CpSolver) -> bool:
+        """Whether a solution is a configuration; if it is not, something is added that forbids it."""
+        raise NotImplementedError
+
+    def cost(self) -> LinearExprT:
+        raise NotImplementedError
+
+    def changes(self) -> LinearExprT:
+        raise NotImplementedError
+
+
+class Plain(Fixed):
+    """The model of what the paper asks."""
+
+    def build(self) -> CpModel:
+        environment = self.problem.environment
+        givers = Givers(environment.library, self.problem.similarity)
+        labels = relevant(environment, givers, startable(environment, givers))
+        prepared = Prepared(sorted(labels))
+        standing = PlainStanding(Site(self.problem, givers, labels), prepared, Clock(), None)
+        self.search = PlainSearch(standing, prepared, Grounding.CUTS)
+        standing.counts = {"rounds": 0, "cuts": 0}
+        self.model = self.search.model
+        return self.model.cp
+
+    def booleans(self, fact: Fact) -> list[IntVar]:
+        model, index_of = self.model, self.model.site.index_of
+        if fact.kind == "uses":
+            return [model.uses_required[label] for label in fact.of if label in model.uses_required]
+        unit = index_of.get(fact.of[0])
+        if unit is None:
+            return []
+        if fact.kind == "runs":
+            return [model.runs[unit]]
+        if fact.kind == "rewired":
+            return [model.is_wired[unit]]
+        if fact.kind == "publishes":
+            return [model.publishes[fact.of[1], unit]]
+        assert fact.kind == "feeds"
+        fed, port = fact.of[1].split("/")
+        return [model.connects[index_of[fed], port][unit]]
+
+    def is_one(self, solver: CpSolver) -> bool:
+        true = {x.index for x in self.model.literals if solver.boolean_value(x)}
+        if self.search.consider(true) is not None:
+            return True
+        self.search.cut(true)
+        return False
+
+    def cost(self) -> LinearExprT:
+        return self.model.cost()
+
+    def changes(self) -> LinearExprT:
+        return self.model.changes()
+
+
+class WithoutTwins(Plain):
+    """The same in which of new units alike one is enough."""
+
+    def build(self) -> CpModel:
+        super().build()
+        one_of_those_alike_is_enough(self.model)
+        return self.model.cp
+
+
+class Fleet(Fixed):
+    """The model in which every possible subscription has a boolean."""
+
+    def build(self) -> CpModel:
+        self.candidates = Candidates(self.problem)
+        standing = FleetStanding(self.problem, Clock(), None)
+        self.search = FleetSearch(self.candidates, standing, FirstPlans(self.candidates, standing))
+        self.model = self.search.model
+        return self.model.cp
+
+    def booleans(self, fact: Fact) -> list[IntVar]:
+        model, index_of = self.model, self.candidates.index_of
+        if fact.kind == "uses":
+            return [model.uses_required[label] for label in fact.of if label in model.uses_required]
+        unit = index_of.get(fact.of[0], -1)
+        states = {"runs": model.runs, "waits": model.waits, "rewired": model.rewired}
+        if fact.kind in states:
+            return [states[fact.kind][unit]] if unit in states[fact.kind] else []
+        if fact.kind == "on":
+            return [there for host, there in model.is_on[unit].items() if host == fact.of[1]]
+        if fact.kind == "publishes":
+            topic = self.problem.environment.target[fact.of[1]].topic
+            return _from(fact.of[0], model.publishes[topic])
+        fed, port = fact.of[1].split("/")
+        return _from(fact.of[0], model.connects[index_of[fed], port])
+
+    def is_one(self, solver: CpSolver) -> bool:
+        missed = self.search.survival.missed(solution(self.model, solver.boolean_value))
+        self.search.survival.demand(self.model, missed)
+        return not missed
+
+    def cost(self) -> LinearExprT:
+        return self.model.cost()
+
+    def changes(self) -> LinearExprT:
+        return self.model.changes()
+
+
+class Flat(Fixed):
+    """The model of what is where, for which it does not matter who feeds whom."""
+
+    def build(self) -> CpModel:
+        self.candidates = Candidates(self.problem)
+        assert is_flat(self.candidates)
+        standing = FleetStanding(self.problem, Clock(), None)
+        standing.counts = {"conflicts": 0}
+        self.search = FlatSearch(Labels(self.candidates), standing, 0, inf)
+        self.model = self.search.model
+        return self.model.cp
+
+    def booleans(self, fact: Fact) -> list[IntVar]:
+        model, unit = self.model, self.candidates.index_of.get(fact.of[0])
+        if unit is None:
+            return []
+        if fact.kind == "runs":
+            return model.ways_to_run(unit)
+        if fact.kind == "on":
+            places = model.flat.places(unit)
+            return [model.uses[place] for place in places if model.flat.labels[place].host == fact.of[1]]
+        assert fact.kind == "publishes"
+        target = self.problem.environment.target[fact.of[1]]
+        return _from(fact.of[0], dict(model.streams(Met(target.tag, target.host))))
+
+    def is_one(self, solver: CpSolver) -> bool:
+        if decoded(self.model, solver.boolean_value) is not None:
+            return True
+        self.search._cut(solver.boolean_value)
+        return False
+
+    def cost(self) -> LinearExprT:
+        return self.model.cost()
+
+
+class Anywhere(Flat):
+    """What holds whatever the hosts, without what grounds the model of what is where."""
+
+    limit_us = 10**6
+
+    def build(self) -> CpModel:
+        self.candidates = Candidates(self.problem)
+        flat = Labels(self.candidates)
+        self.model = FlatModel(flat, [])
+        WithoutHosts(flat, self.limit_us, Clock()).add_to(self.model)
+        return self.model.cp
+
+    def is_one(self, solver: CpSolver) -> bool:  # noqa: ARG002
+        return True
+
+
+def _from(unit: str, choices: dict[Stream, IntVar]) -> list[IntVar]:
+    return [taken for stream, taken in choices.items() if stream.unit == unit]
+
+
+PLAIN_OUTPUT = OutputPort("x", "")
+
+
+def kind(
+    label: str,
+    needs: str = "",
+    gives: str = "",
+    labor_us: int = 1,
+    *,
+    distinct: Collection[int] = (),
+    feedback: Collection[int] = (),
+    output: OutputPort = PLAIN_OUTPUT,
+    **more: object,
+) -> Transformation:
+    """A transformation with inputs in0, in1 ... for the letters of `needs`, outputs x0, x1 ... for those of `gives`."""
+    inputs = tuple(
+        InputPort(f"in{i}", tag, "g" if i in distinct else None, i in feedback) for i, tag in enumerate(needs)
+    )
+    outputs = tuple(replace(output, name=f"x{i}", tag=tag) for i, tag in enumerate(gives))
+    return Transformation(label, inputs, outputs, labor_us, **more)  # type: ignore[arg-type]
+
+
+def unit(label: str, *fed: str, topic: str = "", number: int = 1, **more: object) -> ComputationUnit:
+    """A running unit: the streams that feed its inputs, and the target on whose topic its first output is."""
+    subscriptions = tuple(Subscription(f"in{i}", Stream.parse(stream)) for i, stream in enumerate(fed) if stream)
+    publications = (Publication("x0", f"/{topic}"),) if topic else ()
+    return ComputationUnit(f"{label}.{number}", label, subscriptions, publications, **more)  # type: ignore[arg-type]
+
+
+def world(
+    wanted: str | tuple[Target, ...],
+    *library: Transformation,
+    units: tuple[ComputationUnit, ...] = (),
+    horizon_s: int = 1,
+    survive: object = None,
+    **more: object,
+) -> Problem:
+    """Targets for the letters of `wanted`, each with its letter as label and topic; each tag matches itself."""
+    targets = tuple(Target(tag, tag, f"/{tag}") for tag in wanted) if isinstance(wanted, str) else wanted
+    environment = Environment(units, library, targets, **more)  # type: ignore[arg-type]
+    similarity = Similarity({tag: frozenset(tag) for tag in "ABCDEFG"})
+    return Problem(environment, similarity, horizon_s, survive=survive)  # type: ignore[arg-type]

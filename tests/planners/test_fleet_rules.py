@@ -1,0 +1,363 @@
+"""Each rule beyond the paper by itself, in every model that knows it: what it allows, and what it forbids."""
+
+from __future__ import annotations
+
+import pytest
+from fixed import Anywhere, Fixed, Flat, Fleet, kind, on, publishes, runs, unit, waits, world
+
+from cfgplan.domain import Host, OutputPort, Target, Transformation
+from cfgplan.planning import Failures, Problem
+from cfgplan.qualities import MICRO, Better, Contribution, Over, QualityAttribute, Rule, Wish
+
+every_model = pytest.mark.parametrize("model", [Fleet, Flat])
+
+TWO = (Host("h0"), Host("h1"))
+STREAM = OutputPort("x", "", (), 1_000_000, 1_000_000)  # a megabyte each second
+
+
+def placed(*hosts: Host, wanted: str | tuple[Target, ...] = "B", **more: object) -> Problem:
+    library = (kind("s", gives="A", output=STREAM, **more), kind("f", "A", "B", output=STREAM, **more))
+    return world(wanted, *library, hosts=hosts, transfer_us=100)
+
+
+@every_model
+def test_a_unit_is_on_one_host(model: type[Fixed]) -> None:
+    fixed = model(placed(*TWO))
+    assert fixed.allows(on("s.1", "h0"))
+    assert fixed.allows(on("s.1", "h1"), ~on("s.1", "h0"))
+    assert not fixed.allows(on("s.1", "h0"), on("s.1", "h1"))
+    assert not fixed.allows(~on("s.1", "h0"), ~on("s.1", "h1"))
+
+
+@every_model
+def test_a_unit_is_on_a_host_that_its_transformation_allows(model: type[Fixed]) -> None:
+    fixed = model(world("A", kind("s", gives="A", hosts=("h0", "h2")), hosts=(*TWO, Host("h2"))))
+    assert fixed.allows(on("s.1", "h2"))
+    assert not fixed.allows(on("s.1", "h1"))
+
+
+@every_model
+def test_a_running_unit_stays_on_its_host(model: type[Fixed]) -> None:
+    library = (kind("s", gives="A"), kind("t", gives="A"))
+    fixed = model(world("A", *library, hosts=TWO, units=(unit("s", host="h1"),)))
+    assert fixed.allows(on("s.1", "h1"))
+    assert not fixed.allows(on("s.1", "h0"))
+
+
+@every_model
+@pytest.mark.parametrize(
+    ("small", "takes"), [(Host("h0", cpu_us=5), {"upkeep_us": 3}), (Host("h0", memory_mb=5), {"memory_mb": 3})]
+)
+def test_a_host_bears_its_units(model: type[Fixed], small: Host, takes: dict[str, int]) -> None:
+    fixed = model(placed(small, Host("h1"), **takes))
+    assert fixed.allows(on("s.1", "h0"), on("f.1", "h1"))
+    assert fixed.allows(on("s.1", "h1"), on("f.1", "h1"))
+    assert not fixed.allows(on("s.1", "h0"), on("f.1", "h0"))
+
+
+@pytest.mark.parametrize("takes", [{"upkeep_us": 3}, {"memory_mb": 3}])
+def test_a_host_bears_its_cold_spares(takes: dict[str, int]) -> None:
+    source = kind("s", gives="A", standby_us=1, **takes)
+    fixed = Fleet(world("A", source, hosts=(Host("h0", 5, 5), Host("h1", 5, 5)), survive=Failures.UNITS))
+    assert fixed.allows(waits("s.1"), on("s.1", "h0"), on("s.2", "h1"))
+    assert not fixed.allows(waits("s.1"), on("s.1", "h0"), on("s.2", "h0"))
+
+
+@every_model
+def test_a_stream_is_carried_to_where_it_is_wanted(model: type[Fixed]) -> None:
+    fixed = model(placed(*TWO))
+    assert fixed.least_us(on("s.1", "h0"), on("f.1", "h0")) == 2
+    assert fixed.least_us(on("s.1", "h0"), on("f.1", "h1")) == 2 + 100
+
+
+@every_model
+def test_a_stream_is_carried_to_the_target_s_host(model: type[Fixed]) -> None:
+    fixed = model(placed(*TWO, wanted=(Target("B", "B", "/B", host="h1"),)))
+    assert fixed.least_us(on("s.1", "h1"), on("f.1", "h1")) == 2
+    assert fixed.least_us(on("s.1", "h0"), on("f.1", "h0")) == 2 + 100
+
+
+@every_model
+def test_a_stream_is_carried_once_to_each_host(model: type[Fixed]) -> None:
+    library = (kind("s", gives="A", output=STREAM), kind("f", "A", "B"), kind("g", "AA", "C"), kind("h", "A", "D"))
+    fixed = model(world("BCD", *library, hosts=(*TWO, Host("h2")), transfer_us=100))
+    assert fixed.least_us(on("s.1", "h0"), on("f.1", "h1"), on("g.1", "h1"), on("h.1", "h1")) == 4 + 100
+    assert fixed.least_us(on("s.1", "h0"), on("f.1", "h1"), on("g.1", "h1"), on("h.1", "h2")) == 4 + 200
+
+
+@every_model
+def test_a_stream_is_not_carried_back_to_feed_itself(model: type[Fixed]) -> None:
+    fixed = model(world("A", kind("s", gives="A"), kind("loop", "A", "A"), hosts=TWO))
+    assert fixed.allows(runs("s.1"))
+    assert not fixed.allows(runs("loop.1"), ~runs("s.1"))
+
+
+@every_model
+def test_units_on_different_hosts_that_feed_each_other_need_something_from_outside(model: type[Fixed]) -> None:
+    library = (kind("s", gives="A"), kind("f", "A", "B"), kind("back", "B", "A"))
+    fixed = model(world("B", *library, hosts=TWO))
+    assert fixed.allows(on("f.1", "h0"), on("back.1", "h1"), runs("s.1"))
+    assert not fixed.allows(on("f.1", "h0"), on("back.1", "h1"), ~runs("s.1"))
+
+
+@every_model
+def test_a_pinned_unit_on_a_host_is_kept(model: type[Fixed]) -> None:
+    library = (kind("s", gives="A"), kind("p", gives="B", pinned=True))
+    fixed = model(world("A", *library, hosts=TWO, units=(unit("p", host="h0"),)))
+    assert fixed.allows(runs("p.1"))
+    assert not fixed.allows(~runs("p.1"))
+
+
+@every_model
+def test_units_that_conflict_are_not_there_together(model: type[Fixed]) -> None:
+    library = (kind("s", gives="A", conflicts=("t", "s")), kind("t", gives="A"), kind("u", gives="B", max_instances=2))
+    fixed = model(world("AB", *library, kind("v", "B", "C")))
+    assert fixed.allows(runs("s.1"), ~runs("t.1"))
+    assert fixed.allows(runs("t.1"), ~runs("s.1"))
+    assert not fixed.allows(runs("s.1"), runs("t.1"))
+
+
+@every_model
+def test_a_transformation_that_conflicts_with_itself_may_have_two_units(model: type[Fixed]) -> None:
+    fixed = model(world("A", kind("s", gives="A", conflicts=("s",), max_instances=2)))
+    assert fixed.allows(runs("s.1"), runs("s.2"))
+
+
+def test_a_cold_spare_conflicts_too() -> None:
+    library = (kind("s", gives="A", standby_us=1, conflicts=("t",)), kind("t", gives="A", max_instances=3))
+    fixed = Fleet(world("A", *library, survive=Failures.UNITS))
+    assert fixed.allows(runs("t.1"), runs("t.2"))
+    assert not fixed.allows(runs("t.1"), waits("s.1"))
+
+
+@every_model
+def test_as_many_units_run_as_are_asked_for(model: type[Fixed]) -> None:
+    fixed = model(world("A", kind("s", gives="A", min_instances=2)))
+    assert fixed.allows(runs("s.1"), runs("s.2"))
+    assert not fixed.allows(~runs("s.2"))
+
+
+@every_model
+def test_a_unit_that_is_asked_for_runs_though_no_target_needs_it(model: type[Fixed]) -> None:
+    fixed = model(world("A", kind("s", gives="A"), kind("n", "A", "B", min_instances=1)))
+    assert fixed.allows(runs("n.1"))
+    assert not fixed.allows(~runs("n.1"))
+
+
+@every_model
+def test_no_more_units_run_than_are_allowed(model: type[Fixed]) -> None:
+    units = tuple(unit("s", number=number) for number in (1, 2, 3))
+    fixed = model(world("A", kind("s", gives="A", max_instances=2), units=units))
+    assert fixed.allows(runs("s.1"), runs("s.2"), ~runs("s.3"))
+    assert not fixed.allows(runs("s.1"), runs("s.2"), runs("s.3"))
+
+
+def test_cold_spares_count_among_those_allowed_but_not_among_those_asked_for() -> None:
+    fixed = Fleet(world("A", kind("s", gives="A", standby_us=1, max_instances=2), survive=Failures.UNITS))
+    assert fixed.allows(runs("s.1"), waits("s.2"))
+    more = kind("s", gives="A", standby_us=1, max_instances=2)
+    units = (unit("s"), unit("s", number=2), unit("s", number=3))
+    fixed = Fleet(world("A", more, units=units, survive=Failures.UNITS))
+    assert not fixed.allows(runs("s.1"), runs("s.2"), waits("s.4"))
+    asked = kind("s", gives="A", standby_us=1, min_instances=2, max_instances=3)
+    fixed = Fleet(world("A", asked, survive=Failures.UNITS))
+    assert fixed.allows(runs("s.1"), runs("s.2"))
+    assert not fixed.allows(waits("s.1"), waits("s.2"))
+
+
+@every_model
+def test_the_first_of_several_new_units_are_taken(model: type[Fixed]) -> None:
+    fixed = model(world("A", kind("s", gives="A", max_instances=3)))
+    assert fixed.allows(runs("s.1"), ~runs("s.2"))
+    assert not fixed.allows(runs("s.2"), ~runs("s.1"))
+
+
+@every_model
+def test_new_units_beside_a_running_one_are_not_in_its_order(model: type[Fixed]) -> None:
+    library = (kind("s", gives="A", max_instances=3), kind("t", gives="A"))
+    fixed = model(world("A", *library, units=(unit("s"),)))
+    assert fixed.allows(~runs("s.1"), runs("s.2"))
+    assert fixed.allows(runs("t.1"), ~runs("s.1"), ~runs("s.2"))
+
+
+def test_a_unit_runs_or_waits() -> None:
+    fixed = Fleet(world("A", kind("s", gives="A", standby_us=1), survive=Failures.UNITS))
+    assert fixed.allows(runs("s.1"), waits("s.2"))
+    assert not fixed.allows(runs("s.1"), waits("s.1"))
+
+
+def test_a_cold_spare_costs_its_standby_and_feeds_nobody() -> None:
+    fixed = Fleet(world("A", kind("s", gives="A", labor_us=5, upkeep_us=7, standby_us=2), survive=Failures.UNITS))
+    assert fixed.least_us(runs("s.1"), waits("s.2")) == 5 + 7 + 2
+    assert fixed.least_us(runs("s.1"), runs("s.2")) == 2 * (5 + 7)
+    assert not fixed.allows(waits("s.2"), publishes("s.2", "A"))
+    assert not fixed.allows(waits("s.1"), waits("s.2"))
+
+
+def test_after_the_failure_of_a_unit_another_meets_the_target() -> None:
+    fixed = Fleet(world("B", kind("s", gives="A"), kind("t", gives="A"), kind("f", "A", "B"), survive=Failures.UNITS))
+    assert fixed.allows(runs("s.1"), runs("t.1"), runs("f.2"))
+    assert fixed.allows(runs("s.1"), runs("s.2"), ~runs("t.1"))
+    assert not fixed.allows(~runs("s.2"), ~runs("t.1"))
+    assert not fixed.allows(~runs("f.2"))
+
+
+def test_after_the_failure_of_a_host_units_on_another_meet_the_target() -> None:
+    fixed = Fleet(world("A", kind("s", gives="A"), hosts=TWO, survive=Failures.HOSTS))
+    assert fixed.allows(on("s.1", "h0"), on("s.2", "h1"))
+    assert not fixed.allows(on("s.1", "h0"), on("s.2", "h0"))
+
+
+def test_a_target_at_a_host_that_fails_need_not_be_met_then() -> None:
+    targets = (Target("A", "A", "/A", host="h0"),)
+    fixed = Fleet(world(targets, kind("s", gives="A"), hosts=TWO, survive=Failures.HOSTS))
+    assert fixed.allows(on("s.1", "h0"), on("s.2", "h0"))
+    assert not fixed.allows(on("s.1", "h1"), on("s.2", "h1"))
+
+
+def test_wherever_a_unit_runs_its_demands_are_met_somewhere() -> None:
+    fixed = Anywhere(placed(*TWO))
+    assert fixed.allows(on("f.1", "h0"), on("s.1", "h1"))
+    assert not fixed.allows(on("f.1", "h0"), ~runs("s.1"))
+    assert not fixed.allows(~runs("f.1"))
+
+
+def test_a_demand_is_met_first_by_a_unit_that_does_not_have_it_wherever_that_is() -> None:
+    fixed = Anywhere(world("A", kind("s", gives="A"), kind("t", gives="A"), kind("loop", "A", "A"), hosts=TWO))
+    assert fixed.allows(on("loop.1", "h0"), on("s.1", "h1"))
+    assert not fixed.allows(on("loop.1", "h0"), ~runs("s.1"), ~runs("t.1"))
+
+
+def test_a_unit_that_costs_more_than_the_limit_runs_nowhere() -> None:
+    fixed = Anywhere(world("A", kind("s", gives="A"), kind("dear", gives="A", labor_us=9), hosts=TWO))
+    assert fixed.allows(runs("dear.1"))
+    fixed.limit_us = 8
+    assert fixed.allows(runs("s.1"))
+    assert not fixed.allows(runs("dear.1"))
+
+
+LOW = QualityAttribute("q", Better.LOWER, worst=100, best=0)
+HIGH = QualityAttribute("q", Better.HIGHER, worst=0, best=100)
+
+
+def with_quality(
+    attribute: QualityAttribute, rule: Rule, own: int, over: Over, inputs: tuple[int, ...], wish: Wish
+) -> Problem:
+    """One transformation whose inputs have the values given, and whose output states something."""
+    sources = [kind(f"s{i}", gives="ABC"[i], output=states(value)) for i, value in enumerate(inputs)]
+    fused = kind("f", "ABC"[: len(inputs)], "D", output=states(own, rule, over))
+    return world((Target("D", "D", "/D", quality=(wish,)),), *sources, fused, qualities=(attribute,))
+
+
+def states(value: int, rule: Rule = Rule.SET, over: Over = Over.WORST) -> OutputPort:
+    return OutputPort("x", "", (Contribution("q", rule, value, over),))
+
+
+RESULTS = [
+    (LOW, Rule.SET, 7, Over.WORST, (90, 90), 7),
+    (LOW, Rule.ADD, 7, Over.WORST, (10, 30), 37),
+    (LOW, Rule.ADD, 7, Over.BEST, (10, 30), 17),
+    (LOW, Rule.ADD, 7, Over.MEAN, (10, 31), 28),
+    (LOW, Rule.ADD, 7, Over.SUM, (10, 30), 47),
+    (LOW, Rule.ADD, -7, Over.WORST, (10, 30), 23),
+    (LOW, Rule.LIMIT, 40, Over.WORST, (10, 30), 40),
+    (LOW, Rule.LIMIT, 20, Over.WORST, (10, 30), 30),
+    (LOW, Rule.SCALE, MICRO // 2, Over.WORST, (10, 31), 16),
+    (LOW, Rule.SCALE, 2 * MICRO, Over.BEST, (10, 31), 20),
+    (HIGH, Rule.SET, 70, Over.WORST, (10, 10), 70),
+    (HIGH, Rule.ADD, -7, Over.WORST, (50, 30), 23),
+    (HIGH, Rule.ADD, -7, Over.BEST, (50, 30), 43),
+    (HIGH, Rule.ADD, 7, Over.MEAN, (50, 31), 47),
+    (HIGH, Rule.ADD, 7, Over.SUM, (50, 30), 87),
+    (HIGH, Rule.LIMIT, 20, Over.WORST, (50, 30), 20),
+    (HIGH, Rule.LIMIT, 40, Over.WORST, (50, 30), 30),
+    (HIGH, Rule.SCALE, MICRO // 2, Over.WORST, (50, 31), 15),
+    (HIGH, Rule.SCALE, 2 * MICRO, Over.BEST, (40, 31), 80),
+]
+
+
+@every_model
+@pytest.mark.parametrize(("attribute", "rule", "own", "over", "inputs", "value"), RESULTS)
+def test_a_stream_is_as_good_as_its_rule_says(
+    model: type[Fixed],
+    attribute: QualityAttribute,
+    rule: Rule,
+    own: int,
+    over: Over,
+    inputs: tuple[int, ...],
+    value: int,
+) -> None:
+    better = value - 1 if attribute is LOW else value + 1
+    assert model(with_quality(attribute, rule, own, over, inputs, Wish("q", value))).allows(runs("f.1"))
+    assert not model(with_quality(attribute, rule, own, over, inputs, Wish("q", better))).allows(runs("f.1"))
+
+
+@every_model
+@pytest.mark.parametrize(("attribute", "rule", "own", "over", "inputs", "value"), RESULTS)
+def test_a_target_pays_for_what_its_stream_misses(
+    model: type[Fixed],
+    attribute: QualityAttribute,
+    rule: Rule,
+    own: int,
+    over: Over,
+    inputs: tuple[int, ...],
+    value: int,
+) -> None:
+    fixed = model(with_quality(attribute, rule, own, over, inputs, Wish("q", weight_us=3 * MICRO)))
+    assert fixed.least_us() == 1 + len(inputs) + 3 * abs(value - attribute.best)
+
+
+@every_model
+def test_a_price_is_rounded_up_to_a_microsecond(model: type[Fixed]) -> None:
+    fixed = model(with_quality(LOW, Rule.SET, 7, Over.WORST, (1,), Wish("q", weight_us=MICRO // 2)))
+    assert fixed.least_us() == 2 + 4
+
+
+@every_model
+def test_a_bound_is_kept_by_who_meets_the_target(model: type[Fixed]) -> None:
+    library = (kind("s", gives="A", output=states(10)), kind("t", gives="A", output=states(20)), kind("f", "A", "B"))
+    fixed = model(world((Target("B", "B", "/B", quality=(Wish("q", 10),)),), *library, qualities=(LOW,)))
+    assert fixed.allows(runs("s.1"))
+    assert not fixed.allows(~runs("s.1"))
+
+
+@every_model
+def test_a_source_that_states_nothing_is_as_bad_as_can_be(model: type[Fixed]) -> None:
+    def asking(bound: int) -> Problem:
+        targets = (Target("A", "A", "/A", quality=(Wish("q", bound),)),)
+        return world(targets, kind("s", gives="A"), qualities=(LOW,))
+
+    assert model(asking(100)).allows()
+    assert not model(asking(99)).allows()
+
+
+@every_model
+def test_what_is_worse_than_the_scale_counts_as_its_worst(model: type[Fixed]) -> None:
+    assert model(with_quality(LOW, Rule.ADD, 70, Over.WORST, (70,), Wish("q", 100))).allows()
+    assert not model(with_quality(LOW, Rule.ADD, 70, Over.WORST, (70,), Wish("q", 99))).allows()
+
+
+@every_model
+def test_quality_is_that_of_the_stream_on_its_host(model: type[Fixed]) -> None:
+    library: tuple[Transformation, ...] = (
+        kind("s", gives="A", output=states(10)),
+        kind("t", gives="A", output=states(20), host="h1"),
+        kind("f", "A", "B", output=states(5, Rule.ADD)),
+    )
+    targets = (Target("B", "B", "/B", quality=(Wish("q", 15),), host="h0"),)
+    fixed = model(world(targets, *library, qualities=(LOW,), hosts=TWO))
+    assert fixed.allows(on("s.1", "h0"), on("f.1", "h1"))
+    assert not fixed.allows(~runs("s.1"))
+
+
+def test_two_attributes_are_both_kept() -> None:
+    def both(latency: int, error: int) -> OutputPort:
+        return OutputPort("x", "", (Contribution("e", Rule.SET, error), Contribution("q", Rule.SET, latency)))
+
+    library = (kind("s", gives="A", output=both(10, 90)), kind("t", gives="A", output=both(90, 10)))
+    middle = kind("u", gives="A", output=both(50, 50))
+    targets = (Target("A", "A", "/A", quality=(Wish("e", 60), Wish("q", 60))),)
+    error = QualityAttribute("e", Better.LOWER, worst=100, best=0)
+    fixed = Fleet(world(targets, *library, middle, qualities=(LOW, error)))
+    assert fixed.allows(runs("u.1"))
+    assert not fixed.allows(~runs("u.1"))
