@@ -10,7 +10,16 @@ import pytest
 from cfgplan_runtime import ApplyError, Patience, SimulatedBackend, StaleChangeSetError, Supervisor
 from cfgplan_runtime.errors import NoSourceError
 from cfgplan_runtime.supervision.backend import Inlet
-from cfgplan_runtime.supervision.events import Applied, Event, InputLost, RolledBack, UnitDied, UnitHung, UnitTooLarge
+from cfgplan_runtime.supervision.events import (
+    Applied,
+    Event,
+    InputLost,
+    RolledBack,
+    UnitDied,
+    UnitHung,
+    UnitReady,
+    UnitTooLarge,
+)
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
 from cfgplan_runtime.supervision.wiring import wanted_feeds
 from world import RESULT, source, start, unit, worker
@@ -198,6 +207,31 @@ def test_a_silent_unit_is_dumped_then_killed() -> None:
     simulation.pass_time(2.0)
     assert [event.unit for event in simulation.events if isinstance(event, UnitHung | UnitDied)] == ["work.1"] * 2
     assert simulation.asked("dump", "kill") == [("dump", "work.1"), ("kill", "work.1")]
+
+
+def test_a_stalled_supervisor_takes_nobody_for_hung_but_what_hangs() -> None:
+    simulation = Simulation(source(), worker(), worker("stuck"), stuck=Behaviour(hung=True))
+    simulation.apply(start(*ONE, unit("stuck.1", x="count.1/n")))
+    simulation.pass_time(3.0)
+    for _ in range(3):
+        simulation.backend.stall(12.0)
+        simulation.pass_time(1.0)
+    assert not any(isinstance(event, UnitHung) for event in simulation.events)
+    simulation.pass_time(6.0)
+    assert [event.unit for event in simulation.events if isinstance(event, UnitHung)] == ["stuck.1"]
+    simulation.check()
+
+
+def test_a_stall_does_not_use_up_the_patience_with_a_start() -> None:
+    backend = SimulatedBackend({"work": Behaviour(start_s=20.0)})
+
+    def stall_once(event: Event) -> None:
+        if event == UnitReady("count.1", 0):
+            backend.stall(60.0)
+
+    supervisor = Supervisor(backend, Environment((), (source(), worker()), (RESULT,)), stall_once)
+    supervisor.apply(start(*ONE))
+    assert set(supervisor.environment.unit) == {"count.1", "work.1"}
 
 
 @pytest.mark.parametrize(

@@ -213,11 +213,11 @@ class Applying:
             raise _StepFailedError(f"{dead} {self.supervisor.cause_of_death.get(dead, 'died')}", all_dead)
 
     def _wait(self, is_done: Callable[[], bool], patience_s: float) -> None:
-        deadline = self.supervisor.backend.now() + patience_s
-        while not is_done() and self.supervisor.backend.now() < deadline:
+        deadline = self.supervisor.now() + patience_s
+        while not is_done() and self.supervisor.now() < deadline:
             if self.supervisor.is_ending:
                 raise RuntimeFaultError("the runtime is closed")
-            self.supervisor.pump(deadline - self.supervisor.backend.now())
+            self.supervisor.pump(deadline - self.supervisor.now())
 
     def _timed(self, phase: str, work: Callable[[], None]) -> None:
         start = self.supervisor.backend.now()

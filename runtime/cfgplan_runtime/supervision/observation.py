@@ -9,7 +9,8 @@ from cfgplan_runtime.children.messages import PortCounts
 from cfgplan_runtime.supervision.backend import Usage
 from cfgplan_runtime.supervision.events import UnitFailed, UnitStatus
 
-_US_PER_S = 1_000_000
+_SHORTEST_S = 0.5
+"""Signs of life that are read together tell no rate."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,19 +48,23 @@ class UnitRecord:
     started_s: float
     labor_us: int = 0
     sign_s: float = 0.0
-    """When it last gave a sign of life."""
+    """When it last gave a sign of life, on the clock by which silence is judged."""
     status: UnitStatus | None = None
     steps_per_s: float = 0.0
     failure: UnitFailed | None = None
     killed_s: float | None = None
     _last_cpu_us: int = 0
     _last_s: float | None = None
+    _counted: tuple[int, float] | None = None
+    """The steps at the sign of life from which the rate is counted, and when that was."""
 
     def note_status(self, status: UnitStatus, now_s: float) -> None:
-        before = 0 if self.status is None else self.status.steps
-        if now_s > self.sign_s:
-            self.steps_per_s = (status.steps - before) / (now_s - self.sign_s)
-        self.status, self.sign_s = status, now_s
+        """Note the counts of a sign of life."""
+        steps, at_s = self._counted or (status.steps, now_s)
+        if self._counted is None or now_s - at_s >= _SHORTEST_S:
+            self._counted = status.steps, now_s
+            self.steps_per_s = (status.steps - steps) / (now_s - at_s) if now_s > at_s else 0.0
+        self.status = status
 
     def observe(self, unit: str, usage: Usage, now_s: float) -> Observation:
         """The unit as it is now; its upkeep is over the time since the last call."""

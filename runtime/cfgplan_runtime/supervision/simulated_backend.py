@@ -112,6 +112,10 @@ class SimulatedBackend:
             self._now = end
         return []
 
+    def stall(self, seconds: float) -> None:
+        """Let time pass in which nobody waits: what happens in it is told afterwards."""
+        self._now += seconds
+
     def fail(self, unit: str, cause: str = "killed by SIGKILL") -> None:
         """Let a unit die now."""
         self._later(0.0, UnitDied(unit, cause))

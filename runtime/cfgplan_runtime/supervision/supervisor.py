@@ -34,6 +34,8 @@ HANG_S = 10.0
 """How long a unit may be silent if its transformation does not say; a source without a rate may be so for ever."""
 
 WATCH_PERIOD_S = 0.25
+_LONGEST_ROUND_S = 1.0
+"""A round that takes longer is a gap: this process was stopped, suspended or paused, and has seen nothing meanwhile."""
 MEGABYTE = 1 << 20
 _TIME_TO_DUMP_S = 0.2
 _MOST_REMEMBERED = 1000
@@ -59,7 +61,13 @@ class Supervisor:
         self._records: dict[str, UnitRecord] = {}
         self._states: dict[str, bytes] = {}
         self._library: dict[str, Transformation] = {}
-        self._watched_s = backend.now()
+        self._round_s = backend.now()
+        self._gaps_s = 0.0
+        self._watched_s = self.now()
+
+    def now(self) -> float:
+        """The backend's clock less the gaps of this process: what is late by it is late though somebody watched."""
+        return self.backend.now() - self._gaps_s
 
     def apply(
         self,
@@ -95,11 +103,10 @@ class Supervisor:
 
     def pump(self, timeout_s: float) -> None:
         """Handle what happens within `timeout_s`; returns after the first of it."""
-        for event in self.backend.wait(min(max(0.0, timeout_s), WATCH_PERIOD_S)):
-            if self._understand(event):
-                self._report(event)
-        if self.backend.now() - self._watched_s >= WATCH_PERIOD_S:
-            self._watched_s = self.backend.now()
+        self._hear(min(max(0.0, timeout_s), WATCH_PERIOD_S))
+        if self.now() - self._watched_s >= WATCH_PERIOD_S:
+            self._hear(0.0)  # signs of life that wait are read before silence is judged
+            self._watched_s = self.now()
             self._watch()
 
     def observe(self) -> tuple[Observation, ...]:
@@ -129,7 +136,7 @@ class Supervisor:
         self.ready.discard(unit.id)
         self.cause_of_death.pop(unit.id, None)
         self._library[unit.id] = transformation
-        self._records[unit.id] = UnitRecord(transformation.label, self.backend.now())
+        self._records[unit.id] = UnitRecord(transformation.label, self.now())
         self.backend.start(unit.id, transformation, self._states.get(transformation.label))
 
     def stop(self, unit: str) -> None:
@@ -137,13 +144,23 @@ class Supervisor:
         self.wiring.forget_inputs(unit)
         self.backend.stop(unit)
 
+    def _hear(self, timeout_s: float) -> None:
+        events = self.backend.wait(timeout_s)
+        now = self.backend.now()
+        if now - self._round_s > _LONGEST_ROUND_S:
+            self._gaps_s += now - self._round_s
+        self._round_s = now
+        for event in events:
+            if self._understand(event):
+                self._report(event)
+
     def _understand(self, event: Event) -> bool:
         """Take an event into account; whether it is news to others."""
         match event:
             case UnitReady(unit, labor_us):
                 self.ready.add(unit)
                 record = self._records[unit]
-                record.labor_us, record.sign_s = labor_us, self.backend.now()
+                record.labor_us, record.sign_s = labor_us, self.now()
             case UnitDied(unit, cause):
                 self.cause_of_death[unit] = cause
                 self._bury(unit)
@@ -170,6 +187,7 @@ class Supervisor:
         record = self._records.get(unit)
         if record is None:
             return
+        record.sign_s = self.now()
         record.note_status(status, self.backend.now())
         if status.state is not None:
             self._states[record.transformation] = status.state
@@ -190,7 +208,7 @@ class Supervisor:
 
     def _watch(self) -> None:
         """Kill what hangs or has grown too large."""
-        now = self.backend.now()
+        now = self.now()
         for unit in sorted(self.ready):
             record, run = self._records[unit], self._library[unit].run
             if record.killed_s is not None:
