@@ -28,13 +28,15 @@ class Offer:
 class Engine:
     """Offers and demands of tags. Whatever it finds to match matches; see `Offer` for what does not.
 
-    `outside` maps the axioms outside the fragment to the reason; with any of them nothing is certified.
+    `outside` maps the axioms outside the fragment, and what was dropped, to the reason; with any nothing is certified.
     """
 
-    def __init__(self, trees: Mapping[str, Tree], roles_of_tags: Collection[str] = ()) -> None:
+    def __init__(
+        self, trees: Mapping[str, Tree], roles_of_tags: Collection[str] = (), dropped: Mapping[str, str] | None = None
+    ) -> None:
         translation = translate(trees, roles_of_tags)
         self.rules = Rules(translation)
-        self.outside = dict(translation.outside)
+        self.outside = {**translation.outside, **(dropped or {})}
         if self.rules.outside_chain is not None:
             self.outside[self.rules.outside_chain] = "its last property lacks the range of the whole chain"
         self._replaced_roles = translation.replaced_roles

@@ -95,8 +95,8 @@ def nearest_offers(
 
 
 def _steps_of_the_reference(offered: Concept, demanded: Concept, ontology: Ontology, reasoner: str) -> tuple[str, ...]:
-    name, classifier = reference_named(reasoner)
-    axioms = () if classifier is None else justification(offered, demanded, ontology, classifier)
+    name, reference = reference_named(reasoner)
+    axioms = () if reference is None else justification(offered, demanded, ontology, reference)
     if not axioms:
         return (f"it follows from the tags alone, as {name} finds",)
     return (f"it follows from what is listed next, as {name} finds", *map(ontology.shortened, axioms))

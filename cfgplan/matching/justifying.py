@@ -10,7 +10,7 @@ from typing import Final
 from cfgplan.matching.concepts import Concept, in_functional_syntax
 from cfgplan.matching.faults import ReasonerError
 from cfgplan.matching.ontology import Ontology
-from cfgplan.matching.reference import Classifier, classify
+from cfgplan.matching.reference import Reference, classify
 
 PATIENCE_S: Final = 20.0
 """How long axioms are left out to see whether they are needed; each try is a call of the reasoner."""
@@ -18,7 +18,7 @@ PATIENCE_S: Final = 20.0
 _NAME: Final = re.compile(r"<[^<>\s]+>")
 
 
-def justification(offered: Concept, demanded: Concept, ontology: Ontology, classifier: Classifier) -> tuple[str, ...]:
+def justification(offered: Concept, demanded: Concept, ontology: Ontology, reference: Reference) -> tuple[str, ...]:
     """Axioms from which offered ⊑ demanded follows, as few as are found in PATIENCE_S; all if none can be left out."""
     deadline = time.monotonic() + PATIENCE_S
     axioms = [axiom for axiom in sorted(ontology.axioms) if not axiom.startswith("Declaration(")]
@@ -28,7 +28,7 @@ def justification(offered: Concept, demanded: Concept, ontology: Ontology, class
         if left_s <= 0:
             return False
         try:
-            answer = classify(classifier, Ontology(some), [offered, demanded], left_s)
+            answer = classify(reference, Ontology(some), [offered, demanded], left_s)
         except ReasonerError:
             return False
         return bool(answer.below(offered, [demanded]))

@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
-    from cfgplan.matching.reference import Classifier
+    from cfgplan.matching.reference import Reference
 
 REASONERS: Final[Mapping[str, str]] = MappingProxyType(
     {
@@ -19,7 +19,7 @@ REASONERS: Final[Mapping[str, str]] = MappingProxyType(
 """What each reasoner that `match` accepts does."""
 
 
-def reference_named(reasoner: str) -> tuple[str, Classifier | None]:
+def reference_named(reasoner: str) -> tuple[str, Reference | None]:
     """The reference that a reasoner of REASONERS asks, with its name; None for one that asks none.
 
     Raises UnknownNameError.
@@ -35,4 +35,4 @@ def reference_named(reasoner: str) -> tuple[str, Classifier | None]:
         )
     if reasoner == "el":
         return "el", None
-    return "hermit", hermit.classify
+    return "hermit", hermit

@@ -1,4 +1,4 @@
-"""Questions to a reference reasoner: which tags are below which, and which ontology it is told.
+"""Questions to a reference reasoner: which tags are below which, what can exist, and which ontology it is told.
 
 Names are written in ASCII, tags as classes `t:N`, so that the answer can't be garbled by a locale.
 Literals of datatypes that OWL 2 lacks, such as dates, are told as texts.
@@ -7,16 +7,28 @@ Literals of datatypes that OWL 2 lacks, such as dates, are told as texts.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping
-from typing import Final, TypeAlias
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import Final, Protocol
 
 from cfgplan.matching.concepts import Concept, in_functional_syntax
 from cfgplan.matching.functional import Signature
 from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.taxonomy import Taxonomy
 
-Classifier: TypeAlias = Callable[..., Taxonomy]
-"""A reasoner: `classify(document, *, time_limit_s) -> Taxonomy`."""
+
+class Reference(Protocol):
+    """A reasoner that is told a document in functional syntax, such as the module `hermit`."""
+
+    def classify(self, document: str, *, time_limit_s: float | None = None) -> Taxonomy:
+        """The classes by what they are subclasses of. Raises ReasonerError, ReasonerTimeoutError where time is over."""
+        ...
+
+    def satisfiable(
+        self, document: str, classes: Sequence[str], *, time_limit_s: float | None = None
+    ) -> dict[str, bool]:
+        """Whether each class can have members, as far as it was found out in time. Raises ReasonerError."""
+        ...
+
 
 _KNOWN_DATATYPES: Final = frozenset(
     (
@@ -50,17 +62,31 @@ class Classification:
 
 
 def classify(
-    classifier: Classifier, ontology: Ontology, concepts: Collection[Concept], time_limit_s: float | None
+    reference: Reference, ontology: Ontology, concepts: Collection[Concept], time_limit_s: float | None
 ) -> Classification:
     """Ask a reasoner for the order of `concepts`. Raises what the reasoner raises."""
     number = {concept: index for index, concept in enumerate(dict.fromkeys(concepts))}
-    return Classification(classifier(_document(ontology, number), time_limit_s=time_limit_s), number)
+    document = _document(ontology, number, "EquivalentClasses")
+    return Classification(reference.classify(document, time_limit_s=time_limit_s), number)
 
 
-def _document(ontology: Ontology, number: Mapping[Concept, int]) -> str:
-    tags = [
-        f"EquivalentClasses(<{_tag_iri(index)}> {in_functional_syntax(concept)})" for concept, index in number.items()
-    ]
+def satisfiable(
+    reference: Reference, ontology: Ontology, concepts: Collection[Concept], time_limit_s: float | None
+) -> dict[Concept, bool]:
+    """Whether something can have each of `concepts`, as far as it was answered in time, in this order.
+
+    Raises what the reasoner raises.
+    """
+    number = {concept: index for index, concept in enumerate(dict.fromkeys(concepts))}
+    # A class that is only below its concept costs the questions about others nothing.
+    document = _document(ontology, number, "SubClassOf")
+    told = reference.satisfiable(document, list(map(_tag_iri, number.values())), time_limit_s=time_limit_s)
+    return {concept: told[name] for concept, index in number.items() if (name := _tag_iri(index)) in told}
+
+
+def _document(ontology: Ontology, number: Mapping[Concept, int], keyword: str) -> str:
+    """The ontology, and each concept as a class that is equivalent to it or below it, as the keyword says."""
+    tags = [f"{keyword}(<{_tag_iri(index)}> {in_functional_syntax(concept)})" for concept, index in number.items()]
     trees = [*ontology.trees.values()]
     signature = Signature(trees)
     declared = [

@@ -30,6 +30,10 @@ class TagRegistry:
         """The distinct meanings by name."""
         return self._names
 
+    def concept(self, text: str) -> Concept:
+        """The meaning of a registered text. Raises KeyError for any other."""
+        return self._concepts[text]
+
     def name_of(self, concept: Concept) -> str:
         """The name of a meaning."""
         return self._name_of[concept]

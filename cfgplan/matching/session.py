@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 
 from cfgplan.domain import Similarity
 from cfgplan.errors import Fault, InputError
 from cfgplan.matching.concepts import Concept
 from cfgplan.matching.engine import Engine, roles_in
-from cfgplan.matching.faults import InconsistentOntologyError, MatchingError, ReasonerTimeoutError
+from cfgplan.matching.faults import InconsistentOntologyError, MatchingError
 from cfgplan.matching.functional import parse
 from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.reasoners import reference_named
 from cfgplan.matching.registry import TagRegistry
 from cfgplan.matching.rows import Rows
 from cfgplan.matching.tracing import contradiction
-from cfgplan.matching.verdicts import Question, Verdicts
+from cfgplan.matching.verdicts import Verdicts
 
 
 @dataclass(frozen=True)
 class Matching:
-    """The similarity of tags, what is odd about them, and how many pairs of distinct tags each reasoner answered."""
+    """The similarity of tags, what is odd about them, and how many pairs of distinct tags each reasoner decided."""
 
     similarity: Similarity
     warnings: tuple[str, ...] = ()
@@ -32,12 +32,13 @@ class Matcher:
     """The similarity of the tags that are registered now.
 
     Tags are counted: one that was added twice is there until it was removed twice. The fast engine takes changes in
-    at once; the reference is asked, when `matching` is called, for what the engine can't certify, and only about pairs
-    that it was not asked about before. Raises UnknownNameError for a reasoner that is none of REASONERS.
+    at once. The reference is asked about pairs that the engine leaves open: all of them by `matching`, those that
+    matter by `decide`, after which `matching(decide=False)` knows the answers. No pair is asked about twice.
+    Raises UnknownNameError for a reasoner that is none of REASONERS.
     """
 
     def __init__(self, ontology: Ontology, *, reasoner: str = "auto") -> None:
-        self._reference, self._classifier = reference_named(reasoner)
+        self._name, self._reference = reference_named(reasoner)
         self._uses_engine = reasoner in ("auto", "el")
         self._offered = TagRegistry()
         self._demanded = TagRegistry()
@@ -47,7 +48,7 @@ class Matcher:
         self._ontology = ontology
         self._engine: Engine | None = None
         self._rows: Rows | None = None
-        self._verdicts = Verdicts(ontology, self._classifier)
+        self._verdicts = Verdicts(ontology, self._reference)
 
     @property
     def ontology(self) -> Ontology:
@@ -71,12 +72,9 @@ class Matcher:
     def remove(self, *, offered: Iterable[str] = (), demanded: Iterable[str] = ()) -> None:
         """Take tags back. Raises KeyError for one that is not registered."""
         gone, renamed = self._offered.remove(offered)
-        for name, concept in gone.items():
-            if self._rows is not None:
-                self._rows.remove_offer(name, concept)
-            if concept not in renamed.values():
-                self._verdicts.forget(concept)
         if self._rows is not None:
+            for name, concept in gone.items():
+                self._rows.remove_offer(name, concept)
             self._rows.add_offers(renamed)
         for concept in self._demanded.remove(demanded)[0].values():
             if self._rows is not None and concept not in self._demanded:
@@ -103,28 +101,31 @@ class Matcher:
         if stays and engine is not None and engine.take_in(added, removed, left):
             self._engine, self._rows = engine, rows
 
-    def matching(self, *, time_limit_s: float | None = None) -> Matching:
-        """The similarity of the tags registered now. Raises InputError for an ontology that can't be reasoned with."""
+    def matching(self, *, time_limit_s: float | None = None, decide: bool = True) -> Matching:
+        """The similarity of the tags registered now; pairs that are not decided are in its `open`.
+
+        With `decide` the reference is asked about all open pairs, until the time limit; without it nothing is asked.
+        Raises InputError for an ontology that can't be reasoned with.
+        """
         rows = self._current_rows()
-        wanted = self._for_the_reference(rows)
-        warnings = [*self._ontology.warnings]
-        try:
-            questions = self._verdicts.open_questions(wanted)
-            if questions and self._classifier is not None:
-                self._verdicts.ask(questions, time_limit_s)
-        except ReasonerTimeoutError:
-            warnings.append(f"{self._reference} did not answer everything in {time_limit_s:g} s: give it more time")
-        except MatchingError as error:
-            raise self._input_error(error) from error
-        open_questions = self._verdicts.open_questions(wanted)
-        similarity = self._similarity(rows, open_questions, warnings)
-        asked = sum(map(len, wanted.values()))
-        open_pairs = sum(len(question.offered) * len(question.demanded) for question in open_questions)
-        answered = {
-            "el": len(self._offered.names) * len(self._demanded.names) - asked,
-            self._reference: asked - open_pairs,
-        }
-        return Matching(similarity, tuple(warnings), {name: pairs for name, pairs in answered.items() if pairs})
+        if decide and not self._ask(self._open(rows), time_limit_s) and (rows is None or self.outside()):
+            self._check_consistency(time_limit_s)
+        return self._told(rows, time_limit_s if decide else None)
+
+    def decide(self, pairs: Collection[tuple[str, str]], *, time_limit_s: float | None = None) -> int:
+        """Ask the reference about (offered, demanded) texts of registered tags, until the time limit.
+
+        Returns how many pairs were asked: those of distinct tags that were open and not asked about before. What time
+        does not suffice for stays open. Raises KeyError for a text that is not registered, and InputError for an
+        ontology that can't be reasoned with.
+        """
+        open_rows = self._open(self._current_rows())
+        wanted: dict[Concept, dict[Concept, None]] = {}
+        for offered_text, demanded_text in sorted(pairs):
+            offered, demanded = self._offered.concept(offered_text), self._demanded.concept(demanded_text)
+            if offered in open_rows.get(demanded, ()):
+                wanted.setdefault(demanded, {})[offered] = None
+        return self._ask(wanted, time_limit_s)
 
     def outside(self) -> Mapping[str, str]:
         """The axioms that the fast engine has no words for, with the reason."""
@@ -133,7 +134,7 @@ class Matcher:
     def _current_engine(self) -> Engine:
         if self._engine is None:
             concepts = [*self._offered.names.values(), *self._demanded.names.values()]
-            self._engine = Engine(self._ontology.trees, set().union(*map(roles_in, concepts)))
+            self._engine = Engine(self._ontology.trees, set().union(*map(roles_in, concepts)), self._ontology.dropped)
             if self._engine.is_inconsistent:
                 raise self._input_error(self._contradiction())
         return self._engine
@@ -147,64 +148,86 @@ class Matcher:
             self._rows = rows
         return self._rows
 
-    def _for_the_reference(self, rows: Rows | None) -> dict[Concept, frozenset[Concept]]:
-        """The demands that only the reference can decide, for each offer that has such."""
-        offers = self._offered.names
-        if rows is None:
-            demands = frozenset(self._demanded.names.values())
-            return dict.fromkeys(offers.values(), demands) if demands else {}
-        wanted: dict[Concept, frozenset[Concept]] = {}
-        if rows.beyond_words:
-            possible = (concept for name, concept in offers.items() if name not in rows.impossible)
-            wanted.update(dict.fromkeys(possible, frozenset(rows.beyond_words)))
-        if rows.uncertified and self._demanded.names:
-            demands = frozenset(self._demanded.names.values())
-            wanted.update(dict.fromkeys((offers[name] for name in rows.uncertified), demands))
-        return wanted
+    def _ask(self, wanted: Mapping[Concept, Collection[Concept]], time_limit_s: float | None) -> int:
+        try:
+            return self._verdicts.ask(wanted, time_limit_s)
+        except MatchingError as error:
+            raise self._input_error(error) from error
 
-    def _similarity(self, rows: Rows | None, open_questions: list[Question], warnings: list[str]) -> Similarity:
-        never = set(map(self._offered.name_of, self._verdicts.unsatisfiable))
+    def _check_consistency(self, time_limit_s: float | None) -> None:
+        try:
+            self._verdicts.check_consistency(time_limit_s)
+        except MatchingError as error:
+            raise self._input_error(error) from error
+
+    def _beyond_engine(self, rows: Rows | None) -> Iterable[tuple[Concept, frozenset[Concept]]]:
+        """For each demand the offers that the fast engine neither finds to meet it nor certifies not to."""
+        offers = self._offered.names
+        for demand in self._demanded.names.values():
+            if rows is None:
+                names: Iterable[str] = offers
+            elif demand in rows.beyond_words:
+                names = offers.keys() - rows.impossible - rows.row(demand)
+            elif rows.uncertified:
+                names = rows.uncertified - rows.row(demand)
+            else:
+                continue
+            yield demand, frozenset(offers[name] for name in names)
+
+    def _open(self, rows: Rows | None) -> dict[Concept, frozenset[Concept]]:
+        """For each demand the offers for which it is not decided whether they meet it."""
+        found = {demand: offers - self._verdicts.decided(demand) for demand, offers in self._beyond_engine(rows)}
+        return {demand: offers for demand, offers in found.items() if offers}
+
+    def _told(self, rows: Rows | None, time_limit_s: float | None) -> Matching:
+        warnings = [*self._ontology.warnings]
+        never = {self._offered.name_of(c) for c in self._verdicts.unsatisfiable if c in self._offered}
         if rows is not None:
             never |= rows.impossible
         warnings.extend(
             f"nothing can have the offered tag {text!r}: it contradicts the ontology and never matches"
             for text in sorted(self._offered.spelled(frozenset(never)))
         )
-        told: dict[Concept, set[str]] = {}
-        for concept in self._verdicts.offers:
-            for demand in self._verdicts.accepted(concept):
-                told.setdefault(demand, set()).add(self._offered.name_of(concept))
         offers: dict[str, frozenset[str]] = {}
+        undecided: dict[str, frozenset[str]] = {}
+        open_rows = self._open(rows)
         for name, demand in self._demanded.names.items():
             row = rows.row(demand) if rows is not None else frozenset()
-            more = told.get(demand)
-            full = self._offered.spelled((row.union(more) if more else row).difference(never) if never or more else row)
+            told = self._names(self._verdicts.accepted(demand))
+            full = self._offered.spelled((row | told).difference(never) if never or told else row)
+            left = self._offered.spelled(self._names(open_rows.get(demand, frozenset())))
             for text in self._demanded.texts(name):
                 offers[text] = full
-        return Similarity(offers, self._open(offers, open_questions, warnings))
+                if left:
+                    undecided[text] = left
+        similarity = Similarity(offers, undecided)
+        warnings.extend(self._about_open(sum(map(len, undecided.values())), time_limit_s))
+        return Matching(similarity, tuple(warnings), self._answered_by(rows, open_rows))
 
-    def _open(
-        self, offers: Mapping[str, frozenset[str]], open_questions: list[Question], warnings: list[str]
-    ) -> dict[str, frozenset[str]]:
-        """The rows of pairs that are not decided; a warning says how many there are."""
-        rows: dict[str, frozenset[str]] = {}
-        for question in open_questions:
-            names = frozenset(map(self._offered.name_of, question.offered))
-            offered = self._offered.spelled(names)
-            for wanted in map(self._demanded.name_of, question.demanded):
-                for demanded in self._demanded.texts(wanted):
-                    if not offered <= offers[demanded]:
-                        rows[demanded] = rows.get(demanded, frozenset()) | offered
-        count = sum(len(row - offers[demanded]) for demanded, row in rows.items())
-        if count:
-            why = ""
-            if self._uses_engine and self._classifier is None and self.outside():
-                axiom, reason = next(iter(self.outside().items()))
-                told = self._ontology.shortened(axiom)
-                why = f"; the ontology is outside the fast engine's fragment: {told} ({reason})"
-            pairs = "1 pair" if count == 1 else f"{count} pairs"
-            warnings.append(f"{pairs} of tags could not be decided and do not match{why}")
-        return rows
+    def _names(self, offered: Iterable[Concept]) -> frozenset[str]:
+        return frozenset(self._offered.name_of(concept) for concept in offered if concept in self._offered)
+
+    def _about_open(self, count: int, time_limit_s: float | None) -> Iterable[str]:
+        """What to say of pairs that are not decided."""
+        if not count:
+            return
+        if time_limit_s is not None and self._reference is not None and not self._ontology.dropped:
+            yield f"{self._name} did not answer everything in {time_limit_s:g} s: give it more time"
+        why = ""
+        if self._reference is None and self.outside():
+            axiom, reason = next(iter(self.outside().items()))
+            told = self._ontology.shortened(axiom)
+            why = f"; the ontology is outside the fast engine's fragment: {told} ({reason})"
+        pairs = "1 pair" if count == 1 else f"{count} pairs"
+        yield f"{pairs} of tags could not be decided and do not match{why}"
+
+    def _answered_by(self, rows: Rows | None, open_rows: Mapping[Concept, frozenset[Concept]]) -> dict[str, int]:
+        """How many pairs of distinct tags each reasoner decided."""
+        beyond = sum(len(offers) for _, offers in self._beyond_engine(rows))
+        left = sum(map(len, open_rows.values()))
+        pairs = len(self._offered.names) * len(self._demanded.names)
+        counts = {"el": pairs - beyond, self._name: beyond - left} if beyond else {"el": pairs}
+        return {name: pairs for name, pairs in counts.items() if pairs}
 
     def _contradiction(self) -> InconsistentOntologyError:
         steps = "; ".join(contradiction(self._ontology))

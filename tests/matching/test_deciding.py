@@ -1,0 +1,113 @@
+"""What is not decided stays open until it is asked about, and is asked about once."""
+
+from __future__ import annotations
+
+import pytest
+
+from cfgplan.errors import InputError
+from cfgplan.matching import Matcher, Ontology, hermit
+
+COVERED = Ontology(
+    [
+        "SubClassOf(<w#A> <w#W>)",
+        "SubClassOf(<w#B> <w#W>)",
+        "SubClassOf(<w#C> ObjectUnionOf(<w#A> <w#B>))",
+        "SubClassOf(<w#D> ObjectUnionOf(<w#A> <w#E>))",
+    ]
+)
+
+
+def matcher(reasoner: str = "auto", ontology: Ontology = COVERED) -> Matcher:
+    result = Matcher(ontology, reasoner=reasoner)
+    result.add(offered=["C", "D", "A"], demanded=["W"])
+    return result
+
+
+@pytest.mark.parametrize("reasoner", ["auto", "hermit"])
+def test_pairs_are_open_until_they_are_asked_about_and_asked_about_once(reasoner: str) -> None:
+    some = matcher(reasoner)
+    before = some.matching(decide=False).similarity
+    assert before.is_open("C", "W")
+    assert some.decide([("C", "W")]) == 1
+    assert some.decide([("C", "W")]) == 0
+    after = some.matching(decide=False).similarity
+    assert after.holds("C", "W")
+    assert set(before.open_pairs()) - set(after.open_pairs()) == {("C", "W")}
+    assert after.optimistic.offers["W"] == before.optimistic.offers["W"]
+    everything = some.matching().similarity
+    assert everything.offers == {"W": {"C", "A"}}
+    assert not everything.open
+
+
+def test_the_fast_engine_alone_asks_nothing() -> None:
+    some = matcher("el")
+    assert some.decide([("C", "W")]) == 0
+    assert some.matching().similarity.is_open("C", "W")
+    assert some.matching().similarity.holds("A", "W")
+
+
+def test_what_was_asked_is_known_after_tags_come_and_go(monkeypatch: pytest.MonkeyPatch) -> None:
+    some = matcher()
+    some.decide([("C", "W")])
+    some.remove(offered=["C", "D"])
+    some.add(offered=["(C)"])
+    monkeypatch.setattr(hermit, "_run", None)
+    assert some.matching(decide=False).similarity.offers == {"W": {"(C)", "A"}}
+
+
+def test_another_ontology_is_asked_anew() -> None:
+    some = matcher()
+    some.decide([("C", "W")])
+    some.change_ontology(Ontology([*(COVERED.axioms - {"SubClassOf(<w#B> <w#W>)"}), "Declaration(Class(<w#F>))"]))
+    assert some.matching(decide=False).similarity.is_open("C", "W")
+    assert some.decide([("C", "W")]) == 1
+    assert not some.matching(decide=False).similarity.holds("C", "W")
+
+
+def test_only_what_is_registered_can_be_asked_about() -> None:
+    with pytest.raises(KeyError):
+        matcher().decide([("W", "W")])
+
+
+def test_without_time_a_pair_stays_open() -> None:
+    some = matcher()
+    assert some.decide([("C", "W")], time_limit_s=0.0) == 1
+    assert some.matching(decide=False).similarity.is_open("C", "W")
+
+
+def test_a_contradiction_is_told_whatever_is_asked() -> None:
+    contradicting = Ontology(
+        [
+            *COVERED.axioms,
+            "ClassAssertion(<w#C> <w#i>)",
+            "ClassAssertion(ObjectComplementOf(<w#W>) <w#i>)",
+        ]
+    )
+    with pytest.raises(InputError, match="contradicts"):
+        matcher(ontology=contradicting).decide([("C", "W")])
+    with pytest.raises(InputError, match="contradicts"):
+        matcher(ontology=contradicting).matching()
+
+
+@pytest.mark.parametrize("reasoner", ["auto", "hermit"])
+def test_an_offer_that_nothing_can_have_is_found_where_it_is_asked_about(reasoner: str) -> None:
+    excluded = Ontology([*COVERED.axioms, "SubClassOf(<w#C> ObjectComplementOf(<w#W>))"])
+    some = matcher(reasoner, excluded)
+    assert some.decide([("C", "W"), ("D", "W")]) == 2
+    found = some.matching(decide=False)
+    assert found.similarity.offers == {"W": {"A"}} if reasoner == "auto" else {"W": frozenset()}
+    assert not found.similarity.is_open("C", "W")
+    assert any("'C'" in warning and "never matches" in warning for warning in found.warnings)
+
+
+def test_what_was_dropped_leaves_open_what_does_not_match() -> None:
+    dropped = Ontology(COVERED.axioms, dropped={"DLSafeRule(...)": "rules are not read"})
+    some = matcher(ontology=dropped)
+    assert some.decide([("C", "W"), ("D", "W")]) == 2
+    assert some.decide([("C", "W"), ("D", "W")]) == 0
+    found = some.matching().similarity
+    assert found.offers == {"W": {"C", "A"}}
+    assert list(found.open_pairs()) == [("D", "W")]
+    inside = Matcher(Ontology(["SubClassOf(<w#A> <w#W>)"], dropped=dropped.dropped), reasoner="el")
+    inside.add(offered=["A"], demanded=["W"])
+    assert not inside.matching().similarity.open
