@@ -124,6 +124,9 @@ class Contribution:
 class Wish:
     """What a target asks of one attribute: a `bound` (micro-units) that its stream may not be worse than, or a price.
 
+    The bound need not be on the attribute's scale. All streams keep one that is no better than the worst of the
+    scale, none keeps one that is better than the best.
+
     The price is `weight_us` microseconds of CPU time for each whole unit by which the value is worse than
     the best of the scale, rounded up to a microsecond.
     """
@@ -160,6 +163,13 @@ def price_us(attribute: QualityAttribute, wish: Wish, value: int) -> int:
 def is_met(attribute: QualityAttribute, wish: Wish, value: int) -> bool:
     """Whether a value is within a target's bound."""
     return wish.bound is None or not attribute.is_better(wish.bound, value)
+
+
+def worst_allowed(attribute: QualityAttribute, wish: Wish) -> int:
+    """The worst value of the scale within a target's bound; the bound itself if it is better than the whole scale."""
+    if wish.bound is not None and attribute.is_better(wish.bound, attribute.worst):
+        return wish.bound
+    return attribute.worst
 
 
 def _combined(attribute: QualityAttribute, over: Over, inputs: Sequence[int]) -> int:

@@ -48,7 +48,8 @@ def attributes(draw: st.DrawFn) -> tuple[QualityAttribute, ...]:
     found = []
     for name in ("e", "f")[: draw(st.sampled_from([1, 1, 2]))]:
         better = draw(st.sampled_from(Better))
-        worst, best = (draw(st.sampled_from([9, 20])), 0) if better is Better.LOWER else (0, 20)
+        low, high = draw(st.sampled_from([0, 0, 2])), draw(st.sampled_from([9, 20]))
+        worst, best = (high, low) if better is Better.LOWER else (low, high)
         found.append(QualityAttribute(name, better, worst=worst, best=best))
     return tuple(found)
 
@@ -97,10 +98,11 @@ def transformations(
 def targets_of(
     draw: st.DrawFn, plain: Target, hosts: tuple[Host, ...], qualities: tuple[QualityAttribute, ...]
 ) -> Target:
-    """A target that may bound or weigh quality and may be at a host."""
+    """A target that may bound or weigh quality, beyond the attribute's scale too, and may be at a host."""
     wishes = []
     for attribute in qualities:
-        bound = draw(st.one_of(st.none(), VALUES))
+        ends = [max(0, end + by) for end in (attribute.worst, attribute.worst, attribute.best) for by in (-1, 0, 1, 30)]
+        bound = draw(st.one_of(st.none(), VALUES, st.sampled_from(ends)))
         weight_us = draw(st.sampled_from([0, 200_000, MICRO]))
         if bound is not None or weight_us:
             wishes.append(Wish(attribute.name, bound, weight_us))

@@ -11,7 +11,7 @@ from cfgplan.costs import keep_cost_us, standby_cost_us, start_cost_us
 from cfgplan.domain import ComputationUnit, Environment, Stream, Transformation
 from cfgplan.planners.networks.network import Network
 from cfgplan.planning import Problem, fresh_units
-from cfgplan.qualities import QualityAttribute
+from cfgplan.qualities import QualityAttribute, worst_allowed
 from cfgplan.reasons import Givers, startable
 
 
@@ -69,7 +69,7 @@ class Candidates:
         self.index_of = {candidate.id: i for i, candidate in enumerate(self.all)}
         self._streams: dict[str, tuple[Stream, ...]] = {}
         self.bounds = {
-            (target.label, wish.attribute): wish.bound
+            (target.label, wish.attribute): worst_allowed(problem.environment.quality[wish.attribute], wish)
             for target in problem.environment.targets
             for wish in target.quality
             if wish.bound is not None

@@ -9,7 +9,7 @@ import numpy as np
 from cfgplan.domain import Target
 from cfgplan.planners.fleet.quality_chains import Chains
 from cfgplan.planners.networks.core import Floats, Ints
-from cfgplan.qualities import is_met, price_us
+from cfgplan.qualities import is_met, price_us, worst_allowed
 
 STEPS = 48
 REACH = 3
@@ -26,7 +26,9 @@ class Steps:
         attribute = chains.attribute
         ends, bounds = [1], []
         for target, demand in targets:
-            missed_by = [chains.badness(wish.bound) for wish in target.quality if wish.bound is not None]
+            missed_by = [
+                chains.badness(worst_allowed(attribute, wish)) for wish in target.quality if wish.bound is not None
+            ]
             ends.append(min([REACH * int(chains.best[demand]), *missed_by]))
             bounds += missed_by
         found = np.append(np.linspace(0, max(ends), STEPS).astype(np.int64), [*bounds, chains.scale])
