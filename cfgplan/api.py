@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, Literal
 
 from cfgplan import validity
 from cfgplan.domain import Environment, Similarity
-from cfgplan.errors import CfgplanError, InputError, known
+from cfgplan.errors import InputError, known
 from cfgplan.matching import REASONERS, MatchExplanation, Matching, Nearest, Ontology, load_ontology, read_owlready
 from cfgplan.planners import PLANNERS
-from cfgplan.planning import Failures, Plan, Problem, Progress
+from cfgplan.planning import Failures, Plan, PlannerFaultError, Problem, Progress
 from cfgplan.validity import Violation
 
 if TYPE_CHECKING:
@@ -32,12 +32,12 @@ MEMBERSHIP_LIMIT_S = 60.0
 """How long a reasoner may take to find the individuals of a template's class."""
 
 
-class UntruthfulPlanError(CfgplanError):
-    """A planner's answer that the judge does not accept: a bug of the planner, never of the input."""
+class UntruthfulPlanError(PlannerFaultError):
+    """A planner's answer that the judge does not accept."""
 
     def __init__(self, plan: Plan, found: list[Violation]) -> None:
         self.violations = tuple(found)
-        super().__init__(f"the answer of planner {plan.planner} is wrong: {'; '.join(map(str, found))}")
+        super().__init__(f"the answer of planner {plan.planner} is wrong: {'; '.join(map(str, found))}", plan)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from typing import Protocol
 from cfgplan.canonical import store_whole
 from cfgplan.costs import LARGEST_COST_US, standby_cost_us, start_cost_us, transfer_cost_us
 from cfgplan.domain import ChangeSet, Environment, Similarity, Transformation
-from cfgplan.errors import InputError, InvalidValueError
+from cfgplan.errors import CfgplanError, InputError, InvalidValueError
 from cfgplan.qualities import price_us
 
 MOST_INSTANCES = 8
@@ -129,6 +129,11 @@ class Status(StrEnum):
     UNKNOWN = "unknown"
     """Stopped without a plan and without a proof that there is none."""
 
+    @classmethod
+    def of_plan(cls, cost_us: int, bound_us: int) -> Status:
+        """Optimal if the proven bound reaches the cost, else feasible."""
+        return cls.OPTIMAL if bound_us == cost_us else cls.FEASIBLE
+
 
 @dataclass(frozen=True)
 class Plan:
@@ -165,6 +170,14 @@ class Plan:
         if self.cost_us is None:
             return None
         return (self.cost_us - self.bound_us) / self.cost_us if self.cost_us else 0.0
+
+
+class PlannerFaultError(CfgplanError):
+    """A bug of a planner, never of the input; `plan` is what it had found by then."""
+
+    def __init__(self, message: str, plan: Plan) -> None:
+        self.plan = plan
+        super().__init__(message)
 
 
 @dataclass(frozen=True, slots=True)

@@ -172,8 +172,15 @@ def test_a_plan_that_says_something_untrue_is_found_out(changes: dict[str, objec
     assert rule in plan_rules(replace(GOOD, **changes))  # type: ignore[arg-type]
 
 
-def test_a_feasible_plan_may_have_a_lower_bound() -> None:
+def test_a_feasible_plan_has_a_lower_bound() -> None:
     assert plan_rules(replace(GOOD, status=Status.FEASIBLE, bound_us=0)) == set()
+    assert plan_rules(replace(GOOD, status=Status.FEASIBLE, bound_us=37)) == set()
+
+
+@pytest.mark.parametrize("changes", [{"bound_us": 38}, {"bound_us": 39}, {"bound_us": 37, "ties_proven": True}])
+def test_a_feasible_plan_proves_neither_its_cost_nor_more_nor_its_ties(changes: dict[str, object]) -> None:
+    plan = replace(GOOD, status=Status.FEASIBLE, **changes)  # type: ignore[arg-type]
+    assert plan_rules(plan) == {Rule.BOUND}
 
 
 def test_a_plan_over_the_largest_cost_is_found_out() -> None:

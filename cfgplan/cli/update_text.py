@@ -138,12 +138,11 @@ def verdict(problem: Problem, plan: Plan) -> Text:
         case Status.OPTIMAL if not plan.change_set:
             return Text(f"Optimal: nothing to change, proven by {plan.planner}.", style="bold green")
         case Status.OPTIMAL:
-            return Text(f"Optimal: no update is cheaper, proven by {plan.planner}.", style="bold green")
+            ties = "" if plan.ties_proven else "; another of this cost may rewire or start fewer units"
+            return Text(f"Optimal: no update is cheaper, proven by {plan.planner}{ties}.", style="bold green")
         case Status.FEASIBLE:
             bound = f"no update costs less than {cpu(plan.bound_us)}, a gap of {plan.gap:.1%}"
             proven = bound if plan.bound_us else "it has no bound on the optimum"
-            if plan.bound_us == plan.cost_us:
-                proven = "no update is cheaper, but another of this cost may rewire or start fewer units"
             return Text(f"Feasible: {plan.planner} has not proven it optimal; {proven}.", style="bold yellow")
         case Status.INFEASIBLE:
             return Text("No plan: these targets can't be met by any configuration.", style="bold red")

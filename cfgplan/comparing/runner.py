@@ -245,7 +245,7 @@ def _times(trace: Sequence[Point], answer: dict[str, Any]) -> tuple[float | None
 
 def _proof_s(trace: Sequence[Point], answer: dict[str, Any]) -> float | None:
     """When the answer was proven: for a plan, when the bound had reached its cost, whatever became of ties later."""
-    if answer["outcome"] in (Status.OPTIMAL, Status.FEASIBLE) and answer["bound_us"] == answer["cost_us"]:
+    if answer["outcome"] == Status.OPTIMAL:
         at_cost = (when for when, cost, bound in trace if cost == bound == answer["cost_us"])
         return next(at_cost, float(answer["total_s"]))
     return float(answer["total_s"]) if answer["outcome"] in PROVEN else None

@@ -43,7 +43,7 @@ def alternatives(problem: Problem, planner: Planner, count: int, *, time_limit_s
 
     Lawler's procedure: what is left of a set of configurations without its best one is cut into parts, by what must
     and must not run, and the part that can hold the cheapest is looked at next. None if there is no plan; the plan
-    alone if it is not proven optimal.
+    alone if it is not proven optimal, ties included.
     """
     if Notion.SURVIVAL in problem.notions:
         raise InputError.of(
@@ -52,7 +52,7 @@ def alternatives(problem: Problem, planner: Planner, count: int, *, time_limit_s
         )
     end_s = None if time_limit_s is None else time.monotonic() + time_limit_s
     best = planner(problem, time_limit_s=time_limit_s)
-    if best.status is not Status.OPTIMAL:
+    if best.status is not Status.OPTIMAL or not best.ties_proven:
         return Alternatives((best,) if best.change_set is not None else (), complete=best.status in REFUSED)
     ranking = _Ranking(problem, planner, best)
     found: list[Plan] = []
@@ -153,11 +153,16 @@ class _Ranking:
         if runs == self._runs(self._best):
             return self._best
         plan = self._best_by_use(runs)
-        return plan and replace(
+        if plan is None or plan.cost_us is None:
+            return None
+        unused = self._unused(plan)
+        bound_us = self._best.bound_us if len(unused) == len(self._best.unused_required) else 0
+        return replace(
             plan,
-            status=Status.FEASIBLE,
-            bound_us=min(self._best.bound_us, plan.cost_us or 0),
-            unused_required=self._unused(plan),
+            status=Status.of_plan(plan.cost_us, bound_us),
+            bound_us=bound_us,
+            unused_required=unused,
+            ties_proven=False,
         )
 
     def _best_by_use(self, runs: Labels) -> Plan | None:

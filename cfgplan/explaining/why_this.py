@@ -174,6 +174,8 @@ def _choice(plan: Plan, otherwise: Plan) -> Choice:
     assert plan.cost_us is not None and otherwise.cost_us is not None
     if otherwise.cost_us != plan.cost_us:
         return Choice.CHEAPER if otherwise.cost_us > plan.cost_us else Choice.DEMANDED
+    if not (plan.ties_proven and otherwise.ties_proven):
+        return Choice.UNDECIDED
     one, two = _changes(plan.change_set), _changes(otherwise.change_set)
     if one == two:
         return Choice.TIE

@@ -12,7 +12,7 @@ are merged from the root down. It is faithful, so that it can be compared, and k
   stand below itself, except below a feedback input, where it points at the one above.
 * Distinct groups and required transformations are unknown to it. A plan that breaks a rule is not
   given out: the status is unknown and the reasons hold the judge's words.
-* It proves no bound: status feasible at best. Pinned units are further children of the root.
+* It proves no bound but 0. Pinned units are further children of the root.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def plan(
     cost_us = sum(tree.cost_us(u.transformation, running=u.id in problem.environment.unit) for u in units)
     answer = Plan(
         "branch-and-bound",
-        Status.FEASIBLE,
+        Status.of_plan(cost_us, 0),
         problem.environment.change_to(units),
         cost_us,
         unused_required=_unused_required(problem, units),

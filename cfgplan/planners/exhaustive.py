@@ -86,11 +86,12 @@ def _answer(
     used = _used(units)
     return Plan(
         "exhaustive",
-        Status.FEASIBLE if stopped else Status.OPTIMAL,
+        Status.of_plan(cost_us, bound_us),
         problem.environment.change_to(units),
         cost_us,
         bound_us,
         unused_required=tuple(t.label for t in problem.environment.library if t.required and t.label not in used),
+        ties_proven=not stopped,
         seconds=seconds,
         counts=counts,
     )

@@ -82,11 +82,12 @@ def _answer(problem: Problem, best: tuple[Key, Units] | None, began: float, trie
     used = {unit.transformation for unit in needed_by(units, [unit for unit in units if unit.publications])}
     return Plan(
         "exhaustive",
-        Status.FEASIBLE if stopped else Status.OPTIMAL,
+        Status.of_plan(cost_us, bound_us),
         environment.change_to(units),
         cost_us,
         bound_us,
         unused_required=tuple(t.label for t in environment.library if t.required and t.label not in used),
+        ties_proven=not stopped,
         seconds=seconds,
         counts=counts,
     )

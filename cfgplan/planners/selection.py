@@ -60,10 +60,7 @@ class Selection:
     def answer(
         self, chosen: Collection[int] | None, bound_us: int, *, seconds: Mapping[str, float], counts: Mapping[str, int]
     ) -> Plan:
-        """The plan that runs the chosen, given that no plan costs less than the bound.
-
-        Its status is feasible even where the cost is proven, since of equal costs any will do here.
-        """
+        """The plan that runs the chosen, given that no plan costs less than the bound; of equal costs any will do."""
         largest = self.problem.max_cost_us
         if largest is not None and bound_us > largest:
             return Plan(self.who, Status.TOO_EXPENSIVE, bound_us=bound_us, seconds=seconds, counts=counts)
@@ -73,7 +70,8 @@ class Selection:
             return Plan(self.who, Status.UNKNOWN, bound_us=bound_us, seconds=seconds, counts=counts)
         changes = self.problem.environment.change_to(wired.values())
         bound_us = min(bound_us, cost_us)
-        return Plan(self.who, Status.FEASIBLE, changes, cost_us, bound_us, seconds=seconds, counts=counts)
+        status = Status.of_plan(cost_us, bound_us)
+        return Plan(self.who, status, changes, cost_us, bound_us, seconds=seconds, counts=counts)
 
     def grounded(self, chosen: Collection[int]) -> list[int]:
         """Those of the chosen that can be fed from sources by other chosen ones, in an order of feeding."""

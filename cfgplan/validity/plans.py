@@ -122,3 +122,7 @@ def _bad_cost(problem: Problem, plan: Plan, after: Environment) -> Iterator[Viol
         yield Violation(Rule.BOUND, f"the bound {plan.bound_us} us exceeds the cost {cost} us")
     if plan.status is Status.OPTIMAL and plan.bound_us != cost:
         yield Violation(Rule.BOUND, f"the plan says optimal, but its bound is {plan.bound_us} us of {cost} us")
+    if plan.status is Status.FEASIBLE and plan.bound_us == cost:
+        yield Violation(Rule.BOUND, f"the plan says feasible, but its bound is its cost of {cost} us")
+    if plan.status is Status.FEASIBLE and plan.ties_proven:
+        yield Violation(Rule.BOUND, "the plan says that ties are proven, but its cost is not")

@@ -29,7 +29,7 @@ class Rule(StrEnum):
     COST = (
         "cost is labor of what starts plus upkeep of what runs over the horizon (Definition 8), and what else is priced"
     )
-    BOUND = "the bound is at most the cost, and equal to it when the plan is optimal"
+    BOUND = "the bound is at most the cost, and equal to it exactly when the plan is optimal"
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,6 +36,7 @@ def quality(plan: Plan) -> tuple[object, ...]:
         plan.cost_us,
         changes and len(changes.rewired),
         changes and len(changes.started),
+        plan.ties_proven,
     )
 
 
@@ -68,6 +69,14 @@ def test_level_variables_and_lazy_cuts_agree(problem: Problem) -> None:
     assert plan_violations(problem, levels) == []
     assert levels.counts.get("cuts", 0) == 0
     assert quality(levels) == quality(PLANNERS["cpsat"](problem))
+
+
+@fewer
+@given(problems(most=12))
+def test_only_a_limit_leaves_something_unproven(problem: Problem) -> None:
+    plan = PLANNERS["cpsat"](problem)
+    assert plan.status not in (Status.FEASIBLE, Status.UNKNOWN)
+    assert plan.ties_proven == (plan.status is Status.OPTIMAL)
 
 
 @fewer

@@ -22,7 +22,8 @@ from cfgplan.planners.fleet.flatness import is_flat
 from cfgplan.planners.fleet.search import Search
 from cfgplan.planners.fleet.standing import Standing
 from cfgplan.planners.solving.clock import Clock
-from cfgplan.planning import Notion, Plan, Problem
+from cfgplan.planning import Notion, Plan, Problem, Status
+from cfgplan.qualities import Better, Wish
 from cfgplan.reasons import unmet_reasons
 from cfgplan.validity import plan_violations
 
@@ -39,7 +40,7 @@ def quality(plan: Plan) -> tuple[object, ...]:
     """What two optimal plans must have in common."""
     changes = plan.change_set
     counts = changes and (len(changes.rewired), len(changes.started))
-    return plan.status, len(plan.unused_required), plan.cost_us, counts
+    return plan.status, len(plan.unused_required), plan.cost_us, counts, plan.ties_proven
 
 
 def agree(problem: Problem) -> None:
@@ -63,6 +64,42 @@ def agree_with_the_explicit_model(problem: Problem) -> None:
     fast = fleet.plan(problem, cpsat.plan)
     assert plan_violations(problem, fast) == []
     assert quality(fast) == quality(standing.plan())
+    assert fast.status not in (Status.FEASIBLE, Status.UNKNOWN)
+
+
+@st.composite
+def asking_for_nothing(draw: st.DrawFn, notions: frozenset[Notion], most: int) -> Problem:
+    """A fleet whose bounds all lie at the worst of their scales or beyond."""
+    problem = draw(fleets(notions, most=most))
+    environment = problem.environment
+
+    def moved(wish: Wish) -> Wish:
+        attribute = environment.quality[wish.attribute]
+        beyond = draw(st.sampled_from([0, 1, 7, 30]))
+        worse = attribute.worst + beyond if attribute.better is Better.LOWER else max(0, attribute.worst - beyond)
+        return replace(wish, bound=worse)
+
+    targets = tuple(replace(t, quality=tuple(moved(wish) for wish in t.quality)) for t in environment.targets)
+    return replace(problem, environment=replace(environment, targets=targets))
+
+
+@settings(some, max_examples=2 * EXAMPLES)
+@given(asking_for_nothing(frozenset({Notion.QUALITY}), 3))
+def test_bounds_at_the_worst_of_the_scale_and_beyond_equal_the_oracle(problem: Problem) -> None:
+    agree(problem)
+
+
+@settings(some, max_examples=2 * EXAMPLES)
+@given(asking_for_nothing(frozenset({Notion.QUALITY}), 9))
+def test_bounds_at_the_worst_of_the_scale_and_beyond_ask_for_nothing(problem: Problem) -> None:
+    free = tuple(
+        replace(t, quality=tuple(replace(wish, bound=None) for wish in t.quality if wish.weight_us))
+        for t in problem.environment.targets
+    )
+    bounded = PLANNERS["cpsat"](problem)
+    assert bounded.status not in (Status.FEASIBLE, Status.UNKNOWN)
+    unbounded = PLANNERS["cpsat"](replace(problem, environment=replace(problem.environment, targets=free)))
+    assert quality(bounded) == quality(unbounded)
 
 
 @some

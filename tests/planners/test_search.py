@@ -2,21 +2,32 @@
 
 from __future__ import annotations
 
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
 from typing import Any
 from unittest import mock
 
 import pytest
-from ortools.sat.python.cp_model import FEASIBLE, OPTIMAL
+from ortools.sat.python.cp_model import FEASIBLE, INFEASIBLE, MODEL_INVALID, OPTIMAL, CpModel, CpSolver
 
 from cfgplan.comparing.families.random_library import random_library
 from cfgplan.planners.cpsat import PlannerSession, search
 from cfgplan.planners.cpsat.grounding import Grounding
 from cfgplan.planners.cpsat.prepared import Prepared
 from cfgplan.planners.cpsat.standing import Standing
+from cfgplan.planners.fleet import flat_search
+from cfgplan.planners.fleet import search as fleet_search
 from cfgplan.planners.networks.site import Site, relevant
 from cfgplan.planners.solving.clock import Clock
-from cfgplan.planning import Status
+from cfgplan.planning import Failures, PlannerFaultError, Problem, Status
 from cfgplan.reasons import Givers, startable
+from cfgplan.validity import plan_violations
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "experiments" / "fleet"))
+
+import instances
 
 
 @pytest.mark.parametrize("seed", [0, 2, 6])
@@ -39,3 +50,26 @@ def test_a_solution_that_is_not_grounded_is_forbidden_before_anything_is_proven_
     found, other = standing.plan(), PlannerSession().plan(problem)
     assert found.status is other.status is Status.OPTIMAL
     assert found.cost_us == other.cost_us
+
+
+@pytest.mark.parametrize(
+    ("room", "problem", "status"),
+    [
+        (search, random_library(0, transformations=60), INFEASIBLE),
+        (search, random_library(0, transformations=60), MODEL_INVALID),
+        (flat_search, instances.weighted(0, 40, 2), INFEASIBLE),
+        (fleet_search, replace(random_library(0, transformations=12, targets=1), survive=Failures.UNITS), INFEASIBLE),
+    ],
+    ids=["plain", "plain, invalid", "flat", "explicit"],
+)
+def test_an_engine_that_denies_the_plan_in_hand_is_an_error_that_carries_it(
+    room: ModuleType, problem: Problem, status: int
+) -> None:
+    def denies(engine: CpSolver, *_: object) -> int:
+        engine.solve(CpModel())
+        return status
+
+    with mock.patch.object(room, "solve", denies), pytest.raises(PlannerFaultError) as raised:
+        PlannerSession(steps=0).plan(problem)
+    assert (raised.value.plan.status, raised.value.plan.bound_us) == (Status.FEASIBLE, 0)
+    assert plan_violations(problem, raised.value.plan) == []

@@ -8,6 +8,7 @@ from math import ceil
 from ortools.sat.python.cp_model import (
     FEASIBLE,
     INFEASIBLE,
+    MODEL_INVALID,
     OPTIMAL,
     UNKNOWN,
     CpSolver,
@@ -23,7 +24,7 @@ from cfgplan.planners.cpsat.prepared import Prepared
 from cfgplan.planners.cpsat.standing import Stage, Standing
 from cfgplan.planners.cpsat.symmetry import one_of_those_alike_is_enough
 from cfgplan.planners.networks.quality import Key
-from cfgplan.planners.solving.clock import Clock
+from cfgplan.planners.solving.clock import Clock, ContradictionError
 from cfgplan.planners.solving.engine import OnSolution, repeatable_solver, solve
 
 SMALL = 1000
@@ -38,7 +39,7 @@ LARGEST = 2**62
 """No sum of the solver's integers may exceed this."""
 
 
-class InfeasibleError(Exception):
+class InfeasibleError(ContradictionError):
     """No plan meets all that was added to the model; without additions there always is one."""
 
 
@@ -155,6 +156,8 @@ class Search:
                 self.learn_bound(ceil(solver.best_objective_bound - 0.5))
             if status == INFEASIBLE:
                 raise InfeasibleError
+            if status == MODEL_INVALID:
+                raise ContradictionError("the engine refuses the model")
             if status not in (OPTIMAL, FEASIBLE):
                 return False
             true = {x.index for x in self.model.literals if solver.boolean_value(x)}

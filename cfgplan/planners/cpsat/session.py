@@ -81,7 +81,7 @@ class PlannerSession:
             return Plan("cpsat", Status.INFEASIBLE, reasons=reasons, seconds=clock.end("closure"))
         clock.end("closure")
         standing = Standing(Site(problem, structure.givers, ()), Prepared([]), clock, report)
-        try:
+        with clock.ending(lambda: standing.plan()):
             if structure.has_required:
                 from cfgplan.planners.cpsat.required import with_any_plan
 
@@ -89,20 +89,14 @@ class PlannerSession:
                 standing = self._with_required(problem, structure, standing, report)
             else:
                 self._bring_forward(standing, structure)
-        except OutOfTimeError:
-            pass
-        except KeyboardInterrupt:
-            clock.stop.set()
         clock.end("search")
         self._remember(standing)
         standing.counts = structure.counts() | standing.counts
         found = standing.plan()
         is_at_rest = found.status is Status.OPTIMAL and not found.change_set and not structure.has_required
         if is_at_rest and not clock.is_over():
-            try:
+            with clock.ending(lambda: found):
                 self._settle(problem, structure, clock)
-            except KeyboardInterrupt:
-                clock.stop.set()
         return found
 
     def _bring_forward(self, standing: Standing, structure: Structure) -> None:

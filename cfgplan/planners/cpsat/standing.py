@@ -130,11 +130,12 @@ class Standing:
             return Plan("cpsat", Status.UNKNOWN, bound_us=bound_us, seconds=seconds, counts=counts)
         return Plan(
             "cpsat",
-            Status.OPTIMAL if self.stage is Stage.DONE else Status.FEASIBLE,
+            Status.of_plan(self.best.key[1], bound_us),
             problem.environment.change_to(self.best.units),
             self.best.key[1],
             bound_us,
             unused_required=unused_required(problem, self.best.units),
+            ties_proven=self.stage is Stage.DONE,
             seconds=seconds,
             counts=counts,
         )

@@ -18,7 +18,7 @@ from cfgplan.planners.fleet.flatness import is_flat
 from cfgplan.planners.fleet.hostless import hostless
 from cfgplan.planners.fleet.quality_start import QualityStart
 from cfgplan.planners.fleet.standing import Standing
-from cfgplan.planners.solving.clock import Clock, OutOfTimeError
+from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import InterruptiblePlanner, Notion, Plan, Problem, Progress, Status
 from cfgplan.reasons import unmet_reasons
 
@@ -48,7 +48,7 @@ def plan(
     """
     clock = Clock(time_limit_s, stop)
     standing = Standing(problem, clock, report)
-    try:
+    with clock.ending(standing.plan):
         candidates = Candidates(problem, watch=clock.check)
         if reasons := unmet_reasons(problem, candidates.givers, candidates.possible):
             return Plan("cpsat", Status.INFEASIBLE, reasons=reasons, seconds=clock.end("closure"))
@@ -61,10 +61,6 @@ def plan(
         if Notion.SURVIVAL not in problem.notions:  # a hot spare may get any quality
             leave_out_what_is_too_bad(candidates)
         _search(candidates, standing, first, without_hosts)
-    except OutOfTimeError:
-        pass
-    except KeyboardInterrupt:
-        clock.stop.set()
     clock.end("search")
     return standing.plan()
 
@@ -76,8 +72,8 @@ def _search(candidates: Candidates, standing: Standing, first: FirstPlans, witho
     if is_flat(candidates):
         search = _solve_flat(candidates, standing, first, without_hosts)
         clock.end("flat")
-        standing.is_optimal = search is not None and search.is_done
-        if search is None or standing.is_optimal or standing.is_infeasible or clock.is_over():
+        standing.are_ties_proven = search is not None and search.is_done
+        if search is None or standing.are_ties_proven or standing.is_infeasible or clock.is_over():
             return
         if standing.is_cost_proven:
             candidates = Candidates(problem, search.left(), clock.check, candidates)
@@ -127,5 +123,5 @@ def _solve_flat(
         if standing.best is not None and Notion.QUALITY in problem.notions:
             bound_by_price(candidates, standing.best[0][1] - search.least_us)
             flat = Flat(candidates)
-    standing.is_infeasible = standing.best is None
+    standing.prove_infeasible()
     return None

@@ -148,8 +148,9 @@ class FlatSearch:
 
     def _note_that_none_is_better_than(self, key: Key | None) -> None:
         best = self.standing.best
-        self.standing.is_infeasible = best is None
-        if best is not None and key is not None:
+        if best is None or key is None:
+            self.standing.prove_infeasible()
+        else:
             self.standing.prove_cost()
             self.is_done = self.is_weighed and best[0][2] == 0 and best[0][3] == key[3]
 

@@ -95,7 +95,7 @@ class Search:
             standing.prove_cost()
         assert standing.best is not None
         model.cp.add(cost <= standing.best[0][1])
-        standing.is_optimal = self.minimise(model.changes())
+        standing.are_ties_proven = self.minimise(model.changes())
 
     def minimise(self, objective: LinearExprT) -> bool:
         """Rounds of solving and of demanding what is missed; True with a proof that the best plan is best in this."""
@@ -124,7 +124,8 @@ class Search:
             mend = "give the quality attributes a `worst` and a `best` that are closer, or fewer decimals"
             raise InputError.of("the numbers are too large to be computed exactly", mend=mend)
         if status == INFEASIBLE:
-            self.standing.is_infeasible = self.is_all and self.standing.best is None
+            if self.is_all:
+                self.standing.prove_infeasible()
             return False, []
         if self.is_bounding_cost:
             self.standing.raise_bound(ceil(solver.best_objective_bound - 0.5))

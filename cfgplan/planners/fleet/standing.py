@@ -8,7 +8,7 @@ from cfgplan.domain import ComputationUnit
 from cfgplan.planners.fleet.keys import key_of
 from cfgplan.planners.fleet.reasons import joint_reasons
 from cfgplan.planners.networks.quality import Key, unused_required
-from cfgplan.planners.solving.clock import Clock
+from cfgplan.planners.solving.clock import Clock, ContradictionError
 from cfgplan.planning import Plan, Problem, Progress, Status
 
 
@@ -23,7 +23,7 @@ class Standing:
         self.bound_us = 0
         self.is_infeasible = False
         self.is_cost_proven = False
-        self.is_optimal = False
+        self.are_ties_proven = False
         self.counts: dict[str, int] = {}
 
     def offer(self, units: list[ComputationUnit]) -> Key:
@@ -39,6 +39,12 @@ class Standing:
         assert self.best is not None
         self.is_cost_proven = True
         self.raise_bound(self.best[0][1])
+
+    def prove_infeasible(self) -> None:
+        """There is no plan. Raises ContradictionError if there is one."""
+        if self.best is not None:
+            raise ContradictionError("no plan is said to be possible, but one is known")
+        self.is_infeasible = True
 
     def raise_bound(self, bound_us: int) -> None:
         if bound_us > self.bound_us:
@@ -65,11 +71,12 @@ class Standing:
         key, units = self.best
         return Plan(
             "cpsat",
-            Status.OPTIMAL if self.is_optimal else Status.FEASIBLE,
+            Status.of_plan(key[1], self.bound_us),
             problem.environment.change_to(units),
             key[1],
-            min(self.bound_us, key[1]),
+            self.bound_us,
             unused_required=unused_required(problem, units),
+            ties_proven=self.are_ties_proven,
             seconds=seconds,
             counts=counts,
         )

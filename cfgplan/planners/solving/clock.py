@@ -3,7 +3,13 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from threading import Event
+
+from cfgplan.errors import CfgplanError
+from cfgplan.planning import Plan, PlannerFaultError, Status
 
 STOPPING_S = 0.5
 """So long after `stop` is set a first plan may still be looked for."""
@@ -11,6 +17,10 @@ STOPPING_S = 0.5
 
 class OutOfTimeError(Exception):
     """The time is over in the middle of something that is of no use unless it is finished."""
+
+
+class ContradictionError(Exception):
+    """The engine refuses a model, or says that it has no solution where one is known: a bug."""
 
 
 class Clock:
@@ -49,3 +59,28 @@ class Clock:
         self.seconds[phase] = self.seconds.get(phase, 0.0) + now - self._phase_began
         self._phase_began = now
         return self.seconds
+
+    @contextmanager
+    def ending(self, so_far: Callable[[], Plan]) -> Iterator[None]:
+        """Let the time limit and Ctrl-C end what is done quietly.
+
+        Raises PlannerFaultError with the plan so far, if there is one, where a bug ends it; of that plan nothing counts
+        as proven.
+        """
+        try:
+            yield
+        except OutOfTimeError:
+            pass
+        except KeyboardInterrupt:
+            self.stop.set()
+        except (CfgplanError, OSError, ImportError):
+            raise
+        except Exception as error:
+            found = so_far()
+            if found.change_set is None or found.cost_us is None:
+                raise
+            status = Status.of_plan(found.cost_us, 0)
+            unproven = replace(found, status=status, bound_us=0, ties_proven=False, required_proven=False)
+            raise PlannerFaultError(
+                f"planner {found.planner} failed after it had found a plan: {error}", unproven
+            ) from error

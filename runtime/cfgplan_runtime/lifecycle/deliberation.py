@@ -164,7 +164,7 @@ def _decision(
     is_needed = not is_sound or before < after or _uses_more_required(thought, unused_required)
     if is_needed:
         return Decision.APPLIED
-    if not thought.is_proven and thought.cost_us >= thought.cost_before_us and before == after:
+    if thought.cost_us >= thought.cost_before_us and before == after:
         return Decision.KEPT
     return Decision.APPLIED if optimises else Decision.DEFERRED
 

@@ -40,7 +40,7 @@ class Review:
     each of PHASES, where `detect` is from the report of the first perturbation to the beginning. Costs are over the
     horizon, in microseconds of CPU time: `cost_before_us` of letting run what ran (gaps and all), `cost_us` of the
     plan, its labor included. `change_set` is what was, or would be, applied. `unmet` gives the reason for each
-    target that is given up. `is_proven` tells that no plan is better.
+    target that is given up. `is_proven` tells that no plan is cheaper.
     """
 
     number: int
