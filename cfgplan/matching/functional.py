@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from typing import Final, TypeAlias
 
 from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI
+from cfgplan.matching.names import short_name
 
 Tree: TypeAlias = "str | tuple[Tree, ...]"
 """An IRI without brackets, a keyword, number or literal; or a keyword followed by its arguments."""
@@ -58,12 +59,19 @@ _USES: Final = {
     "DataPropertyAssertion": "xix",
     "NegativeDataPropertyAssertion": "xix",
     "HasKey": "cx",
+    "ClassAtom": "ci",
+    "ObjectPropertyAtom": "ri",
+    "DataPropertyAtom": "xix",
+    "SameIndividualAtom": "i",
+    "DifferentIndividualsAtom": "i",
     "Class": "c",
     "ObjectProperty": "r",
     "NamedIndividual": "i",
 }
 
-LOGICAL: Final = frozenset(keyword for keyword in _USES if keyword not in {"Class", "ObjectProperty"}) | {
+LOGICAL: Final = frozenset(
+    keyword for keyword in _USES if keyword not in {"Class", "ObjectProperty"} and not keyword.endswith("Atom")
+) | {
     "SubDataPropertyOf",
     "EquivalentDataProperties",
     "DisjointDataProperties",
@@ -71,7 +79,6 @@ LOGICAL: Final = frozenset(keyword for keyword in _USES if keyword not in {"Clas
     "FunctionalDataProperty",
     "DatatypeDefinition",
     "Declaration",
-    "Rule",
     "DLSafeRule",
 }
 """The keywords of axioms that have a meaning; annotations, imports and headers have none."""
@@ -92,6 +99,24 @@ def parse(text: str) -> Tree:
     if len(stack) != 1 or len(stack[0]) != 1:
         raise ValueError(f"not one axiom in functional syntax: {text!r}")
     return stack[0][0]
+
+
+def rule_text(tree: Tree) -> str:
+    """A rule as `A(x), r(x, y) → B(y)`, with short names."""
+    body, head = (", ".join(map(_atom_text, part[1:])) for part in tree[1:])
+    return f"{body} → {head}"
+
+
+def _atom_text(atom: Tree) -> str:
+    keyword = atom[0]
+    names = [short_name(str(part[1])) if isinstance(part, tuple) else _argument_text(part) for part in atom[1:]]
+    if str(keyword) in ("SameIndividualAtom", "DifferentIndividualsAtom"):
+        return (" = " if keyword == "SameIndividualAtom" else " ≠ ").join(names)
+    return f"{names[0]}({', '.join(names[1:])})"
+
+
+def _argument_text(argument: str) -> str:
+    return argument.partition("^^")[0] if argument.startswith('"') else short_name(argument)
 
 
 class Signature:

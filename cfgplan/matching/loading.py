@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 import io
+import json
 import re
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
 from urllib.parse import unquote, urlsplit
 
 from cfgplan.errors import Fault, InputError
-from cfgplan.matching.functional import LOGICAL
+from cfgplan.matching.functional import LOGICAL, parse, rule_text
+from cfgplan.matching.names import short_name
 from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.rdf import ANONYMOUS, Graph
 
 EXTENSIONS: Final = {
     ".ttl": "ttl", ".nt": "ttl", ".n3": "ttl", ".owl": "rdf", ".rdf": "rdf", ".xml": "rdf",
-    ".owx": "owx", ".ofn": "ofn", ".fss": "ofn", ".omn": "omn",
+    ".jsonld": "jsonld", ".owx": "owx", ".ofn": "ofn", ".fss": "ofn", ".omn": "omn",
 }  # fmt: skip
 _SYNTAX_NAMES: Final = {
-    "ttl": "Turtle", "rdf": "RDF/XML", "owx": "OWL/XML", "ofn": "functional syntax", "omn": "Manchester syntax",
+    "ttl": "Turtle", "rdf": "RDF/XML", "jsonld": "JSON-LD",
+    "owx": "OWL/XML", "ofn": "functional syntax", "omn": "Manchester syntax",
 }  # fmt: skip
 _PREFIX: Final = re.compile(
     r"""(?:@prefix|\bPREFIX|^Prefix:)\s*([\w.-]*):\s*<([^<>]*)>|\bxmlns:([\w.-]+)\s*=\s*["']([^"']*)["']""",
@@ -34,26 +38,32 @@ _REASON: Final = re.compile(
     r'message: "((?:[^"\\]|\\.)*)"|Msg\("((?:[^"\\]|\\.)*)"\)|(?:Validity)?Error\("((?:[^"\\]|\\.)*)"'
 )
 
+_TERM: Final = re.compile(r'(?:Iri\()?IRI\(\\*"([^"\\]+)\\*"\)\)?')
+_DL_SAFE: Final = ("ofn", "owx")
+"""The syntaxes whose rules are about named individuals only by definition; those of others are about everything."""
+_NOT_TOLD: Final = "its built-ins are told to no reasoner"
+
 _MISSING = "check the path under `ontology:`; it is relative to the environment file, and web addresses are not fetched"
-_NO_TEXT = "name a file in Turtle, RDF/XML, OWL/XML, functional or Manchester syntax"
+_NO_TEXT = "name a file in Turtle, RDF/XML, JSON-LD, OWL/XML, functional or Manchester syntax"
 
 
 @dataclass(frozen=True)
 class _Document:
-    """One parsed file: its own IRI, the IRIs it imports, its axioms and prefixes."""
+    """One parsed file: its own IRI, the IRIs it imports, its axioms and prefixes, what is dropped and why."""
 
-    iri: str | None
-    imports: tuple[str, ...]
-    axioms: tuple[str, ...]
-    prefixes: dict[str, str]
+    iri: str | None = None
+    imports: tuple[str, ...] = ()
+    axioms: tuple[str, ...] = ()
+    prefixes: Mapping[str, str] = field(default_factory=dict)
+    dropped: Mapping[str, str] = field(default_factory=dict)
 
 
 def load_ontology(paths: Sequence[Path]) -> Ontology:
     """The union of ontology files and of everything they import; the open ontology if there are no files.
 
-    The syntax (Turtle, N-Triples, RDF/XML, OWL/XML, functional, Manchester) is told by the content. An import is a
-    relative path, a file beside the importing one that is named like the last part of the IRI or declares it, or
-    one of `paths`. Raises InputError with every file that can't be used.
+    The syntax (Turtle, N-Triples, RDF/XML, JSON-LD, OWL/XML, functional, Manchester) is told by the content. An
+    import is a relative path, a file beside the importing one that is named like the last part of the IRI or declares
+    it, or one of `paths`. Raises InputError with every file that can't be used.
     """
     if not paths:
         return Ontology(is_open=True)
@@ -69,7 +79,7 @@ def load_ontology(paths: Sequence[Path]) -> Ontology:
             document = documents[path] = _read(path, shown[path])
         except InputError as error:
             faults.extend(error.faults)
-            documents[path] = _Document(None, (), (), {})
+            documents[path] = _Document()
             continue
         for iri in document.imports:
             found = _imported_file(iri, path, documents, [p for p in shown if p not in documents])
@@ -96,19 +106,22 @@ def load_ontology(paths: Sequence[Path]) -> Ontology:
         for number, document in enumerate(documents.values())
         for axiom in document.axioms
     ]
-    return Ontology(axioms, prefixes, files=documents)
+    dropped = {text: why for document in documents.values() for text, why in document.dropped.items()}
+    return Ontology(axioms, prefixes, files=documents, dropped=dropped)
 
 
 def read_owlready(onto: Any) -> Ontology:
     """The axioms of an `owlready2` ontology object and of those that it imports. Raises InputError."""
     axioms: list[str] = []
+    dropped: dict[str, str] = {}
     for number, part in enumerate(onto.indirectly_imported_ontologies()):
         written = io.BytesIO()
         part.save(written, format="rdfxml")
         shown = f"owlready2 ontology <{part.base_iri}>"
         document = _parse_rdf(written.getvalue().decode(), "rdf", part.base_iri, shown)
         axioms.extend(_with_own_anonymous(axiom, number) for axiom in document.axioms)
-    return Ontology(axioms)
+        dropped |= document.dropped
+    return Ontology(axioms, dropped=dropped)
 
 
 def _with_own_anonymous(axiom: str, number: int) -> str:
@@ -132,7 +145,9 @@ def _read(path: Path, shown: str) -> _Document:
         raise InputError.of("the ontology file is empty", file=shown, mend="write an ontology, or don't name the file")
     syntax = _syntax_of(text, path.suffix.lower())
     document = (
-        _parse_rdf(text, syntax, path.as_uri(), shown) if syntax in ("ttl", "rdf") else _parse(text, syntax, shown)
+        _parse_rdf(text, syntax, path.as_uri(), shown)
+        if syntax in ("ttl", "rdf", "jsonld")
+        else _parse(text, syntax, shown)
     )
     if not document.axioms and not document.imports and document.iri is None:
         raise InputError.of(
@@ -146,11 +161,13 @@ def _syntax_of(text: str, suffix: str) -> str:
     start = next((line for line in lines if line and not line.startswith("#")), "")
     if re.match(r"<\?xml|<!|<rdf:RDF|<Ontology\b", start):
         return "rdf" if "<rdf:RDF" in text else "owx" if "<Ontology" in text else EXTENSIONS.get(suffix, "rdf")
+    if re.match(r"\s*(\[\s*)?\{", text):
+        return "jsonld"
     if re.match(r"(Prefix|Ontology)\s*\(", start):
         return "ofn"
     if re.match(r"(Prefix|Ontology|Class|ObjectProperty|Individual):(\s|$)", start):
         return "omn"
-    return "ttl" if EXTENSIONS.get(suffix) in (None, "rdf", "owx") else EXTENSIONS[suffix]
+    return "ttl" if EXTENSIONS.get(suffix) in (None, "rdf", "owx", "jsonld") else EXTENSIONS[suffix]
 
 
 def _parse_rdf(text: str, syntax: str, base: str, shown: str) -> _Document:
@@ -162,14 +179,26 @@ def _parse_rdf(text: str, syntax: str, base: str, shown: str) -> _Document:
             line, column = _xml_error_place(text)
         told = _PLACE.sub("", error.msg)
         message, mend = f"the ontology can't be read as {name}: {told}", f"write valid {name}"
+        if "LoadDocument" in told:
+            message = f"the ontology can't be read as {name}: its `@context` is another document"
+            mend = "write the `@context` into the file: web addresses are not fetched"
         raise InputError([Fault(message, file=shown, line=line, column=column, mend=mend)]) from None
-    document = _parse(graph.lossless(), "ttl", shown)
+    try:
+        parsed = _parsed(graph.lossless(), "ttl")
+    except ValueError as error:
+        raise InputError([_fault_of(str(error), text, syntax, shown)]) from None
+    components = [str(component.component) for component in parsed.get_components()]
+    document = _document(parsed, components, syntax, shown)
+    unread = {f"{said} in {Path(shown).name}": "that is no axiom of OWL 2" for said in graph.unread(components)}
     axioms = [_ANONYMOUS_IRI.sub(r"_:\1", axiom) for axiom in (*document.axioms, *graph.axioms)]
     axioms = [axiom for axiom in axioms if not axiom.startswith("Declaration(NamedIndividual(_:")]
-    return _Document(document.iri, document.imports, tuple(axioms), _prefixes_in(text))
+    dropped = {**document.dropped, **unread}
+    return replace(document, axioms=tuple(axioms), prefixes=_prefixes_in(text, syntax), dropped=dropped)
 
 
-def _prefixes_in(text: str) -> dict[str, str]:
+def _prefixes_in(text: str, syntax: str) -> dict[str, str]:
+    if syntax == "jsonld":
+        return dict(_prefixes_of_context(json.loads(text)))
     prefixes: dict[str, str] = {}
     for found in _PREFIX.finditer(text):
         prefix, namespace = (found[1], found[2]) if found[2] is not None else (found[3], found[4])
@@ -177,27 +206,63 @@ def _prefixes_in(text: str) -> dict[str, str]:
     return prefixes
 
 
+def _prefixes_of_context(data: object) -> Iterator[tuple[str, str]]:
+    context = data.get("@context") if isinstance(data, dict) else None
+    for part in context if isinstance(context, list) else [context]:
+        for name, value in part.items() if isinstance(part, dict) else ():
+            if isinstance(value, str) and value.endswith(("#", "/", ":")):
+                yield "" if name == "@vocab" else name, value
+
+
 def _parse(text: str, syntax: str, shown: str) -> _Document:
+    try:
+        parsed = _parsed(text, syntax)
+    except ValueError as error:
+        raise InputError([_fault_of(str(error), text, syntax, shown)]) from None
+    prefixes = {prefix: namespace for prefix, namespace in parsed.prefix_mapping if prefix not in ("_", "xml")}
+    components = [str(component.component) for component in parsed.get_components()]
+    return replace(_document(parsed, components, syntax, shown), prefixes=prefixes)
+
+
+def _parsed(text: str, syntax: str) -> Any:
+    """py-horned-owl's reading of a text. Raises ValueError."""
     import pyhornedowl
 
     try:
-        parsed = pyhornedowl.open_ontology_from_string(text, syntax)  # type: ignore[arg-type]
+        return pyhornedowl.open_ontology_from_string(text, syntax)  # type: ignore[arg-type]
     except (KeyboardInterrupt, SystemExit, MemoryError):
         raise
     except BaseException as error:  # a panic of the parser's native code is no Exception
-        raise InputError([_fault_of(str(error), text, syntax, shown)]) from None
+        raise ValueError(str(error)) from None
+
+
+def _document(parsed: Any, components: Iterable[str], syntax: str, shown: str) -> _Document:
     axioms: list[str] = []
     imports: list[str] = []
-    for component in parsed.get_axioms():
-        axiom = str(component.component)
-        keyword = axiom[: axiom.find("(")]
-        if keyword in LOGICAL:
-            axioms.append(axiom)
+    dropped: dict[str, str] = {}
+    for component in components:
+        keyword = component[: component.find("(")]
+        if keyword == "DLSafeRule":
+            why = _loss_of_rule(component, syntax)
+            if why:
+                dropped[f"the rule {rule_text(parse(component))} in {Path(shown).name}"] = why
+            if why != _NOT_TOLD:
+                axioms.append(component)
+        elif keyword in LOGICAL:
+            axioms.append(component)
         elif keyword == "Import":
-            imports.append(axiom[len("Import(") : -1].strip("<>"))
-    prefixes = {prefix: namespace for prefix, namespace in parsed.prefix_mapping if prefix not in ("_", "xml")}
+            imports.append(component[len("Import(") : -1].strip("<>"))
     iri = parsed.get_iri()
-    return _Document(None if iri is None else str(iri), tuple(sorted(imports)), tuple(axioms), prefixes)
+    return _Document(
+        None if iri is None else str(iri), tuple(sorted(imports)), tuple(axioms), dropped=MappingProxyType(dropped)
+    )
+
+
+def _loss_of_rule(rule: str, syntax: str) -> str | None:
+    """What reasoners leave out of a rule; None if they know all of it."""
+    if "BuiltInAtom(" in rule or "DataRangeAtom(" in rule:
+        return _NOT_TOLD
+    return None if syntax in _DL_SAFE else "it is applied to named individuals only"
 
 
 def _fault_of(error: str, text: str, syntax: str, shown: str) -> Fault:
@@ -209,13 +274,25 @@ def _fault_of(error: str, text: str, syntax: str, shown: str) -> Fault:
         line = text.encode()[: int(found[3])].count(b"\n") + 1
     elif syntax == "owx":
         line, column = _xml_error_place(text)
+    else:
+        line = _first_line_with(text, _TERM.findall(error))
     reason = _REASON.search(error)
     message = next(filter(None, reason.groups()), "") if reason else ""
-    told = f": {message}" if message else ""
+    told = ": " + _TERM.sub(r"<\1>", message) if message else ""
     name = _SYNTAX_NAMES[syntax]
     return Fault(
         f"the ontology can't be read as {name}{told}", file=shown, line=line, column=column, mend=f"write valid {name}"
     )
+
+
+def _first_line_with(text: str, iris: Iterable[str]) -> int | None:
+    """The first line that mentions the first of some IRIs that is mentioned, in full or else by its short name."""
+    lines = text.splitlines()
+    for name in (name for iri in iris for name in (f"<{iri}>", f'"{iri}"', short_name(iri))):
+        found = next((number for number, line in enumerate(lines, start=1) if name in line), None)
+        if found is not None:
+            return found
+    return None
 
 
 def _xml_error_place(text: str) -> tuple[int | None, int | None]:

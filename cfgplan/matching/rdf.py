@@ -1,22 +1,33 @@
 """RDF documents as N-Triples that py-horned-owl reads without a loss.
 
 Of a valid ontology it would silently drop disjointness of several classes or properties, anonymous individuals, class
-expressions without a type, and names that are defined without `owl:equivalentClass` (as OWL 1 allowed). So these are
-written in another way first.
+expressions without a type, names that are defined without `owl:equivalentClass` (as OWL 1 allowed), and names of RDF
+Schema; it would refuse a second type of the ontology itself. So these are written in another way first. What it drops
+nevertheless is found by comparing its axioms with the triples.
 """
 
 from __future__ import annotations
 
-from collections import defaultdict
+import re
+from collections import Counter, defaultdict
+from collections.abc import Collection, Iterator
 from typing import Final
+
+from cfgplan.matching.names import short_name
 
 OWL: Final = "http://www.w3.org/2002/07/owl#"
 RDF: Final = "http://www.w3.org/1999/02/22-rdf-syntax-ns#"
+RDFS: Final = "http://www.w3.org/2000/01/rdf-schema#"
+XSD: Final = "http://www.w3.org/2001/XMLSchema#"
+SWRL: Final = "http://www.w3.org/2003/11/swrl#"
 ANONYMOUS: Final = "urn:cfgplan:anonymous:"
 """Stands before the number of an anonymous individual."""
 
 _TYPE: Final = f"<{RDF}type>"
-_BUILT_IN: Final = (f"<{OWL}", f"<{RDF}", "<http://www.w3.org/2000/01/rdf-schema#")
+_BUILT_IN: Final = (f"<{OWL}", f"<{RDF}", f"<{RDFS}", f"<{SWRL}")
+_OF_THE_HEADER: Final = (f"<{OWL}imports>", f"<{OWL}versionIRI>")
+_DEPRECATED: Final = (f"<{OWL}DeprecatedClass>", f"<{OWL}DeprecatedProperty>")
+_PROPERTY_TYPES: Final = tuple(f"<{OWL}{kind}Property>" for kind in ("Object", "Datatype", "Annotation"))
 _ABOUT_INDIVIDUALS: Final = frozenset(
     f"<{OWL}{name}>"
     for name in ("sameAs", "differentFrom", "sourceIndividual", "targetIndividual", "Thing", "NamedIndividual")
@@ -26,16 +37,63 @@ _DISJOINT: Final = {
     f"<{OWL}AllDisjointClasses>": "DisjointClasses",
     f"<{OWL}AllDisjointProperties>": "DisjointObjectProperties",
 }
+_SUB_PROPERTY: Final = ("SubObjectPropertyOf", "SubDataPropertyOf", "SubAnnotationPropertyOf")
+_ASSERTIONS: Final = ("ObjectPropertyAssertion", "DataPropertyAssertion", "AnnotationAssertion")
+_KEYWORDS: Final = {
+    f"<{RDFS}subClassOf>": ("SubClassOf",),
+    f"<{RDFS}subPropertyOf>": _SUB_PROPERTY,
+    f"<{RDFS}domain>": ("ObjectPropertyDomain", "DataPropertyDomain", "AnnotationPropertyDomain"),
+    f"<{RDFS}range>": ("ObjectPropertyRange", "DataPropertyRange", "AnnotationPropertyRange"),
+    f"<{OWL}equivalentClass>": ("EquivalentClasses", "DatatypeDefinition"),
+    f"<{OWL}disjointWith>": ("DisjointClasses",),
+    f"<{OWL}disjointUnionOf>": ("DisjointUnion",),
+    f"<{OWL}hasKey>": ("HasKey",),
+    f"<{OWL}propertyChainAxiom>": _SUB_PROPERTY[:1],
+    f"<{OWL}equivalentProperty>": ("EquivalentObjectProperties", "EquivalentDataProperties"),
+    f"<{OWL}propertyDisjointWith>": ("DisjointObjectProperties", "DisjointDataProperties"),
+    f"<{OWL}inverseOf>": ("InverseObjectProperties",),
+    f"<{OWL}sameAs>": ("SameIndividual",),
+    f"<{OWL}differentFrom>": ("DifferentIndividuals",),
+}
+"""The axioms that triples with a predicate come to."""
+_CHARACTERISTICS: Final = {
+    f"<{OWL}{kind}Property>": tuple(f"{kind}{of}Property" for of in ("Object", "Data"))
+    for kind in (
+        *("Functional", "InverseFunctional", "Transitive", "Symmetric", "Asymmetric", "Reflexive", "Irreflexive"),
+    )
+}
+_NO_AXIOM: Final = ("",)
+_OF_EXPRESSIONS: Final = frozenset(f"<{OWL}{name}>" for name in ("onProperty", "onProperties", "onDatatype"))
+"""Predicates that mean nothing on a name: an expression is anonymous."""
+_ROOTS: Final = {
+    f"<{OWL}AllDifferent>": ("DifferentIndividuals",),
+    f"<{OWL}NegativePropertyAssertion>": ("NegativeObjectPropertyAssertion", "NegativeDataPropertyAssertion"),
+    f"<{SWRL}Imp>": ("DLSafeRule",),
+}
+"""The axioms that nodes of a type come to."""
+_NAME: Final = r"<[^<>]*>"
+_PLACES: Final = re.compile(rf"(\w+)\(({_NAME})?.*?({_NAME})?\)$", re.DOTALL)
+_KEYWORDS_OF_TRIPLES: Final = frozenset(
+    keyword
+    for keywords in (
+        *_KEYWORDS.values(),
+        *_CHARACTERISTICS.values(),
+        *_ROOTS.values(),
+        _ASSERTIONS,
+        ("ClassAssertion",),
+    )
+    for keyword in keywords
+) - {"AnnotationAssertion"}
 
 
 class Graph:
     """The triples of a document, terms in N-Triples; blank nodes are numbered in order of appearance."""
 
     def __init__(self, text: str, syntax: str, base: str) -> None:
-        """Read Turtle ("ttl") or RDF/XML ("rdf"). Raises SyntaxError with line and column."""
-        import pyoxigraph
+        """Read Turtle ("ttl"), RDF/XML ("rdf") or JSON-LD ("jsonld"). Raises SyntaxError with line and column."""
+        from pyoxigraph import RdfFormat, parse
 
-        form = pyoxigraph.RdfFormat.RDF_XML if syntax == "rdf" else pyoxigraph.RdfFormat.TURTLE
+        form = {"ttl": RdfFormat.TURTLE, "rdf": RdfFormat.RDF_XML, "jsonld": RdfFormat.JSON_LD}[syntax]
         numbers: dict[str, str] = {}
 
         def term(value: object) -> str:
@@ -44,23 +102,113 @@ class Graph:
 
         self._triples: list[tuple[str, str, str]] = [
             (term(quad.subject), term(quad.predicate), term(quad.object))
-            for quad in pyoxigraph.parse(input=text.encode(), format=form, base_iri=base)
+            for quad in parse(input=text.encode(), format=form, base_iri=base)
         ]
         self.axioms: list[str] = []
+        self._individuals: set[str] = set()
         self._of: defaultdict[str, list[tuple[str, str]]] = defaultdict(list)
         for subject, predicate, value in self._triples:
             self._of[subject].append((predicate, value))
 
     def lossless(self) -> str:
         """The document in N-Triples; what has no triples that survive is in `axioms`, in functional syntax."""
+        self._drop_what_means_nothing()
+        self._give_names_a_type()
         self._write_disjointness_as_axioms()
         self._give_expressions_a_type()
-        individuals = self._anonymous_individuals()
+        self._individuals = self._anonymous_individuals()
+        return "".join(f"{self._named(s)} {p} {self._named(o)} .\n" for s, p, o in self._triples)
 
-        def named(term: str) -> str:
-            return f"<{ANONYMOUS}{term[3:]}>" if term in individuals else term
+    def _drop_what_means_nothing(self) -> None:
+        """Drop what has no meaning: what is said of the ontology itself, deprecations, restrictions as classes."""
+        restriction = (_TYPE, f"<{OWL}Restriction>")
+        header = {s for s, p, o in self._triples if p == _TYPE and o == f"<{OWL}Ontology>"}
+        self._triples = [
+            (s, p, o)
+            for s, p, o in self._triples
+            if (s not in header or p in _OF_THE_HEADER or o == f"<{OWL}Ontology>")
+            and not (p == _TYPE and (o in _DEPRECATED or (o == f"<{OWL}Class>" and restriction in self._of[s])))
+        ]
 
-        return "".join(f"{named(s)} {p} {named(o)} .\n" for s, p, o in self._triples)
+    def _give_names_a_type(self) -> None:
+        """Classes and properties of RDF Schema as those of OWL: a property is one of data if it has a literal."""
+        properties: dict[str, bool] = {}
+        for subject, predicate, value in list(self._triples):
+            if predicate == _TYPE and value == f"<{RDFS}Class>":
+                self._triples.append((subject, _TYPE, f"<{OWL}Class>"))
+            elif predicate == _TYPE and value == f"<{RDF}Property>":
+                properties.setdefault(subject, False)
+            elif predicate == f"<{OWL}equivalentClass>":
+                self._triples += [(name, _TYPE, f"<{OWL}Class>") for name in self._untyped_classes(subject, value)]
+            elif predicate == f"<{RDFS}range>" and value.startswith((f"<{XSD}", f"<{RDFS}Literal>")):
+                properties[subject] = True
+        for _, predicate, value in self._triples:
+            if value.startswith('"') and predicate in properties:
+                properties[predicate] = True
+        for name, is_data in properties.items():
+            if not any((_TYPE, kind) in self._of[name] for kind in _PROPERTY_TYPES):
+                self._triples.append((name, _TYPE, _PROPERTY_TYPES[is_data]))
+
+    def _untyped_classes(self, one: str, other: str) -> list[str]:
+        """Which of two equivalent terms are names without a type, if no type of the other says that it is data."""
+        data = (_TYPE, f"<{RDFS}Datatype>")
+        if any(data in self._of[term] or term.startswith(f"<{XSD}") for term in (one, other)):
+            return []
+        return [
+            term for term in (one, other) if term.startswith("<") and (_TYPE, f"<{OWL}Class>") not in self._of[term]
+        ]
+
+    def unread(self, axioms: Collection[str]) -> Iterator[str]:
+        """What the triples say and none of the axioms read from `lossless` does, shortened."""
+        triples = [*self._triples_of_axioms()]
+        if len(triples) <= sum(map(_comes_from_triple, axioms)):
+            return
+        known = frozenset(axioms)
+        direct: set[str] = set()
+        expected: defaultdict[tuple[tuple[str, ...], str, str], set[object]] = defaultdict(set)
+        for subject, predicate, value in triples:
+            keywords, name, arguments = _axiom_of(self._named(subject), predicate, self._named(value))
+            said = known.intersection([f"{keyword}({arguments})" for keyword in keywords])
+            direct |= said
+            if not said:
+                expected[keywords, name, predicate].add((self._structure(subject), self._structure(value)))
+        places: Counter[tuple[str, str]] = Counter()
+        for found in map(_PLACES.match, known - direct):
+            if found:
+                keyword, *names = found.groups()
+                places.update((keyword, name) for name in {"", *filter(None, names)})
+        for (keywords, name, predicate), meanings in expected.items():
+            if sum(places[keyword, name] for keyword in keywords) < len(meanings):
+                about = short_name(name.strip("<>")) if name else "[ ]"
+                yield f"`{about} {short_name(predicate.strip('<>'))} ...`"
+
+    def _triples_of_axioms(self) -> Iterator[tuple[str, str, str]]:
+        """The triples that an axiom each comes from: no annotations, declarations or parts of expressions."""
+        annotations = {s for s, p, o in self._triples if p == _TYPE and o == _PROPERTY_TYPES[2]}
+        for subject, predicate, value in self._triples:
+            is_part = subject.startswith("_:") and subject not in self._individuals
+            if predicate == _TYPE:
+                is_of_owl = value.startswith(_BUILT_IN)
+                is_meant = (value in _ROOTS or value in _CHARACTERISTICS) if is_of_owl else not is_part
+            elif predicate in _KEYWORDS:
+                is_meant = subject not in annotations and not (is_part and predicate == f"<{OWL}inverseOf>")
+            elif predicate in _OF_EXPRESSIONS:
+                is_meant = not is_part
+            else:
+                is_expression = value.startswith("_:") and value not in self._individuals
+                is_free = not (is_part or is_expression or predicate in annotations)
+                is_meant = is_free and not predicate.startswith(_BUILT_IN)
+            if is_meant:
+                yield subject, predicate, value
+
+    def _named(self, term: str) -> str:
+        return f"<{ANONYMOUS}{term[3:]}>" if term in self._individuals else term
+
+    def _structure(self, term: str, inside: tuple[str, ...] = ()) -> object:
+        """What a blank node stands for: nodes that say the same are read as one axiom."""
+        if not term.startswith("_:") or term in inside or term not in self._of or term in self._individuals:
+            return term
+        return frozenset((p, self._structure(o, (*inside, term))) for p, o in self._of[term])
 
     def _write_disjointness_as_axioms(self) -> None:
         for subject, predicate, value in list(self._triples):
@@ -90,10 +238,10 @@ class Graph:
             if predicate == f"<{OWL}onProperty>" and f"<{OWL}Restriction>" not in types:
                 self._triples.append((subject, _TYPE, f"<{OWL}Restriction>"))
             elif predicate in _EXPRESSIONS and subject.startswith("<"):
-                node = f"_:e{number}"
+                node, kind = f"_:e{number}", f"<{RDFS}Datatype>"
                 self._triples[number] = (node, predicate, value)
                 self._triples.append((subject, f"<{OWL}equivalentClass>", node))
-                self._triples.append((node, _TYPE, f"<{OWL}Class>"))
+                self._triples.append((node, _TYPE, kind if kind in types else f"<{OWL}Class>"))
             elif predicate in _EXPRESSIONS and not types:
                 self._triples.append((subject, _TYPE, f"<{OWL}Class>"))
 
@@ -107,3 +255,24 @@ class Graph:
             if predicate.startswith(_BUILT_IN) and predicate not in _ABOUT_INDIVIDUALS:
                 blank.discard(value)
         return blank
+
+
+def _axiom_of(subject: str, predicate: str, value: str) -> tuple[tuple[str, ...], str, str]:
+    """The keywords of the axiom that a triple comes to, a name that stands first or last in it, its arguments."""
+    name = "" if subject.startswith("_:") else subject
+    if predicate in _KEYWORDS:
+        return _KEYWORDS[predicate], name, f"{subject} {value}"
+    if predicate in _OF_EXPRESSIONS:
+        return _NO_AXIOM, name, ""
+    if predicate != _TYPE:
+        return _ASSERTIONS, predicate, f"{predicate} {subject} {value}"
+    if value in _ROOTS:
+        return _ROOTS[value], "", ""
+    if value in _CHARACTERISTICS:
+        return _CHARACTERISTICS[value], name, subject
+    return ("ClassAssertion",), name, f"{value} {subject}"
+
+
+def _comes_from_triple(axiom: str) -> bool:
+    """Whether an axiom comes from one triple of `_triples_of_axioms`, and from no other."""
+    return axiom.partition("(")[0] in _KEYWORDS_OF_TRIPLES and not axiom.startswith(f"ClassAssertion(<{OWL}")

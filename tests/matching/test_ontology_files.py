@@ -232,3 +232,136 @@ def test_what_no_reasoner_is_told_is_a_warning_and_part_of_the_ontology() -> Non
     assert less.digest != Ontology(axioms).digest
     (warning,) = match(["<a>"], ["<b>"], less).warnings
     assert "a rule: it counts" in warning
+
+
+PUBLISHED = """@prefix : <http://www.w3.org/ns/sosa/> .
+@prefix sosa: <http://www.w3.org/ns/sosa/> .
+@prefix dcterms: <http://purl.org/dc/terms/> .
+@prefix foaf: <http://xmlns.com/foaf/0.1/> .
+@prefix owl: <http://www.w3.org/2002/07/owl#> .
+@prefix rdf: <http://www.w3.org/1999/02/22-rdf-syntax-ns#> .
+@prefix rdfs: <http://www.w3.org/2000/01/rdf-schema#> .
+@prefix schema: <http://schema.org/> .
+@prefix skos: <http://www.w3.org/2004/02/skos/core#> .
+@prefix vann: <http://purl.org/vocab/vann/> .
+@prefix voaf: <http://purl.org/vocommons/voaf#> .
+@prefix xsd: <http://www.w3.org/2001/XMLSchema#> .
+<http://www.w3.org/ns/sosa/> a owl:Ontology , voaf:Vocabulary ;
+  dcterms:title "Sensor, Observation, Sample, and Actuator (SOSA) Ontology"@en ;
+  dcterms:created "2017-04-17"^^xsd:date ;
+  dcterms:creator [ a foaf:Agent ; foaf:name "Somebody"@en ] ;
+  vann:preferredNamespacePrefix "sosa" ; vann:preferredNamespaceUri "http://www.w3.org/ns/sosa/" .
+dcterms:title a owl:AnnotationProperty . dcterms:created a owl:AnnotationProperty .
+vann:preferredNamespacePrefix a owl:AnnotationProperty . vann:preferredNamespaceUri a owl:AnnotationProperty .
+schema:domainIncludes a owl:AnnotationProperty . schema:rangeIncludes a owl:AnnotationProperty .
+skos:definition a owl:AnnotationProperty . foaf:Agent a owl:Class .
+sosa:Sensor a rdfs:Class , owl:Class ; rdfs:label "Sensor"@en , "Capteur"@fr ; skos:definition "A device."@en ;
+  rdfs:isDefinedBy sosa: ; rdfs:subClassOf sosa:System , [ a owl:Restriction ; owl:onProperty sosa:madeObservation ;
+    owl:allValuesFrom sosa:Observation ] .
+sosa:System a owl:Class . sosa:Observation a owl:Class .
+sosa:Platform a owl:Class , owl:NamedIndividual .
+sosa:Old a owl:Class , owl:DeprecatedClass ; owl:deprecated true ; owl:equivalentClass sosa:Sensor .
+sosa:madeObservation a owl:ObjectProperty ; schema:domainIncludes sosa:Sensor ; schema:rangeIncludes sosa:Observation ;
+  owl:inverseOf sosa:madeBySensor .
+sosa:madeBySensor a owl:ObjectProperty ; schema:domainIncludes [ owl:unionOf ( sosa:Observation sosa:Sensor ) ] .
+sosa:resultTime a owl:DatatypeProperty ; rdfs:range xsd:dateTime .
+sosa:thermometer a sosa:Sensor ; sosa:madeObservation sosa:o1 .
+sosa:o1 a sosa:Observation ; sosa:resultTime "2017-04-17T12:00:00Z"^^xsd:dateTime .
+"""
+
+
+@pytest.mark.parametrize("form", ["TURTLE", "RDF_XML", "JSON_LD"])
+def test_an_ontology_as_it_is_published_loads_in_every_form_of_rdf(form: str, tmp_path: Path) -> None:
+    pyoxigraph = pytest.importorskip("pyoxigraph")
+    quads = pyoxigraph.parse(input=PUBLISHED, format=pyoxigraph.RdfFormat.TURTLE)
+    written = pyoxigraph.serialize([quad.triple for quad in quads], format=getattr(pyoxigraph.RdfFormat, form))
+    path = tmp_path / "sosa.owl"
+    path.write_bytes(written)
+    ontology = load_ontology([path])
+    assert not ontology.dropped
+    assert ontology.classes["Sensor"] == "http://www.w3.org/ns/sosa/Sensor"
+    assert instances(ontology, "System") == instances(ontology, "Old") == ("thermometer",)
+    assert match(["{o1}"], ["∃madeBySensor.Sensor"], ontology).similarity.holds("{o1}", "∃madeBySensor.Sensor")
+
+
+def test_json_ld_gives_its_prefixes_and_a_remote_context_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "w.jsonld"
+    context = '"owl": "http://www.w3.org/2002/07/owl#", "w": "http://w.example/#"'
+    path.write_text(f'{{"@context": {{{context}}}, "@id": "w:Camera", "@type": "owl:Class"}}')
+    ontology = load_ontology([path])
+    assert ontology.class_names.find("w:Camera") == "http://w.example/#Camera"
+    path.write_text('{"@context": "http://w.example/context.jsonld", "@id": "Camera"}')
+    with pytest.raises(InputError, match=r"JSON-LD.*web addresses are not fetched"):
+        load_ontology([path])
+
+
+@pytest.mark.parametrize(
+    ("turtle", "dropped"),
+    [
+        (":Camera rdfs:subClassOf [ a owl:Restriction ; owl:onProperty :hasSource ] .", "Camera subClassOf"),
+        (":Camera rdfs:subClassOf [ owl:onProperties ( :size ) ; owl:someValuesFrom rdfs:Literal ] .", "Camera sub"),
+        ("[ owl:unionOf ( :Camera [ owl:onProperty :hasSource ] ) ] rdfs:subClassOf :Device .", "[ ] subClassOf"),
+        (':Camera owl:equivalentClass "a text" .', "Camera equivalentClass"),
+        (":R a owl:Restriction ; owl:onProperty :hasSource ; owl:someValuesFrom :Camera .", "R onProperty"),
+    ],
+)
+def test_what_of_a_graph_is_no_axiom_is_named(turtle: str, dropped: str, tmp_path: Path) -> None:
+    path = tmp_path / "said.ttl"
+    path.write_text(TURTLE + turtle)
+    ((text, _),) = load_ontology([path]).dropped.items()
+    assert dropped in text
+    assert "said.ttl" in text
+
+
+def test_a_restriction_that_is_a_class_too_is_not_lost(tmp_path: Path) -> None:
+    path = tmp_path / "said.ttl"
+    twice = "[ a owl:Class , owl:Restriction ; owl:onProperty :hasSource ; owl:someValuesFrom :Camera ]"
+    path.write_text(f"{TURTLE}:Shot owl:equivalentClass [ owl:intersectionOf ( :Device {twice} ) ] .")
+    ontology = load_ontology([path])
+    assert not ontology.dropped
+    assert match(["Shot"], ["∃hasSource.Device"], ontology).similarity.holds("Shot", "∃hasSource.Device")
+
+
+SWRL = """@prefix swrl: <http://www.w3.org/2003/11/swrl#> .
+<urn:x> a swrl:Variable . <urn:y> a swrl:Variable . :shot a owl:NamedIndividual ; :hasSource :cam1 .
+[] a swrl:Imp ;
+  swrl:body ( [ a swrl:ClassAtom ; swrl:classPredicate :Camera ; swrl:argument1 <urn:x> ]
+    [ a swrl:IndividualPropertyAtom ; swrl:propertyPredicate :hasSource ; swrl:argument1 <urn:y> ;
+      swrl:argument2 <urn:x> ] ) ;
+  swrl:head ( [ a swrl:ClassAtom ; swrl:classPredicate :Device ; swrl:argument1 <urn:y> ] ) .
+"""
+
+
+def test_a_rule_is_told_for_named_individuals_and_named_for_all_others(tmp_path: Path) -> None:
+    path = tmp_path / "rules.ttl"
+    path.write_text(TURTLE + SWRL)
+    ontology = load_ontology([path])
+    ((text, _),) = ontology.dropped.items()
+    assert "Camera(x), hasSource(y, x) → Device(y)" in text
+    assert instances(Ontology(ontology.axioms), "Device") == ("cam1", "shot")
+
+
+def test_a_dl_safe_rule_is_about_named_individuals_anyway_and_one_with_built_ins_is_not_told(tmp_path: Path) -> None:
+    path = tmp_path / "rules.ofn"
+    rule = "DLSafeRule(Body(ObjectPropertyAtom(:hasSource Variable(<urn:y>) :cam1) {})Head(ClassAtom(:Device Variable(<urn:y>))))"
+    more = "ObjectPropertyAssertion(:hasSource :shot :cam1)"
+    path.write_text(FUNCTIONAL.replace("SubClassOf(", f"{rule.format('')} {more} SubClassOf("))
+    ontology = load_ontology([path])
+    assert not ontology.dropped
+    assert instances(ontology, "Device") == ("cam1", "shot")
+    greater = 'BuiltInAtom(<http://www.w3.org/2003/11/swrlb#greaterThan> Variable(<urn:y>) "5")'
+    path.write_text(FUNCTIONAL.replace("SubClassOf(", f"{rule.format(greater)} {more} SubClassOf("))
+    ontology = load_ontology([path])
+    assert ["built-ins" in why for why in ontology.dropped.values()] == [True]
+    assert not any(axiom.startswith("DLSafeRule") for axiom in ontology.axioms)
+
+
+def test_keys_are_told_to_the_reasoner(tmp_path: Path) -> None:
+    path = tmp_path / "keys.ttl"
+    path.write_text(
+        f'{TURTLE}:Camera owl:hasKey ( :serial ) . :serial a owl:DatatypeProperty . :cam1 :serial "7" . '
+        ':other a :Camera ; :serial "7" ; :hasSource :cam1 .'
+    )
+    ontology = load_ontology([path])
+    assert not ontology.dropped
+    assert match(["{other}"], ["{cam1}"], ontology).similarity.holds("{other}", "{cam1}")
