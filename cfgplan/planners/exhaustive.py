@@ -84,14 +84,16 @@ def _answer(
         known = None if stopped else cost_us
         return Plan("exhaustive", status, None, known, bound_us, seconds=seconds, counts=counts)
     used = _used(units)
+    unused = tuple(label for label in problem.environment.required if label not in used)
     return Plan(
         "exhaustive",
         Status.of_plan(cost_us, bound_us),
         problem.environment.change_to(units),
         cost_us,
         bound_us,
-        unused_required=tuple(t.label for t in problem.environment.library if t.required and t.label not in used),
+        unused_required=unused,
         ties_proven=not stopped,
+        required_proven=not (stopped and unused),
         seconds=seconds,
         counts=counts,
     )

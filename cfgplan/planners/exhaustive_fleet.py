@@ -80,14 +80,16 @@ def _answer(problem: Problem, best: tuple[Key, Units] | None, began: float, trie
         status = Status.UNKNOWN if stopped else Status.TOO_EXPENSIVE
         return Plan("exhaustive", status, None, None if stopped else cost_us, bound_us, seconds=seconds, counts=counts)
     used = {unit.transformation for unit in needed_by(units, [unit for unit in units if unit.publications])}
+    unused = tuple(label for label in environment.required if label not in used)
     return Plan(
         "exhaustive",
         Status.of_plan(cost_us, bound_us),
         environment.change_to(units),
         cost_us,
         bound_us,
-        unused_required=tuple(t.label for t in environment.library if t.required and t.label not in used),
+        unused_required=unused,
         ties_proven=not stopped,
+        required_proven=not (stopped and unused),
         seconds=seconds,
         counts=counts,
     )

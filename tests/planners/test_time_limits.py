@@ -6,8 +6,9 @@ Nothing is timed: the clock is one that goes on by a second whenever somebody lo
 from __future__ import annotations
 
 import itertools
+import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import replace
 from pathlib import Path
 from threading import Event
@@ -15,12 +16,17 @@ from types import SimpleNamespace
 from unittest.mock import patch
 
 import pytest
+from fleets import fleets
+from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import strategies as st
+from worlds import problems
 
 from cfgplan.comparing.families.random_library import random_library
+from cfgplan.figures import cost_parts
 from cfgplan.planners.cpsat import plan
 from cfgplan.planners.solving import clock
 from cfgplan.planners.solving.clock import STOPPING_S, Clock, OutOfTimeError
-from cfgplan.planning import Failures, Plan, Problem, Status
+from cfgplan.planning import Failures, Notion, Plan, Problem, Status
 from cfgplan.qualities import MICRO
 from cfgplan.validity import plan_violations
 
@@ -30,6 +36,8 @@ import instances
 
 FEW_MORE = 40
 """So often somebody may look at the clock once the time is over."""
+NEVER_S = 10**9
+EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "200"))
 
 
 def with_a_required_one(problem: Problem) -> Problem:
@@ -50,21 +58,32 @@ PROBLEMS = {
 
 
 class Looks:
-    """A clock that goes on by a second at each look."""
+    """A clock that goes on by a second at each look. At some looks Ctrl-C is pressed; from then on it stands still."""
 
-    def __init__(self) -> None:
+    def __init__(self, pressed: Collection[int] = ()) -> None:
         self.looks = 0
+        self._pressed = pressed
 
     def monotonic(self) -> float:
         self.looks += 1
-        return float(self.looks)
+        if self.looks in self._pressed:
+            raise KeyboardInterrupt
+        return float(min((self.looks, *self._pressed)))
 
 
 def after(looks: int, problem: Problem) -> tuple[Plan, int]:
     """The plan when the time is over after so many looks at the clock, and how many there were."""
-    fake = Looks()
+    return seen_through(Looks(), problem, looks)
+
+
+def interrupted(pressed: Collection[int], problem: Problem) -> Plan:
+    """The plan when Ctrl-C is pressed at some looks at the clock."""
+    return seen_through(Looks(pressed), problem, NEVER_S)[0]
+
+
+def seen_through(fake: Looks, problem: Problem, time_limit_s: float) -> tuple[Plan, int]:
     with patch.object(clock, "time", SimpleNamespace(monotonic=fake.monotonic)):
-        found = plan(problem, time_limit_s=looks)
+        found = plan(problem, time_limit_s=time_limit_s)
     return found, fake.looks
 
 
@@ -86,6 +105,70 @@ def test_the_time_may_be_over_at_any_moment(kind: str) -> None:
         if found.status is Status.FEASIBLE and not found.unused_required:
             assert found.cost_us is not None
             assert found.bound_us <= best.cost_us <= found.cost_us
+
+
+def rank(found: Plan) -> tuple[int, int]:
+    """How good a plan is: unused required transformations, then the cost in microseconds."""
+    assert found.cost_us is not None
+    return len(found.unused_required), found.cost_us
+
+
+@st.composite
+def at_work(draw: st.DrawFn, drawn: st.SearchStrategy[Problem]) -> tuple[Problem, tuple[int, int]]:
+    """A problem in which what runs is valid, and the rank of keeping it; labor has moved since it was planned."""
+    problem = replace(draw(drawn), max_cost_us=None)
+    first = plan(problem)
+    assume(first.change_set is not None)
+    assert first.change_set is not None
+    running = problem.environment.update(first.change_set)
+    library = tuple(replace(t, labor_us=draw(st.integers(0, 9))) for t in running.library)
+    more = tuple(
+        replace(t, label=f"{t.label}'", pinned=False, min_instances=0, upkeep_us=0, conflicts=())
+        for t in library
+        if draw(st.booleans())
+    )
+    problem = replace(problem, environment=replace(running, library=(*library, *more)))
+    unused = sum(t.required for t in more) + len(first.unused_required)
+    return problem, (unused, cost_parts(problem, problem.environment.units).total_us)
+
+
+@settings(
+    max_examples=EXAMPLES,
+    deadline=None,
+    derandomize="CFGPLAN_EXAMPLES" not in os.environ,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
+)
+@given(
+    at_work(st.one_of(problems(most=8), problems(most=8, special=False), fleets(frozenset(Notion), most=3))),
+    st.integers(0, 60),
+    st.booleans(),
+)
+def test_a_plan_cut_short_is_no_worse_than_what_runs_and_claims_nothing_wrong(
+    running: tuple[Problem, tuple[int, int]], looks: int, is_interrupted: bool
+) -> None:
+    problem, kept = running
+    exact = plan(problem)
+    found = interrupted({looks}, problem) if is_interrupted and looks > 1 else after(looks, problem)[0]
+    assert plan_violations(problem, found) == []
+    assert rank(exact) <= rank(found) <= kept
+    if len(found.unused_required) == len(exact.unused_required):
+        assert exact.cost_us is not None
+        assert found.bound_us <= exact.cost_us
+    else:
+        assert not found.required_proven
+
+
+@pytest.mark.parametrize("kind", PROBLEMS)
+def test_ctrl_c_at_any_moment_ends_with_a_plan_and_a_second_one_at_once(kind: str) -> None:
+    problem = PROBLEMS[kind]
+    _, enough = after(NEVER_S, problem)
+    for looks in at_all_sizes(enough):
+        if looks > 1:
+            found = interrupted({looks}, problem)
+            assert plan_violations(problem, found) == []
+            assert found.change_set is not None
+    with pytest.raises(KeyboardInterrupt):
+        interrupted({2, 3}, problem)
 
 
 @pytest.mark.parametrize("kind", PROBLEMS)

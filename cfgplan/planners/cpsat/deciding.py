@@ -43,12 +43,16 @@ def decide(standing: Standing, structure: Structure, steps: int, among: Collecti
     weighing = Weighing.with_changes(standing.site.problem, network, structure.pinned)
     if weighing is None:
         return False
-    plan: set[int] | None
-    if standing.best is None:
-        plan = first_plan(network, weighing.weight, 0, standing.clock.is_over)
-    else:
-        plan = {network.number[unit.transformation] for unit in standing.best.units}.union(network.pinned)
-    return plan is not None and _Deciding(standing, structure, weighing, among).run(plan, steps)
+    plans: list[set[int]] = []
+    if standing.best is not None:
+        plans.append({network.number[unit.transformation] for unit in standing.best.units}.union(network.pinned))
+    if among is None:
+        first = first_plan(network, weighing.weight, 0, standing.clock.is_over)
+        plans += [] if first is None else [first]
+    if not plans:
+        return False
+    plan = min(plans, key=lambda one: weighing.of_plan(_numbers(one)))
+    return _Deciding(standing, structure, weighing, among).run(plan, steps)
 
 
 class _Deciding:

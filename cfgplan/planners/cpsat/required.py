@@ -15,12 +15,13 @@ from cfgplan.planners.bounding.tightening import tightened
 from cfgplan.planners.cpsat.grounding import Grounding
 from cfgplan.planners.cpsat.prepared import Prepared
 from cfgplan.planners.cpsat.rest import Left
-from cfgplan.planners.cpsat.standing import Incumbent, Stage, Standing
+from cfgplan.planners.cpsat.standing import Incumbent, Standing
 from cfgplan.planners.cpsat.structure import Structure
 from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.greedy import first_plan, support_of
 from cfgplan.planners.networks.network import Network, costs
 from cfgplan.planners.networks.site import Site
+from cfgplan.planners.networks.wiring import wire
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Problem
 
@@ -28,45 +29,46 @@ WAYS = 4
 """So many ways to the targets are tried for a first plan."""
 
 
-def with_any_plan(problem: Problem, structure: Structure, clock: Clock) -> Standing:
-    """A standing with a greedy plan, if one is found, whatever required transformations it uses; nothing is proven."""
-    network = structure.network
-    plan = first_plan(network, costs(problem, network, structure.pinned)[1], 0, clock.is_over)
+def offer_any_plan(standing: Standing, structure: Structure) -> None:
+    """Offer a greedy plan, if one is found, whatever required transformations it uses."""
+    network, problem = structure.network, standing.site.problem
+    plan = first_plan(network, costs(problem, network, structure.pinned)[1], 0, standing.clock.is_over)
     labels = [network.labels[i] for i in sorted(plan or ())]
-    site = Site(problem, structure.givers, labels)
-    standing = Standing(site, Prepared(labels, labels if plan is not None else None), clock, None)
-    standing.stage = Stage.REQUIRED
-    return standing
+    site = standing.site.among(labels)
+    units = None if plan is None else wire(site, site.first_of_each(labels))
+    if units is not None:
+        standing.offer(units)
 
 
-def prepared_with_all(
-    problem: Problem, structure: Structure, grounding: Grounding, attempts: int, clock: Clock
-) -> tuple[Prepared, Incumbent | None]:
-    """What may be in a plan that uses all required transformations, and such a plan if one was found."""
+def prepared_with_all(standing: Standing, structure: Structure, grounding: Grounding, attempts: int) -> Prepared:
+    """What may be in a plan that uses all required transformations; if such a plan is found it is offered."""
+    problem, clock = standing.site.problem, standing.clock
     required = frozenset(t.label for t in structure.network.transformations if t.required)
     network = structure.network_with(problem, required, clock)
     fixed_us, cost = costs(problem, network, structure.pinned)
-    incumbent = None
     shunned: set[int] = set()
     for _ in range(WAYS):
         few = _few(problem, structure, required, shunned, attempts, clock)
-        incumbent = None if few is None else _among(few, problem, structure, grounding, clock)
-        if few is None or incumbent is not None or clock.is_over():
+        found = None if few is None else _among(few, problem, structure, grounding, clock)
+        if found is not None:
+            standing.offer(found.units)
+        if few is None or found is not None or clock.is_over():
             break
+    best = standing.best
+    incumbent = best if best is not None and best.key[0] == structure.hopeless_required else None
     limit = int(cost.sum()) if incumbent is None else incumbent.key[1] - fixed_us
     bound = tightened(Bound(network.core, cost), limit, limit, clock)
     left = Left.by(bound, limit)
     labels = np.union1d(left.labels, np.array(network.pinned, np.int64))
-    prepared = Prepared(
+    return Prepared(
         [network.labels[i] for i in labels.tolist()],
         None,
         None if incumbent is None else incumbent.key[1],
         left.value + fixed_us,
         lambda: left.landmarks(labels, network.labels),
         {"landmarks": left.known, "left by bounds": len(labels)},
-        holds_for=sum(t.required for t in problem.environment.library) - len(required),
+        holds_for=structure.hopeless_required,
     )
-    return prepared, incumbent
 
 
 def _few(
@@ -131,6 +133,5 @@ def _among(
 
     prepared = Prepared(few)
     standing = Standing(Site(problem, structure.givers, few), prepared, clock, None)
-    search = Search(standing, prepared, grounding)
-    search.run_with_all_required()
-    return standing.best if standing.best is not None and standing.best.key[0] == search.hopeless_required() else None
+    Search(standing, prepared, grounding).run_with_all_required()
+    return standing.best if standing.best is not None and standing.best.key[0] == structure.hopeless_required else None

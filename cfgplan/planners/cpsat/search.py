@@ -82,6 +82,7 @@ class Search:
         if required and not self.minimise(required - used):
             return
         if required and self.standing.best is not None:
+            self.standing.fewest_unused = self.standing.best.key[0]
             model.cp.add(used >= required - self.standing.best.key[0] + self.hopeless_required())
         self.minimise_cost_then_changes()
 
@@ -98,7 +99,8 @@ class Search:
 
     def _begin(self) -> None:
         model = self.model
-        self.standing.counts = {"rounds": 0, "cuts": 0, "conflicts": 0} | self.standing.counts
+        for name in ("rounds", "cuts", "conflicts"):
+            self.standing.counts.setdefault(name, 0)
         self.standing.counts["booleans"] = len(model.literals)
         one_of_those_alike_is_enough(model)
         model.enough_of_each_run(self.prepared.landmarks())

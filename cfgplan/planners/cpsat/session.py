@@ -8,6 +8,7 @@ the library, the landmarks, and the last plan as a first one. The answer is as g
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
+from functools import partial
 from threading import Event
 
 import numpy as np
@@ -23,13 +24,14 @@ from cfgplan.planners.cpsat.rest import Left, Rest
 from cfgplan.planners.cpsat.standing import Standing
 from cfgplan.planners.cpsat.structure import Structure
 from cfgplan.planners.networks.core import Ints
-from cfgplan.planners.networks.greedy import first_plan, improved, is_plan, with_less
+from cfgplan.planners.networks.greedy import cost_of, first_plan, improved, is_plan, with_less
 from cfgplan.planners.networks.network import costs
+from cfgplan.planners.networks.running import what_runs
 from cfgplan.planners.networks.site import Site
 from cfgplan.planners.networks.weighing import Weighing
-from cfgplan.planners.solving.clock import Clock, OutOfTimeError
+from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Plan, Problem, Progress, Status
-from cfgplan.reasons import unmet_reasons
+from cfgplan.reasons import Givers, unmet_reasons
 
 ATTEMPTS = 30
 """How many members of the first plan are tried to be done without."""
@@ -69,43 +71,45 @@ class PlannerSession:
             without_hosts = PlannerSession(self._grounding, self._steps).plan
             return fleet.plan(problem, without_hosts, time_limit_s=time_limit_s, report=report, stop=stop)
         clock = Clock(time_limit_s, stop)
-        if self._structure is None or not self._structure.serves(problem):
-            try:
-                self._structure = Structure.of(problem, self._structure, clock)
-            except OutOfTimeError:
-                return Plan("cpsat", Status.UNKNOWN, seconds=clock.end("closure"))
-            self._rest = None
-        structure = self._structure
-        if not structure.meets_targets:
-            reasons = unmet_reasons(problem, possible=structure.possible)
-            return Plan("cpsat", Status.INFEASIBLE, reasons=reasons, seconds=clock.end("closure"))
-        clock.end("closure")
-        standing = Standing(Site(problem, structure.givers, ()), Prepared([]), clock, report)
-        with clock.ending(lambda: standing.plan()):
-            if structure.has_required:
-                from cfgplan.planners.cpsat.required import with_any_plan
-
-                standing = with_any_plan(problem, structure, clock)
-                standing = self._with_required(problem, structure, standing, report)
-            else:
-                self._bring_forward(standing, structure)
+        standing = Standing(Site(problem, Givers((), problem.similarity), ()), Prepared([]), clock, report)
+        clock.run(lambda: self._bring_forward(standing), standing.plan)
         clock.end("search")
         self._remember(standing)
-        standing.counts = structure.counts() | standing.counts
-        found = standing.plan()
-        is_at_rest = found.status is Status.OPTIMAL and not found.change_set and not structure.has_required
-        if is_at_rest and not clock.is_over():
-            with clock.ending(lambda: found):
-                self._settle(problem, structure, clock)
+        found, structure = standing.plan(), self._structure
+        is_at_rest = found.status is Status.OPTIMAL and not found.change_set
+        if is_at_rest and structure is not None and not structure.has_required and not clock.is_over():
+            clock.run(lambda: self._settle(problem, structure, clock), lambda: found)
         return found
 
-    def _bring_forward(self, standing: Standing, structure: Structure) -> None:
+    def _bring_forward(self, standing: Standing) -> None:
+        """From what runs to what is proven."""
+        problem, clock = standing.site.problem, standing.clock
+        units = what_runs(problem)
+        if units is not None:
+            standing.offer(units)
+        if self._structure is None or not self._structure.serves(problem):
+            self._structure = Structure.of(problem, self._structure, clock)
+            self._rest = None
+        structure = self._structure
+        clock.end("closure")
+        if not structure.meets_targets:
+            standing.reasons = unmet_reasons(problem, possible=structure.possible)
+            return
+        standing.site = Site(problem, structure.givers, ())
+        standing.counts = structure.counts()
+        standing.fewest_unused = structure.hopeless_required
+        if structure.has_required:
+            self._with_required(standing, structure)
+        else:
+            self._without_required(standing, structure)
+
+    def _without_required(self, standing: Standing, structure: Structure) -> None:
         """What is new is searched first; what is open is prepared, searched if little is left of it, and solved."""
-        clock, is_new = standing.clock, not structure.has_landmarks
+        clock, is_new, is_first = standing.clock, not structure.has_landmarks, not self._last
         if is_new and (self._try_to_decide(standing, structure) or (clock.is_over() and standing.best is not None)):
             return
         self._remember(standing)
-        preparation = self._prepare(standing.site.problem, structure, clock)
+        preparation = self._prepare(standing.site.problem, structure, clock, is_first=is_first)
         prepared = preparation.prepared(clock)
         standing.go_on_with(prepared)
         is_less = 2 * len(prepared.labels) <= len(structure.network.labels)
@@ -154,13 +158,13 @@ class PlannerSession:
         Search(standing, prepared, self._grounding, slice_s, missed).run()
         standing.clock.end("search")
 
-    def _prepare(self, problem: Problem, structure: Structure, clock: Clock) -> Preparation:
+    def _prepare(self, problem: Problem, structure: Structure, clock: Clock, *, is_first: bool) -> Preparation:
         """Bounds on the cost from both sides, and what may still be used between them."""
         network = structure.network
         weighing = Weighing.of(problem, network, structure.pinned)
         chained = chained_bound(network.core, weighing.weight, clock.is_over) if weighing.counts_starts else 0
         quick = weighing.least(chained)
-        plan, bound = self._first_plan(problem, structure, weighing, quick, clock)
+        plan, bound = self._first_plan(problem, structure, weighing, quick, clock, is_first=is_first)
         left = None
         if plan is not None and weighing.counts_starts and weighing.of_plan(plan) == quick:
             left = Left(plan, quick)
@@ -171,40 +175,29 @@ class PlannerSession:
             preparation.begin(bound or _known_bound(structure, weighing.weight, weighing.scale), clock)
         return preparation
 
-    def _with_required(
-        self, problem: Problem, structure: Structure, known: Standing, report: Callable[[Progress], None] | None
-    ) -> Standing:
-        """Try to use all required transformations; only if that is impossible, see how many can be used.
-
-        `known` has the best plan known before.
-        """
-        from cfgplan.planners.cpsat.required import prepared_with_all
+    def _with_required(self, standing: Standing, structure: Structure) -> None:
+        """Try to use all required transformations; only if that is impossible, see how many can be used."""
+        from cfgplan.planners.cpsat.required import offer_any_plan, prepared_with_all
         from cfgplan.planners.cpsat.search import Search
 
-        clock = known.clock
-        prepared, first = prepared_with_all(problem, structure, self._grounding, ATTEMPTS, clock)
-        clock.end("bounds")
-        known.best = first or known.best
-        clock.check()
-        standing = Standing(Site(problem, structure.givers, prepared.labels), prepared, clock, report)
-        standing.best = known.best
-        try:
-            if Search(standing, prepared, self._grounding).run_with_all_required():
-                return standing
-        except OutOfTimeError:
-            return standing
-        prepared = Prepared(structure.network.labels)
-        standing = Standing(Site(problem, structure.givers, prepared.labels), prepared, clock, report)
-        Search(standing, prepared, self._grounding).run()
-        return standing
+        offer_any_plan(standing, structure)
+        prepared = prepared_with_all(standing, structure, self._grounding, ATTEMPTS)
+        standing.clock.end("bounds")
+        standing.clock.check()
+        standing.go_on_with(prepared)
+        if not Search(standing, prepared, self._grounding).run_with_all_required():
+            prepared = Prepared(structure.network.labels)
+            standing.go_on_with(prepared)
+            Search(standing, prepared, self._grounding).run()
 
     def _first_plan(
-        self, problem: Problem, structure: Structure, weighing: Weighing, quick: int, clock: Clock
+        self, problem: Problem, structure: Structure, weighing: Weighing, quick: int, clock: Clock, *, is_first: bool
     ) -> tuple[Ints | None, Bound | None]:
         """The plan at rest or the last one, mended where units died; or a new one if that no longer is one.
 
-        A new one is better than the cheapest support only if `quick`, a bound, does not say that there is none, nor
-        the first landmarks, which are returned.
+        Where the session is asked first the last plan is what runs, and a new one may be better. A new one is better
+        than the cheapest support only if `quick`, a bound, does not say that there is none, nor the first landmarks,
+        which are returned.
         """
         network, cost = structure.network, weighing.weight
         known = set(network.pinned)
@@ -212,14 +205,15 @@ class PlannerSession:
             known |= set(self._rest.plan.tolist())
         else:
             known |= {network.number[label] for label in self._last if label in network.number}
-        plan: set[int] | None
+        plan: set[int] | None = None
         bound = None
         if is_plan(network, known):
             running = {unit.transformation for unit in problem.environment.units}
             plan = improved(network, cost, known, {i for i in known if network.labels[i] not in running}, clock.is_over)
-        else:
-            plan = first_plan(network, cost, 0, clock.is_over)
-            limit = 0 if plan is None else int(cost[list(plan)].sum())
+        if plan is None or is_first:
+            new = first_plan(network, cost, 0, clock.is_over)
+            plan = min((one for one in (plan, new) if one is not None), key=partial(cost_of, cost), default=None)
+            limit = 0 if plan is None else cost_of(cost, plan)
             if plan is not None and limit > quick:
                 bound = begun(
                     _known_bound(structure, weighing.weight, weighing.scale), limit - weighing.step + 1, limit, clock

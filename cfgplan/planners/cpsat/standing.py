@@ -49,6 +49,10 @@ class Standing:
         self.holds_for = prepared.holds_for
         self.fewest_changes = prepared.fewest_changes
         self.is_complete = prepared.is_complete
+        self.fewest_unused = 0
+        """No valid configuration leaves fewer required transformations unused."""
+        self.reasons: dict[str, str] = {}
+        """Why targets can't be met, whatever runs."""
         self.counts = {**prepared.counts}
         self.raise_bound(prepared.bound_us)
         if prepared.plan is not None:
@@ -66,6 +70,8 @@ class Standing:
         self.fewest_changes = prepared.fewest_changes
         self.is_complete = prepared.is_complete
         self.counts |= prepared.counts
+        if prepared.holds_for != self.holds_for:
+            self.holds_for, self.bound_us = prepared.holds_for, 0
         self.raise_bound(prepared.bound_us)
         if prepared.plan is not None:
             self.begin_with(prepared.plan)
@@ -100,6 +106,7 @@ class Standing:
         key = key_of(self.site.problem, units)
         if self.best is None or key < self.best.key:
             self.best = Incumbent(key, units)
+            self.clock.has_plan = True
             self.tell()
         return key
 
@@ -122,6 +129,8 @@ class Standing:
         problem, max_cost_us = self.site.problem, self.site.problem.max_cost_us
         bound_us = self.bound_us if self.bound_holds() else 0
         counts, seconds = self.counts, self.clock.seconds
+        if self.reasons:
+            return Plan("cpsat", Status.INFEASIBLE, reasons=self.reasons, seconds=seconds, counts=counts)
         proven = self.stage in (Stage.CHANGES, Stage.DONE)
         if max_cost_us is not None and bound_us > max_cost_us:
             cost_us = self.best.key[1] if self.best is not None and proven else None
@@ -136,6 +145,7 @@ class Standing:
             bound_us,
             unused_required=unused_required(problem, self.best.units),
             ties_proven=self.stage is Stage.DONE,
+            required_proven=self.best.key[0] <= self.fewest_unused,
             seconds=seconds,
             counts=counts,
         )

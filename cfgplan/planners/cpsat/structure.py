@@ -86,6 +86,11 @@ class Structure:
         """Whether some transformation that may be of use is required to be used."""
         return any(t.required for t in self.network.transformations)
 
+    @cached_property
+    def hopeless_required(self) -> int:
+        """How many required transformations can never be used, whatever is planned."""
+        return len(self.environment.required) - sum(t.required for t in self.network.transformations)
+
     def remember(self, bound: Callable[[], Bound], scale: int) -> None:
         """Keep the landmarks that count for the next time. In the bound a microsecond weighs `scale`."""
         self._found = bound, scale

@@ -17,9 +17,10 @@ from cfgplan.planners.fleet.flat import Flat
 from cfgplan.planners.fleet.flatness import is_flat
 from cfgplan.planners.fleet.hostless import hostless
 from cfgplan.planners.fleet.quality_start import QualityStart
+from cfgplan.planners.fleet.running import offer_what_runs
 from cfgplan.planners.fleet.standing import Standing
 from cfgplan.planners.solving.clock import Clock
-from cfgplan.planning import InterruptiblePlanner, Notion, Plan, Problem, Progress, Status
+from cfgplan.planning import InterruptiblePlanner, Notion, Plan, Problem, Progress
 from cfgplan.reasons import unmet_reasons
 
 if TYPE_CHECKING:
@@ -48,21 +49,30 @@ def plan(
     """
     clock = Clock(time_limit_s, stop)
     standing = Standing(problem, clock, report)
-    with clock.ending(standing.plan):
-        candidates = Candidates(problem, watch=clock.check)
-        if reasons := unmet_reasons(problem, candidates.givers, candidates.possible):
-            return Plan("cpsat", Status.INFEASIBLE, reasons=reasons, seconds=clock.end("closure"))
-        standing.counts = {"candidates": len(candidates.all), "conflicts": 0}
-        _ = candidates.network
-        clock.end("closure")
-        first = FirstPlans(candidates, standing)
-        first.look(ATTEMPTS if problem.survive is None else 0)  # each attempt needs spares
-        clock.end("first plans")
-        if Notion.SURVIVAL not in problem.notions:  # a hot spare may get any quality
-            leave_out_what_is_too_bad(candidates)
-        _search(candidates, standing, first, without_hosts)
+    clock.run(lambda: _bring_forward(standing, without_hosts), standing.plan)
     clock.end("search")
     return standing.plan()
+
+
+def _bring_forward(standing: Standing, without_hosts: InterruptiblePlanner) -> None:
+    """From what runs to what is proven."""
+    problem, clock = standing.problem, standing.clock
+    offer_what_runs(standing)
+    candidates = Candidates(problem, watch=clock.check)
+    if reasons := unmet_reasons(problem, candidates.givers, candidates.possible):
+        standing.is_infeasible, standing.reasons = True, reasons
+        clock.end("closure")
+        return
+    standing.counts = {"candidates": len(candidates.all), "conflicts": 0}
+    standing.fewest_unused = sum(not candidates.of(label) for label in problem.environment.required)
+    _ = candidates.network
+    clock.end("closure")
+    first = FirstPlans(candidates, standing)
+    first.look(ATTEMPTS if problem.survive is None else 0)  # each attempt needs spares
+    clock.end("first plans")
+    if Notion.SURVIVAL not in problem.notions:  # a hot spare may get any quality
+        leave_out_what_is_too_bad(candidates)
+    _search(candidates, standing, first, without_hosts)
 
 
 def _search(candidates: Candidates, standing: Standing, first: FirstPlans, without_hosts: InterruptiblePlanner) -> None:

@@ -61,12 +61,12 @@ def lean(candidates: Candidates, units: Collection[ComputationUnit]) -> list[Com
         last = [unit for unit in needless if unit.id not in fed_from] or needless
         goes = min(last, key=lambda unit: (unit.id in problem.environment.unit, unit.id))
         if can_do_without(candidates, left, goes):
-            left = _without_broken([unit for unit in left if unit is not goes])
+            left = without_broken([unit for unit in left if unit is not goes])
         else:
             spares.add(goes.id)
 
 
-def _without_broken(units: list[ComputationUnit]) -> list[ComputationUnit]:
+def without_broken(units: list[ComputationUnit]) -> list[ComputationUnit]:
     """The units less those whose feeders are gone, as in a ring through feedback inputs that went."""
     while True:
         there = {unit.id for unit in units}

@@ -137,12 +137,12 @@ class FirstPlans:
         for is_quick in ways:
             self.candidates.watch()
             units = Configuration(self.candidates, hot, self._attribute, self._spare_us, is_quick).units()
-            if units is not None and self._is_valid(units):
+            if units is not None and self.is_valid(units):
                 self.standing.offer(units)
                 is_offered = True
         return is_offered
 
-    def _is_valid(self, units: list[ComputationUnit]) -> bool:
+    def is_valid(self, units: list[ComputationUnit]) -> bool:
         """Whether a configuration that is wired keeps the bounds, the limits of hosts, numbers and failures."""
         environment = self.candidates.environment
         load = loads(environment, units)

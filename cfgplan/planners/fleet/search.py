@@ -82,6 +82,7 @@ class Search:
             if not self.minimise(-used):
                 return
             assert standing.best is not None
+            standing.fewest_unused = standing.best[0][0]
             hopeless = sum(t.required for t in self.problem.environment.library) - len(model.uses_required)
             model.cp.add(used >= len(model.uses_required) + hopeless - standing.best[0][0])
         cost = model.cost()

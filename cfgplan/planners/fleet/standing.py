@@ -22,6 +22,10 @@ class Standing:
         self.best: tuple[Key, list[ComputationUnit]] | None = None
         self.bound_us = 0
         self.is_infeasible = False
+        self.reasons: dict[str, str] = {}
+        """Why targets can't be met, whatever runs."""
+        self.fewest_unused = 0
+        """No valid configuration leaves fewer required transformations unused."""
         self.is_cost_proven = False
         self.are_ties_proven = False
         self.counts: dict[str, int] = {}
@@ -31,6 +35,7 @@ class Standing:
         key = key_of(self.problem, units)
         if self.best is None or key < self.best[0]:
             self.best = (key, units)
+            self.clock.has_plan = True
             self.tell()
         return key
 
@@ -60,7 +65,7 @@ class Standing:
         """The answer so far."""
         problem, counts, seconds = self.problem, self.counts, self.clock.seconds
         if self.is_infeasible:
-            reasons = joint_reasons(problem)
+            reasons = self.reasons or joint_reasons(problem)
             return Plan("cpsat", Status.INFEASIBLE, reasons=reasons, seconds=seconds, counts=counts)
         largest = problem.max_cost_us
         if largest is not None and self.bound_us > largest:
@@ -77,6 +82,7 @@ class Standing:
             self.bound_us,
             unused_required=unused_required(problem, units),
             ties_proven=self.are_ties_proven,
+            required_proven=key[0] <= self.fewest_unused,
             seconds=seconds,
             counts=counts,
         )

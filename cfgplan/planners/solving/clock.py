@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from threading import Event
 
 from cfgplan.errors import CfgplanError
 from cfgplan.planning import Plan, PlannerFaultError, Status
 
-STOPPING_S = 0.5
-"""So long after `stop` is set a first plan may still be looked for."""
+STOPPING_S = 10.0
+"""So long after `stop` is set a first plan may still be looked for, if there is none yet."""
 
 
 class OutOfTimeError(Exception):
@@ -31,6 +30,8 @@ class Clock:
         self._limit_s = time_limit_s
         self._stopped: float | None = None
         self.stop = stop or Event()
+        self.has_plan = False
+        """Whether there is a plan already: after `stop` no other is looked for then."""
         self.seconds: dict[str, float] = {}
 
     def elapsed_s(self) -> float:
@@ -44,13 +45,13 @@ class Clock:
         return self.stop.is_set() or self.left_s() == 0.0
 
     def check(self) -> None:
-        """Raise OutOfTimeError after the time limit, or some time after `stop` was seen to be set."""
+        """Raise OutOfTimeError after the time limit or `stop`, which leaves some time for a first plan."""
         if self._limit_s is not None and time.monotonic() - self._began >= self._limit_s:
             raise OutOfTimeError
         if self.stop.is_set():
             if self._stopped is None:
                 self._stopped = time.monotonic()
-            if time.monotonic() - self._stopped >= STOPPING_S:
+            if self.has_plan or time.monotonic() - self._stopped >= STOPPING_S:
                 raise OutOfTimeError
 
     def end(self, phase: str) -> dict[str, float]:
@@ -60,19 +61,21 @@ class Clock:
         self._phase_began = now
         return self.seconds
 
-    @contextmanager
-    def ending(self, so_far: Callable[[], Plan]) -> Iterator[None]:
-        """Let the time limit and Ctrl-C end what is done quietly.
+    def run(self, work: Callable[[], None], so_far: Callable[[], Plan]) -> None:
+        """Work until that ends or the time is over. After Ctrl-C it is begun again to end soon if there is no plan yet.
 
-        Raises PlannerFaultError with the plan so far, if there is one, where a bug ends it; of that plan nothing counts
-        as proven.
+        A second Ctrl-C raises KeyboardInterrupt. Raises PlannerFaultError with the plan so far, if there is one, where
+        a bug ends the work; of that plan nothing counts as proven.
         """
         try:
-            yield
+            try:
+                work()
+            except KeyboardInterrupt:
+                self.stop.set()
+                if not self.has_plan:
+                    work()
         except OutOfTimeError:
             pass
-        except KeyboardInterrupt:
-            self.stop.set()
         except (CfgplanError, OSError, ImportError):
             raise
         except Exception as error:
