@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from cfgplan.matching.faults import ReasonerTimeoutError, UnknownNameError
 from cfgplan.matching.matrix import match
+from cfgplan.matching.names import normal
 from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.syntax import parse_tag
 
@@ -16,7 +17,7 @@ def instances(
     Raises UnknownNameError for a name that is no class, TagError for a tag that can't be read, InputError for
     an ontology that can't be reasoned with, ReasonerTimeoutError where the time did not suffice.
     """
-    name = class_or_tag.strip()
+    name = normal(class_or_tag.strip())
     if name in ontology.individuals and name not in ontology.classes:
         raise UnknownNameError(f"{name!r} is an individual, but a class is wanted here")
     parse_tag(name, ontology)

@@ -7,6 +7,7 @@ import re
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from types import MappingProxyType
+from unicodedata import normalize
 
 from cfgplan.matching.faults import UnknownNameError
 
@@ -17,6 +18,11 @@ def short_name(iri: str) -> str:
     """The fragment of an IRI or else its last path part."""
     found = _LAST_PART.search(iri)
     return found.group(1) if found else iri
+
+
+def normal(text: str) -> str:
+    """A text in Unicode's normal form NFC, so that a name is the same however its accents are encoded."""
+    return text if text.isascii() else normalize("NFC", text)
 
 
 class Vocabulary:
@@ -55,6 +61,7 @@ class Vocabulary:
 
         Raises UnknownNameError if the name is ambiguous or its prefix unknown.
         """
+        name = normal(name)
         iris = self._by_name.get(name)
         if iris:
             if len(iris) > 1:

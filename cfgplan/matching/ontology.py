@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
@@ -13,7 +13,7 @@ from typing import Final
 from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI, Concept, in_description_logic
 from cfgplan.matching.faults import UnknownNameError
 from cfgplan.matching.functional import Signature, Tree, parse
-from cfgplan.matching.names import Vocabulary, expanded, short_name, suggestion
+from cfgplan.matching.names import Vocabulary, expanded, normal, short_name, suggestion
 
 _BRACKETED: Final = re.compile(r"<([^<>\s]+)>")
 
@@ -36,8 +36,9 @@ class Ontology:
         files: Iterable[Path] = (),
         dropped: Mapping[str, str] | None = None,
     ) -> None:
-        self.axioms: frozenset[str] = frozenset(axioms)
-        self.prefixes: Mapping[str, str] = MappingProxyType(dict(prefixes or {}))
+        self.axioms: frozenset[str] = frozenset(map(normal, axioms))
+        written = prefixes or {}
+        self.prefixes: Mapping[str, str] = MappingProxyType({normal(p): normal(iri) for p, iri in written.items()})
         self.is_open = is_open
         self.files = tuple(files)
         self.dropped: Mapping[str, str] = MappingProxyType(dict(sorted((dropped or {}).items())))
@@ -108,20 +109,19 @@ class Ontology:
         """IRIs of the object properties by short name (`prefix:name` where the short name is ambiguous)."""
         return self.property_names.by_short_name
 
-    def find(self, name: str, vocabularies: Collection[Vocabulary]) -> tuple[Vocabulary, str] | None:
-        """The vocabulary and IRI of a name; None in an open ontology. Raises UnknownNameError."""
-        found = [(vocabulary, iri) for vocabulary in vocabularies if (iri := vocabulary.find(name)) is not None]
-        if len({iri for _, iri in found}) > 1:
-            choices = " or ".join(f"<{iri}>" for _, iri in found)
-            raise UnknownNameError(f"the name {name!r} is ambiguous", f"write {choices}")
-        if found:
-            return found[0]
+    def find(self, name: str, vocabularies: Sequence[Vocabulary]) -> tuple[Vocabulary, str] | None:
+        """The first vocabulary that has a name, and its IRI; None in an open ontology. Raises UnknownNameError."""
+        for vocabulary in vocabularies:
+            iri = vocabulary.find(name)
+            if iri is not None:
+                return vocabulary, iri
         if self.is_open:
             return None
         raise self._unknown(name, vocabularies)
 
     def free_iri(self, name: str) -> str:
         """The IRI of a name that an open ontology doesn't know."""
+        name = normal(name)
         return expanded(name, self.prefixes) or name
 
     def written(self, iri: str) -> str:
@@ -139,7 +139,7 @@ class Ontology:
         """A concept in DL syntax with short names."""
         return in_description_logic(concept, self.written)
 
-    def _unknown(self, name: str, vocabularies: Collection[Vocabulary]) -> UnknownNameError:
+    def _unknown(self, name: str, vocabularies: Sequence[Vocabulary]) -> UnknownNameError:
         wanted = " or ".join(vocabulary.what for vocabulary in vocabularies)
         others = (self.class_names, self.individual_names, self.property_names)
         for other in others:

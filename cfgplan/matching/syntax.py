@@ -28,6 +28,7 @@ from cfgplan.matching.concepts import (
     some,
 )
 from cfgplan.matching.faults import TagError, UnknownNameError
+from cfgplan.matching.names import suggestion
 from cfgplan.matching.ontology import Ontology
 
 DEEPEST: Final = 100
@@ -45,6 +46,7 @@ _WORDS: Final = {
     "Thing": "⊤", "owl:Thing": "⊤", "Nothing": "⊥", "owl:Nothing": "⊥",
 }  # fmt: skip
 _RESTRICTIONS: Final = frozenset({"some", "only", "value", "min", "max", "exactly"})
+_BETWEEN_NAMES: Final = (*sorted(_RESTRICTIONS), "and", "or")
 _NO_OPERAND: Final = frozenset("⊓⊔.,)}") | _RESTRICTIONS
 
 
@@ -138,7 +140,15 @@ class _Reader:
             return self._restriction()
         if self._tokens[self._at] == "(":
             return self._predicate()
+        self._refuse_misspelt_word()
         return self._name_as_concept(token)
+
+    def _refuse_misspelt_word(self) -> None:
+        """A name never follows a name: one that is like `some` or `and` was meant to be that."""
+        token = self._tokens[self._at]
+        mend = suggestion(token.casefold(), _BETWEEN_NAMES) if token[:1].isalpha() else None
+        if mend:
+            raise self._error(f"{token!r} is not expected here", mend)
 
     def _restriction(self) -> Concept:
         self._at -= 1
@@ -184,12 +194,13 @@ class _Reader:
         return Nominal(iri) if vocabulary is ontology.individual_names else Named(iri)
 
     def _individual(self) -> Concept:
+        """A name in an individual's place; without an ontology it means the same in every place."""
         name = self._name(self._tokens[self._at], self._at)
         self._at += 1
         ontology = self._ontology
         try:
             found = ontology.find(name, (ontology.individual_names,))
-            return Nominal(found[1] if found else ontology.free_iri(name))
+            return Nominal(found[1]) if found else Named(ontology.free_iri(name))
         except UnknownNameError as error:
             raise self._error(error.message, error.mend, self._at - 1) from error
 

@@ -343,7 +343,8 @@ def test_a_rule_is_told_for_named_individuals_and_named_for_all_others(tmp_path:
 
 def test_a_dl_safe_rule_is_about_named_individuals_anyway_and_one_with_built_ins_is_not_told(tmp_path: Path) -> None:
     path = tmp_path / "rules.ofn"
-    rule = "DLSafeRule(Body(ObjectPropertyAtom(:hasSource Variable(<urn:y>) :cam1) {})Head(ClassAtom(:Device Variable(<urn:y>))))"
+    atom, head = "ObjectPropertyAtom(:hasSource Variable(<urn:y>) :cam1)", "ClassAtom(:Device Variable(<urn:y>))"
+    rule = f"DLSafeRule(Body({atom} {{}})Head({head}))"
     more = "ObjectPropertyAssertion(:hasSource :shot :cam1)"
     path.write_text(FUNCTIONAL.replace("SubClassOf(", f"{rule.format('')} {more} SubClassOf("))
     ontology = load_ontology([path])

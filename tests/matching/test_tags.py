@@ -46,6 +46,8 @@ WRONG = [
     ("x:Image", 1, "prefix 'x:' is unknown"),
     ("Image ⊓ ⊓ Device", 9, "where a concept is wanted"),
     ("hasSource", 1, "is a property"),
+    ("hasSource somee Camera", 11, "did you mean 'some'?"),
+    ("Image adn Device", 7, "did you mean 'and'?"),
     ("some Camera", 1, "where a concept is wanted"),
     ("(" * 200 + "Image", 101, "nested"),
 ]
@@ -71,8 +73,37 @@ def test_and_binds_tighter_than_or_and_restrictions_tighter_than_and(streams: On
 
 
 def test_in_an_open_ontology_every_name_is_free() -> None:
-    wanted = conjunction((Named("Any"), Some("hasSource", Nominal("thing-1"))))
+    wanted = conjunction((Named("Any"), Some("hasSource", Named("thing-1"))))
     assert parse_tag("Any(thing-1)", OPEN) == wanted
+
+
+@pytest.mark.parametrize("other", ["hasSource some cam1", "hasSource value cam1", "∃hasSource.{cam1}"])
+def test_without_an_ontology_a_name_means_the_same_in_every_place(other: str) -> None:
+    assert parse_tag(f"Undistorted and {other}", OPEN) == parse_tag("Undistorted(cam1)", OPEN)
+
+
+def test_a_name_that_is_a_class_and_an_individual_is_read_by_its_place() -> None:
+    axioms = [
+        "ClassAssertion(<b#Type> <b#Room>)",
+        "SubClassOf(<b#Room> <b#Space>)",
+        "ClassAssertion(<b#Room> <c#Space>)",
+    ]
+    punned = Ontology([*axioms, "Declaration(ObjectProperty(<b#hasSource>))"])
+    room, space, role = Named("b#Room"), Named("b#Space"), "b#hasSource"
+    assert parse_tag("hasSource some Room and Space", punned) == conjunction((Some(role, room), space))
+    assert parse_tag("hasSource value Room", punned) == Some(role, Nominal("b#Room"))
+    assert parse_tag("{Room}", punned) == Nominal("b#Room")
+    assert parse_tag("{Space}", punned) == Nominal("c#Space")
+    assert parse_tag("Room(Space)", punned) == conjunction((room, Some(role, Nominal("c#Space"))))
+
+
+def test_a_name_is_the_same_however_its_accents_are_encoded() -> None:
+    composed, decomposed = "Caf\u00e9", "Cafe\u0301"
+    for known, written in ((composed, decomposed), (decomposed, composed)):
+        assert parse_tag(known, OPEN) == parse_tag(written, OPEN)
+        ontology = Ontology([f"SubClassOf(<x#{known}> <x#Shop>)"], {"x": "x#"})
+        for tag in (written, f"x:{written}", f"<x#{written}>", f"'{written}'"):
+            assert parse_tag(tag, ontology) == parse_tag(known, ontology)
 
 
 def test_an_ambiguous_name_must_be_written_with_its_prefix() -> None:

@@ -43,6 +43,7 @@ def test_the_papers_rule_is_read_in_words_and_in_signs() -> None:
     [
         ("not p and q or r -> p", Implies(Or(And(Not(P), Q), R), P)),
         ("p -> q -> r", Implies(P, Implies(Q, R))),
+        ("p => q", Implies(P, Q)),
         ("always p until q and r", And(Until(Always(P), Q), R)),
         ("p until q until r", Until(P, Until(Q, R))),
         ("eventually always p", Eventually(Always(P))),
@@ -83,6 +84,10 @@ def test_what_a_formula_is_shown_as_is_read_as_the_same(formula: Formula) -> Non
         ("(p", 3, "ends too early", "close the parenthesis"),
         ("p)", 2, "can't stand here", "was not opened"),
         ("p q", 3, "can't stand here", "joined by"),
+        ("G p", 3, "can't stand here", "`G` is written `always p` here"),
+        ("F[0,10s] p", 4, "can't stand here", "`F` is written `eventually p` here"),
+        ("F(p)", 1, "unknown function", "`F` is written `eventually p` here"),
+        ("p U q", 3, "can't stand here", "`U` is written `p until q` here"),
         ("p && q", 3, "can't stand here", "`and`"),
         ("always[10s] p", 11, "can't stand here", "two bounds"),
         ("always[0,10 p", 13, "can't stand here", "close the interval"),

@@ -1,5 +1,10 @@
 """The grammar of formulas, for lark. Operators bind in the order not, always, eventually; until; and; or; ->."""
 
+from collections.abc import Mapping
+
+SPELLED: Mapping[str, str] = {"G": "`always p`", "F": "`eventually p`", "U": "`p until q`"}
+"""How other notations of temporal logic are written here."""
+
 GRAMMAR = r"""
 ?start: implication
 ?implication: disjunction (IMPLIES implication)?
@@ -27,7 +32,7 @@ call: (NAME | IN) "(" implication ("," implication)* ")"
 interval: "[" bound "," bound (RSQB | RPAR)
 bound: NUMBER UNIT? | INFINITE
 
-IMPLIES: "->" | "→" | "=>" | "⇒"
+IMPLIES.2: "->" | "→" | "=>" | "⇒"
 OR.2: /or\b|∨/
 AND.2: /and\b|∧/
 UNTIL.2: /until\b|𝒰/

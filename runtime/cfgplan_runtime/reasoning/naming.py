@@ -10,6 +10,7 @@ from typing import Any
 from cfgplan.errors import Fault
 from cfgplan.formats.suggestions import did_you_mean
 from cfgplan_runtime.reasoning.conditions import RCC8, Field, RegionName
+from cfgplan_runtime.reasoning.grammar import SPELLED
 from cfgplan_runtime.reasoning.regions import Region
 from cfgplan_runtime.reasoning.syntax import ALL_TIME, Interval
 
@@ -86,7 +87,8 @@ class Names:
     def unknown_function(self, node: Any) -> None:
         name = str(node.children[0])
         otherwise = f"there is {', '.join(FUNCTIONS)}"
-        self.wrong(node, f"unknown function `{name}`", did_you_mean(name, FUNCTIONS, otherwise))
+        mend = f"`{name}` is written {SPELLED[name]} here" if name in SPELLED else None
+        self.wrong(node, f"unknown function `{name}`", mend or did_you_mean(name, FUNCTIONS, otherwise))
 
     def interval(self, nodes: list[Any]) -> Interval:
         if not nodes:

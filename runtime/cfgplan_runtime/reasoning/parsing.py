@@ -5,11 +5,12 @@
 
 from __future__ import annotations
 
+import re
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from cfgplan.errors import Fault, InputError
-from cfgplan_runtime.reasoning.grammar import GRAMMAR
+from cfgplan_runtime.reasoning.grammar import GRAMMAR, SPELLED
 from cfgplan_runtime.reasoning.naming import Vocabulary
 from cfgplan_runtime.reasoning.reading import Reader
 from cfgplan_runtime.reasoning.syntax import Formula
@@ -61,6 +62,10 @@ def _syntax_fault(error: Any, text: str) -> Fault:
     if not text.strip():
         return Fault("the formula is empty", FILE, 1, 1, mend="write one, such as `always ball.x > 0`")
     message = f"{found} can't stand here" if found else "the formula ends too early"
+    before = text[: len(text) if error.pos_in_stream is None else error.pos_in_stream + 1]
+    foreign = [word for word in re.findall(r"\w+", before) if word in SPELLED]
+    if foreign:
+        return Fault(message, FILE, line, column, mend=f"`{foreign[-1]}` is written {SPELLED[foreign[-1]]} here")
     return Fault(message, FILE, line, column, mend=_hint(expected, found, text))
 
 
