@@ -56,6 +56,8 @@ def unused_lines(environment: Environment, unused: Unused) -> Iterator[str]:
         (first,) = unused.blocked.blocked[:1]
         yield f"{who}: it can't run"
         yield from ("  " + line for line in _below(environment, unused.blocked, first.transformation))
+    elif not unused.proven:
+        yield f"{who}: no plan that uses it was found, nor a proof that there is none"
     elif unused.excluded_by:
         yield f"{who}: no configuration uses it together with {' and '.join(unused.excluded_by)}"
     else:

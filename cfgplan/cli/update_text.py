@@ -9,6 +9,7 @@ from rich.text import Text
 from cfgplan.cli.fleet_text import fleet_lines
 from cfgplan.costs import keep_cost_us, seconds
 from cfgplan.domain import ComputationUnit, Environment
+from cfgplan.planners import IGNORING_REQUIRED
 from cfgplan.planning import Plan, Problem, Status
 
 _STYLE = {"+": "green", "~": "yellow", "-": "red", "=": "dim"}
@@ -129,7 +130,16 @@ def _summary(problem: Problem, plan: Plan) -> Iterator[Text]:
     for reason in plan.reasons.values():
         yield Text(f"  {reason}")
     for label in plan.unused_required:
-        yield Text(f"Required {label} is not used: no valid configuration can use it with the others.", style="yellow")
+        yield Text(f"Required {label} is not used: {why_unused(plan)}.", style="yellow")
+
+
+def why_unused(plan: Plan) -> str:
+    """Why a plan leaves required transformations unused, as far as it is known."""
+    if plan.required_proven:
+        return "no valid configuration can use it with the others"
+    if plan.planner in IGNORING_REQUIRED:
+        return f"{plan.planner} does not know `required`"
+    return "no plan that uses it was found in time"
 
 
 def verdict(problem: Problem, plan: Plan) -> Text:

@@ -58,6 +58,8 @@ def best_effort(
     if time_limit_s is not None:
         search.end_s = time.monotonic() + time_limit_s
     search.run()
+    if search.is_over:
+        search.look_at_what_runs()
     plan = replace(search.best_plan(), reasons=impossible | search.why_given_up())
     return BestEffort(plan, only_targets(problem, {target.label for target in search.best}), search.is_exact)
 
@@ -97,8 +99,24 @@ class _Search:
         elif everything and self._is_met(frozenset()):
             self._descend(frozenset(), self._targets)
 
+    @property
+    def is_over(self) -> bool:
+        """Whether the time is over."""
+        return self._left_s() == 0.0
+
+    def look_at_what_runs(self) -> None:
+        """After the time limit: as many targets as the planner meets at once, the most important ones first."""
+        chosen: frozenset[Target] = frozenset()
+        for target in self._targets:
+            if self._is_met(chosen | {target}):
+                chosen |= {target}
+        if self._is_better(chosen):
+            self.best = chosen
+
     def best_plan(self) -> Plan:
-        return self._plan(self.best)
+        """The plan for the best set; to give up all targets for want of time is no answer."""
+        plan = self._plan(self.best)
+        return Plan(plan.planner, Status.UNKNOWN) if self._targets and not (self.best or self.is_exact) else plan
 
     def why_given_up(self) -> dict[str, str]:
         """A sentence for each target that could be met by itself as far as matching goes."""
@@ -106,6 +124,9 @@ class _Search:
 
     def _descend(self, chosen: frozenset[Target], ahead: Sequence[Target]) -> None:
         """Look at all sets that hold the chosen, which may be met, and any of those ahead."""
+        if self.is_over:
+            self.is_exact = False
+            return
         everything = chosen.union(ahead)
         if not self._may_be_better(chosen, everything):
             return
@@ -144,22 +165,20 @@ class _Search:
         return len(plan.unused_required), plan.cost_us, len(changes.rewired), len(changes.started)
 
     def _is_met(self, targets: frozenset[Target]) -> bool:
-        return self._may_be_met(targets) and self._plan(targets).change_set is not None
+        return not self._is_refused(targets) and self._plan(targets).change_set is not None
 
     def _may_be_met(self, targets: frozenset[Target]) -> bool:
-        if any(refused <= targets for refused in self._refused):
-            return False
-        if self._free_plan(targets).status in REFUSED:
-            self._refused.append(targets)
-            return False
-        return True
+        return not self._is_refused(targets) and self._free_plan(targets).status not in REFUSED
+
+    def _is_refused(self, targets: frozenset[Target]) -> bool:
+        return any(refused <= targets for refused in self._refused)
 
     def _bound_us(self, targets: frozenset[Target]) -> int:
         return self._free_plan(targets).bound_us
 
     def _plan(self, targets: frozenset[Target]) -> Plan:
         if targets not in self._plans:
-            self._plans[targets] = self._ask(only_targets(self._problem, {target.label for target in targets}))
+            self._plans[targets] = self._ask(self._problem, targets)
         return self._plans[targets]
 
     def _free_plan(self, targets: frozenset[Target]) -> Plan:
@@ -167,17 +186,20 @@ class _Search:
         if self._is_free:
             return self._plan(targets)
         if targets not in self._freely:
-            self._freely[targets] = self._ask(only_targets(self._free, {target.label for target in targets}))
+            self._freely[targets] = self._ask(self._free, targets)
         return self._freely[targets]
 
-    def _ask(self, problem: Problem) -> Plan:
-        left_s = None if self.end_s is None else max(0.0, self.end_s - time.monotonic())
-        if left_s == 0.0:
-            self.is_exact = False
-            return Plan("", Status.UNKNOWN)
-        plan = self._planner(problem, time_limit_s=left_s)
-        self.is_exact &= plan.status in (Status.OPTIMAL, *REFUSED)
+    def _ask(self, problem: Problem, targets: frozenset[Target]) -> Plan:
+        plan = self._planner(only_targets(problem, {target.label for target in targets}), time_limit_s=self._left_s())
+        if plan.status in REFUSED:
+            if self._is_free or problem is self._free:
+                self._refused.append(targets)
+        else:
+            self.is_exact &= plan.status is Status.OPTIMAL and plan.required_proven
         return plan
+
+    def _left_s(self) -> float | None:
+        return None if self.end_s is None else max(0.0, self.end_s - time.monotonic())
 
     def _why(self, target: Target) -> str:
         for others, how in ((frozenset[Target](), "by itself"), (self.best, "with the targets that are met")):

@@ -18,12 +18,14 @@ class Unused:
     """A required transformation that a plan leaves unused.
 
     It is `blocked` if it can't run at all. Otherwise it can't be used together with the required transformations
-    `excluded_by`; if there are none, no wiring leads from it to a target.
+    `excluded_by`; if there are none, no wiring leads from it to a target. If that is not `proven`, no plan was found
+    that uses it.
     """
 
     transformation: str
     blocked: Unreachable | None = None
     excluded_by: tuple[str, ...] = ()
+    proven: bool = True
 
 
 @dataclass(frozen=True)
@@ -56,9 +58,12 @@ def _unused(problem: Problem, planner: Planner, plan: Plan, label: str, nearest:
     blocked = unreachable(running(problem, label), nearest)
     if blocked:
         return Unused(label, blocked[0])
+    if not plan.required_proven:
+        return Unused(label, proven=False)
     others = {*problem.environment.required} - {*plan.unused_required}
     for other in sorted(others):
-        if planner(requiring(problem, {label, *others} - {other})).unused_required:
+        without = planner(requiring(problem, {label, *others} - {other}))
+        if without.unused_required and without.required_proven:
             others.remove(other)
     return Unused(label, excluded_by=tuple(sorted(others)))
 

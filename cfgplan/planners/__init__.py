@@ -30,6 +30,8 @@ def _imported_on_use(module: str) -> Planner:
     return planner
 
 
+IGNORING_REQUIRED = frozenset({"branch-and-bound"})
+"""Planners that do not try to use required transformations."""
 PLANNERS: Mapping[str, Planner] = MappingProxyType(
     {
         "cpsat": _imported_on_use("cfgplan.planners.cpsat"),

@@ -75,12 +75,14 @@ def plan(
         return _unknown("no complete tree was found within the time limit and the largest cost", tree, seconds)
     units = Compilation(problem, root).units()
     cost_us = sum(tree.cost_us(u.transformation, running=u.id in problem.environment.unit) for u in units)
+    unused = _unused_required(problem, units)
     answer = Plan(
         "branch-and-bound",
         Status.of_plan(cost_us, 0),
         problem.environment.change_to(units),
         cost_us,
-        unused_required=_unused_required(problem, units),
+        unused_required=unused,
+        required_proven=not unused,
         seconds=seconds,
         counts={"nodes": tree.nodes},
     )

@@ -71,7 +71,7 @@ class Selection:
         changes = self.problem.environment.change_to(wired.values())
         bound_us = min(bound_us, cost_us)
         status = Status.of_plan(cost_us, bound_us)
-        return Plan(self.who, status, changes, cost_us, bound_us, seconds=seconds, counts=counts)
+        return Plan(self.who, status, changes, cost_us, bound_us, required_proven=True, seconds=seconds, counts=counts)
 
     def grounded(self, chosen: Collection[int]) -> list[int]:
         """Those of the chosen that can be fed from sources by other chosen ones, in an order of feeding."""

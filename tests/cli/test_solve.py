@@ -10,6 +10,10 @@ from pathlib import Path
 
 from command import MODELS, Run
 
+from cfgplan.cli.update_text import why_unused
+from cfgplan.domain import ChangeSet
+from cfgplan.planning import Plan, Status
+
 LOST = MODELS / "nao" / "2-segmenter-lost.yaml"
 TWO_WAYS = """
 transformations:
@@ -30,6 +34,26 @@ def test_it_says_what_starts_is_rewired_and_stays_and_what_it_costs(run: Run) ->
     assert "1 to start, 1 to rewire, 0 to stop, 4 kept" in result.out
     assert "18.95 s of CPU = labor 0.35 s + upkeep 18.6 s" in result.out
     assert "Optimal: no update is cheaper, proven by cpsat." in result.out
+
+
+def test_that_a_required_transformation_can_not_be_used_is_said_only_where_it_is_proven(
+    run: Run, write: Callable[[str], Path]
+) -> None:
+    env = write(
+        """
+transformations:
+  - {label: plain, labor: 1, outputs: {o: Wanted}}
+  - {label: source, labor: 1, outputs: {o: Raw}}
+  - {label: fusion, labor: 9, required: true, inputs: {i: Raw}, outputs: {o: Wanted}}
+targets: [{label: t, topic: /t, tag: Wanted}]
+"""
+    )
+    said = "Required fusion is not used: "
+    assert said not in run("solve", env).out
+    assert f"{said}branch-and-bound does not know `required`." in run("solve", env, "--planner", "branch-and-bound").out
+    assert f"{said}no valid configuration can use it with the others." in run("solve", env, "--without", "source").out
+    plan = Plan("cpsat", Status.FEASIBLE, ChangeSet(), 1, unused_required=("fusion",))
+    assert why_unused(plan) == "no plan that uses it was found in time"
 
 
 def test_its_text_is_plain_where_there_is_no_terminal(run: Run) -> None:

@@ -144,6 +144,21 @@ def test_a_planner_without_time_gives_no_answer_and_no_proof() -> None:
     assert (found.exact, found.plan.status) == (False, Status.UNKNOWN)
 
 
+def test_without_time_targets_that_are_met_and_required_transformations_that_are_used_are_not_given_up() -> None:
+    problem = offering(5, 2)
+    library = tuple(replace(t, required=True) for t in problem.environment.library)
+    problem = replace(problem, environment=replace(problem.environment, library=library))
+    one = best_effort(only_targets(problem, {"a"}), cpsat)
+    assert one.plan.change_set is not None
+    problem = replace(problem, environment=problem.environment.update(one.plan.change_set))
+    problem = replace(problem, environment=replace(problem.environment, targets=offering(5, 2).environment.targets))
+    found = best_effort(problem, cpsat, time_limit_s=0)
+    assert met(found) == "a"
+    assert not found.exact
+    assert not found.plan.change_set
+    assert "time ran out" in found.plan.reasons["b"]
+
+
 @many
 @given(crowded(special=True))
 def test_who_knows_already_what_is_impossible_gets_the_same_answer(problem: Problem) -> None:

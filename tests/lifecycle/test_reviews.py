@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -308,6 +309,33 @@ def test_a_planner_without_an_answer_is_asked_again_later_and_later() -> None:
     assert {review.decision for review in life.reviews} == {Decision.UNDECIDED}
     waits = [round(b.at_s - a.at_s) for a, b in zip(life.reviews, life.reviews[1:], strict=False)]
     assert waits[:5] == [1, 2, 4, 8, 8]
+
+
+def test_a_plan_that_is_not_proven_gives_up_no_required_transformation_and_no_target_that_is_met() -> None:
+    hurry = {"is_on": False, "gives_up": False}
+
+    def hurried(problem: Problem, **_: object) -> Plan:
+        if not hurry["is_on"]:
+            return PLANNERS["cpsat"](problem)
+        if hurry["gives_up"]:
+            return Plan("hurried", Status.UNKNOWN)
+        library = tuple(replace(t, required=False) for t in problem.environment.library)
+        plan = PLANNERS["cpsat"](replace(problem, environment=replace(problem.environment, library=library)))
+        unproven = replace(plan, status=Status.FEASIBLE, bound_us=0, ties_proven=False, required_proven=False)
+        return replace(unproven, unused_required=("dear",))
+
+    dear = worker("dear", upkeep_us=9_000, required=True)
+    life = started(source(), dear, worker(labor_us=0), planner=hurried)
+    assert life.units == {"count.1", "dear.1"}
+    hurry["is_on"] = True
+    kept = life.reviewed(ReviewNow())
+    assert (kept.decision, kept.unmet, kept.met) == (Decision.KEPT, {}, ("result",))
+    assert life.units == {"count.1", "dear.1"}
+    hurry["gives_up"] = True
+    life.manager.request(ReviewNow())
+    life.manager.step(1.0)
+    assert (life.reviews[-1].decision, life.reviews[-1].unmet) == (Decision.UNDECIDED, {})
+    assert life.met == {"result"}
 
 
 def test_a_planner_with_a_fault_of_its_own_does_not_end_the_life_cycle() -> None:

@@ -132,7 +132,10 @@ class Deliberation:
         plan = found.plan
         # The planner does not know of what is left out, which may be all that is missing.
         left_out = f" (left out for now: {', '.join(sorted(thought.avoided))})" if thought.avoided else ""
-        thought.unmet = {label: f"{reason}{left_out}" for label, reason in plan.reasons.items()}
+        given_up = {label: f"{reason}{left_out}" for label, reason in plan.reasons.items()}
+        violations = validity.violations(thought.planned, similarity)
+        unmet_now = {violation.target for violation in violations if violation.rule is Rule.MET}
+        thought.unmet = {label: why for label, why in given_up.items() if label in unmet_now}
         if plan.change_set is None:
             thought.cause = (
                 "no plan was found in time" if plan.status is Status.UNKNOWN else f"the plan is {plan.status}"
@@ -143,44 +146,43 @@ class Deliberation:
             thought.cause = f"the answer of planner {plan.planner} is wrong: {'; '.join(map(str, wrong))}"
             return
         thought.change_set, thought.cost_us, thought.bound_us = plan.change_set, plan.cost_us, plan.bound_us
-        thought.is_proven = found.exact and plan.status is Status.OPTIMAL
-        thought.met = tuple(target.label for target in found.problem.environment.targets)
-        thought.decision = _decision(thought, plan.unused_required, similarity, optimises=optimises)
+        thought.is_proven = found.exact and plan.status is Status.OPTIMAL and plan.required_proven
+        met_now = [target.label for target in thought.planned.targets if target.label not in unmet_now]
+        met_then = [target.label for target in found.problem.environment.targets]
+        thought.decision = _decision(
+            thought,
+            _served(thought.planned, met_now, thought.planned),
+            _served(thought.planned, met_then, found.problem.environment.update(plan.change_set)),
+            is_sound=all(violation.rule is Rule.MET for violation in violations),
+            optimises=optimises,
+        )
+        is_kept = thought.decision is Decision.KEPT
+        thought.met = tuple(met_now if is_kept else met_then)
+        thought.unmet = thought.unmet if is_kept else given_up
 
 
 def _decision(
-    thought: Thought, unused_required: tuple[str, ...], similarity: Similarity, *, optimises: bool
+    thought: Thought, before: tuple[int, ...], after: tuple[int, ...], *, is_sound: bool, optimises: bool
 ) -> Decision:
+    """What to do, by what is served before and after the update."""
     assert thought.change_set is not None and thought.cost_us is not None
-    now = thought.planned
-    violations = validity.violations(now, similarity)
-    met_now = {t.label for t in now.targets} - {v.target for v in violations if v.rule is Rule.MET}
-    is_sound = all(violation.rule is Rule.MET for violation in violations)
-    before, after = _by_priority(now, met_now), _by_priority(now, set(thought.met))
     if is_sound and before > after and not thought.is_proven:
-        return Decision.KEPT  # stopped by the clock, the planner gave up targets that are met
+        return Decision.KEPT  # the planner had not the time to find as much as what runs serves
     if not thought.change_set:
         return Decision.KEPT
-    is_needed = not is_sound or before < after or _uses_more_required(thought, unused_required)
-    if is_needed:
+    if not is_sound or before < after:
         return Decision.APPLIED
     if thought.cost_us >= thought.cost_before_us and before == after:
         return Decision.KEPT
     return Decision.APPLIED if optimises else Decision.DEFERRED
 
 
-def _by_priority(environment: Environment, met: set[str]) -> tuple[int, ...]:
-    """How many targets of each priority are met, the highest first."""
-    levels = sorted({target.priority for target in environment.targets}, reverse=True)
-    return tuple(sum(1 for t in environment.targets if t.priority == level and t.label in met) for level in levels)
-
-
-def _uses_more_required(thought: Thought, unused: tuple[str, ...]) -> bool:
-    required = {t.label for t in thought.planned.library if t.required}
-    if not required:
-        return False
-    used = _used(thought.planned)
-    return not (required - set(unused)) <= used
+def _served(wanted: Environment, met: list[str], running: Environment) -> tuple[int, ...]:
+    """How many of the wanted targets of each priority are met, the highest first, and required transformations used."""
+    levels = sorted({target.priority for target in wanted.targets}, reverse=True)
+    used = _used(running).intersection(wanted.required) if wanted.required else ()
+    by_priority = [sum(t.priority == level and t.label in met for t in wanted.targets) for level in levels]
+    return *by_priority, len(used)
 
 
 def _used(environment: Environment) -> set[str]:
