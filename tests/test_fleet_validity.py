@@ -20,7 +20,9 @@ from cfgplan.domain import (
     Target,
     Transformation,
 )
+from cfgplan.drawing import picture
 from cfgplan.errors import InvalidValueError
+from cfgplan.figures import qualities_of_targets
 from cfgplan.planning import Failures, Plan, Problem, Status
 from cfgplan.qualities import Better, Contribution, QualityAttribute, Rule, Wish
 from cfgplan.validity import Rule as Broken
@@ -179,3 +181,72 @@ def test_units_are_placed_only_where_there_are_hosts() -> None:
         Environment((camera,), (CAMERA,))
     with pytest.raises(InvalidValueError, match="no hosts are declared"):
         Problem(Environment(), SIMILARITY, 1, survive=Failures.HOSTS)
+
+
+def chain(length: int) -> tuple[Problem, Plan]:
+    """Units in a row on two hosts, the last of which meets a target that asks for quality; the plan starts them all."""
+    error = QualityAttribute("error", Better.LOWER, worst=2 * length)
+    tags = [f"T{i}" for i in range(length)]
+    library = [
+        Transformation(
+            f"t{i}",
+            (InputPort("in", tags[i - 1]),) if i else (),
+            (OutputPort("out", tag, (Contribution("error", Rule.ADD, 1),)),),
+            labor_us=1,
+            pinned=i == 0,
+        )
+        for i, tag in enumerate(tags)
+    ]
+    units = [
+        ComputationUnit(
+            f"t{i}.1",
+            f"t{i}",
+            (Subscription("in", Stream(f"t{i - 1}.1", "out")),) if i else (),
+            (Publication("out", "/t"),) if i == length - 1 else (),
+            host="left" if i < length // 2 else "right",
+        )
+        for i in range(length)
+    ]
+    target = Target("t", tags[-1], "/t", quality=(Wish("error", length, 1_000_000),))
+    environment = Environment((), tuple(library), (target,), (Host("left"), Host("right")), (error,), transfer_us=3)
+    cost_us = 2 * length
+    plan = Plan("by hand", Status.OPTIMAL, environment.change_to(units), cost_us, cost_us)
+    return Problem(environment, Similarity({tag: frozenset({tag}) for tag in tags}), 0), plan
+
+
+def test_a_row_of_thousands_of_units_is_judged_and_drawn() -> None:
+    problem, plan = chain(2_000)
+    assert plan.change_set is not None
+    assert plan_violations(problem, plan) == []
+    after = problem.environment.update(plan.change_set)
+    assert qualities_of_targets(after, after.units) == {"t": {"error": 2_000}}
+    assert "error 0.002" in picture(problem.environment, plan.change_set).dot()
+    stopped = replace(plan, change_set=ChangeSet(stopped=("t1999.1",)))
+    assert Broken.MET in {v.rule for v in plan_violations(replace(problem, environment=after), stopped)}
+    refused = Plan("by hand", Status.INFEASIBLE, reasons={"elsewhere": "no"})
+    assert [v.rule for v in plan_violations(problem, refused)] == [Broken.MET, Broken.MET]
+
+
+def test_what_is_in_a_ring_or_behind_one_has_the_worst_value() -> None:
+    loop = Transformation("loop", (InputPort("i", "Image"), InputPort("b", "Ball")), (BALL,), hosts=("base",))
+    ring = [
+        replace(detector, id="detector.1", subscriptions=(Subscription("image", Stream("camera.1", "out")),)),
+        ComputationUnit(
+            "loop.1",
+            "loop",
+            (Subscription("i", Stream("camera.1", "out")), Subscription("b", Stream("loop.1", "ball"))),
+            (),
+            "base",
+        ),
+    ]
+    behind = replace(
+        VALID,
+        units=(
+            camera,
+            replace(ring[0], publications=()),
+            replace(ring[1], publications=(Publication("ball", "/ball"),)),
+        ),
+        library=(CAMERA, DETECTOR, loop),
+    )
+    found = [v for v in violations(behind, SIMILARITY) if v.rule is Broken.QUALITY]
+    assert ["but its stream has 9" in str(v) for v in found] == [True]

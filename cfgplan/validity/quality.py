@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from graphlib import CycleError, TopologicalSorter
 
-from cfgplan.domain import Environment, Stream, Target
+from cfgplan.domain import ComputationUnit, Environment, Stream, Target, Transformation
 from cfgplan.qualities import QualityAttribute, Wish, is_met, price_us, propagated, units
+from cfgplan.validity.reading import known_units
 from cfgplan.validity.rules import Rule, Violation
 
 
@@ -31,27 +34,40 @@ def priced_us(environment: Environment) -> int:
 def _asked(environment: Environment) -> Iterator[tuple[Target, Wish, int]]:
     """Each wish of a target that has a stream, with the value of that stream."""
     publisher = {p.topic: Stream(unit.id, p.port) for unit in environment.units for p in unit.publications}
-    for target in environment.targets:
-        if target.quality and target.topic in publisher:
-            for wish in target.quality:
-                value = _value(environment, environment.quality[wish.attribute], publisher[target.topic], {})
-                yield target, wish, value
+    served = [target for target in environment.targets if target.topic in publisher]
+    asked = {wish.attribute for target in served for wish in target.quality}
+    order = _feeders_first(environment) if asked else []
+    values = {name: _values(environment.quality[name], order) for name in asked}
+    for target in served:
+        for wish in target.quality:
+            worst = environment.quality[wish.attribute].worst
+            yield target, wish, values[wish.attribute].get(publisher[target.topic], worst)
 
 
-def _value(environment: Environment, attribute: QualityAttribute, stream: Stream, seen: dict[Stream, int]) -> int:
-    """The value of a stream; the worst one where the wiring is broken, in a ring or at a gap."""
-    if stream in seen:
-        return seen[stream]
-    seen[stream] = attribute.worst
-    unit = environment.unit.get(stream.unit)
-    transformation = environment.transformation.get(unit.transformation) if unit else None
-    if unit is None or transformation is None or stream.port not in transformation.output:
-        return attribute.worst
-    ports = [port.name for port in transformation.inputs if not port.feedback]
-    values = [
-        _value(environment, attribute, unit.feeds[port], seen) if port in unit.feeds else attribute.worst
-        for port in ports
-    ]
-    stated = {contribution.attribute: contribution for contribution in transformation.output[stream.port].quality}
-    seen[stream] = propagated(attribute, stated.get(attribute.name), values)
-    return seen[stream]
+def _feeders_first(environment: Environment) -> list[tuple[ComputationUnit, Transformation]]:
+    """The units after all that feed their inputs, feedback aside, without those in a ring or behind one."""
+    sorter: TopologicalSorter[str] = TopologicalSorter()
+    known = {unit.id: (unit, transformation) for unit, transformation in known_units(environment)}
+    for unit, transformation in known.values():
+        ordinary = [port.name for port in transformation.inputs if not port.feedback]
+        sorter.add(unit.id, *(unit.feeds[name].unit for name in ordinary if name in unit.feeds))
+    with suppress(CycleError):
+        sorter.prepare()
+    order: list[str] = []
+    while sorter.is_active():
+        ready = sorter.get_ready()
+        sorter.done(*ready)
+        order += ready
+    return [known[unit_id] for unit_id in order if unit_id in known]
+
+
+def _values(attribute: QualityAttribute, order: Iterable[tuple[ComputationUnit, Transformation]]) -> dict[Stream, int]:
+    """The value of each stream; a gap, and what is not in the order, counts as the worst."""
+    values: dict[Stream, int] = {}
+    for unit, transformation in order:
+        feeds = [unit.feeds.get(port.name) for port in transformation.inputs if not port.feedback]
+        inputs = [attribute.worst if feed is None else values.get(feed, attribute.worst) for feed in feeds]
+        for port in transformation.outputs:
+            stated = {contribution.attribute: contribution for contribution in port.quality}
+            values[Stream(unit.id, port.name)] = propagated(attribute, stated.get(attribute.name), inputs)
+    return values

@@ -17,19 +17,34 @@ def startable(environment: Environment, similarity: Similarity) -> set[str]:
     givers = givers_by_tag(environment, similarity)
     candidates = set(environment.transformation)
     while True:
-        grounded: set[str] = set()
-        while True:
-            more = {
-                label
-                for label in candidates - grounded
-                if _can_be_fed(givers, environment.transformation[label], grounded, candidates)
-            }
-            if not more:
-                break
-            grounded |= more
+        grounded = _grounded(environment, givers, candidates)
         if grounded == candidates:
             return grounded
         candidates = grounded
+
+
+def _grounded(environment: Environment, givers: Mapping[str, set[str]], candidates: set[str]) -> set[str]:
+    """The candidates that are fed from sources on; each is looked at again when it may have got a feeder."""
+    giving: dict[str, list[str]] = defaultdict(list)
+    for tag, labels in givers.items():
+        for label in labels & candidates:
+            giving[label].append(tag)
+    taking: dict[str, list[Transformation]] = defaultdict(list)
+    for label in candidates:
+        for tag in {port.tag for port in environment.transformation[label].inputs if not port.feedback}:
+            taking[tag].append(environment.transformation[label])
+    grounded: set[str] = set()
+    given: set[str] = set()
+    ahead = [environment.transformation[label] for label in candidates]
+    for one in ahead:
+        if one.label in grounded or not _can_be_fed(givers, one, grounded, candidates):
+            continue
+        grounded.add(one.label)
+        for tag in giving[one.label]:
+            is_first = tag not in given
+            given.add(tag)
+            ahead += [t for t in taking[tag] if is_first or any(port.distinct is not None for port in t.inputs)]
+    return grounded
 
 
 def _can_be_fed(

@@ -26,6 +26,8 @@ def survival_violations(
 
 def justified_spares(environment: Environment, similarity: Similarity, survive: Failures | None) -> set[str]:
     """The units without which the others would not bear some failure."""
+    if survive is None:
+        return set()
     return {
         unit.id
         for unit in environment.units
