@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from cfgplan.api import UntruthfulPlanError as UntruthfulPlanError
     from cfgplan.api import World as World
     from cfgplan.api import load as load
+    from cfgplan.api import load_plan as load_plan
     from cfgplan.api import match as match
     from cfgplan.api import match_ports as match_ports
     from cfgplan.api import plan as plan
@@ -67,8 +68,8 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "cfgplan.answers": "alternatives best_effort front sensitivity why why_not",
-    "cfgplan.api": "UntruthfulPlanError World load match match_ports plan plan_violations problem violations what_if "
-    "world",
+    "cfgplan.api": "UntruthfulPlanError World load load_plan match match_ports plan plan_violations problem violations "
+    "what_if world",
     "cfgplan.domain": "ChangeSet ComputationUnit Environment Host InputPort OutputPort Publication Similarity Stream "
     "Subscription Target Transformation",
     "cfgplan.errors": "CfgplanError Fault InputError InvalidValueError",

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Literal
 
 from cfgplan import validity
 from cfgplan.domain import Environment, Similarity
-from cfgplan.errors import InputError, known
+from cfgplan.errors import Fault, InputError, known
 from cfgplan.matching import REASONERS, MatchExplanation, Matching, Nearest, Ontology, load_ontology, read_owlready
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import Failures, Plan, PlannerFaultError, Problem, Progress
@@ -83,7 +83,7 @@ def ontology_of(document: formats.Document) -> Ontology:
     Raises InputError with the document's faults and those of the ontologies.
     """
     try:
-        return load_ontology(document.ontology_paths)
+        return load_ontology(document.ontology_paths, dict(document.imports))
     except InputError as error:
         raise InputError((*document.faults, *map(document.at_ontology, error.faults))) from None
 
@@ -232,6 +232,22 @@ def plan_text(world: World, problem: Problem, plan: Plan) -> str:
     from cfgplan.formats import dump_plan
 
     return dump_plan(plan, problem, world.digest)
+
+
+def load_plan(world: World, problem: Problem, path: str | os.PathLike[str]) -> Plan:
+    """A plan that may be carried out: the one in a plan file, if it was made for this world and the judge accepts it.
+
+    Change set, cost, status and bound are checked against `problem`; that no plan is cheaper is the planner's proof,
+    which a file can't repeat. Raises InputError for a file that is broken, stale or has been changed.
+    """
+    from cfgplan.formats import load_plan as read_plan
+
+    answer = read_plan(path, world.digest)
+    found = plan_violations(problem, answer)
+    if found:
+        mend = "write the plan anew with `solve --out`"
+        raise InputError([Fault(f"the plan is not what it says: {each}", str(path), mend=mend) for each in found])
+    return answer
 
 
 def schema_text() -> str:

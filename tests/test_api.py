@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 import os
 import pickle
 from pathlib import Path
@@ -11,7 +12,7 @@ import networkx
 import pytest
 
 import cfgplan
-from cfgplan.api import write_file
+from cfgplan.api import plan_text, write_file
 from cfgplan.errors import InputError
 
 NAO = Path(__file__).parent.parent / "models" / "nao"
@@ -165,3 +166,27 @@ def test_a_file_that_may_not_be_written_is_not_replaced(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="Permission denied"):
         write_file(path, b"{}")
     assert path.read_bytes() == b""
+
+
+TAMPERED = {
+    "cost": lambda plan: plan | {"cost_us": plan["cost_us"] - 1, "bound_us": plan["bound_us"] - 1},
+    "wiring": lambda plan: plan | {"change_set": plan["change_set"] | {"started": []}},
+    "bound": lambda plan: plan | {"bound_us": plan["bound_us"] + 1},
+    "status": lambda plan: plan | {"status": "feasible"},
+    "refusal": lambda plan: plan | {"status": "infeasible", "change_set": None},
+    "environment": lambda plan: plan | {"environment": "0"},
+}
+
+
+@pytest.mark.parametrize("part", TAMPERED)
+def test_a_plan_that_was_changed_is_not_carried_out(part: str, tmp_path: Path) -> None:
+    world = cfgplan.load(NAO / "2-segmenter-lost.yaml")
+    problem = cfgplan.match(world)
+    plan = cfgplan.plan(problem)
+    text = plan_text(world, problem, plan)
+    path = tmp_path / "plan.json"
+    path.write_text(text)
+    assert cfgplan.load_plan(world, problem, path).change_set == plan.change_set
+    path.write_text(json.dumps(TAMPERED[part](json.loads(text))))
+    with pytest.raises(InputError, match=r"plan\.json.*(is not what it says|is stale)"):
+        cfgplan.load_plan(world, problem, path)

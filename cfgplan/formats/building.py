@@ -57,6 +57,7 @@ def _build(document: Document, vocabulary: Vocabulary) -> EnvironmentFile:
         document.max_cost_us,
         document.ontology_paths,
         fleet.survive,
+        document.imports,
         origins,
     )
 

@@ -11,11 +11,13 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from cfgplan.errors import Fault, InputError
+from cfgplan.formats.environment_file import ANY_IMPORT, Imports
 from cfgplan.formats.files import is_folder, read_source
 from cfgplan.formats.garbage import no_garbage_collection
 from cfgplan.formats.places import Path, Source, Spot
 from cfgplan.formats.schema import (
     DEFAULT_HORIZON_S,
+    IGNORE,
     AttributePart,
     DefaultsPart,
     EnvironmentPart,
@@ -69,14 +71,19 @@ class Document:
     transfer_us: int = 0
     qualities: tuple[AttributePart, ...] = ()
     survive: int | str = 0
+    imports: Imports = ()
 
     def at_ontology(self, fault: Fault) -> Fault:
         """A fault of a whole ontology file as one of the entry that names the file."""
+        source = self.files[0].source
+        written: Any = source.data
+        iri = next((iri for iri, path in self.imports if path is not None and str(path) == fault.file), None)
+        if iri is not None:
+            return _at_entry(fault, written["imports"][iri], source, ("imports", iri))
         names = [str(path) for path in self.ontology_paths]
         if fault.file not in names:
             return fault
-        source, index = self.files[0].source, names.index(fault.file)
-        written: Any = source.data
+        index = names.index(fault.file)
         match written["ontology"]:
             case str(name):
                 return _at_entry(fault, name, source, ("ontology",))
@@ -127,7 +134,13 @@ def _read_document(main: FilePath) -> Document:
         header.transfer,
         tuple(header.qualities or ()),
         header.survive,
+        _imports(main, header.imports or {}),
     )
+
+
+def _imports(main: FilePath, written: str | Mapping[str, str]) -> Imports:
+    named = {ANY_IMPORT: written} if isinstance(written, str) else written
+    return tuple((iri, None if name == IGNORE else main.parent / name) for iri, name in sorted(named.items()))
 
 
 def read_declared(name: str, data: Mapping[str, Any]) -> tuple[File, list[Fault]]:

@@ -8,10 +8,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path as FilePath
+from typing import TypeAlias
 
 from cfgplan.domain import Environment
 from cfgplan.formats.places import Path, Place, Source
 from cfgplan.planning import Failures
+
+ANY_IMPORT = ""
+"""Stands for every IRI that is imported and can't be found."""
+
+Imports: TypeAlias = tuple[tuple[str, FilePath | None], ...]
+"""The file of each IRI that an ontology imports, sorted by IRI; None: the import is ignored."""
 
 
 @dataclass(frozen=True)
@@ -27,12 +34,15 @@ class EnvironmentFile:
     max_cost_us: int | None = None
     ontology_paths: tuple[FilePath, ...] = ()
     survive: Failures | None = None
+    imports: Imports = ()
     origins: Mapping[tuple[str, str], tuple[Source, Path]] = field(default_factory=dict, repr=False, compare=False)
 
     @cached_property
     def digest(self) -> str:
         """What tells this world from others, see `environment_digest`."""
-        return environment_digest(self.environment, self.horizon_s, self.max_cost_us, self.ontology_paths, self.survive)
+        return environment_digest(
+            self.environment, self.horizon_s, self.max_cost_us, self.ontology_paths, self.survive, self.imports
+        )
 
     def place(
         self,
@@ -68,8 +78,9 @@ def environment_digest(
     max_cost_us: int | None = None,
     ontology_paths: Sequence[FilePath] = (),
     survive: Failures | None = None,
+    imports: Imports = (),
 ) -> str:
-    """SHA-256 (hex) of all that a plan depends on, the ontology files too.
+    """SHA-256 (hex) of all that a plan depends on, the ontology files and `imports` too.
 
     Comments, the order of lists and what only running needs (source, params, kind) don't count.
     """
@@ -101,9 +112,15 @@ def environment_digest(
         content.append(more)
     hashed = hashlib.sha256(json.dumps(content, separators=(",", ":")).encode())
     for path in ontology_paths:
-        if path.is_file():
-            hashed.update(hashlib.sha256(path.read_bytes()).digest())
+        hashed.update(_file_digest(path))
+    for iri, imported in imports:
+        hashed.update(hashlib.sha256(iri.encode()).digest() + (b"ignored" if imported is None else b"read"))
+        hashed.update(b"" if imported is None else _file_digest(imported))
     return hashed.hexdigest()
+
+
+def _file_digest(path: FilePath) -> bytes:
+    return hashlib.sha256(path.read_bytes()).digest() if path.is_file() else b""
 
 
 def _beyond_the_paper(environment: Environment, survive: Failures | None) -> list[object]:

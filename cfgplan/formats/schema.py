@@ -206,6 +206,14 @@ class IncludedPart(_Part):
     targets: list[TargetPart] | None = None
 
 
+IGNORE = "ignore"
+
+Imports = Annotated[
+    Annotated[Literal["ignore"], Tag(SHORT_FORM)] | Annotated[dict[Name, Name], Tag(FULL_FORM)],
+    Discriminator(form_of),
+]
+
+
 class EnvironmentPart(_Part):
     """An environment: the transformations there are, the units that run and the information that is wanted."""
 
@@ -213,6 +221,11 @@ class EnvironmentPart(_Part):
 
     format: Literal["cfgplan/1"]
     ontology: Names | None = Field(default=None, description="ontology file or files, relative to this file")
+    imports: Imports | None = Field(
+        default=None,
+        description="IRI that an ontology imports to a file, relative to this file, or to `ignore`; "
+        "`ignore` alone: all that can't be found",
+    )
     horizon: int = Field(
         default=DEFAULT_HORIZON_S, ge=0, le=LONGEST_HORIZON_S, description="how far ahead upkeep counts, in seconds"
     )

@@ -15,7 +15,7 @@ _BLANK = " \t\r\n"
 _NO_XML = re.compile("[\0-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
 
 _YAML_ONLY = {
-    "environment": ("hosts", "transfer", "qualities", "survive"),
+    "environment": ("imports", "hosts", "transfer", "qualities", "survive"),
     "transformations": ("conflicts",),
     "units": ("host", "standby"),
     "targets": ("quality", "host"),

@@ -44,6 +44,9 @@ _DL_SAFE: Final = ("ofn", "owx")
 _NOT_TOLD: Final = "its built-ins are told to no reasoner"
 
 _MISSING = "check the path under `ontology:`; it is relative to the environment file, and web addresses are not fetched"
+_NO_IMPORT = (
+    "name its file in the environment file by `imports: {{{0}: file.ttl}}`, or ignore it by `imports: {{{0}: ignore}}`"
+)
 _NO_TEXT = "name a file in Turtle, RDF/XML, JSON-LD, OWL/XML, functional or Manchester syntax"
 
 
@@ -58,12 +61,14 @@ class _Document:
     dropped: Mapping[str, str] = field(default_factory=dict)
 
 
-def load_ontology(paths: Sequence[Path]) -> Ontology:
+def load_ontology(paths: Sequence[Path], imports: Mapping[str, Path | None] | None = None) -> Ontology:
     """The union of ontology files and of everything they import; the open ontology if there are no files.
 
     The syntax (Turtle, N-Triples, RDF/XML, JSON-LD, OWL/XML, functional, Manchester) is told by the content. An
     import is a relative path, a file beside the importing one that is named like the last part of the IRI or declares
-    it, or one of `paths`. Raises InputError with every file that can't be used.
+    it, or one of `paths`. `imports` comes first: it maps an IRI to its file, or to None where the import is ignored,
+    and "" to None where every import is ignored that can't be found. Raises InputError with every file that can't be
+    used.
     """
     if not paths:
         return Ontology(is_open=True)
@@ -71,6 +76,7 @@ def load_ontology(paths: Sequence[Path]) -> Ontology:
     faults: list[Fault] = []
     waiting = [path.resolve() for path in reversed(paths)]
     shown = {path.resolve(): str(path) for path in paths}
+    given = {iri.rstrip("#/"): path for iri, path in (imports or {}).items()}
     while waiting:
         path = waiting.pop()
         if path in documents:
@@ -82,17 +88,21 @@ def load_ontology(paths: Sequence[Path]) -> Ontology:
             documents[path] = _Document()
             continue
         for iri in document.imports:
+            written = _relative(iri, path)
+            named = given.get(written.rstrip("#/"))
+            if named is not None:
+                shown.setdefault(named.resolve(), str(named))
+                waiting.append(named.resolve())
+                continue
+            if written.rstrip("#/") in given:
+                continue
             found = _imported_file(iri, path, documents, [p for p in shown if p not in documents])
-            if found is None:
+            if found is None and "" not in given:
+                message = f"the import <{written}> can't be found"
                 faults.append(
-                    Fault(
-                        f"the import <{_relative(iri, path)}> can't be found",
-                        file=shown[path],
-                        line=_line_with(path, iri),
-                        mend=f"put the ontology beside {path.name} or remove the import",
-                    )
+                    Fault(message, file=shown[path], line=_line_with(path, written), mend=_NO_IMPORT.format(written))
                 )
-            elif found not in documents:
+            elif found is not None and found not in documents:
                 shown.setdefault(found, str(Path(shown[path]).parent / _relative_path(found, path.parent)))
                 waiting.append(found)
     if faults:
@@ -342,9 +352,8 @@ def _relative_path(path: Path, folder: Path) -> Path:
     return path.relative_to(folder) if path.is_relative_to(folder) else path
 
 
-def _line_with(path: Path, iri: str) -> int | None:
-    wanted = _relative(iri, path)
-    for number, line in enumerate(path.read_text("utf-8-sig").splitlines(), start=1):
-        if wanted in line and "mport" in line:
-            return number
-    return None
+def _line_with(path: Path, wanted: str) -> int | None:
+    """The line of an import: the first that mentions it, best one that says so."""
+    lines = [*enumerate(path.read_text("utf-8-sig").splitlines(), start=1)]
+    found = [(number, line) for number, line in lines if wanted in line]
+    return next((number for number, line in found if "mport" in line), found[0][0] if found else None)

@@ -19,6 +19,7 @@ from cfgplan.domain import (
     Target,
     Transformation,
 )
+from cfgplan.errors import InputError
 from cfgplan.formats import environment_schema
 
 WHOLE = """\
@@ -238,3 +239,29 @@ def test_loading_leaves_the_garbage_collector_as_it_was(tmp_path: Path) -> None:
             assert gc.isenabled() is before
     finally:
         (gc.enable if was_enabled else gc.disable)()
+
+
+def test_imports_are_files_or_ignored_and_part_of_the_digest(tmp_path: Path) -> None:
+    (tmp_path / "ssn.ttl").write_text("one")
+    texts = (
+        "",
+        "imports: ignore\n",
+        "imports: {http://x/ssn/: ssn.ttl}\n",
+        "imports: {http://x/ssn/: ignore}\n",
+        "imports: {http://x/ssn: ssn.ttl}\n",
+    )
+    loaded = [load_text(tmp_path, WHOLE + text) for text in texts]
+    assert [world.imports for world in loaded[:3]] == [
+        (),
+        (("", None),),
+        (("http://x/ssn/", tmp_path / "ssn.ttl"),),
+    ]
+    (tmp_path / "ssn.ttl").write_text("two")
+    digests = {world.digest for world in loaded} | {load_text(tmp_path, WHOLE + texts[2]).digest}
+    assert len(digests) == len(texts)
+
+
+def test_imports_are_refused_where_they_are_no_files(tmp_path: Path) -> None:
+    for text in ("imports: all\n", "imports: [a.ttl]\n", "imports: {http://x/: 3}\n"):
+        with pytest.raises(InputError, match="imports"):
+            load_text(tmp_path, WHOLE + text)

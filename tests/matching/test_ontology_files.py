@@ -366,3 +366,26 @@ def test_keys_are_told_to_the_reasoner(tmp_path: Path) -> None:
     ontology = load_ontology([path])
     assert not ontology.dropped
     assert match(["{other}"], ["{cam1}"], ontology).similarity.holds("{other}", "{cam1}")
+
+
+def test_an_import_is_named_or_ignored_in_the_environment_file(tmp_path: Path) -> None:
+    import cfgplan
+
+    iri = "http://www.w3.org/ns/elsewhere/"
+    (tmp_path / "main.ttl").write_text(importing(iri))
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub/other.ttl").write_text(TURTLE.replace("Camera", "Lidar"))
+    environment = "format: cfgplan/1\nontology: main.ttl\n{}targets: [{{label: t, topic: /t, tag: {}}}]\n"
+    path = tmp_path / "env.yaml"
+
+    def loaded(imports: str, tag: str = "Camera") -> cfgplan.World:
+        path.write_text(environment.format(imports, tag))
+        return cfgplan.load(path)
+
+    with pytest.raises(InputError, match=r"main\.ttl:4: .*can't be found .*imports: \{http.*elsewhere/: ignore\}"):
+        loaded("")
+    assert "Lidar" in loaded(f"imports: {{{iri}: sub/other.ttl}}\n", "Lidar").ontology.classes
+    assert "Lidar" not in loaded(f"imports: {{{iri[:-1]}: ignore}}\n").ontology.classes
+    assert "Lidar" not in loaded("imports: ignore\n").ontology.classes
+    with pytest.raises(InputError, match=r"env\.yaml:3:.*imports.*missing\.ttl.*does not exist"):
+        loaded(f"imports: {{{iri}: missing.ttl}}\n")
