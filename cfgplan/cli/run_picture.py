@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from math import isinf
 from typing import Literal, TypeVar
 
+from cfgplan_runtime.children.messages import Flow
 from cfgplan_runtime.lifecycle.reports import BackingOff, Decision, Review, Snapshot, TargetView, UnitView
-from cfgplan_runtime.operating.flows import Flow
 from cfgplan_runtime.operating.sentences import ERROR, WARNING, because, decision, milliseconds, named, short
 from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
 from rich.rule import Rule

@@ -15,7 +15,7 @@ from cfgplan.domain import ChangeSet, Environment, Target, Transformation
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.processes.process_backend import ProcessBackend
 from cfgplan_runtime.supervision.applying import Patience
-from cfgplan_runtime.supervision.events import Applied, Event, UnitStatus
+from cfgplan_runtime.supervision.events import SIGNS, Applied, Event
 from cfgplan_runtime.supervision.observation import Observation
 from cfgplan_runtime.supervision.run_log import RunLog
 from cfgplan_runtime.supervision.supervisor import Supervisor
@@ -168,7 +168,7 @@ class Runtime:
             listener(event)
         if self._log is not None:
             self._log.write(event)
-        while not isinstance(event, UnitStatus):
+        while not isinstance(event, SIGNS):
             try:
                 self.events.put_nowait(event)
                 return

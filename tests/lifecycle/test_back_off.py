@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from math import inf
 
-from cfgplan_runtime import Patience
+from cfgplan_runtime import Patience, Policy
 from cfgplan_runtime.lifecycle.back_off import BackOffRules, BackOffs
 from cfgplan_runtime.lifecycle.changes import AddTargets, AddTransformations, ReviewNow, Stop
-from cfgplan_runtime.lifecycle.perturbations import MayStartAgain, UpdateFailed
+from cfgplan_runtime.lifecycle.configuration import Situation
+from cfgplan_runtime.lifecycle.noticing import Noticing
+from cfgplan_runtime.lifecycle.perturbations import MayStartAgain, SubscriptionLost, UpdateFailed
 from cfgplan_runtime.lifecycle.reports import BackedOff, Decision, Phase
 from cfgplan_runtime.supervision.events import UnitReady
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
@@ -143,6 +145,14 @@ def test_a_slow_start_does_not_hold_up_a_repair() -> None:
     life.pass_time(30)
     assert (life.met, life.manager.snapshot().backing_off) == ({"result", "other"}, ())
     assert life.starts("slow") == 2
+
+
+def test_an_input_that_is_lost_again_and_again_waits_ever_longer() -> None:
+    policy = Policy(explain_s=0.02, retry_s=0.1, most_loss_s=1.0)
+    noticing, lost = Noticing(Situation(BackOffs(BackOffRules())), policy), SubscriptionLost("work.1", "x")
+    assert [noticing.delay_s(lost, at_s) for at_s in range(7)] == [0.02, 0.02, 0.1, 0.2, 0.4, 0.8, 1.0]
+    assert noticing.delay_s(SubscriptionLost("work.1", "z"), 7) == 0.02
+    assert noticing.delay_s(lost, 100) == 0.02
 
 
 def test_the_end_does_not_wait_for_a_slow_start() -> None:

@@ -6,6 +6,7 @@ import os
 import signal
 
 import psutil
+import pytest
 from cfgplan_runtime import Policy
 from cfgplan_runtime.lifecycle.back_off import BackOffRules
 from cfgplan_runtime.lifecycle.perturbations import (
@@ -15,7 +16,8 @@ from cfgplan_runtime.lifecycle.perturbations import (
     UnitKeepsFailing,
     WorldChanged,
 )
-from cfgplan_runtime.lifecycle.reports import Decision
+from cfgplan_runtime.lifecycle.reports import Decision, Review
+from cfgplan_runtime.processes import process_backend
 from real_run import RealRun, eventually, source, worker
 
 CHAIN = (source(), worker("first", gives="Z"), worker("last", needs="Z"))
@@ -51,9 +53,12 @@ def test_a_cheaper_transformation_takes_over_at_the_horizon_and_not_before(run_f
     switched_at = run_for_real.givers().index("cheap")
     assert set(run_for_real.givers()[:switched_at]) == {"work"}
     assert set(run_for_real.givers()[switched_at:]) == {"cheap"}
-    (review,) = [
-        review for review in run_for_real.reviews if review.change_set and review.decision is Decision.APPLIED
-    ][1:]
+
+    def later() -> list[Review]:
+        return [each for each in run_for_real.reviews if each.change_set and each.decision is Decision.APPLIED][1:]
+
+    eventually(lambda: bool(later()))
+    (review,) = later()
     assert any(isinstance(perturbation, HorizonReached) for perturbation in review.perturbations)
     assert_nothing_is_missing(run_for_real)
 
@@ -63,7 +68,7 @@ def test_a_transformation_in_use_can_be_removed_or_changed_without_a_loss(run_fo
     assert set(run_for_real.givers()) == {"work"}
     run_for_real.write(source(), worker("spare", upkeep=0.5))
     run_for_real.await_result("spare")
-    assert set(run_for_real.runtime.environment.unit) == {"count.1", "spare.1"}
+    eventually(lambda: set(run_for_real.runtime.environment.unit) == {"count.1", "spare.1"})
     run_for_real.write(source(), worker("spare", upkeep=0.5, host="here"))
     eventually(lambda: "spare.2" in run_for_real.runtime.environment.unit)
     run_for_real.await_result("spare")
@@ -112,6 +117,22 @@ def test_a_slow_start_does_not_hold_up_a_repair(run_for_real: RealRun) -> None:
     run_for_real.await_result("work")
     assert not any(view.is_met for view in run_for_real.manager.snapshot().targets if view.topic == "/slow")
     run_for_real.await_result("slow", topic="/slow")
+
+
+def test_a_stopped_nursery_makes_few_reviews_and_the_stream_goes_on(
+    run_for_real: RealRun, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(process_backend, "HELPER_S", 6.0)
+    run_for_real.start(source(), worker())
+    run_for_real.await_result("work", more=400)
+    nursery = psutil.Process(run_for_real.runtime.pid("work.1") or 0).parent()
+    assert nursery is not None
+    run_for_real.kill("count.1")
+    nursery.suspend()
+    gone = len(run_for_real.seen(UnitGone))
+    eventually(lambda: len(run_for_real.seen(UnitGone)) > gone)
+    assert len(run_for_real.reviews) < 30
+    run_for_real.await_result("work")
 
 
 def test_a_removed_target_takes_away_what_only_it_needed(run_for_real: RealRun) -> None:

@@ -8,10 +8,12 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from cfgplan_runtime import Runtime
-from cfgplan_runtime.operating.flows import Flow, Flows
+from cfgplan_runtime import Runtime, subscribe
+from cfgplan_runtime.children.messages import Flow
+from cfgplan_runtime.operating.flows import Flows, Following
 from cfgplan_runtime.streams.element import Element
 from cfgplan_runtime.streams.payload import decode
+from cfgplan_runtime.supervision.events import TopicsStatus
 
 from cfgplan.domain import (
     ChangeSet,
@@ -44,29 +46,48 @@ def runtime() -> Iterator[Runtime]:
         yield running
 
 
-def test_rate_and_latency_of_a_topic_are_measured(runtime: Runtime) -> None:
-    flows = Flows(runtime.id)
-    flows.follow(["/result"])
-    eventually(lambda: flows.now()["/result"].elements > 50)
+def flows_of(runtime: Runtime) -> Flows:
+    flows = Flows()
+    runtime.listen(flows.hear)
+    return flows
+
+
+def test_rate_and_latency_of_a_topic_are_measured_though_nobody_fetches_its_elements(runtime: Runtime) -> None:
+    flows = flows_of(runtime)
+    eventually(lambda: flows.now().get("/result", Flow()).elements > 50)
     flow = flows.now()["/result"]
     assert 1 < flow.rate_hz < 150
     assert flow.latency_ms is not None
     assert 0 < flow.latency_ms < 1e3 * PATIENCE_S
-    flows.close()
-    assert flows.now() == {}
+    assert flow.dropped == 0
+    threads = [thread.name for thread in threading.enumerate()]
+    assert not [name for name in threads if "flow" in name]
 
 
 def test_a_topic_that_falls_silent_and_comes_back_is_seen_as_that(runtime: Runtime) -> None:
-    flows = Flows(runtime.id)
-    flows.follow(["/result", "/nowhere"])
-    eventually(lambda: flows.now()["/result"].elements)
+    flows = flows_of(runtime)
+    eventually(lambda: flows.now().get("/result", Flow()).elements)
     runtime.apply(ChangeSet(stopped=("camera.1",)))
     eventually(lambda: flows.now()["/result"].rate_hz == 0.0)
-    assert flows.now()["/nowhere"] == Flow()
+    assert (flows.now()["/result"].silent_s or 0) > 2
     before = flows.now()["/result"].elements
     runtime.apply(ChangeSet(started=(UNIT,)))
     eventually(lambda: flows.now()["/result"].elements > before)
-    flows.close()
+
+
+def test_what_outlets_do_not_tell_does_not_come(monkeypatch: pytest.MonkeyPatch) -> None:
+    flows, now = Flows(), time.monotonic()
+    flows.hear(TopicsStatus({"/result": Flow(100.0, 1.0, 500, 0, 0.01)}))
+    monkeypatch.setattr(time, "monotonic", lambda: now + 10)
+    flow = flows.now()["/result"]
+    assert (flow.rate_hz, flow.latency_ms, flow.elements) == (0.0, None, 500)
+    assert flow.silent_s == pytest.approx(10, abs=1)
+
+
+def test_what_subscribers_do_not_fetch_is_counted(runtime: Runtime) -> None:
+    flows = flows_of(runtime)
+    with subscribe("/result"):
+        eventually(lambda: flows.now().get("/result", Flow()).dropped)
 
 
 def test_whoever_listens_gets_every_element_in_order(runtime: Runtime) -> None:
@@ -76,18 +97,18 @@ def test_whoever_listens_gets_every_element_in_order(runtime: Runtime) -> None:
         assert topic == "/result"
         heard.append(int(decode(element.payload)[0, 0]))
 
-    flows = Flows(runtime.id, listen)
-    flows.follow(["/result"])
+    following = Following(runtime.id, listen)
+    following.follow(["/result"])
     eventually(lambda: len(heard) > 50)
-    flows.close()
+    following.close()
     assert heard == [(heard[0] + number) % 256 for number in range(len(heard))]
 
 
 def test_a_topic_that_is_no_longer_followed_is_left(runtime: Runtime) -> None:
-    flows = Flows(runtime.id)
-    flows.follow(["/result"])
-    eventually(lambda: flows.now()["/result"].elements)
-    flows.follow([])
-    assert flows.now() == {}
+    heard: list[str] = []
+    following = Following(runtime.id, lambda topic, _: heard.append(topic))
+    following.follow(["/result"])
+    eventually(lambda: heard)
+    following.follow([])
     eventually(lambda: not [thread for thread in threading.enumerate() if "cfgplan-flow" in thread.name])
-    flows.close()
+    following.close()

@@ -10,11 +10,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from cfgplan_runtime.children.messages import PortCounts
+from cfgplan_runtime.children.messages import Flow, PortCounts
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.lifecycle.perturbations import HorizonReached, UnitGone
 from cfgplan_runtime.lifecycle.reports import Decision, Perturbed, Reviewed, Snapshot, UnitEvent, UnitView
-from cfgplan_runtime.operating.flows import Flow
 from cfgplan_runtime.operating.metrics import Metrics, MetricsServer, serve
 from cfgplan_runtime.supervision.events import UnitDied
 from fake_manager import DETECTOR, REVIEW, SNAPSHOT, observation

@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from cfgplan_runtime.children.messages import Flow
 from cfgplan_runtime.lifecycle.perturbations import SubscriptionLost, UnitGone
 from cfgplan_runtime.lifecycle.reports import Decision, Snapshot, TargetView, UnitView
-from cfgplan_runtime.operating.flows import Flow
 from fake_manager import CAMERA, DETECTOR, REVIEW, SNAPSHOT, observation
 from operated_world import PATIENCE_S, command, write_world
 from rich.console import Console

@@ -6,6 +6,7 @@ import os
 import sys
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy
@@ -37,6 +38,30 @@ def image_number(x: NDArray[numpy.uint8]) -> int:
 
 def same(x: Any) -> Any:
     return x
+
+
+def leave_heir(note: str) -> None:
+    """Start a process of a session of its own, which keeps every socket of this one, once; `note` gets its id."""
+    if not Path(note).exists():
+        heir = os.fork()
+        if heir == 0:
+            os.setsid()
+            time.sleep(3600)
+        Path(note).write_text(str(heir))
+
+
+def count_with_heir(note: str) -> Iterator[int]:
+    leave_heir(note)
+    yield from count()
+
+
+class SameWithHeir:
+    def __init__(self, note: str) -> None:
+        self.note = note
+
+    def __call__(self, x: Any) -> Any:
+        leave_heir(self.note)
+        return x
 
 
 def add(a: int, b: int) -> int:

@@ -13,6 +13,8 @@ from cfgplan_runtime.supervision.backend import Inlet
 from cfgplan_runtime.supervision.events import (
     Applied,
     Event,
+    HelperAlive,
+    HelperHung,
     InputLost,
     RolledBack,
     UnitDied,
@@ -70,6 +72,7 @@ def test_additions_come_before_removals() -> None:
         ("connect", "count.1/n", "work.2/x"),
         ("connect", "work.2/y", "/result"),
         ("stop", "work.1"),
+        ("end", "count.1/n", "work.1/x"),
     ]
     assert applied.unswitched == 0
     simulation.check()
@@ -188,6 +191,37 @@ def test_a_dead_unit_leaves_gaps() -> None:
     simulation.apply(ChangeSet(started=(unit("count.2"),), rewired=(unit("work.1", topic="/result", x="count.2/n"),)))
     assert simulation.backend.feeding(Inlet("work.1", "x")) == Stream("count.2", "n")
     simulation.check()
+
+
+def test_wires_of_a_dead_unit_are_cut_though_an_heir_holds_them_open() -> None:
+    simulation = Simulation(count=Behaviour(heir=True), work=Behaviour())
+    simulation.apply(start(*ONE))
+    simulation.backend.fail("count.1")
+    simulation.pass_time(0.1)
+    rewired = unit("work.1", topic="/result", x="count.2/n")
+    applied = simulation.apply(ChangeSet(started=(unit("count.2"),), rewired=(rewired,)))
+    assert applied.unswitched == 0
+    simulation.check()
+
+
+def test_wires_of_a_stopped_unit_are_cut_though_an_heir_holds_them_open() -> None:
+    simulation = Simulation(count=Behaviour(heir=True), work=Behaviour(heir=True))
+    simulation.apply(start(*ONE))
+    simulation.apply(swap(2))
+    assert simulation.asked("end") == [("end", "count.1/n", "work.1/x")]
+    simulation.check()
+
+
+def test_a_helper_that_gives_no_sign_of_life_is_replaced_once() -> None:
+    simulation = Simulation()
+    simulation.backend.tell(HelperAlive("outlets", 5.0))
+    simulation.pass_time(4.0)
+    simulation.backend.stall(60.0)
+    simulation.pass_time(0.5)
+    assert simulation.asked("renew") == []
+    simulation.pass_time(20.0)
+    assert simulation.asked("renew") == [("renew", "outlets")]
+    assert [event.helper for event in simulation.events if isinstance(event, HelperHung)] == ["outlets"]
 
 
 def test_a_unit_that_dies_during_an_update_is_missing_afterwards() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import socket
 import struct
@@ -56,7 +57,9 @@ class ControlConnection(Generic[Incoming]):
                     sent = self.socket.send(data)
             except BlockingIOError:
                 return False
-            except OSError:
+            except OSError as error:
+                if error.errno == errno.ETOOMANYREFS:  # sockets that others have still to receive
+                    return False
                 self._end()
                 break
             for attached in sockets:
@@ -68,7 +71,10 @@ class ControlConnection(Generic[Incoming]):
         return True
 
     def receive(self) -> Iterator[tuple[Incoming, list[socket.socket]]]:
-        """The messages that have come, with their sockets; `has_ended` tells whether there will be more."""
+        """The messages that have come, with their sockets; `has_ended` tells whether there will be more.
+
+        A message has fewer sockets than were sent if this process has no descriptor left for them.
+        """
         while not self.has_ended:
             try:
                 data, descriptors, _, _ = socket.recv_fds(self.socket, _CHUNK, _MOST_SOCKETS)
@@ -97,7 +103,9 @@ class ControlConnection(Generic[Incoming]):
                 return
             message = self._decoder.decode(bytes(self._received[_LENGTH.size : end]))
             del self._received[:end]
-            yield message, [socket.socket(fileno=self._descriptors.popleft()) for _ in range(count)]
+            # The system keeps back those that this process has no descriptor left for.
+            there = min(count, len(self._descriptors))
+            yield message, [socket.socket(fileno=self._descriptors.popleft()) for _ in range(there)]
 
     def _end(self) -> None:
         self.has_ended = True

@@ -60,6 +60,20 @@ class Cut(msgspec.Struct, tag=True):
     wire: int
 
 
+class End(msgspec.Struct, tag=True):
+    """An input's source is gone: take what it has sent, then detach, whoever else may hold its socket open."""
+
+    port: str
+    wire: int
+
+
+class Unserve(msgspec.Struct, tag=True):
+    """A subscriber of an output is gone, whoever else may hold its socket open."""
+
+    port: str
+    wire: int
+
+
 class SwitchNow(msgspec.Struct, tag=True):
     """Go over to the standby without waiting for the active source any longer."""
 
@@ -80,7 +94,7 @@ class Finish(msgspec.Struct, tag=True):
     """Give what has come already, then end."""
 
 
-ToChild: TypeAlias = Feed | Serve | Cut | SwitchNow | OpenOutlet | CloseOutlet | Finish
+ToChild: TypeAlias = Feed | Serve | Cut | End | Unserve | SwitchNow | OpenOutlet | CloseOutlet | Finish
 
 
 # From a child.
@@ -142,7 +156,35 @@ class Status(msgspec.Struct, tag=True):
     state: bytes | None = None
 
 
-FromChild: TypeAlias = Ready | Switched | Lost | Trouble | Exhausted | Status
+class Flow(msgspec.Struct, frozen=True):
+    """What comes on a topic: elements per second, the median age at arrival in milliseconds, and counts.
+
+    Age is the time since the source element was made that it comes from. Rate and age are over the last 3 seconds:
+    `rate_hz` is 0 and `latency_ms` None if nothing came. `silent_s` is the time since the last element, None if none
+    ever came; `dropped` counts what subscribers have not fetched in time.
+    """
+
+    rate_hz: float = 0.0
+    latency_ms: float | None = None
+    elements: int = 0
+    dropped: int = 0
+    silent_s: float | None = None
+
+
+class Flowing(msgspec.Struct, tag=True):
+    """A sign of life of the outlets, with what comes on each topic."""
+
+    flows: dict[str, Flow]
+
+
+class Unserved(msgspec.Struct, tag=True):
+    """Subscribers of a topic wait, since the outlets can't take them in; told once until they can."""
+
+    topic: str
+    cause: str
+
+
+FromChild: TypeAlias = Ready | Switched | Lost | Trouble | Exhausted | Status | Flowing | Unserved
 
 
 # To and from the nursery.
@@ -177,4 +219,15 @@ class Gone(msgspec.Struct, tag=True):
     status: int
 
 
-FromNursery: TypeAlias = Forked | Gone
+class NotForked(msgspec.Struct, tag=True):
+    """A child could not be made; `cause` says why."""
+
+    serial: int
+    cause: str
+
+
+class Alive(msgspec.Struct, tag=True):
+    """A sign of life of the nursery."""
+
+
+FromNursery: TypeAlias = Forked | Gone | NotForked | Alive

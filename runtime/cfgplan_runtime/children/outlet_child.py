@@ -4,15 +4,57 @@ from __future__ import annotations
 
 import socket
 import time
+from collections import deque
 
 from cfgplan_runtime.children.control import ControlConnection
-from cfgplan_runtime.children.messages import CloseOutlet, Finish, OpenOutlet, OutletOrder, Ready, Status, ToChild
+from cfgplan_runtime.children.messages import (
+    CloseOutlet,
+    Finish,
+    Flow,
+    Flowing,
+    OpenOutlet,
+    OutletOrder,
+    Ready,
+    ToChild,
+    Unserved,
+)
 from cfgplan_runtime.children.ports import InputPort, OutputPort, Ports
 from cfgplan_runtime.streams.channel import Sender, widen
 from cfgplan_runtime.streams.element import Element, Outgoing
 from cfgplan_runtime.streams.inlet import Inlet
 
+OVER_S = 3.0
+"""Rate and age are over so many seconds."""
 _STATUS_PERIOD_S = 1.0
+_MOST_STAMPS = 4096
+NO_DESCRIPTOR = "no file descriptor is left: raise the limit of open files (ulimit -n)"
+
+
+class Meter:
+    """Counts a topic's elements, and how old they are when they come; times in seconds."""
+
+    def __init__(self, since_s: float) -> None:
+        self._since_s = since_s
+        self._elements = 0
+        self._stamps: deque[tuple[float, float]] = deque(maxlen=_MOST_STAMPS)
+
+    def note(self, age_s: float, now_s: float) -> None:
+        """An element came."""
+        self._elements += 1
+        self._stamps.append((now_s, age_s))
+
+    def flow(self, dropped: int, now_s: float) -> Flow:
+        """What comes now."""
+        first_s = self._stamps[0][0] if len(self._stamps) == _MOST_STAMPS else 0.0
+        begin_s = max(now_s - OVER_S, self._since_s, first_s)
+        ages = sorted(age for at, age in self._stamps if at >= begin_s)
+        return Flow(
+            rate_hz=round(len(ages) / (now_s - begin_s), 2) if now_s > begin_s else 0.0,
+            latency_ms=round(ages[len(ages) // 2] * 1e3, 3) if ages else None,
+            elements=self._elements,
+            dropped=dropped,
+            silent_s=round(now_s - self._stamps[-1][0], 3) if self._stamps else None,
+        )
 
 
 class OutletChild:
@@ -22,6 +64,10 @@ class OutletChild:
         self._queue = order.queue
         self._ports = Ports(control, self._obey)
         self._listeners: dict[str, socket.socket] = {}
+        self._meters: dict[str, Meter] = {}
+        self._paused: dict[str, socket.socket] = {}
+        """Listeners that there was no descriptor for: who connects to them waits."""
+        self._is_short = False
         self._is_finishing = False
 
     def run(self) -> None:
@@ -32,35 +78,65 @@ class OutletChild:
             self._ports.wait(max(0.0, due - time.monotonic()))
             if time.monotonic() >= due:
                 due = time.monotonic() + _STATUS_PERIOD_S
-                self._ports.say(Status(0, 0, self._ports.input_counts(), self._ports.output_counts()))
+                self._ports.say(Flowing(self._flows()))
+                self._accept_again()
+
+    def _flows(self) -> dict[str, Flow]:
+        now_s, counts = time.monotonic(), self._ports.output_counts()
+        return {topic: meter.flow(counts[topic].dropped, now_s) for topic, meter in self._meters.items()}
 
     def _obey(self, message: ToChild, sockets: list[socket.socket]) -> None:
         match message:
-            case OpenOutlet(topic):
+            case OpenOutlet(topic) if sockets:
                 self._open(topic, sockets[0])
-            case CloseOutlet(topic):
+            case OpenOutlet(topic):
+                self._run_short(topic)
+            case CloseOutlet(topic) if topic in self._listeners:
                 self._ports.unwatch(self._listeners[topic])
+                self._paused.pop(topic, None)
                 self._listeners.pop(topic).close()
                 self._ports.close_input(topic)
                 self._ports.close_output(topic)
+                del self._meters[topic]
             case Finish():
                 self._is_finishing = True
 
     def _open(self, topic: str, listener: socket.socket) -> None:
         listener.setblocking(False)
         self._listeners[topic] = listener
+        meter = self._meters[topic] = Meter(time.monotonic())
 
         def relay(element: Element) -> None:
+            meter.note((time.time_ns() - element.time_ns) / 1e9, time.monotonic())
             self._ports.emit(topic, Outgoing(element.time_ns, element.turn, [element.payload]))
 
         self._ports.outputs[topic] = OutputPort()
         self._ports.inputs[topic] = InputPort(topic, Inlet(self._queue), relay, lambda: True)
+        self._watch(topic, listener)
+
+    def _watch(self, topic: str, listener: socket.socket) -> None:
         self._ports.watch(listener, lambda: self._accept(topic, listener))
 
     def _accept(self, topic: str, listener: socket.socket) -> None:
         try:
             consumer, _ = listener.accept()
-        except OSError:
+        except BlockingIOError:
             return
+        except OSError:
+            self._ports.unwatch(listener)
+            self._paused[topic] = listener
+            self._run_short(topic)
+            return
+        self._is_short = False
         widen(consumer)
         self._ports.add_sender(topic, Sender(consumer, queue=self._queue, blocks=False))
+
+    def _run_short(self, topic: str) -> None:
+        if not self._is_short:
+            self._is_short = True
+            self._ports.say(Unserved(topic, NO_DESCRIPTOR))
+
+    def _accept_again(self) -> None:
+        paused, self._paused = self._paused, {}
+        for topic, listener in paused.items():
+            self._watch(topic, listener)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.messages import (
     Cut,
+    End,
     Feed,
     FromChild,
     Lost,
@@ -19,6 +20,7 @@ from cfgplan_runtime.children.messages import (
     Switched,
     SwitchNow,
     ToChild,
+    Unserve,
 )
 from cfgplan_runtime.streams.channel import Receiver, Sender
 from cfgplan_runtime.streams.element import Element, Outgoing
@@ -152,12 +154,23 @@ class Ports:
         self._modify(self._control.socket, self._hear)
         for message, sockets in self._control.receive():
             match message:
+                case Feed(port, wire) if not sockets or port not in self.inputs:  # there was no descriptor left
+                    for end in sockets:
+                        end.close()
+                    self.say(Lost(port, wire))
                 case Feed(port, wire):
                     self._feed(port, wire, sockets[0])
-                case Serve(port, _, queue, blocks):
-                    self.add_sender(port, Sender(sockets[0], queue=queue, blocks=blocks))
+                case Serve(port, wire, queue, blocks) if sockets:
+                    self.add_sender(port, Sender(sockets[0], queue=queue, blocks=blocks, wire=wire))
                 case Cut(port, wire):
                     self._cut(port, wire)
+                case End(port, wire) if port in self.inputs:
+                    self._read(self.inputs[port], wire)
+                    self._cut(port, wire)
+                case Unserve(port, wire) if port in self.outputs:
+                    self._unserve(self.outputs[port], wire)
+                case Serve() | End() | Unserve():  # no descriptor was left, or a topic is gone
+                    pass
                 case SwitchNow(port):
                     self._switch_now(self.inputs[port])
                 case _:
@@ -176,6 +189,10 @@ class Ports:
     def _cut(self, name: str, wire: int) -> None:
         port = self.inputs[name]
         self._settle(port, port.inlet.end(wire))
+
+    def _unserve(self, output: OutputPort, wire: int) -> None:
+        for sender in [sender for sender in output.senders if sender.wire == wire]:
+            self._remove_sender(output, sender)
 
     def _switch_now(self, port: InputPort) -> None:
         if port.inlet.standby is not None and port.inlet.active is not None:

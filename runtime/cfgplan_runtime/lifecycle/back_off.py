@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from math import inf
 
 from cfgplan_runtime.lifecycle.reports import BackingOff
+from cfgplan_runtime.supervision.delays import doubling_s
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,9 +23,7 @@ class BackOffRules:
 
     def delay_s(self, failures: int) -> float:
         """How long to wait after so many failures in a row."""
-        if failures < 2:
-            return 0.0
-        return min(self.most_s, self.first_s * 2.0 ** min(failures - 2, 60))
+        return doubling_s(failures, self.first_s, self.most_s)
 
 
 @dataclass(frozen=True, slots=True)

@@ -40,7 +40,7 @@ from cfgplan_runtime.lifecycle.reports import BackedOff, Perturbed, Report, Unit
 from cfgplan_runtime.lifecycle.seams import Clock, Estimator, Middleware
 from cfgplan_runtime.lifecycle.warm_matching import WarmMatching
 from cfgplan_runtime.lifecycle.worlds import LivingWorld
-from cfgplan_runtime.supervision.events import Event, InputLost, UnitDied, UnitStatus, UnitStopped
+from cfgplan_runtime.supervision.events import SIGNS, Event, InputLost, UnitDied, UnitStopped
 
 
 class Intake:
@@ -87,7 +87,7 @@ class Intake:
 
     def hear(self, event: Event) -> None:
         """Take note of an event."""
-        is_sign = isinstance(event, UnitStatus)
+        is_sign = isinstance(event, SIGNS)
         self.inbox.put(event, self._clock.now(), is_urgent=not is_sign)
         if isinstance(event, UnitDied | InputLost):
             self.interrupt.set()
@@ -174,7 +174,7 @@ class Intake:
             self.situation.failing.add(unit)
             self.perturb(perturbation, at_s)
         else:
-            self.perturb(perturbation, at_s, delay_s=self._policy.explain_s)
+            self.perturb(perturbation, at_s, delay_s=self._noticing.delay_s(perturbation, at_s))
 
     def _take_death(self, gone: UnitGone, at_s: float) -> None:
         situation, unit = self.situation, gone.unit

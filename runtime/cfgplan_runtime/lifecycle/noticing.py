@@ -8,6 +8,7 @@ from typing import Literal
 from cfgplan_runtime.lifecycle.configuration import Situation
 from cfgplan_runtime.lifecycle.perturbations import SubscriptionLost, UnitGone, UnitKeepsFailing
 from cfgplan_runtime.lifecycle.policy import Policy
+from cfgplan_runtime.supervision.delays import doubling_s
 from cfgplan_runtime.supervision.events import (
     Event,
     InputLost,
@@ -19,6 +20,9 @@ from cfgplan_runtime.supervision.events import (
     UnitStopped,
     UnitTooLarge,
 )
+
+IN_A_ROW_S = 10.0
+"""The same input that is lost again within so much time is lost in a row."""
 
 
 @dataclass(slots=True)
@@ -39,6 +43,16 @@ class Noticing:
         self._ends: dict[str, Literal["hung", "too large"]] = {}
         self._failing: dict[str, _Failing] = {}
         self._last_error: dict[str, str] = {}
+        self._losses: dict[SubscriptionLost, tuple[int, float]] = {}
+        """How often each has been lost in a row, and when last."""
+
+    def delay_s(self, lost: SubscriptionLost, at_s: float) -> float:
+        """How long a lost input waits for a review: for the death that explains it, and longer if it is lost again."""
+        times, last_s = self._losses.get(lost, (0, at_s))
+        times = times + 1 if at_s - last_s < IN_A_ROW_S else 1
+        self._losses[lost] = times, at_s
+        policy = self._policy
+        return max(policy.explain_s, doubling_s(times - 1, policy.retry_s, policy.most_loss_s))
 
     def perturbation(self, event: Event, at_s: float) -> UnitGone | UnitKeepsFailing | SubscriptionLost | None:
         """The perturbation that an event is, if it is one."""

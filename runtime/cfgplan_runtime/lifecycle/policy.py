@@ -13,7 +13,8 @@ class Policy:
 
     A plan is looked for as long as `time_limit_s`; matching may take `match_limit_s`. Units are observed every
     `observe_every_s`. What happens within `gather_s` of the first perturbation is part of the same review; a lost
-    subscription waits up to `explain_s` for the death that explains it. A unit is given up if it had `failing_steps`
+    subscription waits up to `explain_s` for the death that explains it, and one that is lost again and again
+    `retry_s`, then twice that, up to `most_loss_s`. A unit is given up if it had `failing_steps`
     errors over `failing_s` and no step without. `interruptions` is how often planning begins anew because of further
     perturbations; an update that waits for new units is given up for them, and begins again `postpone_s` later.
     A review that failed is repeated after `retry_s`, then twice that, up to `most_retry_s`.
@@ -31,5 +32,6 @@ class Policy:
     postpone_s: float = 0.5
     retry_s: float = 0.1
     most_retry_s: float = 30.0
+    most_loss_s: float = 5.0
     reviews_kept: int = 100
     back_off: BackOffRules = field(default_factory=BackOffRules)

@@ -19,6 +19,7 @@ from cfgplan_runtime.lifecycle.perturbations import HorizonReached, ReviewReques
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Decision, Report, Review, ReviewBegan, Reviewed
 from cfgplan_runtime.lifecycle.seams import Clock, Estimator, Middleware
+from cfgplan_runtime.supervision.delays import doubling_s
 
 _OPTIMISING = (Started, HorizonReached, ReviewRequested)
 
@@ -179,5 +180,5 @@ class Reviewing:
         self._failures += 1
         self._owes_optimising = optimises
         is_other = bool(failed.transformations) or (failed.is_stale and self._failures == 1)
-        delay_s = min(self._policy.most_retry_s, self._policy.retry_s * 2.0 ** min(self._failures - 1, 30))
+        delay_s = doubling_s(self._failures + 1, self._policy.retry_s, self._policy.most_retry_s)
         self._intake.perturb(failed, self._clock.now(), delay_s=0.0 if is_other else delay_s)

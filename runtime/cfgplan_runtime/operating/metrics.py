@@ -8,10 +8,10 @@ from wsgiref.simple_server import WSGIServer
 
 from prometheus_client import CollectorRegistry, Counter, Histogram, start_http_server
 
+from cfgplan_runtime.children.messages import Flow
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.lifecycle.perturbations import UnitGone
 from cfgplan_runtime.lifecycle.reports import Perturbed, Report, Review, Reviewed, Snapshot, UnitEvent
-from cfgplan_runtime.operating.flows import Flow
 from cfgplan_runtime.operating.present_metrics import Present
 
 LOOPBACK = "127.0.0.1"

@@ -26,7 +26,7 @@ from cfgplan_runtime.lifecycle.reports import Decision, Ended, Observed, Report,
 from cfgplan_runtime.lifecycle.watching import Watching
 from cfgplan_runtime.operating.code_watch import code_watch
 from cfgplan_runtime.operating.control_server import ControlServer, about_this_process
-from cfgplan_runtime.operating.flows import Flows
+from cfgplan_runtime.operating.flows import Flows, Following
 from cfgplan_runtime.operating.ledger import Ledger
 from cfgplan_runtime.operating.methods import Methods
 from cfgplan_runtime.operating.recorder import Recorder
@@ -90,6 +90,8 @@ class Operation:
         """Set when the first review is over."""
         self._settings = settings
         self._path = path
+        self._following: Following | None = None
+        """Where elements are recorded from."""
         self._is_closed_at_once = False
         self._full: set[Path] = set()
         self._kept_s = time.monotonic()
@@ -114,8 +116,8 @@ class Operation:
 
     @property
     def dropped(self) -> int:
-        """How many elements were dropped because this process did not fetch them in time."""
-        return self.flows.dropped
+        """How many elements were dropped because the recorder did not fetch them in time."""
+        return 0 if self._following is None else self._following.dropped
 
     def observe(self) -> None:
         """Have the ledger note how units stand now. Does nothing after the end."""
@@ -162,8 +164,11 @@ class Operation:
             self.recorder.recording.describe(facts)
         self._estimator = make_estimator(settings.estimator, settings.guess)
         self._load_estimates()
-        self.flows = Flows(self.id, None if self.recorder is None else self.recorder.element)
-        stack.callback(self.flows.close)
+        self.flows = Flows()
+        self.runtime.listen(self.flows.hear)
+        if self.recorder is not None:
+            self._following = Following(self.id, self.recorder.element)
+            stack.callback(self._following.close)
         self.manager = Manager(
             world,
             self.runtime,
@@ -197,7 +202,8 @@ class Operation:
         self._tell_of_full_disks()
         match report:
             case Reviewed(review):
-                self.flows.follow(target.topic for target in self.manager.world.environment.targets)
+                if self._following is not None:
+                    self._following.follow(target.topic for target in self.manager.world.environment.targets)
                 if review.decision not in (Decision.FAILED, Decision.UNDECIDED):
                     self.all_met = not review.unmet
                 self.begun.set()
@@ -261,7 +267,8 @@ class Operation:
             self.manager.close()
         else:
             self.manager.stop()
-            self.flows.drain(_DRAIN_S)
+            if self._following is not None:
+                self._following.drain(_DRAIN_S)
         self._keep_estimates()
 
     def _finish_recording(self, recorder: Recorder) -> None:

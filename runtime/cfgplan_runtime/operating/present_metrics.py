@@ -8,8 +8,8 @@ from typing import TypeAlias
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
+from cfgplan_runtime.children.messages import Flow
 from cfgplan_runtime.lifecycle.reports import Snapshot, UnitView
-from cfgplan_runtime.operating.flows import Flow
 from cfgplan_runtime.supervision.observation import Observation
 
 _US_PER_S = 1_000_000

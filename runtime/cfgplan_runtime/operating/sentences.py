@@ -69,7 +69,14 @@ def details(report: Report) -> str | None:
 def level(report: Report) -> int:
     """How bad it is: INFORMATION, WARNING or ERROR."""
     match report:
-        case UnitEvent(events.UnitDied() | events.UnitHung() | events.UnitTooLarge() | events.OutletsLost()):
+        case UnitEvent(
+            events.UnitDied()
+            | events.UnitHung()
+            | events.UnitTooLarge()
+            | events.OutletsLost()
+            | events.HelperHung()
+            | events.OutOfDescriptors()
+        ):
             return ERROR
         case UnitEvent(events.UnitFailed() | events.InputLost() | events.RolledBack()) | BackedOff():
             return WARNING
@@ -223,6 +230,10 @@ def _event(event: events.Event) -> str | None:
             return f"{unit} lost its input {port}"
         case events.SourceExhausted(unit):
             return f"{unit} has no more to give"
+        case events.HelperHung(helper, silent_s):
+            return f"the {helper} gave no sign of life for {silent_s:.1f} s and is made anew"
+        case events.OutOfDescriptors(cause):
+            return cause
         case events.OutletsLost(cause):
             return f"the topics' addresses were lost and are made anew: {cause}"
     return None

@@ -16,28 +16,34 @@ import selectors
 import signal
 import socket
 import sys
+import time
 import traceback
 from collections.abc import Sequence
 
 from cfgplan_runtime.children import death_signal
 from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.messages import (
+    Alive,
     Fork,
     Forked,
     Gone,
     Kill,
+    NotForked,
     OutletOrder,
     ToChild,
     ToNursery,
     Trouble,
     UnitOrder,
 )
-from cfgplan_runtime.children.outlet_child import OutletChild
+from cfgplan_runtime.children.outlet_child import NO_DESCRIPTOR, OutletChild
 from cfgplan_runtime.children.unit_child import UnitChild
 
 DUMP_SIGNAL = signal.SIGUSR1
 FAILED = 70
 """Exit status of a child whose unit code could not be constructed; what it says before tells why."""
+
+_SIGN_PERIOD_S = 1.0
+_SOCKETS_OF_A_CHILD = 2
 
 
 class Nursery:
@@ -47,6 +53,8 @@ class Nursery:
         self._control: ControlConnection[ToNursery] = ControlConnection(end, ToNursery)
         self._serials: dict[int, int] = {}
         self._selector = selectors.DefaultSelector()
+        self._sign_s = 0.0
+        """When the next sign of life is due."""
         self._bell, self._bell_rope = socket.socketpair()
         for bell in (self._bell, self._bell_rope):
             bell.setblocking(False)
@@ -57,7 +65,10 @@ class Nursery:
         self._selector.register(self._bell, selectors.EVENT_READ)
         self._selector.register(self._control.socket, selectors.EVENT_READ)
         while not self._control.has_ended:
-            self._selector.select()
+            if time.monotonic() >= self._sign_s:
+                self._sign_s = time.monotonic() + _SIGN_PERIOD_S
+                self._control.send(Alive())
+            self._selector.select(max(0.0, self._sign_s - time.monotonic()))
             with contextlib.suppress(BlockingIOError):
                 self._bell.recv(4096)
             self._reap()
@@ -73,7 +84,12 @@ class Nursery:
 
     def _fork(self, serial: int, order: UnitOrder | OutletOrder, sockets: list[socket.socket]) -> None:
         parent = os.getpid()
-        pid = os.fork()
+        cause, pid = NO_DESCRIPTOR, -1
+        if len(sockets) == _SOCKETS_OF_A_CHILD:
+            try:
+                pid = os.fork()
+            except OSError as error:
+                cause = f"no process can be made: {error.strerror}"
         if pid == 0:
             status = FAILED
             try:
@@ -81,10 +97,13 @@ class Nursery:
                 status = be_child(order, *sockets)
             finally:
                 os._exit(status)
-        with contextlib.suppress(OSError):
-            os.setpgid(pid, pid)
         for end in sockets:
             end.close()
+        if pid == -1:
+            self._control.send(NotForked(serial, cause))
+            return
+        with contextlib.suppress(OSError):
+            os.setpgid(pid, pid)
         self._serials[pid] = serial
         self._control.send(Forked(serial, pid))
 

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator, Sequence
 
 from cfgplan_runtime.children.control import ControlConnection
-from cfgplan_runtime.children.messages import Fork, Forked, FromNursery, Gone, Kill, OutletOrder, UnitOrder
+from cfgplan_runtime.children.messages import Fork, FromNursery, Kill, OutletOrder, UnitOrder
 
 _CODE = "import sys; from cfgplan_runtime.processes.nursery import main; main(sys.argv[1:])"
 _PATIENCE_AT_CLOSE_S = 5.0
@@ -19,8 +19,6 @@ class NurseryLink:
     """A nursery and the connection to it. It is made by the thread that calls `open`, and ends with that thread."""
 
     def __init__(self, preload: Sequence[str]) -> None:
-        self.works = False
-        """Whether the nursery has ever made a child: one that can't is not worth opening again."""
         self._preload = tuple(preload)
         self._control: ControlConnection[FromNursery] | None = None
         self._process: subprocess.Popen[bytes] | None = None
@@ -30,17 +28,21 @@ class NurseryLink:
         return self._control is not None
 
     def open(self) -> socket.socket:
-        """Make a nursery; what is to be watched for `hear`."""
+        """Make a nursery; what is to be watched for `hear`. Raises OSError."""
         ours, theirs = socket.socketpair()
         number = theirs.fileno()
-        self._process = subprocess.Popen(
-            [sys.executable, "-c", _CODE, str(number), str(os.getpid()), *self._preload],
-            pass_fds=[number],
-            stdin=subprocess.DEVNULL,
-        )
-        theirs.close()
+        try:
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", _CODE, str(number), str(os.getpid()), *self._preload],
+                pass_fds=[number],
+                stdin=subprocess.DEVNULL,
+            )
+        except OSError:
+            ours.close()
+            raise
+        finally:
+            theirs.close()
         self._control = ControlConnection(ours, FromNursery)
-        self.works = False
         return ours
 
     def fork(self, serial: int, order: UnitOrder | OutletOrder, ends: Sequence[socket.socket]) -> None:
@@ -53,13 +55,17 @@ class NurseryLink:
         if self._control is not None:
             self._control.send(Kill(serial, dump))
 
-    def hear(self) -> Iterator[Forked | Gone]:
+    def hear(self) -> Iterator[FromNursery]:
         """What the nursery says; afterwards, `has_died` may be so."""
         assert self._control is not None
         self._control.flush()
         for message, _ in self._control.receive():
-            self.works = self.works or isinstance(message, Forked)
             yield message
+
+    def end(self) -> None:
+        """Kill a nursery that does not answer, and with it all its children; `has_died` will be so."""
+        if self._process is not None:
+            self._process.kill()
 
     @property
     def has_died(self) -> bool:

@@ -2,24 +2,31 @@
 
 from __future__ import annotations
 
+import resource
 import selectors
 import socket
 import time
 from collections.abc import Sequence
 from contextlib import suppress
+from math import inf
 from pathlib import Path
 
 from cfgplan.domain import Stream, Transformation
 from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.messages import (
+    Alive,
     CloseOutlet,
     Cut,
+    End,
     Exhausted,
     Feed,
     Finish,
+    Flowing,
     Forked,
     FromChild,
+    Gone,
     Lost,
+    NotForked,
     OpenOutlet,
     OutletOrder,
     Ready,
@@ -29,6 +36,8 @@ from cfgplan_runtime.children.messages import (
     SwitchNow,
     Trouble,
     UnitOrder,
+    Unserve,
+    Unserved,
 )
 from cfgplan_runtime.children.unit_order import unit_order
 from cfgplan_runtime.processes.child_process import ChildProcess, cause_of_end
@@ -37,11 +46,16 @@ from cfgplan_runtime.processes.nursery_link import NurseryLink
 from cfgplan_runtime.streams.channel import socket_pair
 from cfgplan_runtime.streams.run_folder import RunFolder
 from cfgplan_runtime.supervision.backend import Inlet, Usage
+from cfgplan_runtime.supervision.delays import doubling_s
 from cfgplan_runtime.supervision.events import (
     Event,
+    HelperAlive,
     InputLost,
     OutletsLost,
+    OutletsOpened,
+    OutOfDescriptors,
     SourceExhausted,
+    TopicsStatus,
     UnitDied,
     UnitFailed,
     UnitPrinted,
@@ -52,13 +66,22 @@ from cfgplan_runtime.supervision.events import (
 )
 
 OUTLETS = ""
+OUTLETS_HELPER, NURSERY_HELPER = "outlets", "nursery"
+HELPER_S = 10.0
+"""How long a helper may be silent."""
+_HELPER_START_S = 60.0
+"""How long it may take until its first sign of life: the nursery imports what is preloaded."""
 _OUTLET_QUEUE = 1024
+_AGAIN_S, _MOST_AGAIN_S, _GOOD_LIFE_S = 0.1, 5.0, 10.0
+"""Outlets that are lost again and again are made anew after the first, twice that ... at most the second, unless they
+had lived for so long."""
 
 
 class ProcessBackend:
     """A backend of processes. All its methods are called from one thread, which must outlive it."""
 
     def __init__(self, *, folder: Path | None = None, preload: Sequence[str] = (), base: Path | None = None) -> None:
+        _raise_descriptor_limit()
         self.run_folder = RunFolder(base)
         self._code_folder = str((folder or Path.cwd()).resolve())
         self._selector = selectors.DefaultSelector()
@@ -74,6 +97,13 @@ class ProcessBackend:
         self._clock_offset_ns = time.time_ns() - time.monotonic_ns()
         self._nursery = NurseryLink(("numpy", "numpy.random", *preload))
         self._nursery_socket: socket.socket | None = None
+        self._outlets_lost = 0
+        """How often in a row."""
+        self._outlets_since_s = 0.0
+        self._outlets_due_s: float | None = None
+        """When they are to be made anew."""
+        self._is_short = False
+        """Whether there was no descriptor for the last wire."""
 
     def now(self) -> float:
         return time.monotonic()
@@ -84,11 +114,16 @@ class ProcessBackend:
             self._bell_rope.send(b"!")
 
     def wait(self, timeout_s: float | None) -> Sequence[Event]:
+        if self._outlets_due_s is not None:
+            left_s = max(0.0, self._outlets_due_s - self.now())
+            timeout_s = left_s if timeout_s is None else min(timeout_s, left_s)
         if self._events:
             timeout_s = 0.0
         for key, _ in self._selector.select(timeout_s):
             if key.fileobj.fileno() != -1:  # type: ignore[union-attr]
                 key.data()
+        if self._outlets_due_s is not None and self._outlets_due_s <= self.now():
+            self._start_outlets()
         events, self._events = self._events, []
         return events
 
@@ -108,7 +143,13 @@ class ProcessBackend:
             self._nursery.kill(child.serial, dump=dump)
 
     def connect(self, wire: int, stream: Stream, inlet: Inlet, *, queue: int, blocks: bool) -> None:
-        sender, receiver = socket_pair()
+        try:
+            sender, receiver = socket_pair()
+        except OSError as error:
+            self._events.append(InputLost(inlet.unit or None, inlet.port, wire))
+            self._run_short(f"{stream} can't be connected to {inlet}: {error.strerror}")
+            return
+        self._is_short = False
         producer, consumer = self._by_name.get(stream.unit), self._by_name.get(inlet.unit)
         if consumer is None:
             receiver.close()
@@ -124,6 +165,13 @@ class ProcessBackend:
         if child is not None:
             self._tell(child, Cut(inlet.port, wire))
 
+    def end_wire(self, wire: int, stream: Stream, inlet: Inlet) -> None:
+        producer, consumer = self._by_name.get(stream.unit), self._by_name.get(inlet.unit)
+        if consumer is not None:
+            self._tell(consumer, End(inlet.port, wire))
+        if producer is not None:
+            self._tell(producer, Unserve(stream.port, wire))
+
     def switch_now(self, inlet: Inlet) -> None:
         child = self._by_name.get(inlet.unit)
         if child is not None:
@@ -132,8 +180,8 @@ class ProcessBackend:
     def open_outlet(self, topic: str) -> None:
         self._topics.append(topic)
         if OUTLETS in self._by_name:
-            self._tell(self._by_name[OUTLETS], OpenOutlet(topic), [self.run_folder.listen(topic)])
-        else:
+            self._open(self._by_name[OUTLETS], topic)
+        elif self._outlets_due_s is None:
             self._start_outlets()
 
     def close_outlet(self, topic: str) -> None:
@@ -141,6 +189,12 @@ class ProcessBackend:
         self.run_folder.forget(topic)
         if OUTLETS in self._by_name:
             self._tell(self._by_name[OUTLETS], CloseOutlet(topic))
+
+    def renew(self, helper: str) -> None:
+        if helper == NURSERY_HELPER:
+            self._nursery.end()
+        else:
+            self.kill(OUTLETS)
 
     def usage(self, unit: str) -> Usage | None:
         child = self._by_name.get(unit)
@@ -164,17 +218,51 @@ class ProcessBackend:
         self.run_folder.close()
 
     def _start_outlets(self) -> None:
+        self._outlets_due_s, self._outlets_since_s = None, self.now()
         child = self._fork(OUTLETS, OutletOrder(str(self.run_folder.path), _OUTLET_QUEUE))
-        for topic in self._topics:
-            self._tell(child, OpenOutlet(topic), [self.run_folder.listen(topic)])
+        if child is not None:
+            self._events.append(HelperAlive(OUTLETS_HELPER, _HELPER_START_S))
+            if self._outlets_lost:
+                self._events.append(OutletsOpened())
+            for topic in self._topics:
+                self._open(child, topic)
 
-    def _fork(self, name: str, order: UnitOrder | OutletOrder) -> ChildProcess:
-        if not self._nursery.is_open:
-            self._nursery_socket = self._nursery.open()
-            self._selector.register(self._nursery_socket, selectors.EVENT_READ, self._hear_nursery)
+    def _open(self, outlets: ChildProcess, topic: str) -> None:
+        try:
+            self._tell(outlets, OpenOutlet(topic), [self.run_folder.listen(topic)])
+        except OSError as error:
+            self._run_short(f"topic {topic} can't be opened: {error.strerror}")
+
+    def _run_short(self, cause: str) -> None:
+        if not self._is_short:
+            self._is_short = True
+            self._events.append(OutOfDescriptors(f"{cause}; raise the limit of open files (ulimit -n)"))
+
+    def _lose_outlets(self, cause: str) -> None:
+        """Tell it; they are made anew at once the first time, later if they are lost again and again."""
+        lived_well = self.now() - self._outlets_since_s >= _GOOD_LIFE_S
+        self._outlets_lost = 1 if lived_well else self._outlets_lost + 1
+        self._events += [HelperAlive(OUTLETS_HELPER, inf), OutletsLost(cause)]
+        if self._topics:
+            self._outlets_due_s = self.now() + doubling_s(self._outlets_lost, _AGAIN_S, _MOST_AGAIN_S)
+
+    def _fork(self, name: str, order: UnitOrder | OutletOrder) -> ChildProcess | None:
+        """Have a child made; if there is no room for it, that is told, and it is as if it had died."""
+        ends: list[socket.socket] = []
+        try:
+            if not self._nursery.is_open:
+                self._nursery_socket = self._nursery.open()
+                self._selector.register(self._nursery_socket, selectors.EVENT_READ, self._hear_nursery)
+                self._events.append(HelperAlive(NURSERY_HELPER, _HELPER_START_S))
+            ends += socket.socketpair()
+            ends += socket.socketpair()
+        except OSError as error:
+            for end in ends:
+                end.close()
+            self._tell_end(name, f"no process can be made: {error.strerror}", was_asked=False)
+            return None
         self._serial += 1
-        ours, theirs = socket.socketpair()
-        printed, printing = socket.socketpair()
+        ours, theirs, printed, printing = ends
         printed.setblocking(False)
         child = ChildProcess(self._serial, name, ControlConnection(ours, FromChild), printed)
         self._children[child.serial] = self._by_name[name] = child
@@ -188,14 +276,17 @@ class ProcessBackend:
             self._bell.recv(4096)
 
     def _hear_nursery(self) -> None:
+        self._events.append(HelperAlive(NURSERY_HELPER, HELPER_S))
         for message in self._nursery.hear():
-            child = self._children.get(message.serial)
-            if child is None:
-                continue
-            if isinstance(message, Forked):
-                child.pid = message.pid
-            else:
-                self._bury(child, message.status)
+            child = None if isinstance(message, Alive) else self._children.get(message.serial)
+            match message:
+                case Forked(_, pid) if child is not None:
+                    child.pid = pid
+                case Gone(_, status) if child is not None:
+                    self._bury(child, status)
+                case NotForked(_, cause) if child is not None:
+                    child.trouble = cause
+                    self._bury(child, 0)
         if self._nursery.has_died:
             self._lose_nursery()
 
@@ -203,6 +294,7 @@ class ProcessBackend:
         assert self._nursery_socket is not None
         self._selector.unregister(self._nursery_socket)
         self._nursery.close()
+        self._events.append(HelperAlive(NURSERY_HELPER, inf))
         for child in list(self._children.values()):
             child.trouble = child.trouble or "killed together with the nursery"
             self._bury(child, 0)
@@ -214,15 +306,13 @@ class ProcessBackend:
         while self._hear_print(child):
             pass
         self._forget(child)
-        cause = cause_of_end(child, status)
-        if child.name == OUTLETS:
-            self._events.append(OutletsLost(cause))
-            if self._topics and self._nursery.works:
-                self._start_outlets()
-        elif child.is_stopping:
-            self._events.append(UnitStopped(child.name))
+        self._tell_end(child.name, cause_of_end(child, status), was_asked=child.is_stopping)
+
+    def _tell_end(self, name: str, cause: str, *, was_asked: bool) -> None:
+        if name == OUTLETS:
+            self._lose_outlets(cause)
         else:
-            self._events.append(UnitDied(child.name, cause))
+            self._events.append(UnitStopped(name) if was_asked else UnitDied(name, cause))
 
     def _forget(self, child: ChildProcess) -> None:
         self._children.pop(child.serial, None)
@@ -270,6 +360,10 @@ class ProcessBackend:
                 self._events.append(UnitFailed(name, kind, step, text, suppressed))
             case Exhausted():
                 self._events.append(SourceExhausted(name))
+            case Flowing(flows):
+                self._events += [HelperAlive(OUTLETS_HELPER, HELPER_S), TopicsStatus(flows)]
+            case Unserved(topic, cause):
+                self._events.append(OutOfDescriptors(f"subscribers of {topic} wait: {cause}"))
             case Status(steps, errors, inputs, outputs, state):
                 child.steps = steps
                 self._events.append(UnitStatus(name, steps, errors, inputs, outputs, state))
@@ -283,3 +377,11 @@ class ProcessBackend:
         events = selectors.EVENT_READ | (selectors.EVENT_WRITE if child.control.is_waiting else 0)
         with suppress(KeyError):
             self._selector.modify(child.control.socket, events, lambda: self._hear(child))
+
+
+def _raise_descriptor_limit() -> None:
+    """Let this process, and all that it makes, open as many files as the system allows: a unit takes several."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft != hard:
+        with suppress(OSError, ValueError):  # where "no limit" is more than the system really allows
+            resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))

@@ -37,9 +37,11 @@ def widen(sender: socket.socket) -> None:
 class Sender:
     """The producer's end of one subscription."""
 
-    def __init__(self, end: socket.socket, *, queue: int, blocks: bool) -> None:
+    def __init__(self, end: socket.socket, *, queue: int, blocks: bool, wire: int | None = None) -> None:
         end.setblocking(False)
         self.socket = end
+        self.wire = wire
+        """The supervisor's number of the subscription; None for a stranger's."""
         self.blocks = blocks
         self.dropped = 0
         self.is_closed = False

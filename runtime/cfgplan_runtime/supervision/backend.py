@@ -60,6 +60,9 @@ class Backend(Protocol):
     def disconnect(self, wire: int, inlet: Inlet) -> None:
         """Take a wire away from its inlet, whether it is the source or the standby."""
 
+    def end_wire(self, wire: int, stream: Stream, inlet: Inlet) -> None:
+        """One end of a wire is gone: take the other away too, after what has come, whoever else holds it open."""
+
     def switch_now(self, inlet: Inlet) -> None:
         """Let an inlet go over to its standby without waiting for the source it has."""
 
@@ -68,6 +71,9 @@ class Backend(Protocol):
 
     def close_outlet(self, topic: str) -> None:
         """Take a topic's address away."""
+
+    def renew(self, helper: str) -> None:
+        """Replace a process beside the units that gives no sign of life: OutletsLost or UnitDied may follow."""
 
     def usage(self, unit: str) -> Usage | None:
         """What a unit has used so far; None if it does not run."""

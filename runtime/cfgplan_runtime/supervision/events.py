@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from cfgplan_runtime.children.messages import PortCounts
+from cfgplan_runtime.children.messages import Flow, PortCounts
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +106,45 @@ class UnitStatus:
 
 @dataclass(frozen=True, slots=True)
 class OutletsLost:
-    """The process that owns the topics' addresses has died; a new one takes its place."""
+    """The process that owns the topics' addresses has died; a new one takes its place: OutletsOpened follows."""
+
+    cause: str
+
+
+@dataclass(frozen=True, slots=True)
+class OutletsOpened:
+    """The topics have their addresses again, and are to be fed."""
+
+
+@dataclass(frozen=True, slots=True)
+class TopicsStatus:
+    """What comes on each topic, told about once a second."""
+
+    flows: dict[str, Flow]
+
+
+@dataclass(frozen=True, slots=True)
+class HelperAlive:
+    """A sign of life of a process that a backend needs beside the units; the next comes within `patience_s`.
+
+    It is the supervisor's only; others are not told. Once the process is gone, `patience_s` is infinite.
+    """
+
+    helper: str
+    patience_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class HelperHung:
+    """A process that a backend needs beside the units has given no sign of life, and is made anew."""
+
+    helper: str
+    silent_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class OutOfDescriptors:
+    """A process of the run has no file descriptor left; `cause` says what it can't do. Told once until it can again."""
 
     cause: str
 
@@ -129,6 +167,9 @@ class RolledBack:
     cause: str
 
 
+SIGNS = (UnitStatus, TopicsStatus)
+"""Events that only tell that something lives, and how it goes: they are many, and no log has them."""
+
 Event: TypeAlias = (
     UnitReady
     | UnitDied
@@ -142,6 +183,11 @@ Event: TypeAlias = (
     | WireSwitched
     | UnitStatus
     | OutletsLost
+    | OutletsOpened
+    | TopicsStatus
+    | HelperAlive
+    | HelperHung
+    | OutOfDescriptors
     | Applied
     | RolledBack
 )

@@ -12,7 +12,7 @@ from typing import Any
 
 import msgspec
 
-from cfgplan_runtime.supervision.events import Event, UnitStatus
+from cfgplan_runtime.supervision.events import SIGNS, Event
 
 
 class RunLog:
@@ -32,7 +32,7 @@ class RunLog:
 
     def write(self, event: Event) -> None:
         """Add an event; signs of life are left out."""
-        if not isinstance(event, UnitStatus):
+        if not isinstance(event, SIGNS):
             self.write_line(type(event).__name__, msgspec.to_builtins(event))
 
     def write_line(self, event: str, says: Mapping[str, Any]) -> None:

@@ -30,7 +30,7 @@ class Behaviour:
     Costs are the transformation's own, unless `labor_us` and `upkeep_us` say otherwise: microseconds of CPU time, and
     microseconds per second as a function of the clock, which is looked at once per second. `dies_s` counts from being
     ready; a `quiet` unit gives no element; a `hung` one gives no sign of life and does not stop when asked; each step
-    of a `failing` one has an error.
+    of a `failing` one has an error; one with an `heir` leaves a process behind that holds its sockets open.
     """
 
     start_s: float = 0.01
@@ -40,6 +40,7 @@ class Behaviour:
     quiet: bool = False
     hung: bool = False
     failing: bool = False
+    heir: bool = False
     memory_bytes: int = 10 << 20
     labor_us: int | None = None
     upkeep_us: Callable[[float], float] | None = None
@@ -120,6 +121,10 @@ class SimulatedBackend:
         """Let a unit die now."""
         self._later(0.0, UnitDied(unit, cause))
 
+    def tell(self, event: Event) -> None:
+        """Let an event happen now."""
+        self._later(0.0, event)
+
     def feeding(self, inlet: Inlet) -> Stream | None:
         """The stream that an inlet gets its elements from now."""
         active = self._inputs.get(inlet, _Input()).active
@@ -165,11 +170,16 @@ class SimulatedBackend:
             return
         port.standby = wire
         producer = self.units.get(stream.unit)
-        if producer is not None and not producer.behaviour.quiet:
+        is_stuck = self.wires[port.active][0].unit not in self.units  # who is gone gives nothing, nor its end
+        if producer is not None and not producer.behaviour.quiet and not is_stuck:
             self._later(self.switch_s, WireSwitched(wire))
 
     def disconnect(self, wire: int, inlet: Inlet) -> None:
         self.calls.append(("disconnect", str(inlet)))
+        self._end(wire)
+
+    def end_wire(self, wire: int, stream: Stream, inlet: Inlet) -> None:
+        self.calls.append(("end", str(stream), str(inlet)))
         self._end(wire)
 
     def switch_now(self, inlet: Inlet) -> None:
@@ -185,6 +195,9 @@ class SimulatedBackend:
     def close_outlet(self, topic: str) -> None:
         self.calls.append(("close", topic))
         self.topics.discard(topic)
+
+    def renew(self, helper: str) -> None:
+        self.calls.append(("renew", helper))
 
     def usage(self, unit: str) -> Usage | None:
         found = self.units.get(unit)
@@ -211,8 +224,8 @@ class SimulatedBackend:
             case UnitReady(unit) if unit in self.units:
                 self.units[unit].is_ready = True
             case UnitDied(unit) | UnitStopped(unit) if unit in self.units:
-                del self.units[unit]
-                for wire in [wire for wire, (stream, _) in self.wires.items() if stream.unit == unit]:
+                has_heir = self.units.pop(unit).behaviour.heir
+                for wire in [w for w, (stream, _) in self.wires.items() if stream.unit == unit and not has_heir]:
                     self._end(wire)
                 for wire in [wire for wire, (_, inlet) in self.wires.items() if inlet.unit == unit]:
                     self._inputs.pop(self.wires.pop(wire)[1], None)

@@ -15,8 +15,10 @@ from cfgplan_runtime.supervision.backend import Backend, Inlet
 from cfgplan_runtime.supervision.events import (
     Applied,
     Event,
+    HelperAlive,
+    HelperHung,
     InputLost,
-    OutletsLost,
+    OutletsOpened,
     RolledBack,
     UnitDied,
     UnitFailed,
@@ -61,6 +63,8 @@ class Supervisor:
         self._records: dict[str, UnitRecord] = {}
         self._states: dict[str, bytes] = {}
         self._library: dict[str, Transformation] = {}
+        self._patience: dict[str, tuple[float, float]] = {}
+        """By helper of the backend: when it gave its last sign of life, and how long it may be silent."""
         self._round_s = backend.now()
         self._gaps_s = 0.0
         self._watched_s = self.now()
@@ -179,7 +183,10 @@ class Supervisor:
             case UnitFailed(unit):
                 if unit in self._records and event.text:
                     self._records[unit].failure = event
-            case OutletsLost():
+            case HelperAlive(helper, patience_s):
+                self._patience[helper] = self.now(), patience_s
+                return False
+            case OutletsOpened():
                 self._restore_outlets()
         return True
 
@@ -209,6 +216,11 @@ class Supervisor:
     def _watch(self) -> None:
         """Kill what hangs or has grown too large."""
         now = self.now()
+        for helper, (sign_s, silence_s) in list(self._patience.items()):
+            if now - sign_s > silence_s:
+                del self._patience[helper]
+                self._report(HelperHung(helper, now - sign_s))
+                self.backend.renew(helper)
         for unit in sorted(self.ready):
             record, run = self._records[unit], self._library[unit].run
             if record.killed_s is not None:

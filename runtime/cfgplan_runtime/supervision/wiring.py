@@ -74,16 +74,18 @@ class Wiring:
         return wire.inlet
 
     def forget_unit(self, unit: str) -> None:
-        """Give up the wires from and to a unit that is gone."""
-        for inlet, wire in list(self.feeds.items()):
-            if unit in (inlet.unit, wire.stream.unit):
-                del self.feeds[inlet]
-                self._wires.pop(wire.id, None)
+        """Give up the wires from and to a unit that is gone, those too that are being replaced."""
+        for wire in list(self._wires.values()):
+            if unit in (wire.inlet.unit, wire.stream.unit):
+                del self._wires[wire.id]
+                if self.feeds.get(wire.inlet) is wire:
+                    del self.feeds[wire.inlet]
+                self._backend.end_wire(wire.id, wire.stream, wire.inlet)
 
     def forget_inputs(self, unit: str) -> None:
         """Give up the wires to a unit that is being stopped: that they end is no news."""
         for inlet in [inlet for inlet in self.feeds if inlet.unit == unit]:
-            self._wires.pop(self.feeds.pop(inlet).id, None)
+            del self.feeds[inlet]
 
     def settle(self) -> None:
         """After an update: what the wires have replaced is past."""

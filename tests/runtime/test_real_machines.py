@@ -1,0 +1,223 @@
+"""What real machines do to a runtime: heirs, no process or descriptor left, helpers that stop. Real processes."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import failing_forks
+import psutil
+import pytest
+from cfgplan_runtime import ApplyError, Runtime
+from cfgplan_runtime.processes import process_backend
+from cfgplan_runtime.processes.process_backend import NURSERY_HELPER, OUTLETS, OUTLETS_HELPER
+from cfgplan_runtime.supervision.events import HelperHung, OutletsLost, UnitDied
+from watching import Listener, StartRuntime, seen
+from world import PATIENCE_S, eventually, source, start, unit, worker
+
+from cfgplan.domain import ChangeSet, RunOptions
+
+ONE = start(unit("count.1"), unit("work.1", topic="/result", x="count.1/n"))
+
+
+@pytest.fixture
+def heir(tmp_path: Path) -> Iterator[str]:
+    """Where the process that a unit leaves behind notes its id."""
+    note = tmp_path / "heir"
+    yield str(note)
+    os.kill(int(note.read_text()), signal.SIGKILL)
+
+
+def kill(runtime: Runtime, unit_id: str) -> None:
+    os.kill(runtime.pid(unit_id) or 0, signal.SIGKILL)
+    eventually(lambda: unit_id in {event.unit for event in seen(runtime, UnitDied)})
+
+
+def nursery_of(runtime: Runtime) -> psutil.Process:
+    parent = psutil.Process(runtime.pid("count.1") or 0).parent()
+    assert parent is not None
+    return parent
+
+
+def test_an_heir_of_a_dead_source_does_not_delay_its_successor(run_units: StartRuntime, heir: str) -> None:
+    runtime = run_units(replace(source(code="count_with_heir"), params={"note": heir}), worker())
+    runtime.apply(ONE)
+    listener = Listener("/result")
+    eventually(lambda: len(listener.received) > 20 and Path(heir).exists())
+    kill(runtime, "count.1")
+    rewired = unit("work.1", topic="/result", x="count.2/n")
+    applied = runtime.apply(ChangeSet(started=(unit("count.2"),), rewired=(rewired,)))
+    assert applied.unswitched == 0
+    eventually(lambda: listener.values.count(20) == 2)
+    runtime.close()
+    listener.join()
+
+
+def test_an_heir_of_a_dead_consumer_does_not_hold_its_producer_back(run_units: StartRuntime, heir: str) -> None:
+    waits = RunOptions(queue=1, blocks=True)
+    fast = source(rate_hz=5000)
+    runtime = run_units(fast, worker(), worker("heirs", "SameWithHeir", run=waits, note=heir))
+    runtime.apply(ONE)
+    runtime.apply(start(unit("heirs.1", x="count.1/n")))
+    eventually(lambda: Path(heir).exists() and Path(heir).read_text() != "")
+    kill(runtime, "heirs.1")
+    listener = Listener("/result")
+    eventually(lambda: len(listener.received) > 10_000)
+    runtime.close()
+    listener.join()
+
+
+def test_a_process_that_can_not_be_made_is_one_units_failure(
+    run_units: StartRuntime, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    full = tmp_path / "full"
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(Path(__file__).parent), *sys.path]))
+    monkeypatch.setenv(failing_forks.FULL, str(full))
+    runtime = run_units(source(), worker(), preload=["failing_forks"])
+    runtime.apply(ONE)
+    pids = [runtime.pid("count.1"), runtime.pid("work.1")]
+    full.touch()
+    with pytest.raises(ApplyError, match=r"work\.2 no process can be made: Resource temporarily unavailable"):
+        runtime.apply(start(unit("work.2", x="count.1/n")))
+    assert [runtime.pid("count.1"), runtime.pid("work.1")] == pids
+    full.unlink()
+    runtime.apply(start(unit("work.2", x="count.1/n")))
+    assert seen(runtime, OutletsLost) == []
+
+
+def test_outlets_that_can_not_be_made_are_tried_again_ever_more_rarely(
+    run_units: StartRuntime, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    full = tmp_path / "full"
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(Path(__file__).parent), *sys.path]))
+    monkeypatch.setenv(failing_forks.FULL, str(full))
+    runtime = run_units(source(), worker(), preload=["failing_forks"])
+    runtime.apply(ONE)
+    listener = Listener("/result")
+    full.touch()
+    os.kill(runtime.pid(OUTLETS) or 0, signal.SIGKILL)
+    eventually(lambda: len(seen(runtime, OutletsLost)) >= 2)
+    time.sleep(1.0)
+    assert 2 <= len(seen(runtime, OutletsLost)) <= 7
+    full.unlink()
+    before = len(listener.received)
+    eventually(lambda: len(listener.received) > before + 10)
+    runtime.close()
+    listener.join()
+
+
+def test_outlets_that_stop_are_made_anew(run_units: StartRuntime, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(process_backend, "HELPER_S", 3.0)
+    runtime = run_units(source(), worker())
+    runtime.apply(ONE)
+    listener = Listener("/result")
+    eventually(lambda: len(listener.received) > 200)
+    os.kill(runtime.pid(OUTLETS) or 0, signal.SIGSTOP)
+    eventually(lambda: bool(seen(runtime, OutletsLost)))
+    assert [event.helper for event in seen(runtime, HelperHung)] == [OUTLETS_HELPER]
+    before = len(listener.received)
+    eventually(lambda: len(listener.received) > before + 10)
+    assert seen(runtime, UnitDied) == []
+    runtime.close()
+    listener.join()
+
+
+def test_a_nursery_that_stops_is_made_anew(run_units: StartRuntime, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(process_backend, "HELPER_S", 3.0)
+    runtime = run_units(source(), worker())
+    runtime.apply(ONE)
+    listener = Listener("/result")
+    eventually(lambda: len(listener.received) > 200)
+    nursery_of(runtime).suspend()
+    eventually(lambda: len(seen(runtime, UnitDied)) == 2)
+    assert [event.helper for event in seen(runtime, HelperHung)] == [NURSERY_HELPER]
+    runtime.apply(ONE)
+    before = len(listener.received)
+    eventually(lambda: len(listener.received) > before + 10)
+    runtime.close()
+    listener.join()
+
+
+SHORT = """
+import resource, sys, time
+from pathlib import Path
+resource.setrlimit(resource.RLIMIT_NOFILE, (1024, 4096))
+from cfgplan.domain import ChangeSet, ComputationUnit, OutputPort, Publication, RunOptions, Target, Transformation
+from cfgplan_runtime import Patience, Runtime
+
+COUNT = Transformation("count", (), (OutputPort("n", "N"),), source="running_units.py:count", run=RunOptions(rate_hz=1))
+names = range(300)
+units = tuple(ComputationUnit(f"count.{n}", "count", (), (Publication("n", f"/{n}"),)) for n in names)
+flows = {}
+def hear(event):
+    flows.update(getattr(event, "flows", {}))
+with Runtime([COUNT], [Target(f"{n}", "N", f"/{n}") for n in names], folder=sys.argv[1]) as runtime:
+    runtime.listen(hear)
+    runtime.apply(ChangeSet(started=units), patience=Patience(start_s=300))
+    deadline = time.monotonic() + 120
+    while sum(flow.elements > 0 for flow in flows.values()) < 300 and time.monotonic() < deadline:
+        time.sleep(0.1)
+    print(len(runtime.environment.units), sum(flow.elements > 0 for flow in flows.values()))
+"""
+
+
+def test_300_units_with_topics_run_where_1024_files_may_be_open_but_4096_could() -> None:
+    line = [sys.executable, "-c", SHORT, str(Path(__file__).parent)]
+    done = subprocess.run(line, capture_output=True, text=True, timeout=8 * PATIENCE_S)
+    assert done.stdout.split() == ["300", "300"], done.stderr
+
+
+def test_subscribers_that_can_not_be_served_wait_and_cost_nothing(tmp_path: Path) -> None:
+    line = [sys.executable, "-c", FULL_OUTLETS, str(Path(__file__).parent)]
+    done = subprocess.run(line, capture_output=True, text=True, timeout=4 * PATIENCE_S, cwd=tmp_path)
+    told, share, served = done.stdout.split()
+    assert int(told) == 1, done.stderr
+    assert float(share) < 0.05
+    assert served == "True"
+
+
+FULL_OUTLETS = """
+import resource, socket, sys, time
+from cfgplan.domain import ChangeSet, ComputationUnit, OutputPort, Publication, RunOptions, Target, Transformation
+from cfgplan_runtime import Runtime, subscribe
+from cfgplan_runtime.processes.cpu_clock import cpu_us
+from cfgplan_runtime.processes.process_backend import OUTLETS
+from cfgplan_runtime.streams.run_folder import address, base_folder
+
+resource.setrlimit(resource.RLIMIT_NOFILE, (64, 64))
+COUNT = Transformation("count", (), (OutputPort("n", "N"),), source="running_units.py:count", run=RunOptions(rate_hz=1))
+told = []
+def hear(event):
+    if type(event).__name__ == "OutOfDescriptors":
+        told.append(event)
+with Runtime([COUNT], [Target("t", "N", "/t")], folder=sys.argv[1]) as runtime:
+    runtime.listen(hear)
+    runtime.apply(ChangeSet(started=(ComputationUnit("count.1", "count", (), (Publication("n", "/t"),)),)))
+    resource.setrlimit(resource.RLIMIT_NOFILE, (64, 64))
+    clients = []
+    for _ in range(40):  # the outlets have about a dozen of their own: some of these wait in the backlog
+        client = socket.socket(socket.AF_UNIX)
+        client.connect(str(address(base_folder() / runtime.id, "/t")))
+        clients.append(client)
+    outlets = runtime.pid(OUTLETS)
+    resource.prlimit(outlets, resource.RLIMIT_NOFILE, (24, 24))
+    more = [socket.socket(socket.AF_UNIX) for _ in range(2)]
+    for client in more:
+        client.connect(str(address(base_folder() / runtime.id, "/t")))
+    deadline = time.monotonic() + 60
+    while not told and time.monotonic() < deadline:
+        time.sleep(0.05)
+    before = cpu_us(outlets)
+    time.sleep(4)
+    share = (cpu_us(outlets) - before) / 4e6
+    for client in clients:
+        client.close()
+    more[0].settimeout(60)
+    print(len(told), share, bool(more[0].recv(1)))
+"""
