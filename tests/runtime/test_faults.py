@@ -77,7 +77,7 @@ def test_the_traceback_names_the_users_line(run_units: StartRuntime) -> None:
 
 @pytest.mark.parametrize(("deed", "part"), [("exit", "SystemExit: 4"), ("hard exit", "exit status 5")])
 def test_a_unit_that_exits_is_reported_and_takes_nobody_with_it(run_units: StartRuntime, deed: str, part: str) -> None:
-    runtime = run_units(source(), worker("naughty", "Naughty", deed=deed), worker())
+    runtime = run_units(source(rate_hz=5), worker("naughty", "Naughty", deed=deed), worker())
     naughty = unit("naughty.1", x="count.1/n")
     runtime.apply(start(unit("count.1"), naughty, unit("work.1", topic="/result", x="count.1/n")))
     eventually(lambda: bool(seen(runtime, UnitDied)))
