@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator
 
 from rich.text import Text
@@ -47,7 +48,7 @@ def _changes(problem: Problem, plan: Plan) -> Iterator[Text]:
     for unit_id in plan.change_set.stopped:
         yield _headline("-", before.unit[unit_id], width, before)
     for unit in units:
-        if unit.id not in started | rewired:
+        if unit.id not in started and unit.id not in rewired:
             yield _headline("=", unit, width, before)
     yield Text()
 
@@ -55,11 +56,23 @@ def _changes(problem: Problem, plan: Plan) -> Iterator[Text]:
 def with_the_stream(environment: Environment) -> list[ComputationUnit]:
     """The units from sources to targets, each after those that feed it, but for feedback."""
     done: dict[str, ComputationUnit] = {}
-    waiting = list(environment.units)
-    while waiting:
-        ready = [unit for unit in waiting if all(s.stream.unit in done for s in unit.subscriptions)] or waiting[:1]
-        done |= {unit.id: unit for unit in ready}
-        waiting = [unit for unit in waiting if unit.id not in done]
+    missing = {unit.id: {s.stream.unit for s in unit.subscriptions} for unit in environment.units}
+    readers: dict[str, list[str]] = defaultdict(list)
+    for unit_id, feeders in missing.items():
+        for feeder in feeders:
+            readers[feeder].append(unit_id)
+    ready = [unit_id for unit_id, feeders in missing.items() if not feeders]
+    waiting = iter(environment.units)
+    while len(done) < len(environment.units):
+        ready = ready or [next(unit.id for unit in waiting if unit.id not in done)]
+        done |= {unit_id: environment.unit[unit_id] for unit_id in ready}
+        freed = []
+        for unit_id in ready:
+            for reader in readers[unit_id]:
+                missing[reader].discard(unit_id)
+                if not missing[reader] and reader not in done:
+                    freed.append(reader)
+        ready = sorted(freed)
     return list(done.values())
 
 

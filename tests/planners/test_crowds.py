@@ -91,7 +91,7 @@ def test_bounds_by_them_do_not_exceed_the_optimum_and_fixing_keeps_cheap_plans(p
     assert before <= bound.value <= optimum
     assert (bound.residual >= 0).all()
     dearest = int(cheapest_way(stage.network.core, stage.cost)[1][-1])
-    assert dearest <= chained_bound(stage.network.core, stage.cost, lambda: False) <= optimum
+    assert dearest <= chained_bound(stage.network.core, stage.cost, stage.network.pinned, lambda: False) <= optimum
     without = bound.without()
     dearer = bound.at(stage.cost + 1)
     for plan in plans(stage, problem):

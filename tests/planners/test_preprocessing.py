@@ -154,7 +154,7 @@ def test_dearest_chains_charged_one_after_the_other_are_never_more_than_the_opti
     core = stage.network.core
     assert (
         int(cheapest_way(core, stage.cost)[1][-1])
-        <= chained_bound(core, stage.cost, lambda: False)
+        <= chained_bound(core, stage.cost, stage.network.pinned, lambda: False)
         <= (stage.plan.cost_us or 0)
     )
 
@@ -171,7 +171,10 @@ def test_a_weight_is_cost_and_where_nothing_runs_started_units(problem: Problem)
     assert weighing.counts_starts == running.isdisjoint(stage.relevant)
     assert weighing.changes(weight) == ((0, len(used)) if weighing.counts_starts else None)
     assert weighing.least(weight) == weight
-    assert weighing.least(chained_bound(stage.network.core, weighing.weight, lambda: False)) <= weight
+    assert (
+        weighing.least(chained_bound(stage.network.core, weighing.weight, stage.network.pinned, lambda: False))
+        <= weight
+    )
 
 
 def test_plans_that_tie_need_no_solver_where_the_bound_counts_started_units() -> None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from cfgplan.planners.bounding.charging import best_weights, spread
 from cfgplan.planners.bounding.landmarks import Crowd, Landmark, ways_into
-from cfgplan.planners.networks.core import NEVER, Core, Flags, Ints
+from cfgplan.planners.networks.core import MOST_PASSES, NEVER, Core, Flags, Ints
 
 
 def cheapest_way(core: Core, cost: Ints, above: Ints | None = None) -> tuple[Ints, Ints]:
@@ -24,12 +24,15 @@ def cheapest_way(core: Core, cost: Ints, above: Ints | None = None) -> tuple[Int
     `above` are values known to be at least as high, as those for greater costs are.
     """
     facts = np.full(len(core.givers), NEVER) if above is None else above
-    while True:
+    for _ in range(MOST_PASSES):
         labels = core.most_of_needs(facts)
         better = np.minimum(facts, core.least_of_givers(labels[:-1] + cost))
         if (better == facts).all():
             return facts, labels
         facts = better
+    found = core.facts_one_by_one(cost.tolist(), max)
+    facts = np.array([min(found.get(fact, NEVER), NEVER) for fact in range(len(core.givers))], np.int64)
+    return facts, core.most_of_needs(facts)
 
 
 @dataclass

@@ -9,7 +9,7 @@ better (`bounds`).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -17,9 +17,10 @@ from cfgplan.planners.bounding.bounds import cheapest_way
 from cfgplan.planners.networks.core import NEVER, Core, Ints
 
 
-def chained_bound(core: Core, cost: Ints, is_over: Callable[[], bool]) -> int:
-    """A lower bound on the cost of a plan, by the chains for which there is time."""
-    residual, value = cost.copy(), 0
+def chained_bound(core: Core, cost: Ints, certain: Sequence[int], is_over: Callable[[], bool]) -> int:
+    """A lower bound on the cost of a plan: labels that are `certain` to run, and the chains for which there is time."""
+    residual, value = cost.copy(), int(cost[certain].sum())
+    residual[certain] = 0
     wanted = core.needs[core.goal]
     facts, before = cheapest_way(core, residual)
     while len(wanted):

@@ -74,7 +74,7 @@ class _Deciding:
         limit, nodes = weighing.of_plan(_numbers(plan)), 0
         least, is_proven = limit, False
         if not self._is_part and self._core.goal > CHAINED:
-            chained = chained_bound(self._core, self._weight, standing.clock.is_over)
+            chained = chained_bound(self._core, self._weight, network.pinned, standing.clock.is_over)
             is_proven = weighing.least(chained) >= limit
         if not is_proven:
             core, search = self._below(limit)

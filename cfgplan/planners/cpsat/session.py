@@ -162,8 +162,9 @@ class PlannerSession:
         """Bounds on the cost from both sides, and what may still be used between them."""
         network = structure.network
         weighing = Weighing.of(problem, network, structure.pinned)
-        chained = chained_bound(network.core, weighing.weight, clock.is_over) if weighing.counts_starts else 0
-        quick = weighing.least(chained)
+        quick = 0
+        if weighing.counts_starts:
+            quick = weighing.least(chained_bound(network.core, weighing.weight, network.pinned, clock.is_over))
         plan, bound = self._first_plan(problem, structure, weighing, quick, clock, is_first=is_first)
         left = None
         if plan is not None and weighing.counts_starts and weighing.of_plan(plan) == quick:

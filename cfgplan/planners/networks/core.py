@@ -5,9 +5,10 @@ See `network` for what labels and facts are.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from heapq import heappop, heappush
 from itertools import chain
 from typing import TypeVar
 
@@ -23,6 +24,8 @@ Number = TypeVar("Number", np.int64, np.float64)
 
 NEVER = np.int64(2**60)
 """A cost that no sum of real costs reaches."""
+MOST_PASSES = 60
+"""After so many passes over a whole core the way is so deep that facts are better followed one by one."""
 
 
 @dataclass(frozen=True)
@@ -190,6 +193,37 @@ class Core:
         if self.crowds is not None:
             least[self.crowds.facts] = self.crowds.least(of_label)
         return least
+
+    def facts_one_by_one(self, price: Sequence[Number], join: Callable[[list[Number]], Number]) -> dict[int, Number]:
+        """What facts that can be had cost, cheapest first, each looked at once (Knuth 1977).
+
+        A label costs its price and what `join` makes of its needs; so does a fact that takes several givers.
+        """
+        needs, gives, needed_by, takes = self.needs.lists, self.gives.lists, self.needed_by.lists, self.crowd_takes
+        missing = {label: len(needs[label]) for label in range(self.goal)}
+        facts: dict[int, Number] = {}
+        offers: dict[int, list[Number]] = {fact: [] for fact in takes}
+        ahead: list[tuple[Number, int]] = []
+        ready = [label for label, count in missing.items() if not count]
+        while True:
+            for label in ready:
+                cost = join([facts[fact] for fact in needs[label]] or [price[label] * 0]) + price[label]
+                for fact in gives[label]:
+                    heappush(ahead, (cost, fact))
+            ready = []
+            if not ahead:
+                return facts
+            value, fact = heappop(ahead)
+            if fact in offers:
+                offers[fact].append(value)
+                if len(offers[fact]) == takes[fact]:
+                    heappush(ahead, (join(offers.pop(fact)), fact))
+            elif fact not in facts:
+                facts[fact] = value
+                for label in needed_by[fact]:
+                    missing[label] = missing.get(label, 0) - 1
+                    if not missing[label]:
+                        ready.append(label)
 
     def restricted(self, keep: Flags) -> Core:
         """The part with the labels flagged and the facts they need; what a kept label needs must be kept."""

@@ -11,7 +11,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from cfgplan.planners.networks.core import Floats, Ints
+from cfgplan.planners.networks.core import MOST_PASSES, Floats, Ints
 from cfgplan.planners.networks.network import Graph
 from cfgplan.reasons import assign_different, distinct_groups
 
@@ -41,7 +41,11 @@ def with_less(
     while len(tried) < attempts and not is_over():
         limit = cost_of(cost, plan)
         ahead = sorted(
-            (label for label in plan - tried if cost[label] and without.get(label, 0) < limit),
+            (
+                label
+                for label in plan.difference(tried, network.pinned)
+                if cost[label] and without.get(label, 0) < limit
+            ),
             key=lambda label: (-cost[label], label),
         )
         if not ahead:
@@ -53,7 +57,7 @@ def with_less(
 
 def improved(network: Graph, cost: Ints, plan: set[int], doubtful: set[int], is_over: Callable[[], bool]) -> set[int]:
     """The plan, or a cheaper one without some of its doubtful members."""
-    for label in sorted(doubtful):
+    for label in sorted(doubtful.difference(network.pinned)):
         if label in plan and not is_over():
             plan = _without(network, cost, plan, label)
     return plan
@@ -96,14 +100,18 @@ def support_of(network: Graph, cost: Ints, label: int) -> set[int]:
 
 def _total(network: Graph, price: Floats) -> list[float] | None:
     """h_add of each label with its own price; None if the goal is out of reach."""
-    facts = np.full(len(network.core.givers), np.inf)
-    while True:
-        labels = network.core.sum_of_needs(facts)
-        total = labels[:-1] + price
-        better = network.core.least_sum_of_givers(total)
+    core = network.core
+    facts = np.full(len(core.givers), np.inf)
+    for _ in range(MOST_PASSES):
+        better = core.least_sum_of_givers(core.sum_of_needs(facts)[:-1] + price)
         if (better == facts).all():
-            return total.tolist() if np.isfinite(labels[network.core.goal]) else None
+            break
         facts = better
+    else:
+        found = core.facts_one_by_one(price.tolist(), sum)
+        facts = np.array([found.get(fact, np.inf) for fact in range(len(core.givers))])
+    labels = core.sum_of_needs(facts)
+    return (labels[:-1] + price).tolist() if np.isfinite(labels[core.goal]) else None
 
 
 def _below(network: Graph, labels: list[int], total: list[float]) -> set[int]:

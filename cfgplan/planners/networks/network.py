@@ -24,7 +24,7 @@ from cfgplan.reasons import Givers, distinct_groups
 class Graph:
     """A core by itself: labels without names, of which none has to run, and no distinct or feedback inputs.
 
-    `special` are the labels with distinct or feedback inputs, `pinned` those that have to run.
+    `special` are the labels with distinct or feedback inputs, `pinned` those that run in every plan.
     """
 
     def __init__(self, core: Core) -> None:
@@ -38,7 +38,10 @@ class Graph:
 
 
 class Network(Graph):
-    """The core of a problem with the names of its labels and the facts of its tags."""
+    """The core of a problem with the names of its labels and the facts of its tags.
+
+    What the targets, or labels that have to run, can get from nobody else runs in every plan too.
+    """
 
     def __init__(
         self,
@@ -74,8 +77,16 @@ class Network(Graph):
                     needs[label].add(facts.setdefault((givers, takes), len(facts)))
         for port in (port for t in library for port in t.inputs if port.feedback):
             fact(port.tag)
-        self.pinned = sorted(self.number[label] for label in pinned)
-        wanted = {fact(tag) for tag in self.targets}.union(*(needs[label] for label in self.pinned))
+        certain = {self.number[label] for label in pinned}
+        wanted = {fact(tag) for tag in self.targets}.union(*(needs[label] for label in certain))
+        all_facts = list(facts)
+        ahead = list(wanted)
+        for givers, takes in (all_facts[each] for each in ahead):
+            for label in set(givers) - certain if len(givers) == takes else ():
+                certain.add(label)
+                ahead += needs[label] - wanted
+                wanted |= needs[label]
+        self.pinned = sorted(certain)
         taking = np.array([takes for _, takes in facts], np.int64)
         self.core = Core(
             Rows.of([sorted(row) for row in (*needs, wanted)]),

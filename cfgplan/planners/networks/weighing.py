@@ -61,7 +61,7 @@ class Weighing:
         for label, may in staying.items():
             can_be_started = network.transformations[label].labor_us == 0
             change[label] = 0 if may else 1 if can_be_started else rewiring
-        change[network.pinned] = 0
+        change[[network.number[label] for label in pinned if label in network.number]] = 0
         return cls(cost * scale + change, scale, rewiring, fixed_us)
 
     @property

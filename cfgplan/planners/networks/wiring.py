@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Collection, Iterable
+from heapq import heappop, heappush
 
 from cfgplan.domain import ComputationUnit, InputPort, Publication, Stream, Subscription
 from cfgplan.planners.networks.site import Site
@@ -12,11 +13,12 @@ from cfgplan.reasons import assign_different, distinct_groups
 
 def wire(site: Site, chosen: Collection[int]) -> list[ComputationUnit] | None:
     """The chosen candidates wired, less those that nothing needs; None if they do not ground each other."""
-    order = _grounded_order(site, chosen)
+    ordering = _Ordering(site, chosen)
+    is_grounded = ordering.run()
     publisher = {
         target.topic: _publisher(site, target.tag, target.topic, chosen) for target in site.environment.targets
     }
-    if order is None or None in publisher.values():
+    if not is_grounded or None in publisher.values():
         return None
     topics: dict[int, list[Publication]] = defaultdict(list)
     for target in site.environment.targets:
@@ -32,10 +34,10 @@ def wire(site: Site, chosen: Collection[int]) -> list[ComputationUnit] | None:
             subscriptions = tuple(
                 Subscription(port.name, fed_stream(site, i, port, [feeder]))
                 for port in candidate.transformation.inputs
-                for feeder in [order[i][port.name]]
+                for feeder in [ordering.placed[i][port.name]]
             )
             units[i] = ComputationUnit(candidate.id, candidate.transformation.label, subscriptions, tuple(topics[i]))
-            ahead += order[i].values()
+            ahead += ordering.placed[i].values()
     return list(units.values())
 
 
@@ -79,69 +81,138 @@ def _publisher(site: Site, tag: str, topic: str, chosen: Collection[int]) -> int
     return min((feeder for feeder in site.feeders(tag) if feeder in chosen), key=reluctance, default=None)
 
 
-def _grounded_order(site: Site, chosen: Collection[int]) -> dict[int, dict[str, int]] | None:
-    """Units from sources on, each with the feeder of each input; units that can stay come first."""
-    placed: dict[int, dict[str, int]] = {}
-    waiting = sorted(chosen)
-    while waiting:
-        staying = [(i, feeds) for i in waiting if (feeds := _old_feeds(site, i, placed, chosen)) is not None]
-        wired = staying or [(i, feeds) for i in waiting if (feeds := _new_feeds(site, i, placed, chosen)) is not None]
-        if not wired:
-            return None
-        ready = wired if staying else _unable_to_stay(site, wired, chosen)
-        placed.update(ready)
-        waiting = [i for i in waiting if i not in placed]
-    return placed
+class _Ordering:
+    """Places chosen units from sources on, each with the feeder of each input; units that can stay come first.
 
+    A unit is looked at when the last thing that it waits for is placed, so that a chain takes as many looks as it has
+    units.
+    """
 
-def _unable_to_stay(
-    site: Site, ready: list[tuple[int, dict[str, int]]], chosen: Collection[int]
-) -> list[tuple[int, dict[str, int]]]:
-    """All of them that have to change anyway, else the first."""
-    changing = [
-        (i, feeds)
-        for i, feeds in ready
-        if not site.candidates[i].may_stay
-        or any(site.index_of.get(s.stream.unit) not in chosen for s in site.old_subscriptions(i))
-    ]
-    return changing or ready[:1]
+    def __init__(self, site: Site, chosen: Collection[int]) -> None:
+        self.placed: dict[int, dict[str, int]] = {}
+        self._site, self._chosen = site, frozenset(chosen)
+        self._feeders: dict[str, list[int]] = {}
+        self._first: dict[str, int] = {}
+        self._gives: dict[int, list[str]] = defaultdict(list)
+        self._readers: dict[str, list[int]] = defaultdict(list)
+        self._choosy: dict[str, list[int]] = defaultdict(list)
+        self._unfed: dict[int, int] = {}
+        self._kept_by: dict[int, list[int]] = defaultdict(list)
+        self._gone: dict[int, int] = {}
+        self._staying: list[int] = []
+        self._changing: list[int] = []
+        self._others: list[int] = []
+        self._ready: set[int] = set()
+        for i in sorted(self._chosen):
+            self._wait(i)
 
+    def run(self) -> bool:
+        """Place all; False if some of them can't be."""
+        while len(self.placed) < len(self._chosen):
+            if self._staying:
+                ready = {i: {s.port: self._site.index_of[s.stream.unit] for s in self._old(i)} for i in self._staying}
+                self._staying = []
+            else:
+                ready = {i: feeds for i in self._next() if (feeds := self._new_feeds(i)) is not None}
+            if not ready:
+                return False
+            self.placed |= ready
+            for i in ready:
+                self._tell(i)
+        return True
 
-def _old_feeds(site: Site, unit: int, placed: Collection[int], chosen: Collection[int]) -> dict[str, int] | None:
-    """The present feeders of a unit that may stay, if they are there before it."""
-    candidate = site.candidates[unit]
-    if not candidate.may_stay:
-        return None
-    feeds = {s.port: site.index_of[s.stream.unit] for s in site.old_subscriptions(unit)}
-    for port in candidate.transformation.inputs:
-        if feeds[port.name] not in (chosen if port.feedback else placed):
-            return None
-    return feeds
+    def _old(self, unit: int) -> tuple[Subscription, ...]:
+        return self._site.old_subscriptions(unit)
 
+    def _wait(self, unit: int) -> None:
+        """Note what a unit waits for: its old feeders if it can stay with them, and a feeder for each demanded tag."""
+        candidate = self._site.candidates[unit]
+        ports = candidate.transformation.input
+        old = {s.port: self._site.index_of.get(s.stream.unit, -1) for s in self._old(unit)}
+        if candidate.may_stay and self._chosen.issuperset(old.values()):
+            before = [feeder for port, feeder in old.items() if not ports[port].feedback]
+            self._gone[unit] = len(before)
+            for feeder in before:
+                self._kept_by[feeder].append(unit)
+            if not before:
+                self._staying.append(unit)
+        tags = {port.tag: port.feedback for port in sorted(ports.values(), key=lambda port: not port.feedback)}
+        self._unfed[unit] = sum(not is_feedback or not self._feeding(tag) for tag, is_feedback in tags.items())
+        for tag in (tag for tag, is_feedback in tags.items() if not is_feedback and self._feeding(tag)):
+            self._readers[tag].append(unit)
+        for tag in {port.tag for group in distinct_groups(candidate.transformation) for port in group}:
+            self._choosy[tag].append(unit)
+        self._look_at(unit)
 
-def _new_feeds(site: Site, unit: int, placed: Collection[int], chosen: Collection[int]) -> dict[str, int] | None:
-    """A feeder for each input of a unit among those before it, the present one if possible; None if one has none."""
-    transformation = site.candidates[unit].transformation
-    old = {s.port: site.index_of.get(s.stream.unit) for s in site.old_subscriptions(unit)}
-    choices: dict[str, list[int]] = {}
-    for port in transformation.inputs:
-        among = chosen if port.feedback else placed
-        feeders = sorted(i for i in site.feeders(port.tag) if i in among)
-        if not feeders:
-            return None
-        present = old.get(port.name)
-        if present in feeders:
-            feeders.remove(present)
-            feeders.insert(0, present)
-        choices[port.name] = feeders
-    feeds = {name: feeders[0] for name, feeders in choices.items()}
-    for group in distinct_groups(transformation):
-        first = {
-            port.name: {site.candidates[i].transformation.label: i for i in reversed(choices[port.name])}
-            for port in group
-        }
-        assigned = assign_different({name: list(by_label)[::-1] for name, by_label in first.items()})
-        if assigned is None:
-            return None
-        feeds.update({name: first[name][label] for name, label in assigned.items()})
-    return feeds
+    def _feeding(self, tag: str) -> list[int]:
+        """The chosen units that give what a tag demands, in order."""
+        if tag not in self._feeders:
+            self._feeders[tag] = sorted(i for i in self._site.feeders(tag) if i in self._chosen)
+            for feeder in self._feeders[tag]:
+                self._gives[feeder].append(tag)
+        return self._feeders[tag]
+
+    def _look_at(self, unit: int) -> None:
+        """Let a unit be wired anew if now it can be."""
+        if self._unfed[unit] or unit in self._ready or unit in self.placed or self._new_feeds(unit) is None:
+            return
+        self._ready.add(unit)
+        if unit in self._gone:
+            heappush(self._others, unit)
+        else:
+            self._changing.append(unit)
+
+    def _next(self) -> list[int]:
+        """The units to be wired anew: all that have to change anyway, else the first."""
+        if self._changing:
+            changing, self._changing = self._changing, []
+            return sorted(changing)
+        while self._others and self._others[0] in self.placed:
+            heappop(self._others)
+        return self._others[:1]
+
+    def _tell(self, unit: int) -> None:
+        """Tell those that wait for a unit that it is placed."""
+        for reader in self._kept_by.pop(unit, ()):
+            self._gone[reader] -= 1
+            if not self._gone[reader] and reader not in self.placed:
+                self._staying.append(reader)
+        for tag in self._gives[unit]:
+            is_first = tag not in self._first
+            self._first[tag] = min(unit, self._first.get(tag, unit))
+            for reader in self._readers[tag] if is_first else ():
+                self._unfed[reader] -= 1
+                self._look_at(reader)
+            for reader in self._choosy[tag]:
+                self._look_at(reader)
+
+    def _new_feeds(self, unit: int) -> dict[str, int] | None:
+        """A feeder for each input of a unit among those before it, the present one if possible.
+
+        None if there are too few different ones for a distinct group.
+        """
+        transformation = self._site.candidates[unit].transformation
+        old = {s.port: self._site.index_of.get(s.stream.unit, -1) for s in self._old(unit)}
+        feeds: dict[str, int] = {}
+        for port in transformation.inputs:
+            present = old.get(port.name, -1)
+            stays = present in self._before(port) and port.tag in self._gives[present]
+            feeds[port.name] = (
+                present if stays else self._feeders[port.tag][0] if port.feedback else self._first[port.tag]
+            )
+        for group in distinct_groups(transformation):
+            first: dict[str, dict[str, int]] = {}
+            for port in group:
+                by_label = first[port.name] = {}
+                for i in (feeds[port.name], *self._feeders[port.tag]):
+                    if i in self._before(port):
+                        by_label.setdefault(self._site.candidates[i].transformation.label, i)
+            assigned = assign_different(first)
+            if assigned is None:
+                return None
+            feeds.update({name: first[name][label] for name, label in assigned.items()})
+        return feeds
+
+    def _before(self, port: InputPort) -> Collection[int]:
+        """Who may feed an input: what is placed, or at a feedback input whatever is chosen."""
+        return self._chosen if port.feedback else self.placed

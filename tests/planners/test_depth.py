@@ -1,0 +1,112 @@
+"""Chains of thousands of units, and as many side by side: each step looks at each of them a few times only."""
+
+from __future__ import annotations
+
+from unittest.mock import patch
+
+import numpy as np
+import pytest
+
+from cfgplan.cli.update_text import with_the_stream
+from cfgplan.domain import (
+    ComputationUnit,
+    Environment,
+    InputPort,
+    OutputPort,
+    Publication,
+    Similarity,
+    Stream,
+    Subscription,
+    Target,
+    Transformation,
+)
+from cfgplan.planners.bounding.bounds import cheapest_way
+from cfgplan.planners.cpsat import plan
+from cfgplan.planners.networks import wiring
+from cfgplan.planners.networks.greedy import plan_at
+from cfgplan.planners.networks.network import Network
+from cfgplan.planning import Problem, Status
+from cfgplan.reasons import Givers
+from cfgplan.validity import plan_violations
+
+
+def chain(length: int, *, dead: int | None = None) -> Problem:
+    """Each unit feeds the next one; all run but the dead one, or, if there is none, none does."""
+    library = [
+        Transformation(
+            f"t{i:05}",
+            (InputPort("i", f"T{i - 1}"),) if i else (),
+            (OutputPort("o", f"T{i}"),),
+            labor_us=9,
+            upkeep_us=1,
+        )
+        for i in range(length)
+    ]
+    units = [
+        ComputationUnit(
+            f"{t.label}.1",
+            t.label,
+            (Subscription("i", Stream(f"{library[i - 1].label}.1", "o")),) if i else (),
+            (Publication("o", "/t"),) if i == length - 1 else (),
+        )
+        for i, t in enumerate(library if dead is not None else ())
+        if i != dead
+    ]
+    environment = Environment(tuple(units), tuple(library), (Target("t", f"T{length - 1}", "/t"),))
+    return Problem(environment, Similarity({f"T{i}": frozenset({f"T{i}"}) for i in range(length)}), 1)
+
+
+def flat(width: int) -> Problem:
+    """As many targets as sources, each for one."""
+    library = [Transformation(f"t{i}", (), (OutputPort("o", f"T{i}"),), labor_us=9) for i in range(width)]
+    targets = [Target(f"t{i}", f"T{i}", f"/{i}") for i in range(width)]
+    similarity = Similarity({f"T{i}": frozenset({f"T{i}"}) for i in range(width)})
+    return Problem(Environment((), tuple(library), tuple(targets)), similarity, 1)
+
+
+@pytest.mark.parametrize(
+    ("problem", "changes"), [(chain(5_000), (5_000, 0)), (chain(5_000, dead=2_500), (1, 1)), (flat(5_000), (5_000, 0))]
+)
+def test_five_thousand_units_are_planned_with_one_look_at_each_event(
+    problem: Problem, changes: tuple[int, int]
+) -> None:
+    looks = 0
+    new_feeds = wiring._Ordering._new_feeds
+
+    def counted(ordering: wiring._Ordering, unit: int) -> dict[str, int] | None:
+        nonlocal looks
+        looks += 1
+        return new_feeds(ordering, unit)
+
+    with patch.object(wiring._Ordering, "_new_feeds", counted):
+        found = plan(problem)
+    assert found.change_set is not None
+    assert found.status is Status.OPTIMAL
+    assert (len(found.change_set.started), len(found.change_set.rewired)) == changes
+    assert looks <= 20_000
+    assert plan_violations(problem, found) == []
+
+
+def test_units_are_told_with_the_stream_however_deep_they_are() -> None:
+    environment = chain(3_000, dead=0).environment
+    assert [unit.id for unit in with_the_stream(environment)] == [f"t{i:05}.1" for i in range(1, 3_000)]
+
+
+@pytest.mark.parametrize("most", [1, 60])
+def test_facts_cost_the_same_whether_followed_in_passes_or_one_by_one(most: int) -> None:
+    library = (
+        Transformation("a", (), (OutputPort("o", "A"),), labor_us=3),
+        Transformation("b", (InputPort("i", "A"),), (OutputPort("o", "B"),), labor_us=5),
+        Transformation("c", (InputPort("i", "B"),), (OutputPort("o", "B"),), labor_us=1),
+        Transformation("d", (InputPort("i", "B", "g"), InputPort("j", "B", "g")), (OutputPort("o", "D"),), labor_us=1),
+    )
+    similarity = Similarity({tag: frozenset({tag}) for tag in "ABD"})
+    network = Network(library, ["D"], [], Givers(library, similarity))
+    with (
+        patch("cfgplan.planners.bounding.bounds.MOST_PASSES", most),
+        patch("cfgplan.planners.networks.greedy.MOST_PASSES", most),
+    ):
+        _, before = cheapest_way(network.core, np.array([3, 5, 1, 1]))
+        found = plan_at(network, np.array([3, 5, 1, 1]), np.array([3.0, 5.0, 1.0, 1.0]))
+    assert before.tolist() == [0, 3, 8, 9, 10]
+    assert found == {0, 1, 2, 3}
