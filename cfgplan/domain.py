@@ -148,12 +148,25 @@ class Similarity:
                 yield each, demanded
 
     @cached_property
+    def decided(self) -> Similarity:
+        """The relation in which no open pair matches."""
+        return Similarity(self.offers) if self.open else self
+
+    @cached_property
     def optimistic(self) -> Similarity:
         """The relation in which every open pair matches: no plan is cheaper than the optimum under it."""
         if not self.open:
             return self
         rows = {tag: self.offers.get(tag, frozenset()) | more for tag, more in self.open.items()}
         return Similarity({**self.offers, **rows})
+
+    def refined(self, later: Similarity) -> Similarity:
+        """The same relation with what a later one has decided of its open pairs."""
+        rows = {tag: row for tag, row in self.open.items() if tag in later.offers}
+        matching = {tag: self.offers.get(tag, frozenset()) | (row & later.offers[tag]) for tag, row in rows.items()}
+        still = {tag: row & later.open.get(tag, frozenset()) for tag, row in rows.items()}
+        open_rows = {tag: row for tag, row in {**self.open, **still}.items() if row}
+        return Similarity({**self.offers, **matching}, open_rows)
 
 
 @dataclass(frozen=True)

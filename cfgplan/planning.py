@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
@@ -115,6 +115,10 @@ class Problem:
         return copies * once_us + units * len(environment.hosts) * carried + prices
 
 
+Pair = tuple[str, str]
+"""An offered tag and a demanded one."""
+
+
 class Status(StrEnum):
     """How a planner ended."""
 
@@ -160,7 +164,7 @@ class Plan:
     unused_required: tuple[str, ...] = ()
     ties_proven: bool = False
     required_proven: bool = False
-    undecided: tuple[tuple[str, str], ...] = ()
+    undecided: tuple[Pair, ...] = ()
     seconds: Mapping[str, float] = field(default_factory=dict, compare=False)
     counts: Mapping[str, int] = field(default_factory=dict, compare=False)
 
@@ -212,6 +216,19 @@ class InterruptiblePlanner(Protocol):
         report: Callable[[Progress], None] | None = None,
         stop: Event | None = None,
     ) -> Plan: ...
+
+
+class Decider(Protocol):
+    """Whoever can find out whether open pairs of tags match."""
+
+    @property
+    def similarity(self) -> Similarity:
+        """What is known by now."""
+        ...
+
+    def decide(self, pairs: Sequence[Pair]) -> int:
+        """Ask about pairs, the most wanted first. Returns how many were asked; `similarity` has the answers."""
+        ...
 
 
 def fresh_unit_ids(environment: Environment, labels: list[str]) -> dict[str, str]:

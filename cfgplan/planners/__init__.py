@@ -4,6 +4,8 @@
 * `exhaustive`: the oracle, which tries every set of units and every wiring; about ten transformations.
 * `branch-and-bound`: the paper's Algorithms 1 and 2 with the merging of section IV-D; not optimal.
 * `branch-and-bound-shared`: what that search could be if it counted what is shared once; exact in cost.
+
+None of them looks at open pairs of tags: problems that have some come to them through `undecided`.
 """
 
 from __future__ import annotations
@@ -12,11 +14,12 @@ from collections.abc import Callable, Mapping
 from importlib import import_module
 from types import MappingProxyType
 
+from cfgplan.planners.undecided import Deciding
 from cfgplan.planning import Plan, Planner, Problem, Progress
 
 
 def _imported_on_use(module: str) -> Planner:
-    """The module's function `plan`; the module and its engine are imported at the first call."""
+    """The module's function `plan`, honest about open pairs; it and its engine are imported at the first call."""
 
     def planner(
         problem: Problem,
@@ -25,6 +28,8 @@ def _imported_on_use(module: str) -> Planner:
         report: Callable[[Progress], None] | None = None,
     ) -> Plan:
         plan: Planner = import_module(module).plan
+        if problem.similarity.open:
+            plan = Deciding(plan)
         return plan(problem, time_limit_s=time_limit_s, report=report)
 
     return planner

@@ -18,7 +18,9 @@ from cfgplan.validity.startable import givers_by_tag, startable
 def plan_violations(problem: Problem, plan: Plan) -> list[Violation]:
     """Every way in which a plan fails to be what it says it is; empty for a good plan.
 
-    That no plan is cheaper is the planner's proof and is not repeated here.
+    That no plan is cheaper is the planner's proof and is not repeated here. Where pairs of tags are open, what is done
+    must be valid though none of them matches; what is claimed must hold though all of them match: that there is no
+    plan, and with `optimal` that every pinned unit is kept that can be fed. An optimal plan hangs on no open pair.
     """
     if (plan.change_set is not None) != (plan.status in (Status.OPTIMAL, Status.FEASIBLE)):
         text = f"a plan that is {plan.status} must have a change set exactly if one was found"
@@ -32,15 +34,15 @@ def plan_violations(problem: Problem, plan: Plan) -> list[Violation]:
     return [
         *violations(after, problem.similarity, problem.survive),
         *_bad_change_set(problem.environment, plan, after),
-        *_dropped_pinned_units(problem, after),
+        *_dropped_pinned_units(problem, plan, after),
         *_misreported_required(plan, after),
         *_bad_cost(problem, plan, after),
     ]
 
 
 def _bad_refusal(problem: Problem, plan: Plan) -> Iterator[Violation]:
-    possible = startable(problem.environment, problem.similarity)
-    givers = givers_by_tag(problem.environment, problem.similarity)
+    possible = startable(problem.environment, problem.similarity.optimistic)
+    givers = givers_by_tag(problem.environment, problem.similarity.optimistic)
     impossible = {
         target.label for target in problem.environment.targets if possible.isdisjoint(givers.get(target.tag, set()))
     }
@@ -79,14 +81,15 @@ def _bad_change_set(before: Environment, plan: Plan, after: Environment) -> Iter
             yield Violation(Rule.CONSISTENT, text, unit.id)
 
 
-def _dropped_pinned_units(problem: Problem, after: Environment) -> Iterator[Violation]:
+def _dropped_pinned_units(problem: Problem, plan: Plan, after: Environment) -> Iterator[Violation]:
     dropped = [
         (unit, transformation)
         for unit, transformation in known_units(problem.environment)
         if transformation.pinned and unit.id not in after.unit and not unit.standby
         if not after.hosts or unit.host in after.hosts_for(transformation)
     ]
-    possible = startable(problem.environment, problem.similarity) if dropped else set()
+    similarity = problem.similarity.optimistic if plan.status is Status.OPTIMAL else problem.similarity
+    possible = startable(problem.environment, similarity) if dropped else set()
     for unit, transformation in dropped:
         if transformation.label in possible:
             yield Violation(Rule.PINNED, f"unit {unit.id} is pinned and can be fed, but is stopped", unit.id)
@@ -122,7 +125,9 @@ def _bad_cost(problem: Problem, plan: Plan, after: Environment) -> Iterator[Viol
         yield Violation(Rule.BOUND, f"the bound {plan.bound_us} us exceeds the cost {cost} us")
     if plan.status is Status.OPTIMAL and plan.bound_us != cost:
         yield Violation(Rule.BOUND, f"the plan says optimal, but its bound is {plan.bound_us} us of {cost} us")
-    if plan.status is Status.FEASIBLE and plan.bound_us == cost:
+    if plan.status is Status.FEASIBLE and plan.bound_us == cost and not plan.undecided:
         yield Violation(Rule.BOUND, f"the plan says feasible, but its bound is its cost of {cost} us")
     if plan.status is Status.FEASIBLE and plan.ties_proven:
         yield Violation(Rule.BOUND, "the plan says that ties are proven, but its cost is not")
+    if plan.status is Status.OPTIMAL and plan.undecided:
+        yield Violation(Rule.BOUND, "the plan says optimal, but names pairs of tags that its bound hangs on")

@@ -30,6 +30,7 @@ from cfgplan.planners.networks.running import what_runs
 from cfgplan.planners.networks.site import Site
 from cfgplan.planners.networks.weighing import Weighing
 from cfgplan.planners.solving.clock import Clock
+from cfgplan.planners.undecided import Deciding
 from cfgplan.planning import Plan, Problem, Progress, Status
 from cfgplan.reasons import Givers, unmet_reasons
 
@@ -65,6 +66,8 @@ class PlannerSession:
         stop: Event | None = None,
     ) -> Plan:
         """The optimal update. Stopped by the clock, by `stop` or by Ctrl-C it is the best one so far."""
+        if problem.similarity.open:
+            return Deciding(partial(self.plan, stop=stop))(problem, time_limit_s=time_limit_s, report=report)
         if problem.notions:
             from cfgplan.planners import fleet
 
