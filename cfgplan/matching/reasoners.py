@@ -11,8 +11,8 @@ if TYPE_CHECKING:
 
 REASONERS: Final[Mapping[str, str]] = MappingProxyType(
     {
-        "auto": "the fast engine, and for what it can't certify HermiT",
-        "el": "the fast engine alone; what it can't certify is unknown",
+        "auto": "the fast engine, finite models for what it can't certify, and HermiT for what is open then",
+        "el": "the fast engine and finite models alone; what they can't certify is unknown",
         "hermit": "HermiT for everything",
     }
 )

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 
 from cfgplan.domain import Similarity
 from cfgplan.errors import Fault, InputError
 from cfgplan.matching.concepts import Concept
+from cfgplan.matching.countermodels import Countermodels
 from cfgplan.matching.engine import Engine, roles_in
 from cfgplan.matching.faults import InconsistentOntologyError, MatchingError
 from cfgplan.matching.functional import parse
@@ -49,6 +51,7 @@ class Matcher:
         self._engine: Engine | None = None
         self._rows: Rows | None = None
         self._verdicts = Verdicts(ontology, self._reference)
+        self._countermodels: Countermodels | None = None
 
     @property
     def ontology(self) -> Ontology:
@@ -108,6 +111,7 @@ class Matcher:
         Raises InputError for an ontology that can't be reasoned with.
         """
         rows = self._current_rows()
+        self._refute(rows, time_limit_s)
         if decide and not self._ask(self._open(rows), time_limit_s) and (rows is None or self.outside()):
             self._check_consistency(time_limit_s)
         return self._told(rows, time_limit_s if decide else None)
@@ -119,7 +123,9 @@ class Matcher:
         does not suffice for stays open. Raises KeyError for a text that is not registered, and InputError for an
         ontology that can't be reasoned with.
         """
-        open_rows = self._open(self._current_rows())
+        rows = self._current_rows()
+        self._refute(rows, time_limit_s)
+        open_rows = self._open(rows)
         wanted: dict[Concept, dict[Concept, None]] = {}
         for offered_text, demanded_text in sorted(pairs):
             offered, demanded = self._offered.concept(offered_text), self._demanded.concept(demanded_text)
@@ -174,10 +180,26 @@ class Matcher:
                 continue
             yield demand, frozenset(offers[name] for name in names)
 
+    def _refute(self, rows: Rows | None, time_limit_s: float | None) -> None:
+        """Look for models that show what does not match, for offers that the fast engine does not certify."""
+        if rows is None or not (rows.beyond_words or rows.uncertified):
+            return
+        if self._countermodels is None:
+            self._countermodels = Countermodels(self._ontology)
+        beyond = dict(self._beyond_engine(rows))
+        self._countermodels.build(set().union(*beyond.values()), beyond, time_limit_s)
+        self._verdicts.possible |= self._countermodels.possible
+
     def _open(self, rows: Rows | None) -> dict[Concept, frozenset[Concept]]:
         """For each demand the offers for which it is not decided whether they meet it."""
-        found = {demand: offers - self._verdicts.decided(demand) for demand, offers in self._beyond_engine(rows)}
+        found = {
+            demand: offers - self._verdicts.decided(demand) - self._refuted(demand)
+            for demand, offers in self._beyond_engine(rows)
+        }
         return {demand: offers for demand, offers in found.items() if offers}
+
+    def _refuted(self, demand: Concept) -> frozenset[Concept]:
+        return frozenset() if self._countermodels is None else self._countermodels.refuted(demand)
 
     def _told(self, rows: Rows | None, time_limit_s: float | None) -> Matching:
         warnings = [*self._ontology.warnings]
@@ -223,11 +245,14 @@ class Matcher:
 
     def _answered_by(self, rows: Rows | None, open_rows: Mapping[Concept, frozenset[Concept]]) -> dict[str, int]:
         """How many pairs of distinct tags each reasoner decided."""
-        beyond = sum(len(offers) for _, offers in self._beyond_engine(rows))
-        left = sum(map(len, open_rows.values()))
         pairs = len(self._offered.names) * len(self._demanded.names)
-        counts = {"el": pairs - beyond, self._name: beyond - left} if beyond else {"el": pairs}
-        return {name: pairs for name, pairs in counts.items() if pairs}
+        beyond = {demand: offers for demand, offers in self._beyond_engine(rows) if offers}
+        counts = Counter({"el": pairs - sum(map(len, beyond.values()))})
+        for demand, offers in beyond.items():
+            refuted = len(offers & self._refuted(demand))
+            counts["countermodel"] += refuted
+            counts[self._name] += len(offers) - refuted - len(open_rows.get(demand, ()))
+        return {name: count for name, count in counts.items() if count}
 
     def _contradiction(self) -> InconsistentOntologyError:
         steps = "; ".join(contradiction(self._ontology))

@@ -31,7 +31,8 @@ class Verdicts:
         self._reference = reference
         self._answered: defaultdict[Concept, frozenset[Concept]] = defaultdict(frozenset)
         self._accepted: defaultdict[Concept, frozenset[Concept]] = defaultdict(frozenset)
-        self._possible: set[Concept] = set()  # with any, the ontology does not contradict itself
+        self.possible: set[Concept] = set()
+        """Concepts that something can have; with any, the ontology does not contradict itself."""
         self.unsatisfiable: set[Concept] = set()
         """The offered concepts that nothing can have."""
 
@@ -52,9 +53,9 @@ class Verdicts:
 
         Raises what the reasoner raises, such as InconsistentOntologyError.
         """
-        if self._reference is not None and not self._possible:
+        if self._reference is not None and not self.possible:
             told = satisfiable(self._reference, self._ontology, [TOP], time_limit_s)
-            self._possible |= told.keys()
+            self.possible |= told.keys()
 
     def ask(self, wanted: Mapping[Concept, Collection[Concept]], time_limit_s: float | None) -> int:
         """Ask which offered concepts are below the demanded ones that they are wanted for; how many pairs were asked.
@@ -89,7 +90,7 @@ class Verdicts:
             return
         impossible = {concept for concept in offered if answer.is_unsatisfiable(concept)}
         self.unsatisfiable |= impossible
-        self._possible |= offered - impossible
+        self.possible |= offered - impossible
         for wanted in demanded:
             told = {concept for concept in offered - impossible if answer.below(concept, (wanted,))}
             self._tell(wanted, offered, frozenset(told))
@@ -104,15 +105,15 @@ class Verdicts:
         }
         questions: dict[Concept, None] = {}
         for (concept, _), both in pairs.items():
-            if concept not in self._possible:
+            if concept not in self.possible:
                 questions[concept] = None
             questions[both] = None
         told = satisfiable(self._reference, self._ontology, questions, time_limit_s)
         for concept in {concept for concept, _ in pairs} & told.keys():
-            (self._possible if told[concept] else self.unsatisfiable).add(concept)
+            (self.possible if told[concept] else self.unsatisfiable).add(concept)
         rows: defaultdict[Concept, list[tuple[Concept, bool]]] = defaultdict(list)
         for (concept, demanded), both in pairs.items():
-            if both in told and concept in self._possible:
+            if both in told and concept in self.possible:
                 rows[demanded].append((concept, not told[both]))
         for demanded, row in rows.items():
             self._tell(demanded, (concept for concept, _ in row), (concept for concept, holds in row if holds))

@@ -59,9 +59,12 @@ def test_another_ontology_is_asked_anew() -> None:
     some = matcher()
     some.decide([("C", "W")])
     some.change_ontology(Ontology([*(COVERED.axioms - {"SubClassOf(<w#B> <w#W>)"}), "Declaration(Class(<w#F>))"]))
+    changed = some.matching(decide=False).similarity
+    assert not changed.holds("C", "W")
+    assert not changed.is_open("C", "W")
+    some.change_ontology(COVERED)
     assert some.matching(decide=False).similarity.is_open("C", "W")
     assert some.decide([("C", "W")]) == 1
-    assert not some.matching(decide=False).similarity.holds("C", "W")
 
 
 def test_only_what_is_registered_can_be_asked_about() -> None:
@@ -93,9 +96,9 @@ def test_a_contradiction_is_told_whatever_is_asked() -> None:
 def test_an_offer_that_nothing_can_have_is_found_where_it_is_asked_about(reasoner: str) -> None:
     excluded = Ontology([*COVERED.axioms, "SubClassOf(<w#C> ObjectComplementOf(<w#W>))"])
     some = matcher(reasoner, excluded)
-    assert some.decide([("C", "W"), ("D", "W")]) == 2
+    assert some.decide([("C", "W"), ("D", "W")]) == (1 if reasoner == "auto" else 2)
     found = some.matching(decide=False)
-    assert found.similarity.offers == {"W": {"A"}} if reasoner == "auto" else {"W": frozenset()}
+    assert found.similarity.offers == {"W": {"A"} if reasoner == "auto" else frozenset()}
     assert not found.similarity.is_open("C", "W")
     assert any("'C'" in warning and "never matches" in warning for warning in found.warnings)
 

@@ -1,0 +1,544 @@
+"""Pairs of tags that certainly do not match, by finite models of the ontology.
+
+That an offered tag is not below a demanded one is shown by one model in which some thing has the offered tag and not
+the demanded one. Such a model is looked for by reading the ontology as a program that gives things what its axioms
+say they have: a union gives one of its parts (another in the next model), restrictions share the things that they
+need, at most n things are made by merging. What is built in this way says more than the ontology, or breaks it; so it
+is checked afterwards. Things that break an axiom are left out, and so are those that need them, until nothing breaks
+any axiom. What is left is a model of every axiom, whatever was done to build it, as long as there is something
+for each individual: that is all that the answers rest on.
+
+Reference for reading what does not follow from an upper bound of the ontology: Y. Zhou, B. Cuenca Grau, Y. Nenov,
+M. Kaminski, I. Horrocks, "PAGOdA: Pay-as-you-go ontology query answering using a datalog reasoner", JAIR 54 (2015).
+"""
+
+from __future__ import annotations
+
+import time
+from collections import defaultdict
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Set
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Final
+
+from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI, And, Concept, Nominal, in_functional_syntax
+from cfgplan.matching.functional import Signature, Tree, parse
+from cfgplan.matching.ontology import Ontology
+from cfgplan.matching.structures import LITERAL, Structure, inverse, linked_by, symbols_of
+
+MOST_MODELS: Final = 8
+"""So many models are built for the same tags, each with other parts of unions."""
+MOST_BUILDS: Final = 40
+"""So many models are begun for the tags of one call, those that fail among them."""
+LEVELS: Final = 3
+"""The things that a restriction needs again for what it gave are others, but after so many the first again."""
+_XSD: Final = "http://www.w3.org/2001/XMLSchema#"
+
+
+class _OutOfTimeError(Exception):
+    """Building took too long."""
+
+
+@dataclass
+class _Inclusion:
+    sub: Tree
+    sup: Tree
+    symbols: frozenset[str]
+    seen: int = -1
+
+
+@dataclass
+class _RoleInclusion:
+    chain: Tree
+    sup: Tree
+    symbols: frozenset[str]
+    seen: int = -1
+
+
+class _Program:
+    """What the axioms give to things, in the order in which it is given."""
+
+    def __init__(self, trees: Iterable[Tree]) -> None:
+        self.trees = [tree for tree in trees if isinstance(tree, tuple) and tree[0] != "Declaration"]
+        self.individuals = sorted(Signature(self.trees).individuals | set(_anonymous(self.trees)))
+        self.inclusions: list[tuple[Tree, Tree]] = []
+        self.roles: list[tuple[Tree, Tree]] = []
+        self.values: list[tuple[str, str]] = []
+        self.above: defaultdict[str, set[str]] = defaultdict(set)
+        self.apart: defaultdict[str, set[str]] = defaultdict(set)
+        for tree in self.trees:
+            self._read(str(tree[0]), *tree[1:])
+        for sub, sup in self.inclusions:
+            if isinstance(sub, str) and isinstance(sup, str):
+                self.above[sub].add(sup)
+
+    def _read(self, keyword: str, *parts: Tree) -> None:
+        match keyword:
+            case "SubClassOf":
+                self._include(parts[0], parts[1])
+            case "EquivalentClasses":
+                for one, other in zip(parts, (*parts[1:], parts[0]), strict=True):
+                    self._include(one, other)
+            case "DisjointClasses":
+                self._set_apart(parts)
+            case "DisjointUnion":
+                self._set_apart(parts[1:])
+                self._include(("ObjectUnionOf", *parts[1:]), parts[0])
+                self._include(parts[0], ("ObjectUnionOf", *parts[1:]))
+            case "ObjectPropertyDomain":
+                self._include(("ObjectSomeValuesFrom", parts[0], THING_IRI), parts[1])
+            case "ObjectPropertyRange":
+                self._include(("ObjectSomeValuesFrom", inverse(parts[0]), THING_IRI), parts[1])
+            case "ClassAssertion":
+                self._include(("ObjectOneOf", parts[1]), parts[0])
+            case "ObjectPropertyAssertion":
+                self._include(("ObjectOneOf", parts[1]), ("ObjectHasValue", parts[0], parts[2]))
+            case "SameIndividual":
+                self._include(("ObjectOneOf", *parts[1:]), ("ObjectOneOf", parts[0]))
+            case "FunctionalObjectProperty":
+                self._include(THING_IRI, ("ObjectMaxCardinality", "1", parts[0]))
+            case "InverseFunctionalObjectProperty":
+                self._include(THING_IRI, ("ObjectMaxCardinality", "1", inverse(parts[0])))
+            case "ReflexiveObjectProperty":
+                self._include(THING_IRI, ("ObjectHasSelf", parts[0]))
+            case "SubObjectPropertyOf":
+                self.roles.append((parts[0], parts[1]))
+            case "EquivalentObjectProperties":
+                self.roles += zip(parts, (*parts[1:], parts[0]), strict=True)
+            case "InverseObjectProperties":
+                self.roles += [(parts[0], inverse(parts[1])), (inverse(parts[1]), parts[0])]
+            case "SymmetricObjectProperty":
+                self.roles.append((parts[0], inverse(parts[0])))
+            case "TransitiveObjectProperty":
+                self.roles.append((("ObjectPropertyChain", parts[0], parts[0]), parts[0]))
+            case "DataPropertyAssertion":
+                self._include(("ObjectOneOf", parts[1]), ("DataHasValue", parts[0], parts[2]))
+            case "DataPropertyDomain":
+                self._include(("DataSomeValuesFrom", parts[0], LITERAL), parts[1])
+            case "SubDataPropertyOf":
+                self.values.append((str(parts[0]), str(parts[1])))
+            case "EquivalentDataProperties":
+                self.values += ((str(one), str(other)) for one in parts for other in parts if one != other)
+
+    def _include(self, sub: Tree, sup: Tree) -> None:
+        if isinstance(sup, tuple) and sup[0] == "ObjectIntersectionOf":
+            for part in sup[1:]:
+                self._include(sub, part)
+        elif isinstance(sup, tuple) and sup[0] == "ObjectAllValuesFrom":
+            self._include(("ObjectSomeValuesFrom", inverse(sup[1]), sub), sup[2])
+        elif isinstance(sup, tuple) and sup[0] == "ObjectComplementOf":
+            self._set_apart((sub, sup[1]))
+            given = complement(sup[1])
+            if given[0] != "ObjectComplementOf":
+                self._include(sub, given)
+        elif sup == NOTHING_IRI and isinstance(sub, tuple) and sub[0] == "ObjectIntersectionOf" and len(sub) == 3:
+            self._set_apart(sub[1:])
+        elif sup not in (THING_IRI, NOTHING_IRI):
+            self.inclusions.append((sub, sup))
+
+    def _set_apart(self, parts: Collection[Tree]) -> None:
+        names = [part for part in parts if isinstance(part, str)]
+        for name in names:
+            self.apart[name].update(other for other in names if other != name)
+
+
+def _some(changes: Iterable[bool]) -> bool:
+    """Whether something changed, after all that is to be changed."""
+    return sum(changes) > 0
+
+
+def complement(tree: Tree) -> Tree:
+    """The complement of an expression, with complements as far inside as they go."""
+    if isinstance(tree, str):
+        return {THING_IRI: NOTHING_IRI, NOTHING_IRI: THING_IRI}.get(tree) or ("ObjectComplementOf", tree)
+    keyword, *parts = tree
+    match keyword:
+        case "ObjectComplementOf":
+            return parts[0]
+        case "ObjectIntersectionOf":
+            return ("ObjectUnionOf", *map(complement, parts))
+        case "ObjectUnionOf":
+            return ("ObjectIntersectionOf", *map(complement, parts))
+        case "ObjectSomeValuesFrom":
+            return ("ObjectAllValuesFrom", parts[0], complement(parts[1]))
+        case "ObjectAllValuesFrom":
+            return ("ObjectSomeValuesFrom", parts[0], complement(parts[1]))
+        case "ObjectMinCardinality" if int(str(parts[0])) > 0:
+            return ("ObjectMaxCardinality", str(int(str(parts[0])) - 1), *parts[1:])
+        case "ObjectMaxCardinality":
+            return ("ObjectMinCardinality", str(int(str(parts[0])) + 1), *parts[1:])
+    return ("ObjectComplementOf", tree)
+
+
+def _anonymous(trees: Iterable[Tree]) -> Iterator[str]:
+    for tree in trees:
+        if isinstance(tree, tuple):
+            yield from _anonymous(tree[1:])
+        elif tree.startswith("_:"):
+            yield tree
+
+
+_ORDER: Final = {
+    "ObjectHasValue": 0, "ObjectHasSelf": 0, "DataHasValue": 0, "ObjectOneOf": 1, "ObjectSomeValuesFrom": 2,
+    "ObjectMinCardinality": 2, "ObjectExactCardinality": 2, "ObjectMaxCardinality": 3, "ObjectUnionOf": 4,
+}  # fmt: skip
+"""What is given first; names before all."""
+
+
+class _Model:
+    """A structure that is being built: `turn` says which parts of unions are preferred."""
+
+    def __init__(self, program: _Program, turn: int, deadline: float | None) -> None:
+        self.structure = Structure()
+        self.chose = False
+        self._program = program
+        self._turn = turn
+        self._deadline = deadline
+        self._levels: dict[int, int] = {}
+        self._needed: dict[tuple[object, ...], int] = {}
+        self._markers: dict[Tree, str] = {}
+        self._replaced: dict[int, int] = {}
+        self._above: dict[str, frozenset[str]] = {}
+        self._rules: list[list[_Inclusion]] = [[] for _ in range(5)]
+        self._roles = [_RoleInclusion(sub, sup, symbols_of(sub) | symbols_of(sup)) for sub, sup in program.roles]
+        for name in program.individuals:
+            self.individual(name)
+        for sub, sup in program.inclusions:
+            self._rule(sub, sup)
+
+    def individual(self, name: str) -> int:
+        """The thing that an individual's name stands for."""
+        known = self.structure.individuals
+        if name not in known:
+            known[name] = self._thing(0)
+        return known[name]
+
+    def find(self, thing: int) -> int:
+        """The thing that a thing was merged into, or itself."""
+        while thing in self._replaced:
+            thing = self._replaced[thing]
+        return thing
+
+    def _thing(self, level: int) -> int:
+        thing = self.structure.add_thing()
+        self._levels[thing] = level
+        return thing
+
+    def new(self, tree: Tree) -> int:
+        """A thing that is to be in a class expression, or the individual that the expression names."""
+        for name in sorted(Signature([("SubClassOf", tree)]).individuals):
+            self.individual(name)
+        parts = tree[1:] if isinstance(tree, tuple) and tree[0] == "ObjectIntersectionOf" else (tree,)
+        named = [part for part in parts if isinstance(part, tuple) and part[0] == "ObjectOneOf" and len(part) == 2]
+        thing = self.individual(str(named[0][1])) if named else self._thing(0)
+        self.require({thing}, tree)
+        return thing
+
+    def _rule(self, sub: Tree, sup: Tree) -> None:
+        order = 0 if isinstance(sup, str) else _ORDER.get(str(sup[0]), 0)
+        self._rules[order].append(_Inclusion(sub, sup, symbols_of(sub) | symbols_of(sup)))
+
+    def saturate(self) -> None:
+        """Give things what axioms say, until nothing is to be given any more. Raises _OutOfTimeError."""
+        while any(step() for step in self._steps()):
+            pass
+
+    def _steps(self) -> Iterator[Callable[[], bool]]:
+        yield self._follow_roles
+        yield self._follow_values
+        for rules in self._rules:
+            yield partial(self._follow, rules)
+
+    def _follow_roles(self) -> bool:
+        changed = False
+        for rule in self._roles:
+            if self.structure.has_changed(rule.symbols, rule.seen):
+                rule.seen = self.structure.clock
+                missing = [
+                    (source, target)
+                    for source, targets in linked_by(self.structure, rule.chain)
+                    for target in targets - self.structure.successors(rule.sup).get(source, set())
+                ]
+                for source, target in missing:
+                    changed = self.structure.link(rule.sup, source, target) or changed
+        return changed
+
+    def _follow_values(self) -> bool:
+        changed = False
+        for sub, sup in self._program.values:
+            given = [(x, value) for x, own in self.structure.values.get(sub, {}).items() for value in own]
+            for thing, value in given:
+                changed = self.structure.give(sup, thing, value) or changed
+        return changed
+
+    def _follow(self, rules: list[_Inclusion]) -> bool:
+        if self._deadline is not None and time.monotonic() > self._deadline:
+            raise _OutOfTimeError
+        changed = False
+        for rule in list(rules):
+            if not self.structure.has_changed(rule.symbols, rule.seen):
+                continue
+            rule.seen = self.structure.clock
+            missing = self.structure.members(rule.sub, True) - self.structure.members(rule.sup, True)
+            if missing:
+                changed = self.require(missing, rule.sup) or changed
+                if changed and rules is self._rules[4]:
+                    return True
+        return changed
+
+    def require(self, things: Set[int], tree: Tree) -> bool:
+        """Give things what makes them members of a class expression, if possible; whether something changed."""
+        if isinstance(tree, str):
+            return tree not in (THING_IRI, NOTHING_IRI) and self.structure.put(tree, things)
+        keyword, *parts = tree
+        match keyword:
+            case "ObjectIntersectionOf":
+                return _some(self.require(things, part) for part in parts)
+            case "ObjectHasValue":
+                target = self.individual(str(parts[1]))
+                return _some(self.structure.link(parts[0], thing, target) for thing in sorted(things))
+            case "ObjectHasSelf":
+                return _some(self.structure.link(parts[0], thing, thing) for thing in sorted(things))
+            case "ObjectSomeValuesFrom":
+                return _some(self._link(thing, parts[0], parts[1], 0) for thing in sorted(things))
+            case "ObjectMinCardinality":
+                filler = parts[2] if len(parts) > 2 else THING_IRI
+                numbers = range(int(str(parts[0])))
+                return _some(self._link(x, parts[1], filler, number) for x in sorted(things) for number in numbers)
+            case "ObjectExactCardinality":
+                least, most = ("ObjectMinCardinality", *parts), ("ObjectMaxCardinality", *parts)
+                return _some((self.require(things, least), self._mark(things, most)))
+            case "ObjectComplementOf":
+                given = complement(parts[0])
+                return given[0] != "ObjectComplementOf" and self.require(things, given)
+            case "DataHasValue":
+                return _some(self.structure.give(str(parts[0]), thing, parts[1]) for thing in things)
+            case "DataSomeValuesFrom" if str(parts[1]).startswith(_XSD) or parts[1] == LITERAL:
+                return _some(self.structure.give(str(parts[0]), thing, ("value", parts[1])) for thing in things)
+            case "DataExactCardinality" | "DataMinCardinality" if parts[0] == "1" and len(parts) == 3:
+                return self.require(things, ("DataSomeValuesFrom", *parts[1:]))
+        return self._require_by_rule(things, tree)
+
+    def _require_by_rule(self, things: Set[int], tree: tuple[Tree, ...]) -> bool:
+        missing = things - self.structure.members(tree, True)
+        match tree[0]:
+            case "ObjectUnionOf":
+                return _some(self._choose(thing, tree[1:]) for thing in sorted(missing))
+            case "ObjectOneOf":
+                return _some(self._merge(self.individual(str(tree[1])), thing) for thing in sorted(missing))
+            case "ObjectMaxCardinality":
+                return _some(self._merge_targets(thing, tree) for thing in sorted(missing))
+            case "ObjectAllValuesFrom":
+                return self._mark(things, tree)
+        return False
+
+    def _mark(self, things: Set[int], tree: Tree) -> bool:
+        """Have things get what they need later, when it is known what else they have."""
+        marker = self._markers.get(tree)
+        if marker is None:
+            marker = self._markers[tree] = f"\0marker {len(self._markers)}"
+            if tree[0] == "ObjectAllValuesFrom":
+                self._rule(("ObjectSomeValuesFrom", inverse(tree[1]), marker), tree[2])
+            else:
+                self._rule(marker, tree)
+        return self.structure.put(marker, things)
+
+    def _link(self, thing: int, role: Tree, filler: Tree, number: int) -> bool:
+        return self.structure.link(role, thing, self._target(thing, role, filler, number))
+
+    def _target(self, thing: int, role: Tree, filler: Tree, number: int) -> int:
+        """The thing that a restriction needs: that of other things with the same restriction, if they are alike."""
+        level = self._levels[thing] % LEVELS + 1
+        key = (role, filler, number, level)
+        known = self._needed.get(key)
+        if known is None:
+            parts = filler[1:] if isinstance(filler, tuple) and filler[0] == "ObjectIntersectionOf" else (filler,)
+            named = [part for part in parts if isinstance(part, tuple) and part[0] == "ObjectOneOf" and len(part) == 2]
+            known = self.individual(str(named[0][1])) if named else self._thing(level)
+            self._needed[key] = known
+            for part in parts:
+                if isinstance(part, str) or part[0] not in ("ObjectUnionOf", "ObjectOneOf", "ObjectMaxCardinality"):
+                    self.require({known}, part)
+                elif part not in named:
+                    self._mark({known}, part)
+        return self.find(known)
+
+    def _choose(self, thing: int, parts: tuple[Tree, ...]) -> bool:
+        self.chose = True
+        start = self._turn % len(parts)
+        for part in (*parts[start:], *parts[:start]):
+            if not self._clashes(thing, part):
+                return self.require({thing}, part)
+        return False
+
+    def _clashes(self, thing: int, part: Tree) -> bool:
+        """Whether what a part of a union says clearly contradicts what is known of a thing."""
+        classes = self.structure.classes
+        conjuncts = part[1:] if isinstance(part, tuple) and part[0] == "ObjectIntersectionOf" else (part,)
+        for each in conjuncts:
+            if each == NOTHING_IRI:
+                return True
+            if isinstance(each, tuple):
+                if each[0] == "ObjectComplementOf" and thing in self.structure.members(each[1], False):
+                    return True
+                continue
+            if any(
+                thing in classes.get(other, ())
+                for name in self._all_above(each)
+                for other in self._program.apart.get(name, ())
+            ):
+                return True
+        return False
+
+    def _all_above(self, name: str) -> frozenset[str]:
+        known = self._above.get(name)
+        if known is None:
+            reached, waiting = {name}, [name]
+            while waiting:
+                news = self._program.above.get(waiting.pop(), set()) - reached
+                reached |= news
+                waiting += news
+            known = self._above[name] = frozenset(reached)
+        return known
+
+    def _merge_targets(self, thing: int, tree: tuple[Tree, ...]) -> bool:
+        number, fillers = int(str(tree[1])), self.structure.members(tree[3], False) if len(tree) > 3 else None
+        targets = self.structure.successors(tree[2]).get(thing, set())
+        found = sorted(targets if fillers is None else targets & fillers)
+        if not number or len(found) <= number:
+            return False
+        return _some(self._merge(found[number - 1], other) for other in found[number:])
+
+    def _merge(self, kept: int, gone: int) -> bool:
+        kept, gone = sorted((self.find(kept), self.find(gone)))
+        if kept == gone:
+            return False
+        self.structure.merge(kept, gone)
+        self._replaced[gone] = kept
+        return True
+
+    def prune(self) -> bool:
+        """Leave out what breaks axioms, until nothing does; whether there is something left for each individual."""
+        structure = self.structure
+        named = {self.find(thing) for thing in structure.individuals.values()}
+        broken = True
+        while broken:
+            broken = False
+            for tree in self._program.trees:
+                found = structure.broken(tree)
+                if found:
+                    structure.remove(set(found))
+                    broken = True
+                    if not named <= structure.things:
+                        return False
+        return True
+
+
+@dataclass
+class _Batch:
+    """A model, and the things in it that have offered tags."""
+
+    structure: Structure
+    things: Mapping[Concept, int]
+    rows: dict[Concept, frozenset[Concept]] = field(default_factory=dict)
+
+    def refuted(self, demanded: Concept) -> frozenset[Concept]:
+        """The offered concepts whose things are no members of a demanded one."""
+        known = self.rows.get(demanded)
+        if known is None:
+            try:
+                members = self.structure.members(tree_of(demanded), False)
+                known = frozenset(concept for concept, thing in self.things.items() if thing not in members)
+            except KeyError:  # an individual that the ontology doesn't know
+                known = frozenset()
+            self.rows[demanded] = known
+        return known
+
+
+class Countermodels:
+    """Models of one ontology in which offered tags have members, and what they show not to match."""
+
+    def __init__(self, ontology: Ontology) -> None:
+        self._program = _Program(ontology.trees.values())
+        self._batches: list[_Batch] = []
+        self._tried: set[Concept] = set()
+        self._none = bool(ontology.dropped)
+        self._some = False
+        self._builds_left = 0
+
+    @property
+    def possible(self) -> Set[Concept]:
+        """The offered concepts that something has in a model."""
+        return {concept for batch in self._batches for concept in batch.things}
+
+    def refuted(self, demanded: Concept) -> frozenset[Concept]:
+        """The offered concepts that are certainly not below a demanded one."""
+        return frozenset().union(*(batch.refuted(demanded) for batch in self._batches))
+
+    def build(self, offered: Iterable[Concept], demanded: Collection[Concept], time_limit_s: float | None) -> None:
+        """Look for models with offered concepts that are new, until they refute no more pairs or time is over."""
+        new = [concept for concept in offered if concept not in self._tried]
+        if self._none or not new:
+            return
+        self._tried.update(new)
+        deadline = None if time_limit_s is None else time.monotonic() + time_limit_s
+        self._builds_left = MOST_BUILDS
+        plain = [concept for concept in new if not _says_more_of_individuals(concept)]
+        special = [concept for concept in new if _says_more_of_individuals(concept)]
+        try:
+            for group in filter(None, (plain, special)):
+                self._build_all(sorted(group, key=in_functional_syntax), demanded, deadline)
+        except _OutOfTimeError:
+            return
+
+    def _build_all(self, group: list[Concept], demanded: Collection[Concept], deadline: float | None) -> None:
+        for turn in range(MOST_MODELS):
+            before = sum(len(self.refuted(each)) for each in demanded)
+            chose = self._build(group, turn, deadline)
+            if not chose or (turn and sum(len(self.refuted(each)) for each in demanded) == before):
+                return
+
+    def _build(self, group: list[Concept], turn: int, deadline: float | None) -> bool:
+        """Build a model, or one for each half of the group if there is none for all; whether it had choices.
+
+        Without a group the model is one of the ontology alone. Raises _OutOfTimeError.
+        """
+        if not self._builds_left:
+            raise _OutOfTimeError
+        self._builds_left -= 1
+        model = _Model(self._program, turn, deadline)
+        things = {concept: model.new(tree_of(concept)) for concept in group}
+        model.saturate()
+        if model.prune():
+            structure = model.structure
+            found = {
+                concept: model.find(thing)
+                for concept, thing in things.items()
+                if model.find(thing) in structure.members(tree_of(concept), True)
+            }
+            self._batches.append(_Batch(structure, found))
+            self._some = True
+        elif not group:
+            self._none = True
+        elif len(group) > 1:
+            if not self._some:
+                self._build([], turn, deadline)
+            half = len(group) // 2
+            if not self._none:
+                return _some(self._build(part, turn, deadline) for part in (group[:half], group[half:]))
+        return model.chose
+
+
+def tree_of(concept: Concept) -> Tree:
+    """The class expression of a concept."""
+    return parse(in_functional_syntax(concept))
+
+
+def _says_more_of_individuals(concept: Concept) -> bool:
+    """Whether a concept joins an individual with something else."""
+    if isinstance(concept, And) and any(isinstance(part, Nominal) for part in concept.parts):
+        return True
+    parts = getattr(concept, "parts", None) or [
+        getattr(concept, name) for name in ("filler", "concept") if hasattr(concept, name)
+    ]
+    return any(map(_says_more_of_individuals, parts))

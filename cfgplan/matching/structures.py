@@ -1,0 +1,406 @@
+"""Finite interpretations of an ontology's names, and which of their things break an axiom.
+
+A structure in which nothing breaks any axiom is a model: what does not hold in it does not follow from the ontology.
+Class expressions and axioms mean what they mean in OWL 2 Direct Semantics (W3C, 2012). Literals are only known by how
+they are written, so that expressions about them have members for certain, and others that may be members or not.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Set
+from functools import cache
+from itertools import combinations, pairwise
+from operator import ge, le
+from typing import Final, TypeAlias
+
+from cfgplan.matching.concepts import THING_IRI
+from cfgplan.matching.expressions import BUILT_IN_ROLE
+from cfgplan.matching.functional import Tree
+
+INVERSE: Final = "ObjectInverseOf"
+LITERAL: Final = "http://www.w3.org/2000/01/rdf-schema#Literal"
+_STRING: Final = "http://www.w3.org/2001/XMLSchema#string"
+_DOMAIN: Final = "\0domain"
+_WITH_DOMAIN: Final = frozenset(
+    (
+        *("ObjectComplementOf", "ObjectAllValuesFrom", "ObjectMinCardinality", "ObjectMaxCardinality"),
+        *("ObjectExactCardinality", "DataAllValuesFrom", "DataMinCardinality", "DataMaxCardinality"),
+        "DataExactCardinality",
+    )
+)
+_BUILT_IN_PROPERTIES: Final = frozenset(
+    f"{BUILT_IN_ROLE}{which}{kind}Property" for which in ("top", "bottom") for kind in ("Object", "Data")
+)
+_NOTHING_TO_BREAK: Final = frozenset(("Declaration", "DatatypeDefinition"))
+
+Links: TypeAlias = Mapping[int, Set[int]]
+
+
+class Structure:
+    """Things (numbers), the classes that they are in, the links between them, and the literals that they have."""
+
+    def __init__(self) -> None:
+        self.things: set[int] = set()
+        self.individuals: dict[str, int] = {}
+        self.classes: defaultdict[str, set[int]] = defaultdict(set)
+        self.values: defaultdict[str, defaultdict[int, set[Tree]]] = defaultdict(lambda: defaultdict(set))
+        self._links: defaultdict[str, defaultdict[int, set[int]]] = defaultdict(lambda: defaultdict(set))
+        self._back: defaultdict[str, defaultdict[int, set[int]]] = defaultdict(lambda: defaultdict(set))
+        self._changed: defaultdict[str, int] = defaultdict(int)
+        self._clock = 0
+        self._next = 0
+        self._known: dict[tuple[Tree, bool], tuple[int, Set[int]]] = {}
+
+    @property
+    def clock(self) -> int:
+        """How often something changed."""
+        return self._clock
+
+    def has_changed(self, symbols: Iterable[str], since: int) -> bool:
+        """Whether what some symbols stand for changed after a reading of the clock."""
+        return any(self._changed[symbol] > since for symbol in symbols)
+
+    def _touch(self, symbol: str) -> bool:
+        self._clock += 1
+        self._changed[symbol] = self._clock
+        return True
+
+    def add_thing(self) -> int:
+        """A new thing, of which nothing is said."""
+        thing = self._next
+        self._next += 1
+        self.things.add(thing)
+        self._touch(_DOMAIN)
+        return thing
+
+    def put(self, name: str, things: Set[int]) -> bool:
+        """Make things members of a class; whether some were not."""
+        members = self.classes[name]
+        if things <= members:
+            return False
+        members |= things
+        return self._touch(name)
+
+    def link(self, role: Tree, source: int, target: int) -> bool:
+        """Link one thing to another; whether that is new."""
+        if isinstance(role, tuple):
+            return self.link(role[1], target, source)
+        targets = self._links[role][source]
+        if target in targets:
+            return False
+        targets.add(target)
+        self._back[role][target].add(source)
+        return self._touch(role)
+
+    def give(self, name: str, thing: int, value: Tree) -> bool:
+        """Give a thing a literal, or something of a datatype; whether that is new."""
+        values = self.values[name][thing]
+        if value in values:
+            return False
+        values.add(value)
+        return self._touch(name)
+
+    def successors(self, role: Tree) -> Links:
+        """What each thing is linked to."""
+        if isinstance(role, tuple):
+            return self.predecessors(role[1])
+        return self._links.get(role, {})
+
+    def predecessors(self, role: Tree) -> Links:
+        """What is linked to each thing."""
+        if isinstance(role, tuple):
+            return self.successors(role[1])
+        return self._back.get(role, {})
+
+    def valued(self, name: Tree) -> Mapping[int, Set[Tree]]:
+        """The literals that things have for a data property."""
+        return self.values.get(str(name), {})
+
+    def merge(self, kept: int, gone: int) -> None:
+        """Make two things one."""
+        self.things.discard(gone)
+        for name, thing in self.individuals.items():
+            if thing == gone:
+                self.individuals[name] = kept
+        for members in self.classes.values():
+            if gone in members:
+                members.discard(gone)
+                members.add(kept)
+        for values in self.values.values():
+            if gone in values:
+                values[kept] |= values.pop(gone)
+        for role in list(self._links):
+            links = [(gone, target) for target in self._links[role].get(gone, ())]
+            links += [(source, gone) for source in self._back[role].get(gone, ())]
+            for source, target in links:
+                self._unlink(role, source, target)
+            for source, target in links:
+                self.link(role, kept if source == gone else source, kept if target == gone else target)
+        self._forget_all()
+
+    def remove(self, things: Set[int]) -> None:
+        """Leave things out."""
+        self.things -= things
+        for members in self.classes.values():
+            members -= things
+        for values in self.values.values():
+            for thing in things & values.keys():
+                del values[thing]
+        for role in list(self._links):
+            links, back = self._links[role], self._back[role]
+            lost = [(source, target) for source in things & links.keys() for target in links[source]]
+            lost += [(source, target) for target in things & back.keys() for source in back[target]]
+            for source, target in lost:
+                self._unlink(role, source, target)
+        self._forget_all()
+
+    def _unlink(self, role: str, source: int, target: int) -> None:
+        self._links[role][source].discard(target)
+        self._back[role][target].discard(source)
+
+    def _forget_all(self) -> None:
+        self._known.clear()
+        self._clock += 1
+        for symbol in self._changed:
+            self._changed[symbol] = self._clock
+
+    def members(self, tree: Tree, certain: bool) -> Set[int]:
+        """The members of a class expression: the `certain` ones only, or all that may be. Not to be changed.
+
+        Raises KeyError for an individual that the structure doesn't have.
+        """
+        if isinstance(tree, str):
+            return self.things if tree == THING_IRI else self.classes.get(tree, frozenset())
+        known = self._known.get((tree, certain))
+        if known is not None and not self.has_changed(symbols_of(tree), known[0]):
+            return known[1]
+        found = self._find(tree, certain)
+        self._known[tree, certain] = self._clock, found
+        return found
+
+    def _find(self, tree: tuple[Tree, ...], certain: bool) -> Set[int]:
+        keyword, *parts = tree
+        match keyword:
+            case "ObjectIntersectionOf":
+                first, *others = sorted((self.members(part, certain) for part in parts), key=len)
+                return set(first).intersection(*others)
+            case "ObjectUnionOf":
+                return set().union(*(self.members(part, certain) for part in parts))
+            case "ObjectComplementOf":
+                return self.things - self.members(parts[0], not certain)
+            case "ObjectOneOf":
+                return {self.individuals[str(name)] for name in parts}
+            case "ObjectHasValue":
+                return self.predecessors(parts[0]).get(self.individuals[str(parts[1])], set())
+            case "ObjectHasSelf":
+                return {thing for thing, targets in self.successors(parts[0]).items() if thing in targets}
+            case "ObjectSomeValuesFrom":
+                return self._linked_to(parts[0], self.members(parts[1], certain))
+            case "ObjectAllValuesFrom":
+                return self.things - self._linked_to(parts[0], self.things - self.members(parts[1], certain))
+            case "ObjectMinCardinality":
+                return self._counted(parts, certain, ge)
+            case "ObjectMaxCardinality":
+                return self._counted(parts, not certain, le)
+            case "ObjectExactCardinality":
+                least, most = (("ObjectMinCardinality", *parts), ("ObjectMaxCardinality", *parts))
+                return self.members(least, certain) & self.members(most, certain)
+        return self._with_values(str(keyword), parts, certain)
+
+    def _linked_to(self, role: Tree, targets: Set[int]) -> Set[int]:
+        back = self.predecessors(role)
+        return set().union(*(back[target] for target in targets & back.keys()))
+
+    def _counted(self, parts: list[Tree], certain: bool, fits: Callable[[int, int], bool]) -> Set[int]:
+        number, links = int(str(parts[0])), self.successors(parts[1])
+        fillers = self.members(parts[2], certain) if len(parts) > 2 else self.things
+        return {thing for thing in self.things if fits(len(links.get(thing, set()) & fillers), number)}
+
+    def _with_values(self, keyword: str, parts: list[Tree], certain: bool) -> Set[int]:
+        """The members of an expression about literals; everything may be in one that is not understood."""
+        if keyword in ("DataSomeValuesFrom", "DataHasValue", "DataAllValuesFrom") and len(parts) == 2:
+            values, wanted = self.valued(parts[0]), parts[1]
+            if keyword == "DataAllValuesFrom":
+                doubtful = {x for x, own in values.items() if not all(surely_in(value, wanted) for value in own)}
+                return self.things - doubtful if certain else self.things
+            if not certain:
+                return {thing for thing, own in values.items() if own}
+            if keyword == "DataHasValue":
+                return {thing for thing, own in values.items() if wanted in own}
+            return {thing for thing, own in values.items() if any(surely_in(value, wanted) for value in own)}
+        if keyword == "DataMinCardinality" and certain and str(parts[0]) == "1" and len(parts) == 3:
+            return self.members(("DataSomeValuesFrom", *parts[1:]), True)
+        if keyword == "DataMaxCardinality" and certain:
+            number = int(str(parts[0]))
+            return self.things - {thing for thing, own in self.valued(parts[1]).items() if len(own) > number}
+        if keyword == "DataExactCardinality":
+            least, most = ("DataMinCardinality", *parts), ("DataMaxCardinality", *parts)
+            return self.members(least, certain) & self.members(most, certain)
+        return set() if certain else self.things
+
+    def broken(self, axiom: tuple[Tree, ...]) -> Set[int]:
+        """The things by which an axiom does not hold, or may not hold: without any it holds.
+
+        If there are any, then it may hold without them.
+        """
+        keyword, *parts = axiom
+        if keyword in _NOTHING_TO_BREAK:
+            return set()
+        rule = _BROKEN.get(str(keyword))
+        if rule is None or _mentions_built_in_property(axiom):
+            return self.things
+        return rule(self, parts)
+
+
+def _not_in(structure: Structure, sub: Tree, sup: Tree) -> Set[int]:
+    return structure.members(sub, False) - structure.members(sup, True)
+
+
+def _equivalent(structure: Structure, parts: list[Tree]) -> Set[int]:
+    return set().union(*(_not_in(structure, one, other) for one, other in pairwise([*parts, parts[0]])))
+
+
+def _disjoint(structure: Structure, parts: list[Tree]) -> Set[int]:
+    seen: set[int] = set()
+    twice: set[int] = set()
+    for part in parts:
+        members = structure.members(part, False)
+        twice |= seen & members
+        seen |= members
+    return twice
+
+
+def _disjoint_union(structure: Structure, parts: list[Tree]) -> Set[int]:
+    whole, *others = parts
+    return _equivalent(structure, [whole, ("ObjectUnionOf", *others)]) | _disjoint(structure, others)
+
+
+def linked_by(structure: Structure, chain: Tree) -> Iterator[tuple[int, Set[int]]]:
+    """What each thing is linked to by a role or a chain of roles."""
+    roles = chain[1:] if isinstance(chain, tuple) and chain[0] == "ObjectPropertyChain" else (chain,)
+    first, *others = map(structure.successors, roles)
+    for thing, targets in first.items():
+        reached: Set[int] = targets
+        for links in others:
+            reached = set().union(*(links[target] for target in reached & links.keys()))
+        yield thing, reached
+
+
+def _sub_role(structure: Structure, sub: Tree, sup: Tree) -> Set[int]:
+    above = structure.successors(sup)
+    return {thing for thing, targets in linked_by(structure, sub) if not targets <= above.get(thing, set())}
+
+
+def _equivalent_roles(structure: Structure, parts: list[Tree]) -> Set[int]:
+    return set().union(*(_sub_role(structure, one, other) for one, other in pairwise([*parts, parts[0]])))
+
+
+def _disjoint_roles(structure: Structure, parts: list[Tree]) -> Set[int]:
+    links = [structure.successors(part) for part in parts]
+    return {x for one, other in combinations(links, 2) for x in one.keys() & other.keys() if one[x] & other[x]}
+
+
+def _functional(structure: Structure, role: Tree) -> Set[int]:
+    return {thing for thing, targets in structure.successors(role).items() if len(targets) > 1}
+
+
+def _asserted(structure: Structure, parts: list[Tree]) -> Set[int]:
+    role, one, other = parts
+    source, target = structure.individuals[str(one)], structure.individuals[str(other)]
+    return set() if target in structure.successors(role).get(source, ()) else {source}
+
+
+def _denied(structure: Structure, parts: list[Tree]) -> Set[int]:
+    return {structure.individuals[str(parts[1])]} - _asserted(structure, parts)
+
+
+def _same(structure: Structure, parts: list[Tree]) -> Set[int]:
+    things = {structure.individuals[str(name)] for name in parts}
+    return things if len(things) > 1 else set()
+
+
+def _different(structure: Structure, parts: list[Tree]) -> Set[int]:
+    things = [structure.individuals[str(name)] for name in parts]
+    return {thing for thing in things if things.count(thing) > 1} if len(set(things)) < len(things) else set()
+
+
+def _sub_values(structure: Structure, sub: Tree, sup: Tree) -> Set[int]:
+    above = structure.valued(sup)
+    return {x for x, own in structure.valued(sub).items() if not own <= above.get(x, set())}
+
+
+def _has_value(structure: Structure, parts: list[Tree]) -> Set[int]:
+    thing = structure.individuals[str(parts[1])]
+    return set() if parts[2] in structure.valued(parts[0]).get(thing, ()) else {thing}
+
+
+def _valued(structure: Structure, name: Tree) -> Set[int]:
+    return {thing for thing, own in structure.valued(name).items() if own}
+
+
+_BROKEN: Final[Mapping[str, Callable[[Structure, list[Tree]], Set[int]]]] = {
+    "SubClassOf": lambda s, p: _not_in(s, p[0], p[1]),
+    "EquivalentClasses": _equivalent,
+    "DisjointClasses": _disjoint,
+    "DisjointUnion": _disjoint_union,
+    "SubObjectPropertyOf": lambda s, p: _sub_role(s, p[0], p[1]),
+    "EquivalentObjectProperties": _equivalent_roles,
+    "InverseObjectProperties": lambda s, p: _equivalent_roles(s, [p[0], inverse(p[1])]),
+    "DisjointObjectProperties": _disjoint_roles,
+    "SymmetricObjectProperty": lambda s, p: _sub_role(s, p[0], inverse(p[0])),
+    "AsymmetricObjectProperty": lambda s, p: _disjoint_roles(s, [p[0], inverse(p[0])]),
+    "TransitiveObjectProperty": lambda s, p: _sub_role(s, ("ObjectPropertyChain", p[0], p[0]), p[0]),
+    "ReflexiveObjectProperty": lambda s, p: s.things - s.members(("ObjectHasSelf", p[0]), True),
+    "IrreflexiveObjectProperty": lambda s, p: s.members(("ObjectHasSelf", p[0]), False),
+    "FunctionalObjectProperty": lambda s, p: _functional(s, p[0]),
+    "InverseFunctionalObjectProperty": lambda s, p: _functional(s, inverse(p[0])),
+    "ObjectPropertyDomain": lambda s, p: _not_in(s, ("ObjectSomeValuesFrom", p[0], THING_IRI), p[1]),
+    "ObjectPropertyRange": lambda s, p: _not_in(s, ("ObjectSomeValuesFrom", inverse(p[0]), THING_IRI), p[1]),
+    "ClassAssertion": lambda s, p: {s.individuals[str(p[1])]} - s.members(p[0], True),
+    "ObjectPropertyAssertion": _asserted,
+    "NegativeObjectPropertyAssertion": _denied,
+    "SameIndividual": _same,
+    "DifferentIndividuals": _different,
+    "SubDataPropertyOf": lambda s, p: _sub_values(s, p[0], p[1]),
+    "EquivalentDataProperties": lambda s, p: set().union(
+        *(_sub_values(s, one, other) for one, other in pairwise([*p, p[0]]))
+    ),
+    "DisjointDataProperties": lambda s, p: set().union(
+        *(_valued(s, one) & _valued(s, other) for one, other in combinations(p, 2))
+    ),
+    "DataPropertyDomain": lambda s, p: _valued(s, p[0]) - s.members(p[1], True),
+    "DataPropertyRange": lambda s, p: s.things - s.members(("DataAllValuesFrom", p[0], p[1]), True),
+    "FunctionalDataProperty": lambda s, p: {x for x, own in s.valued(p[0]).items() if len(own) > 1},
+    "DataPropertyAssertion": _has_value,
+    "NegativeDataPropertyAssertion": lambda s, p: {s.individuals[str(p[1])]} & _valued(s, p[0]),
+}
+
+
+def inverse(role: Tree) -> Tree:
+    """The inverse of a role."""
+    return role[1] if isinstance(role, tuple) else (INVERSE, role)
+
+
+def surely_in(value: Tree, datatype: Tree) -> bool:
+    """Whether a literal, or something of a datatype, is in a datatype for certain."""
+    if datatype == LITERAL:
+        return True
+    if isinstance(value, tuple):
+        return value[1] == datatype
+    return value.endswith(f'"^^<{datatype}>') or (datatype == _STRING and value.endswith('"'))
+
+
+@cache
+def symbols_of(tree: Tree) -> frozenset[str]:
+    """The names on which the members of an expression depend."""
+    if isinstance(tree, str):
+        return frozenset((_DOMAIN if tree == THING_IRI else tree,))
+    return frozenset().union(*map(symbols_of, tree[1:]), {_DOMAIN} if tree[0] in _WITH_DOMAIN else ())
+
+
+def _mentions_built_in_property(tree: Tree) -> bool:
+    """Whether the universal or the empty property is in an axiom."""
+    if isinstance(tree, str):
+        return tree in _BUILT_IN_PROPERTIES
+    return any(map(_mentions_built_in_property, tree[1:]))
