@@ -13,6 +13,7 @@ from typing import Final
 from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI, Concept, in_description_logic
 from cfgplan.matching.faults import UnknownNameError
 from cfgplan.matching.functional import Signature, Tree, parse
+from cfgplan.matching.literals import told
 from cfgplan.matching.names import Vocabulary, expanded, normal, short_name, suggestion
 
 _BRACKETED: Final = re.compile(r"<([^<>\s]+)>")
@@ -41,7 +42,7 @@ class Ontology:
         self.prefixes: Mapping[str, str] = MappingProxyType({normal(p): normal(iri) for p, iri in written.items()})
         self.is_open = is_open
         self.files = tuple(files)
-        self.dropped: Mapping[str, str] = MappingProxyType(dict(sorted((dropped or {}).items())))
+        self._dropped = dict(dropped or {})
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Ontology):
@@ -71,9 +72,26 @@ class Ontology:
         return hashlib.sha256(lines.encode()).hexdigest()
 
     @cached_property
+    def _told(self) -> tuple[frozenset[str], Mapping[str, str]]:
+        return told(self.axioms)
+
+    @property
+    def told(self) -> frozenset[str]:
+        """The axioms as reasoners can be told them: with literals of datatypes that they know."""
+        return self._told[0]
+
+    @cached_property
+    def dropped(self) -> Mapping[str, str]:
+        """What the files say and no reasoner is told, with the reason."""
+        return MappingProxyType(dict(sorted({**self._dropped, **self._told[1]}.items())))
+
+    @cached_property
     def warnings(self) -> tuple[str, ...]:
         """A sentence on each thing that no reasoner is told."""
-        return tuple(f"the ontology says more than cfgplan reads: {text}: {why}" for text, why in self.dropped.items())
+        return tuple(
+            f"the ontology says more than cfgplan reads: {self.shortened(text)}: {self.shortened(why)}"
+            for text, why in self.dropped.items()
+        )
 
     @cached_property
     def _signature(self) -> Signature:

@@ -1,7 +1,6 @@
 """Questions to a reference reasoner: which tags are below which, what can exist, and which ontology it is told.
 
 Names are written in ASCII, tags as classes `t:N`, so that the answer can't be garbled by a locale.
-Literals of datatypes that OWL 2 lacks, such as dates, are told as texts.
 """
 
 from __future__ import annotations
@@ -30,17 +29,6 @@ class Reference(Protocol):
         ...
 
 
-_KNOWN_DATATYPES: Final = frozenset(
-    (
-        *("string", "normalizedString", "token", "language", "Name", "NCName", "NMTOKEN", "boolean", "anyURI"),
-        *("decimal", "integer", "nonNegativeInteger", "nonPositiveInteger", "positiveInteger", "negativeInteger"),
-        *("long", "int", "short", "byte", "unsignedLong", "unsignedInt", "unsignedShort", "unsignedByte"),
-        *("double", "float", "hexBinary", "base64Binary", "dateTime", "dateTimeStamp"),
-    )
-)
-"""The XML Schema datatypes of OWL 2; a reasoner may refuse an ontology for any other."""
-_XSD: Final = re.compile(r"<http://www\.w3\.org/2001/XMLSchema#(\w+)>")
-_TYPED: Final = re.compile(r'"((?:[^"\\]|\\.)*)"\^\^<http://www\.w3\.org/2001/XMLSchema#(\w+)>')
 _NON_ASCII: Final = re.compile(r"[^\x00-\x7f]")
 
 
@@ -95,26 +83,9 @@ def _document(ontology: Ontology, number: Mapping[Concept, int], keyword: str) -
         *(f"Declaration(NamedIndividual(<{iri}>))" for iri in sorted(signature.individuals)),
         *(f"Declaration(Class(<{_tag_iri(index)}>))" for index in number.values()),
     ]
-    axioms = [
-        told
-        for axiom in sorted(ontology.axioms)
-        if not axiom.startswith("Declaration(") and (told := _with_known_datatypes(axiom))
-    ]
+    axioms = [axiom for axiom in sorted(ontology.told) if not axiom.startswith("Declaration(")]
     lines = ["Ontology(<t:ontology>", *declared, *axioms, *tags, ")", ""]
     return _NON_ASCII.sub(lambda found: f"_u{ord(found.group()):x}_", "\n".join(lines))
-
-
-def _with_known_datatypes(axiom: str) -> str:
-    """The axiom with literals of other datatypes as texts; nothing if it restricts literals to such a datatype."""
-    if '"' in axiom:
-        axiom = _TYPED.sub(_text_of, axiom)
-    if axiom.startswith("Data") or "(Data" in axiom:
-        return "" if any(name not in _KNOWN_DATATYPES for name in _XSD.findall(axiom)) else axiom
-    return axiom
-
-
-def _text_of(literal: re.Match[str]) -> str:
-    return literal.group() if literal[2] in _KNOWN_DATATYPES else f'"{literal[1]} ({literal[2]})"'
 
 
 def _tag_iri(number: int) -> str:

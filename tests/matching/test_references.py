@@ -77,6 +77,55 @@ def test_literals_of_datatypes_that_hermit_does_not_know_are_no_obstacle(streams
     assert match(["Image"], ["¬Device"], dated).similarity.holds("Image", "¬Device")
 
 
+DATE = "<http://www.w3.org/2001/XMLSchema#date>"
+MAP = "<http://www.opengis.net/ont/geosparql#wktLiteral>"
+SINCE, AT = "DataPropertyAssertion(<w#since> <w#cam1>", "DataPropertyAssertion(<w#at> <w#cam1>"
+STRING = "<http://www.w3.org/2001/XMLSchema#string>"
+
+
+@pytest.mark.parametrize(
+    ("axioms", "is_open"),
+    [
+        (
+            [f"DataPropertyRange(<w#since> {DATE})", f'DataPropertyAssertion(<w#since> <w#cam1> "2020-01-01"^^{DATE})'],
+            False,
+        ),
+        (
+            [f'DataPropertyAssertion(<w#at> <w#cam1> "POINT(1 2)"^^{MAP})', "DataPropertyDomain(<w#at> <w#Device>)"],
+            False,
+        ),
+        ([f"DataPropertyRange(<w#since> {DATE})", f'{SINCE} "then")'], True),
+        ([f"DataPropertyRange(<w#at> {STRING})", f'{AT} "1"^^{MAP})'], True),
+        ([f"SubClassOf(<w#RawRGB> DataSomeValuesFrom(<w#since> {DATE}))"], True),
+        (
+            [
+                "FunctionalDataProperty(<w#at>)",
+                "SubDataPropertyOf(<w#in> <w#at>)",
+                f'DataPropertyAssertion(<w#in> <w#cam1> "1"^^{MAP})',
+                f'DataPropertyAssertion(<w#in> <w#cam1> "01"^^{MAP})',
+            ],
+            True,
+        ),
+    ],
+)
+def test_what_the_loss_of_a_literal_may_change_is_open(streams: Ontology, axioms: list[str], is_open: bool) -> None:
+    ontology = Ontology([*streams.axioms, *axioms])
+    found = match(["Image", "RawRGB"], ["¬Device", "Undistorted"], ontology, reasoner="hermit")
+    assert found.similarity.holds("RawRGB", "¬Device")
+    assert bool(ontology.dropped) is is_open
+    assert found.similarity.is_open("RawRGB", "Undistorted") is is_open
+
+
+def test_the_domain_of_a_literal_that_is_not_told_still_follows(streams: Ontology) -> None:
+    axioms = [
+        "FunctionalDataProperty(<w#at>)",
+        "DataPropertyDomain(<w#at> <w#Device>)",
+        f'DataPropertyAssertion(<w#at> <w#thing> "1"^^{MAP})',
+    ]
+    found = match(["{thing}"], ["Device"], Ontology([*streams.axioms, *axioms]), reasoner="hermit")
+    assert found.similarity.holds("{thing}", "Device")
+
+
 CHAIN_INTO_A_RANGE = [
     *(f"Declaration(Class(<w#{name}>))" for name in "ABC"),
     "Declaration(ObjectProperty(<w#r>))",
