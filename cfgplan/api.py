@@ -203,15 +203,21 @@ def plan(
 ) -> Plan:
     """The optimal update, by one of `PLANNER_NAMES`, accepted by the judge.
 
-    Raises InputError for an unknown planner, and UntruthfulPlanError if the judge does not accept the plan.
+    Raises InputError for an unknown planner, and what `accepted` does.
     """
     chosen = PLANNERS[known(planner, PLANNERS, "planner")]
     return accepted(problem, chosen(problem, time_limit_s=time_limit_s, report=report))
 
 
 def accepted(problem: Problem, answer: Plan) -> Plan:
-    """A planner's answer, if the judge accepts it; raises UntruthfulPlanError."""
-    found = plan_violations(problem, answer)
+    """A planner's answer, if the judge accepts it.
+
+    Raises UntruthfulPlanError if not, and PlannerFaultError if the judge fails; both have the plan.
+    """
+    try:
+        found = plan_violations(problem, answer)
+    except Exception as error:
+        raise PlannerFaultError(f"the judge failed: {type(error).__name__}: {error}", answer) from error
     if found:
         raise UntruthfulPlanError(answer, found)
     return answer

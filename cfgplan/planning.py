@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
 from threading import Event
@@ -177,10 +177,13 @@ class Plan:
 
 
 class PlannerFaultError(CfgplanError):
-    """A bug of a planner, never of the input; `plan` is what it had found by then."""
+    """A bug, never of the input, after a plan was found: `plan` is that plan, of which nothing counts as proven."""
 
     def __init__(self, message: str, plan: Plan) -> None:
         self.plan = plan
+        if plan.change_set is not None and plan.cost_us is not None:
+            status = Status.of_plan(plan.cost_us, 0)
+            self.plan = replace(plan, status=status, bound_us=0, ties_proven=False, required_proven=False)
         super().__init__(message)
 
 

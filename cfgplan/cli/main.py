@@ -33,6 +33,7 @@ from cfgplan.cli.interrupts import Ending, ended_cleanly
 from cfgplan.cli.overwriting import refuse_overwriting
 from cfgplan.cli.screen import Screen
 from cfgplan.errors import CfgplanError, Fault, InputError
+from cfgplan.planning import PlannerFaultError
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 _EXTRA_OF = {"cv2": "demo", "jinja2": "demo", "matplotlib": "plots", "prometheus_client": "metrics"}
@@ -66,7 +67,8 @@ def _main(arguments: Sequence[str], ending: Ending) -> int:
             refuse_overwriting(options)
             code = Exit(options.run(options, screen))
         except (CfgplanError, ModuleNotFoundError) as error:
-            if isinstance(error, ModuleNotFoundError) and (error.name or "").startswith("cfgplan"):
+            missing = error.name or "" if isinstance(error, ModuleNotFoundError) else ""
+            if isinstance(error, PlannerFaultError) or missing.startswith("cfgplan"):
                 raise
             code = Exit.BAD_INPUT
             _tell(error, screen, getattr(options, "env", None))

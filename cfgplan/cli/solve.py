@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
+from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import OF_STATUS, Exit
 from cfgplan.cli.front import add_front, show_front
 from cfgplan.cli.screen import Screen
 from cfgplan.errors import InputError
-from cfgplan.planning import Status
+from cfgplan.planning import PlannerFaultError, Status
 
 if TYPE_CHECKING:
     from cfgplan.api import World
@@ -58,18 +60,28 @@ def add_to(verbs: shared.Subparsers) -> None:
 
 
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
-    from cfgplan import answers, api
-
     if options.plot and options.front is None:
         raise InputError.of("--plot draws what --front finds", mend="add --front; `cfgplan graph` draws an update")
     if options.out and options.front is not None:
         raise InputError.of("--out writes one plan, but --front finds several", mend="use --json, or --plot FILE")
     world = shared.load(options, screen)
     problem = shared.problem(options, screen, world)
-    if options.front is not None:
-        return show_front(options, screen, problem)
-    if options.alternatives:
-        return _alternatives(options, screen, world, problem)
+    try:
+        if options.front is not None:
+            return show_front(options, screen, problem)
+        if options.alternatives:
+            return _alternatives(options, screen, world, problem)
+        return _solve(options, screen, world, problem)
+    except PlannerFaultError as error:
+        if error.plan.change_set is None or os.environ.get("CFGPLAN_TRACEBACK"):
+            raise
+        return _show_unjudged(screen, world, problem, error)
+
+
+def _solve(options: argparse.Namespace, screen: Screen, world: World, problem: Problem) -> Exit:
+    from cfgplan import answers, api
+    from cfgplan.cli.update_text import update_text
+
     is_proven = True
     with screen.phase("plan"):
         if options.best_effort:
@@ -78,15 +90,18 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         else:
             report = shared.progress_report(screen) if options.progress else None
             plan = api.plan(problem, planner=options.planner, time_limit_s=options.timeout, report=report)
-    document = api.plan_text(world, problem, plan)
-    if options.out:
-        api.write_file(Path(options.out), document.encode())
-    if screen.json:
+    try:
+        document = api.plan_text(world, problem, plan)
+        shown = None if screen.json else update_text(problem, plan)
+    except Exception as error:
+        raise PlannerFaultError(f"it can't be told: {type(error).__name__}: {error}", plan) from error
+    if shown is None:
         screen.write(document)
     else:
-        from cfgplan.cli.update_text import update_text
-
-        screen.show(update_text(problem, plan))
+        screen.show(shown)
+    if options.out:
+        api.write_file(Path(options.out), document.encode())
+    if not screen.json:
         if not is_proven:
             screen.warn("time ran out before it was proven that no better set of targets can be met")
         if options.verbose:
@@ -105,6 +120,28 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     return OF_STATUS[plan.status]
 
 
+def _show_unjudged(screen: Screen, world: World, problem: Problem, error: PlannerFaultError) -> Exit:
+    """Print a plan that nobody vouches for and why not; as plain data where even its text fails."""
+    from cfgplan import api
+    from cfgplan.cli.update_text import update_text
+
+    document: dict[str, Any] = {"cost_us": error.plan.cost_us, "change_set": repr(error.plan.change_set)}
+    with suppress(Exception):
+        document = json.loads(api.plan_text(world, problem, error.plan))
+    shown = None
+    if not screen.json:
+        with suppress(Exception):
+            shown = update_text(problem, error.plan)
+    if shown is None:
+        screen.show_json({**document, "unjudged": str(error)})
+    else:
+        screen.show(shown)
+    if not screen.json:
+        screen.note(f"This plan is unjudged, do not rely on it: {error}", style="bold red")
+        screen.note("This is a bug in cfgplan: CFGPLAN_TRACEBACK=1 shows where; please report it.")
+    return Exit.INTERNAL
+
+
 def _alternatives(options: argparse.Namespace, screen: Screen, world: World, problem: Problem) -> Exit:
     from cfgplan import answers, api
 
@@ -113,8 +150,7 @@ def _alternatives(options: argparse.Namespace, screen: Screen, world: World, pro
             problem, options.alternatives, planner=options.planner, time_limit_s=options.timeout
         )
     if not found.plans:
-        options.alternatives = None
-        return run(options, screen)
+        return _solve(options, screen, world, problem)
     documents = [api.plan_text(world, problem, plan) for plan in found.plans]
     if options.out:
         api.write_file(Path(options.out), documents[0].encode())

@@ -8,10 +8,13 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
 from command import MODELS, Run
 
 from cfgplan.cli.update_text import why_unused
 from cfgplan.domain import ChangeSet
+from cfgplan.errors import InputError
+from cfgplan.formats import load_plan
 from cfgplan.planning import Plan, Status
 
 LOST = MODELS / "nao" / "2-segmenter-lost.yaml"
@@ -135,3 +138,56 @@ def test_an_ontology_that_is_not_there_is_told_with_the_key_that_names_it(
     result = run("solve", write("ontology: https://example.org/robots.ttl\n"))
     assert result.code == 30
     assert "web addresses are not fetched" in result.err
+
+
+def _break_the_judge(*_: object) -> list[object]:
+    raise RecursionError("too deep")
+
+
+def _refuse(*_: object) -> list[str]:
+    return ["the update costs 1 us"]
+
+
+@pytest.mark.parametrize(
+    ("broken", "what", "told"),
+    [
+        ("cfgplan.api.plan_violations", _break_the_judge, "the judge failed: RecursionError: too deep"),
+        ("cfgplan.api.plan_violations", _refuse, "the answer of planner cpsat is wrong: the update costs 1 us"),
+        ("cfgplan.cli.update_text._summary", _break_the_judge, "it can't be told: RecursionError: too deep"),
+        ("cfgplan.api.plan_text", _break_the_judge, "it can't be told: RecursionError: too deep"),
+    ],
+)
+def test_a_plan_is_printed_and_marked_whatever_fails_after_it_was_found(
+    run: Run, monkeypatch: pytest.MonkeyPatch, broken: str, what: Callable[..., object], told: str
+) -> None:
+    monkeypatch.setattr(broken, what)
+    result = run("solve", MODELS / "nao/2-segmenter-lost.yaml")
+    assert result.code == 31
+    assert "segmenter(piff).1" in result.out
+    assert "Optimal" not in result.out
+    assert f"This plan is unjudged, do not rely on it: {told}" in result.err
+    assert "Traceback" not in result.err
+
+
+def test_an_unjudged_plan_is_one_json_document_that_says_so_and_can_not_be_loaded(
+    run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("cfgplan.api.plan_violations", _break_the_judge)
+    result = run("solve", MODELS / "nao/2-segmenter-lost.yaml", "--json", "--out", tmp_path / "plan.json")
+    assert result.code == 31
+    assert result.document["unjudged"] == "the judge failed: RecursionError: too deep"
+    assert [unit["id"] for unit in result.document["change_set"]["started"]] == ["segmenter(piff).1"]
+    assert (result.document["status"], result.document["bound_us"]) == ("feasible", 0)
+    assert not (tmp_path / "plan.json").exists()
+    (tmp_path / "kept.json").write_text(result.out)
+    with pytest.raises(InputError, match="unjudged"):
+        load_plan(tmp_path / "kept.json")
+
+
+def test_where_nothing_was_found_before_a_fault_there_is_only_the_fault(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cfgplan.api.plan_violations", _break_the_judge)
+    result = run("solve", MODELS / "nao/0-target-only.yaml")
+    assert (result.code, result.out) == (31, "")
+    assert "the judge failed" in result.err

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from threading import Event
 
 from cfgplan.errors import CfgplanError
-from cfgplan.planning import Plan, PlannerFaultError, Status
+from cfgplan.planning import Plan, PlannerFaultError
 
 STOPPING_S = 10.0
 """So long after `stop` is set a first plan may still be looked for, if there is none yet."""
@@ -65,7 +64,7 @@ class Clock:
         """Work until that ends or the time is over. After Ctrl-C it is begun again to end soon if there is no plan yet.
 
         A second Ctrl-C raises KeyboardInterrupt. Raises PlannerFaultError with the plan so far, if there is one, where
-        a bug ends the work; of that plan nothing counts as proven.
+        a bug ends the work.
         """
         try:
             try:
@@ -80,10 +79,8 @@ class Clock:
             raise
         except Exception as error:
             found = so_far()
-            if found.change_set is None or found.cost_us is None:
+            if found.change_set is None:
                 raise
-            status = Status.of_plan(found.cost_us, 0)
-            unproven = replace(found, status=status, bound_us=0, ties_proven=False, required_proven=False)
             raise PlannerFaultError(
-                f"planner {found.planner} failed after it had found a plan: {error}", unproven
+                f"planner {found.planner} failed after it had found a plan: {error}", found
             ) from error

@@ -103,7 +103,11 @@ class Deliberation:
                 thought.cause = f"{type(error).__name__}: {error}"
                 return thought
         with thought.timed("judge"):
-            self._judge(thought, found, similarity, optimises=optimises)
+            try:
+                self._judge(thought, found, similarity, optimises=optimises)
+            except Exception as error:  # what nobody has judged is not carried out
+                thought.decision, thought.change_set = Decision.UNDECIDED, None
+                thought.cause = f"the judge failed: {type(error).__name__}: {error}"
         return thought
 
     def prepare(self, world: World, similarity: Similarity, running: Environment, situation: Situation) -> None:
