@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from functools import partial
 from threading import Event
 from typing import TYPE_CHECKING, Literal, TypeAlias
@@ -11,9 +12,10 @@ from cfgplan.api import World, accepted, nearest_offers
 from cfgplan.api import plan as judged_plan
 from cfgplan.errors import InputError, known
 from cfgplan.planning import Plan, Planner, Problem, Progress
+from cfgplan.reasons import pinned_reasons
 
 if TYPE_CHECKING:
-    from cfgplan.explaining import Alternatives, BestEffort, Front, Sensitivity, Why, WhyNot
+    from cfgplan.explaining import Alternatives, BestEffort, Front, Sensitivity, Unreachable, Why, WhyNot
 
 
 def why_not(
@@ -32,6 +34,18 @@ def why_not(
 
     nearest = partial(nearest_offers, world, reasoner=reasoner)
     return explaining.why_not(problem, _judged(planner, time_limit_s), nearest)
+
+
+def unfed_pinned(world: World, problem: Problem, *, reasoner: str = "auto") -> dict[str, Unreachable]:
+    """Why each pinned unit that can't be fed can't, by its id, with the outputs that come nearest."""
+    from cfgplan import explaining
+
+    nearest = partial(nearest_offers, world, reasoner=reasoner)
+    found = {}
+    for unit in pinned_reasons(problem):
+        label = problem.environment.unit[unit].transformation
+        (found[unit],) = explaining.unreachable(explaining.running(problem, label), nearest)
+    return found
 
 
 Subject: TypeAlias = Literal["unit", "transformation", "stream"]
@@ -95,9 +109,7 @@ def alternatives(
         raise InputError.of(f"{count} alternatives are asked for", mend="ask for at least 1")
 
     found = explaining.alternatives(problem, _judged(planner, None), count, time_limit_s=time_limit_s)
-    for each in found.plans:
-        accepted(problem, each)
-    return found
+    return replace(found, plans=tuple(accepted(problem, each) for each in found.plans))
 
 
 def sensitivity(

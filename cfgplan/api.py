@@ -21,6 +21,7 @@ from cfgplan.errors import Fault, InputError, known
 from cfgplan.matching import REASONERS, MatchExplanation, Matching, Nearest, Ontology, load_ontology, read_owlready
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import Failures, Plan, PlannerFaultError, Problem, Progress
+from cfgplan.reasons import pinned_reasons
 from cfgplan.validity import Violation
 
 if TYPE_CHECKING:
@@ -210,7 +211,7 @@ def plan(
 
 
 def accepted(problem: Problem, answer: Plan) -> Plan:
-    """A planner's answer, if the judge accepts it.
+    """A planner's answer, if the judge accepts it, with a reason for each pinned unit that it can't keep.
 
     Raises UntruthfulPlanError if not, and PlannerFaultError if the judge fails; both have the plan.
     """
@@ -220,7 +221,9 @@ def accepted(problem: Problem, answer: Plan) -> Plan:
         raise PlannerFaultError(f"the judge failed: {type(error).__name__}: {error}", answer) from error
     if found:
         raise UntruthfulPlanError(answer, found)
-    return answer
+    if answer.change_set is None:
+        return answer
+    return replace(answer, reasons={**pinned_reasons(problem), **answer.reasons})
 
 
 def violations(environment: Environment, similarity: Similarity, survive: Failures | None = None) -> list[Violation]:

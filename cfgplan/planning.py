@@ -145,7 +145,8 @@ class Plan:
 
     `change_set` is there exactly when the status is optimal or feasible. `cost_us` is the cost of
     the update (Definition 8) or, when too expensive, that of the cheapest update if it is known;
-    `bound_us` is proven: no update is cheaper. `reasons` says for each target that can't be met why. `unused_required`
+    `bound_us` is proven: no update is cheaper. `reasons` says for each target that can't be met, by its
+    label, and for each pinned unit that can't be fed and is stopped, by its id, why. `unused_required`
     names the required transformations that could not be used. `seconds` is the wall time of each
     phase; `counts` are the planner's own figures (nodes, conflicts, rounds).
 

@@ -27,6 +27,26 @@ def unmet_reasons(
     }
 
 
+def pinned_reasons(problem: Problem) -> dict[str, str]:
+    """One short reason for each pinned unit, by its id, that no update can keep since it can't be fed."""
+    environment, library = problem.environment, problem.environment.transformation
+    pinned = [u for u in environment.units if u.transformation in library and library[u.transformation].pinned]
+    if not pinned:
+        return {}
+    givers = Givers(environment.library, problem.similarity)
+    possible = startable(environment, givers)
+    found = {}
+    for unit in pinned:
+        if unit.transformation not in possible and not unit.standby:
+            ports = library[unit.transformation].inputs
+            unfed = [port for port in ports if possible.isdisjoint(givers.of(port.tag))]
+            why = "its inputs need different transformations, and there are too few"
+            if unfed:
+                why = _reason(f"its input {unfed[0].name}", unfed[0].tag, environment, givers, possible)
+            found[unit.id] = f"pinned unit {unit.id} can't be fed: {why}"
+    return found
+
+
 class Givers:
     """Which transformations have an output that may feed a demanded tag: the validity matrix by rows."""
 

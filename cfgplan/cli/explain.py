@@ -53,18 +53,23 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         unused = (
             answers.why_not(world, problem, reasoner=options.reasoner, **chosen).unused if plan.unused_required else ()
         )
+    pinned = answers.unfed_pinned(world, problem, reasoner=options.reasoner)
+    asked = {unit: reason for unit, reason in pinned.items() if options.unit == unit or not _names_one(options)}
     if screen.json:
         from cfgplan.explaining import plain
 
-        screen.show_json({"plan": plain(plan), "why": plain(tuple(whys)), "unused": plain(unused)})
+        unfed = {unit: plain(reason) for unit, reason in asked.items()}
+        screen.show_json({"plan": plain(plan), "why": plain(tuple(whys)), "unused": plain(unused), "unfed": unfed})
         return OF_STATUS[plan.status]
-    from cfgplan.cli.explain_text import table_lines, unused_lines, why_text
+    from cfgplan.cli.explain_text import pinned_lines, table_lines, unused_lines, why_text
     from cfgplan.cli.update_text import verdict
 
     if _names_one(options):
         screen.show(why_text(whys[0]))
     else:
         screen.show("\n".join([*table_lines(whys), verdict(problem, plan).plain]))
+    for unit, reason in asked.items():
+        screen.show("\n".join(pinned_lines(problem.environment, unit, reason)))
     for each in unused:
         screen.show("\n".join(unused_lines(problem.environment, each)))
     return OF_STATUS[plan.status]

@@ -64,6 +64,12 @@ def unused_lines(environment: Environment, unused: Unused) -> Iterator[str]:
         yield f"{who}: it can run, but no wiring leads from it to a target"
 
 
+def pinned_lines(environment: Environment, unit: str, why: Unreachable) -> Iterator[str]:
+    """Why a pinned unit can't be fed, down to the outputs that come nearest."""
+    yield f"pinned unit {unit} is stopped, since it can't be fed"
+    yield from ("  " + line for line in _below(environment, why, environment.unit[unit].transformation))
+
+
 def why_text(why: Why) -> Text:
     """Why a plan uses something, or why not: what it serves, and what it would cost to do without."""
     lines = []

@@ -80,7 +80,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
 def _solve(options: argparse.Namespace, screen: Screen, world: World, problem: Problem) -> Exit:
     from cfgplan import answers, api
-    from cfgplan.cli.update_text import update_text
+    from cfgplan.cli.explain_text import pinned_lines
+    from cfgplan.cli.update_text import given_up, update_text
 
     is_proven = True
     with screen.phase("plan"):
@@ -102,6 +103,9 @@ def _solve(options: argparse.Namespace, screen: Screen, world: World, problem: P
     if options.out:
         api.write_file(Path(options.out), document.encode())
     if not screen.json:
+        unfed = answers.unfed_pinned(world, problem, reasoner=options.reasoner) if plan.change_set is not None else {}
+        for unit, why in unfed.items():
+            screen.warn("\n".join(pinned_lines(problem.environment, unit, why)))
         if not is_proven:
             screen.warn("time ran out before it was proven that no better set of targets can be met")
         if options.verbose:
@@ -113,7 +117,7 @@ def _solve(options: argparse.Namespace, screen: Screen, world: World, problem: P
             screen.note(f"`cfgplan explain {options.env}` tells more about why.")
     if plan.status is Status.OPTIMAL and not is_proven:
         return Exit.NOT_PROVEN
-    if plan.status is Status.OPTIMAL and plan.reasons:
+    if plan.status is Status.OPTIMAL and given_up(problem, plan):
         return Exit.UNMET
     if options.detailed_exitcode and plan.status is Status.OPTIMAL and plan.change_set:
         return Exit.CHANGES

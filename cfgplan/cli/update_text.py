@@ -137,13 +137,20 @@ def _summary(problem: Problem, plan: Plan) -> Iterator[Text]:
         )
         yield from fleet_lines(problem, before.update(changes))
     yield verdict(problem, plan)
-    if plan.change_set is not None and plan.reasons:
-        asked = len(before.targets) + len(plan.reasons)
-        yield Text(f"Given up: {len(plan.reasons)} of {asked} targets.", style="bold yellow")
-    for reason in plan.reasons.values():
+    lost = given_up(problem, plan)
+    if plan.change_set is not None and lost:
+        yield Text(f"Given up: {len(lost)} of {len(before.targets) + len(lost)} targets.", style="bold yellow")
+    for reason in lost.values():
         yield Text(f"  {reason}")
+    for reason in (plan.reasons[unit] for unit in sorted(before.unit.keys() & plan.reasons.keys())):
+        yield Text(f"Stopped, though pinned: {reason}.", style="bold yellow")
     for label in plan.unused_required:
         yield Text(f"Required {label} is not used: {why_unused(plan)}.", style="yellow")
+
+
+def given_up(problem: Problem, plan: Plan) -> dict[str, str]:
+    """Why targets are not met, by label: the reasons of a plan without those for pinned units."""
+    return {label: why for label, why in plan.reasons.items() if label not in problem.environment.unit}
 
 
 def why_unused(plan: Plan) -> str:

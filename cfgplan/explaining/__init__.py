@@ -10,7 +10,7 @@ from cfgplan.explaining.plain import plain
 from cfgplan.explaining.sensitivity import Line, Sensitivity, Span, horizon_sensitivity, upkeep_sensitivity
 from cfgplan.explaining.together import Clash, Demands, demanding
 from cfgplan.explaining.unfed import Blocked, Unfed, Unreachable, named_alone, unreachable
-from cfgplan.explaining.why_not import Unused, WhyNot, why_not
+from cfgplan.explaining.why_not import Unused, WhyNot, running, why_not
 from cfgplan.explaining.why_this import Choice, Why, why_stream, why_transformation, why_unit
 
 __all__ = [
@@ -37,6 +37,7 @@ __all__ = [
     "horizon_sensitivity",
     "named_alone",
     "plain",
+    "running",
     "unreachable",
     "upkeep_sensitivity",
     "why_not",

@@ -12,7 +12,7 @@ from cfgplan.costs import seconds
 from cfgplan.domain import Target
 from cfgplan.explaining.together import REFUSED, only_targets
 from cfgplan.planning import Plan, Planner, Problem, Status
-from cfgplan.reasons import unmet_reasons
+from cfgplan.reasons import pinned_reasons, unmet_reasons
 
 
 @dataclass(frozen=True)
@@ -20,9 +20,9 @@ class BestEffort:
     """The best update that some of the targets allow.
 
     `problem` is the problem that was asked with only the targets that are met, and `plan` its plan, whose
-    `reasons` say why each of the other targets is given up. `exact` tells whether it is proven that no better
-    set of targets can be met. The plan has no change set only if it was stopped too early, or if not even the
-    pinned units can be kept at the largest cost.
+    `reasons` say why each of the other targets is given up, and why pinned units can't be fed. `exact` tells whether
+    it is proven that no better set of targets can be met. The plan has no change set only if it was stopped too
+    early, or if not even the pinned units can be kept at the largest cost.
     """
 
     plan: Plan
@@ -32,7 +32,13 @@ class BestEffort:
     @property
     def unmet(self) -> tuple[str, ...]:
         """The labels of the targets that are given up."""
-        return tuple(sorted(self.plan.reasons))
+        return tuple(sorted(self.given_up))
+
+    @property
+    def given_up(self) -> Mapping[str, str]:
+        """Why each of the targets is given up that are, by label."""
+        kept = self.problem.environment
+        return {label: why for label, why in self.plan.reasons.items() if label not in kept.unit}
 
 
 def best_effort(
@@ -60,7 +66,7 @@ def best_effort(
     search.run()
     if search.is_over:
         search.look_at_what_runs()
-    plan = replace(search.best_plan(), reasons=impossible | search.why_given_up())
+    plan = replace(search.best_plan(), reasons=pinned_reasons(problem) | impossible | search.why_given_up())
     return BestEffort(plan, only_targets(problem, {target.label for target in search.best}), search.is_exact)
 
 

@@ -38,6 +38,7 @@ class Thought:
     is_proven: bool = False
     met: tuple[str, ...] = ()
     unmet: Mapping[str, str] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
     seconds: dict[str, float] = field(default_factory=dict)
 
     @contextmanager
@@ -136,7 +137,8 @@ class Deliberation:
         plan = found.plan
         # The planner does not know of what is left out, which may be all that is missing.
         left_out = f" (left out for now: {', '.join(sorted(thought.avoided))})" if thought.avoided else ""
-        given_up = {label: f"{reason}{left_out}" for label, reason in plan.reasons.items()}
+        given_up = {label: f"{reason}{left_out}" for label, reason in found.given_up.items()}
+        thought.warnings = tuple(why for label, why in plan.reasons.items() if label not in found.given_up)
         violations = validity.violations(thought.planned, similarity)
         unmet_now = {violation.target for violation in violations if violation.rule is Rule.MET}
         thought.unmet = {label: why for label, why in given_up.items() if label in unmet_now}

@@ -168,7 +168,7 @@ class Reviewing:
             thought.met,
             thought.unmet,
             tuple(sorted(thought.avoided)),
-            warnings=self._intake.matching.warnings,
+            warnings=(*self._intake.matching.warnings, *thought.warnings),
             cause="" if failed is None else failed.cause,
         )
 
