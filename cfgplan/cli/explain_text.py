@@ -186,8 +186,8 @@ def _demand(environment: Environment, unfed: Unfed, opening: str) -> Iterator[st
     for offer in unfed.nearest:
         if len(offer.missing) > fewest:
             continue
-        lacks = f"lacks {', '.join(offer.missing)}" if offer.missing else "would match"
-        yield f"    nearest: {_some(_outputs(environment).get(offer.offered, ()))} gives {offer.offered}: {lacks}"
+        givers = _some(_outputs(environment).get(offer.offered, ()))
+        yield f"    nearest: {givers} gives {offer.offered}: {offer.verdict}"
 
 
 def _outputs(environment: Environment) -> Mapping[str, tuple[str, ...]]:

@@ -54,8 +54,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     outputs = _outputs(world.environment)
     for offer in nearest:
         names = ", ".join(name for name, tag in outputs.items() if tag == offer.offered)
-        lacks = f"lacks {', '.join(offer.missing)}" if offer.missing else "would match"
-        lines.append(f"  nearest: {names} gives {offer.offered}: {lacks}")
+        lines.append(f"  nearest: {names} gives {offer.offered}: {offer.verdict}")
     screen.show("\n".join(lines))
     return Exit.OK
 

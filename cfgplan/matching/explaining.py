@@ -18,7 +18,7 @@ from cfgplan.matching.tracing import derivation
 class MatchExplanation:
     """Whether `offered` feeds `demanded`, the steps that prove it, or the demanded conjuncts that it lacks.
 
-    `undecided` are conjuncts that no reasoner could decide in time.
+    `undecided` are conjuncts that no reasoner has decided: with nothing `missing` beside them, it may match.
     """
 
     offered: str
@@ -31,22 +31,32 @@ class MatchExplanation:
 
     def lines(self) -> tuple[str, ...]:
         """The explanation as lines of text."""
-        verdict = "feeds" if self.matches else "does not feed"
+        unknown = self.undecided and not self.missing
+        verdict = "feeds" if self.matches else "may feed" if unknown else "does not feed"
         return (
             f"{self.offered}  {verdict}  {self.demanded}",
             *(f"  because {step}" for step in self.steps),
             *(f"  it lacks {part}" for part in self.missing),
-            *(f"  whether it is {part} could not be decided" for part in self.undecided),
+            *(f"  nobody has decided yet whether it is {part}" for part in self.undecided),
             *(f"  note: {warning}" for warning in self.warnings),
         )
 
 
 @dataclass(frozen=True)
 class Nearest:
-    """An offered tag that comes near to a demanded one, and the conjuncts it lacks."""
+    """An offered tag that comes near to a demanded one, the conjuncts it lacks, and those that nobody has decided."""
 
     offered: str
     missing: tuple[str, ...]
+    undecided: tuple[str, ...] = ()
+
+    @property
+    def verdict(self) -> str:
+        """What it lacks, in words."""
+        told = [f"lacks {', '.join(self.missing)}"] if self.missing else []
+        if self.undecided:
+            told.append(f"nobody has decided yet whether it is {', '.join(self.undecided)}")
+        return "; ".join(told) or "would match"
 
 
 def explain_match(
@@ -84,14 +94,18 @@ def nearest_offers(
     reasoner: str = "auto",
     time_limit_s: float | None = None,
 ) -> tuple[Nearest, ...]:
-    """The `k` offered tags that lack the fewest conjuncts of a demanded one, fewest first. Raises as `match`."""
+    """The `k` offered tags that lack the fewest conjuncts of a demanded one, fewest first. Raises as `match`.
+
+    Among those that lack as many, fewer undecided conjuncts go first.
+    """
     parts = conjuncts(parse_tag(demanded_tag, ontology), ontology)
     found = match(offered_tags, parts, ontology, reasoner=reasoner, time_limit_s=time_limit_s)
-    lacking = [
-        Nearest(tag, tuple(part for part in parts if not found.similarity.holds(tag, part)))
-        for tag in set(offered_tags)
-    ]
-    return tuple(sorted(lacking, key=lambda near: (len(near.missing), near.offered))[:k])
+    near: list[Nearest] = []
+    for tag in set(offered_tags):
+        undecided = tuple(part for part in parts if found.similarity.is_open(tag, part))
+        lacking = (part for part in parts if not found.similarity.holds(tag, part) and part not in undecided)
+        near.append(Nearest(tag, tuple(lacking), undecided))
+    return tuple(sorted(near, key=lambda one: (len(one.missing), len(one.undecided), one.offered))[:k])
 
 
 def _steps_of_the_reference(offered: Concept, demanded: Concept, ontology: Ontology, reasoner: str) -> tuple[str, ...]:

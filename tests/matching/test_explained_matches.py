@@ -56,6 +56,12 @@ def test_a_match_that_only_the_reference_finds_names_the_axioms_it_needs(streams
 def test_what_could_not_be_decided_is_told_apart(streams: Ontology) -> None:
     told = explain_match("Image", "Camera ⊓ ¬Device", streams, reasoner="el")
     assert (told.missing, told.undecided) == (("Camera",), ("¬Device",))
+    assert told.lines()[0] == "Image  does not feed  Camera ⊓ ¬Device"
+    told = explain_match("Image", "Image ⊓ ¬Device", streams, reasoner="el")
+    assert told.lines()[:2] == ("Image  may feed  Image ⊓ ¬Device", "  nobody has decided yet whether it is ¬Device")
+    (near,) = nearest_offers("Image ⊓ ¬Device", ["Image"], streams, reasoner="el")
+    assert (near.missing, near.undecided) == ((), ("¬Device",))
+    assert near.verdict == "nobody has decided yet whether it is ¬Device"
 
 
 def test_the_nearest_offers_lack_least(streams: Ontology) -> None:
