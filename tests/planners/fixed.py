@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, replace
-from math import inf
 
+from alone import flat_search, fleet_search, plain_search
 from ortools.sat.python.cp_model import OPTIMAL, CpModel, CpSolver, IntVar, LinearExprT
 
 from cfgplan.domain import (
@@ -24,27 +24,16 @@ from cfgplan.domain import (
     Target,
     Transformation,
 )
-from cfgplan.planners.cpsat.grounding import Grounding
-from cfgplan.planners.cpsat.prepared import Prepared
-from cfgplan.planners.cpsat.search import Search as PlainSearch
-from cfgplan.planners.cpsat.standing import Standing as PlainStanding
 from cfgplan.planners.cpsat.symmetry import one_of_those_alike_is_enough
 from cfgplan.planners.fleet.anywhere import Anywhere as WithoutHosts
 from cfgplan.planners.fleet.candidates import Candidates
 from cfgplan.planners.fleet.decode import solution
-from cfgplan.planners.fleet.first_plans import FirstPlans
 from cfgplan.planners.fleet.flat import Flat as Labels
 from cfgplan.planners.fleet.flat import Met
 from cfgplan.planners.fleet.flat_decode import decoded
 from cfgplan.planners.fleet.flat_model import FlatModel
-from cfgplan.planners.fleet.flat_search import FlatSearch
-from cfgplan.planners.fleet.flatness import is_flat
-from cfgplan.planners.fleet.search import Search as FleetSearch
-from cfgplan.planners.fleet.standing import Standing as FleetStanding
-from cfgplan.planners.networks.site import Site, relevant
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Problem
-from cfgplan.reasons import Givers, startable
 
 
 @dataclass(frozen=True)
@@ -149,13 +138,7 @@ class Plain(Fixed):
     """The model of what the paper asks."""
 
     def build(self) -> CpModel:
-        environment = self.problem.environment
-        givers = Givers(environment.library, self.problem.similarity)
-        labels = relevant(environment, givers, startable(environment, givers))
-        prepared = Prepared(sorted(labels))
-        standing = PlainStanding(Site(self.problem, givers, labels), prepared, Clock(), None)
-        self.search = PlainSearch(standing, prepared, Grounding.CUTS)
-        standing.counts = {"rounds": 0, "cuts": 0}
+        self.search = plain_search(self.problem)
         self.model = self.search.model
         return self.model.cp
 
@@ -203,9 +186,8 @@ class Fleet(Fixed):
     """The model in which every possible subscription has a boolean."""
 
     def build(self) -> CpModel:
-        self.candidates = Candidates(self.problem)
-        standing = FleetStanding(self.problem, Clock(), None)
-        self.search = FleetSearch(self.candidates, standing, FirstPlans(self.candidates, standing))
+        self.search = fleet_search(self.problem)
+        self.candidates = self.search.model.candidates
         self.model = self.search.model
         return self.model.cp
 
@@ -241,11 +223,8 @@ class Flat(Fixed):
     """The model of what is where, for which it does not matter who feeds whom."""
 
     def build(self) -> CpModel:
-        self.candidates = Candidates(self.problem)
-        assert is_flat(self.candidates)
-        standing = FleetStanding(self.problem, Clock(), None)
-        standing.counts = {"conflicts": 0}
-        self.search = FlatSearch(Labels(self.candidates), standing, 0, inf)
+        self.search = flat_search(self.problem)
+        self.candidates = self.search.model.candidates
         self.model = self.search.model
         return self.model.cp
 

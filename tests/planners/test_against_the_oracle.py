@@ -7,10 +7,13 @@ from __future__ import annotations
 
 import os
 
+import pytest
+from alone import plan_alone
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from worlds import problems, reordered
+from worlds import histories, problems, reordered
 
+from cfgplan.comparing.families.random_library import random_library
 from cfgplan.planners import PLANNERS
 from cfgplan.planners.cpsat import Grounding, PlannerSession
 from cfgplan.planning import Plan, Problem, Status
@@ -41,13 +44,14 @@ def quality(plan: Plan) -> tuple[object, ...]:
 
 
 def agree(problem: Problem) -> None:
-    oracle, exact = PLANNERS["exhaustive"](problem), PLANNERS["cpsat"](problem)
+    """The planner, without a search of its own, and the solver alone are as good as the oracle."""
+    oracle = PLANNERS["exhaustive"](problem)
     assert plan_violations(problem, oracle) == []
-    assert plan_violations(problem, exact) == []
-    assert quality(exact) == quality(oracle)
-    by_solver = PlannerSession(steps=0).plan(problem)
-    assert plan_violations(problem, by_solver) == []
-    assert quality(by_solver) == quality(oracle)
+    alone = plan_alone(problem)
+    for exact in (PLANNERS["cpsat"](problem), PlannerSession(steps=0).plan(problem), alone):
+        assert plan_violations(problem, exact) == []
+        assert quality(exact) == quality(oracle)
+    assert alone.change_set is None or alone.counts["rounds"] > 0
 
 
 @many
@@ -60,6 +64,19 @@ def test_cpsat_equals_the_oracle_on_plain_problems(problem: Problem) -> None:
 @given(problems(most=5))
 def test_cpsat_equals_the_oracle_with_pinned_required_distinct_and_feedback(problem: Problem) -> None:
     agree(problem)
+
+
+@fewer
+@given(histories())
+def test_cpsat_equals_the_oracle_after_something_happened_to_an_optimal_configuration(
+    history: list[tuple[Problem, Plan]],
+) -> None:
+    agree(history[-1][0])
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_cpsat_equals_the_oracle_where_all_inputs_are_distinct(seed: int) -> None:
+    agree(random_library(seed, transformations=9, depth=3, branching=3, targets=1, distinct=1.0))
 
 
 @fewer

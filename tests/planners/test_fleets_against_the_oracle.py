@@ -9,6 +9,7 @@ import os
 from dataclasses import replace
 
 import pytest
+from alone import flat_cost_alone, plan_alone
 from fleets import fleets, reordered
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
@@ -17,11 +18,7 @@ from worlds import problems
 from cfgplan.errors import InputError
 from cfgplan.planners import PLANNERS, cpsat, exhaustive_fleet, fleet
 from cfgplan.planners.fleet.candidates import Candidates
-from cfgplan.planners.fleet.first_plans import FirstPlans
 from cfgplan.planners.fleet.flatness import is_flat
-from cfgplan.planners.fleet.search import Search
-from cfgplan.planners.fleet.standing import Standing
-from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Notion, Plan, Problem, Status
 from cfgplan.qualities import Better, Wish
 from cfgplan.reasons import unmet_reasons
@@ -44,26 +41,25 @@ def quality(plan: Plan) -> tuple[object, ...]:
 
 
 def agree(problem: Problem) -> None:
+    """The planner and the solver alone, in each model that knows the problem, are as good as the oracle."""
     try:
         oracle = PLANNERS["exhaustive"](problem)
     except InputError:
         assume(False)
-    exact = PLANNERS["cpsat"](problem)
     assert plan_violations(problem, oracle) == []
-    assert plan_violations(problem, exact) == []
-    assert quality(exact) == quality(oracle)
+    for exact in (PLANNERS["cpsat"](problem), plan_alone(problem)):
+        assert plan_violations(problem, exact) == []
+        assert quality(exact) == quality(oracle)
+    if problem.notions and oracle.change_set is not None and is_flat(Candidates(problem)):
+        assert flat_cost_alone(problem) == oracle.cost_us
 
 
 def agree_with_the_explicit_model(problem: Problem) -> None:
     """The fast way and the model in which every possible subscription has a boolean."""
-    candidates = Candidates(problem)
-    assume(is_flat(candidates) and not unmet_reasons(problem))
-    standing = Standing(problem, Clock(), None)
-    standing.counts = {"conflicts": 0}
-    Search(candidates, standing, FirstPlans(candidates, standing)).run()
+    assume(is_flat(Candidates(problem)) and not unmet_reasons(problem))
     fast = fleet.plan(problem, cpsat.plan)
     assert plan_violations(problem, fast) == []
-    assert quality(fast) == quality(standing.plan())
+    assert quality(fast) == quality(plan_alone(problem))
     assert fast.status not in (Status.FEASIBLE, Status.UNKNOWN)
 
 

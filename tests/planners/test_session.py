@@ -13,7 +13,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from test_against_the_oracle import quality
-from worlds import TAGS, problems, transformations
+from worlds import changed, problems
 
 from cfgplan.domain import ChangeSet, Environment, InputPort, OutputPort, Similarity, Target, Transformation
 from cfgplan.planners.cpsat import PlannerSession, plan
@@ -21,42 +21,6 @@ from cfgplan.planning import Problem, Progress, Status
 from cfgplan.validity import plan_violations
 
 EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "400"))
-
-
-@st.composite
-def changed(draw: st.DrawFn, problem: Problem) -> Problem:
-    """The problem after one thing happened to it."""
-    environment = problem.environment
-    kind = draw(
-        st.sampled_from(["unit died", "joined", "left", "cost", "target came", "target left", "relation", "cap"])
-    )
-    units, library, targets = list(environment.units), list(environment.library), list(environment.targets)
-    similarity, max_cost_us = problem.similarity, problem.max_cost_us
-    if kind == "unit died" and units:
-        units.remove(draw(st.sampled_from(units)))
-    elif kind == "joined":
-        library.append(draw(transformations(f"new{len(library)}", special=draw(st.booleans()))))
-        library = list({t.label: t for t in library}.values())
-    elif kind == "left" and len(library) > 1:
-        library.remove(draw(st.sampled_from(library)))
-    elif kind == "cost":
-        moved = draw(st.sampled_from(library))
-        library[library.index(moved)] = replace(
-            moved, labor_us=draw(st.integers(0, 9)), upkeep_us=draw(st.integers(0, 5))
-        )
-    elif kind == "target came" and len(targets) < 4:
-        targets.append(Target(f"late{len(targets)}", draw(st.sampled_from(TAGS)), f"/late{len(targets)}"))
-        targets = list({t.label: t for t in targets}.values())
-    elif kind == "target left" and targets:
-        targets.remove(draw(st.sampled_from(targets)))
-    elif kind == "relation":
-        one, other = draw(st.sampled_from(TAGS)), draw(st.sampled_from(TAGS))
-        similarity = Similarity({**similarity.offers, one: similarity.offers[one] ^ ({other} - {one})})
-    elif kind == "cap":
-        max_cost_us = draw(st.one_of(st.none(), st.integers(0, 30)))
-    return Problem(
-        Environment(tuple(units), tuple(library), tuple(targets)), similarity, problem.horizon_s, max_cost_us
-    )
 
 
 @settings(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from hypothesis import strategies as st
 
 from cfgplan.domain import (
@@ -16,7 +18,8 @@ from cfgplan.domain import (
     Target,
     Transformation,
 )
-from cfgplan.planning import Problem
+from cfgplan.planners import PLANNERS
+from cfgplan.planning import Plan, Problem
 
 TAGS = ("A", "B", "C", "D")
 COSTS = st.sampled_from([0, 0, 1, 1, 2, 3, 5, 8])
@@ -31,12 +34,17 @@ def similarities(draw: st.DrawFn) -> Similarity:
 
 @st.composite
 def transformations(draw: st.DrawFn, label: str, *, special: bool) -> Transformation:
-    """Up to three inputs and two outputs; the special ones may be pinned, required, fed back or distinct."""
+    """Up to three inputs and two outputs; the special ones may be pinned, required, fed back or distinct.
+
+    Half of the groups of distinct inputs ask for the same.
+    """
     seldom = st.sampled_from([False, False, False, True]) if special else st.just(False)
     inputs = []
+    shared = draw(st.sampled_from(TAGS)) if special and draw(st.booleans()) else None
     for name in ("a", "b", "c")[: draw(st.sampled_from([0, 0, 0, 1, 1, 1, 2, 2, 3]))]:
         group = draw(st.sampled_from([None, None, "g", "g"])) if special else None
-        inputs.append(InputPort(name, draw(st.sampled_from(TAGS)), distinct=group, feedback=draw(seldom)))
+        tag = draw(st.sampled_from(TAGS)) if group is None or shared is None else shared
+        inputs.append(InputPort(name, tag, distinct=group, feedback=draw(seldom)))
     outputs = [OutputPort(name, draw(st.sampled_from(TAGS))) for name in ("x", "y")[: draw(st.sampled_from([1, 1, 2]))]]
     return Transformation(
         label,
@@ -123,6 +131,57 @@ def running_units(
         publications = [Publication(draw(st.sampled_from(kind.outputs)).name, topic) for topic in published]
         units.append(ComputationUnit(unit_id, kind.label, tuple(subscriptions), tuple(publications)))
     return units
+
+
+@st.composite
+def changed(draw: st.DrawFn, problem: Problem) -> Problem:
+    """The problem after one thing happened to it."""
+    environment = problem.environment
+    kind = draw(
+        st.sampled_from(["unit died", "joined", "left", "cost", "target came", "target left", "relation", "cap"])
+    )
+    units, library, targets = list(environment.units), list(environment.library), list(environment.targets)
+    similarity, max_cost_us = problem.similarity, problem.max_cost_us
+    if kind == "unit died" and units:
+        units.remove(draw(st.sampled_from(units)))
+    elif kind == "joined":
+        library.append(draw(transformations(f"new{len(library)}", special=draw(st.booleans()))))
+        library = list({t.label: t for t in library}.values())
+    elif kind == "left" and len(library) > 1:
+        library.remove(draw(st.sampled_from(library)))
+    elif kind == "cost":
+        moved = draw(st.sampled_from(library))
+        library[library.index(moved)] = replace(
+            moved, labor_us=draw(st.integers(0, 9)), upkeep_us=draw(st.integers(0, 5))
+        )
+    elif kind == "target came" and len(targets) < 4:
+        targets.append(Target(f"late{len(targets)}", draw(st.sampled_from(TAGS)), f"/late{len(targets)}"))
+        targets = list({t.label: t for t in targets}.values())
+    elif kind == "target left" and targets:
+        targets.remove(draw(st.sampled_from(targets)))
+    elif kind == "relation":
+        one, other = draw(st.sampled_from(TAGS)), draw(st.sampled_from(TAGS))
+        similarity = Similarity({**similarity.offers, one: similarity.offers[one] ^ ({other} - {one})})
+    elif kind == "cap":
+        max_cost_us = draw(st.one_of(st.none(), st.integers(0, 30)))
+    return Problem(
+        Environment(tuple(units), tuple(library), tuple(targets)), similarity, problem.horizon_s, max_cost_us
+    )
+
+
+@st.composite
+def histories(draw: st.DrawFn, *, most: int = 5) -> list[tuple[Problem, Plan]]:
+    """A problem with the oracle's plan, and what comes of it: that plan runs and something happens, once or twice."""
+    problem = draw(problems(most=most, special=draw(st.booleans())))
+    plan = PLANNERS["exhaustive"](problem)
+    history = [(problem, plan)]
+    for _ in range(draw(st.integers(1, 2)) if plan.change_set is not None else 0):
+        if plan.change_set is not None:
+            problem = replace(problem, environment=problem.environment.update(plan.change_set))
+        problem = draw(changed(problem))
+        plan = PLANNERS["exhaustive"](problem)
+        history.append((problem, plan))
+    return history
 
 
 def reordered(problem: Problem, draw: st.DrawFn) -> Problem:

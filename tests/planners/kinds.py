@@ -1,0 +1,76 @@
+"""Every kind of random environment, and what must be so of the planner's answer to one: what the oracle's is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+from fleets import fleets
+from hypothesis import assume
+from hypothesis import strategies as st
+from worlds import fusions, histories, problems
+
+from cfgplan.errors import InputError
+from cfgplan.planners import PLANNERS
+from cfgplan.planners.cpsat import PlannerSession
+from cfgplan.planning import Notion, Plan, Problem
+from cfgplan.validity import plan_violations
+
+
+@dataclass(frozen=True)
+class Kind:
+    """How environments of a kind are drawn, and every way in which the answer to one is not as good as the oracle's."""
+
+    drawn: st.SearchStrategy[Any]
+    differences: Callable[[Any], list[str]]
+
+
+def as_good(plan: Plan) -> tuple[object, ...]:
+    """What two optimal plans have in common."""
+    changes = plan.change_set
+    counts = changes and (len(changes.rewired), len(changes.started))
+    return plan.status, len(plan.unused_required), plan.cost_us, counts, plan.ties_proven
+
+
+def oracle_of(problem: Problem) -> Plan:
+    """The oracle's answer; the example is not counted where it refuses one."""
+    try:
+        return PLANNERS["exhaustive"](problem)
+    except InputError:
+        assume(False)
+        raise
+
+
+def differences(problem: Problem, found: Plan, oracle: Plan) -> list[str]:
+    """What the judge says about a plan, and that it is not as good as the oracle's."""
+    wrong = [str(violation) for violation in plan_violations(problem, found)]
+    if as_good(found) != as_good(oracle):
+        wrong.append(f"the planner says {as_good(found)}, the oracle {as_good(oracle)}")
+    return wrong
+
+
+def of_one(problem: Problem) -> list[str]:
+    oracle = oracle_of(problem)
+    return differences(problem, PLANNERS["cpsat"](problem), oracle)
+
+
+def of_a_history(history: list[tuple[Problem, Plan]]) -> list[str]:
+    """One session plans all that happens, one after the other."""
+    session = PlannerSession()
+    return [wrong for problem, oracle in history for wrong in differences(problem, session.plan(problem), oracle)]
+
+
+HOSTS, QUALITY, SURVIVAL = (frozenset({notion}) for notion in (Notion.HOSTS, Notion.QUALITY, Notion.SURVIVAL))
+NUMBERS = frozenset({Notion.CONFLICTS, Notion.INSTANCES})
+
+KINDS: Mapping[str, Kind] = MappingProxyType(
+    {
+        "plain": Kind(st.one_of(problems(special=False), problems(most=5), fusions()), of_one),
+        "replanning": Kind(histories(), of_a_history),
+        "hosts": Kind(st.one_of(fleets(HOSTS), fleets(HOSTS | NUMBERS)), of_one),
+        "quality": Kind(st.one_of(fleets(QUALITY), fleets(QUALITY | HOSTS, most=2)), of_one),
+        "survival": Kind(st.one_of(fleets(SURVIVAL), fleets(SURVIVAL | HOSTS, most=2)), of_one),
+    }
+)
