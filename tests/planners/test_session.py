@@ -15,12 +15,43 @@ from hypothesis import strategies as st
 from test_against_the_oracle import quality
 from worlds import changed, problems
 
-from cfgplan.domain import ChangeSet, Environment, InputPort, OutputPort, Similarity, Target, Transformation
+from cfgplan.domain import (
+    ChangeSet,
+    ComputationUnit,
+    Environment,
+    InputPort,
+    OutputPort,
+    Publication,
+    Similarity,
+    Stream,
+    Subscription,
+    Target,
+    Transformation,
+)
+from cfgplan.planners import PLANNERS
 from cfgplan.planners.cpsat import PlannerSession, plan
 from cfgplan.planning import Problem, Progress, Status
 from cfgplan.validity import plan_violations
 
 EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "400"))
+
+
+def test_a_unit_that_became_free_to_start_is_replaced_rather_than_rewired() -> None:
+    def library(labor_us: int) -> tuple[Transformation, ...]:
+        return (
+            Transformation("source", (), (OutputPort("x", "A"),), 0, 8),
+            Transformation("filter", (InputPort("a", "A"),), (OutputPort("x", "B"),), labor_us, 1),
+        )
+
+    filtering = ComputationUnit(
+        "filter.1", "filter", (Subscription("a", Stream("source.1", "x")),), (Publication("x", "/t"),)
+    )
+    environment = Environment((ComputationUnit("source.1", "source"), filtering), library(1), (Target("t", "B", "/t"),))
+    problem = Problem(environment, Similarity({tag: frozenset(tag) for tag in "AB"}), 1)
+    session = PlannerSession()
+    assert not session.plan(problem).change_set
+    broken = replace(problem, environment=replace(environment, units=(filtering,), library=library(0)))
+    assert quality(session.plan(broken)) == quality(plan(broken)) == quality(PLANNERS["exhaustive"](broken))
 
 
 @settings(

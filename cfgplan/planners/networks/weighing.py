@@ -52,6 +52,7 @@ class Weighing:
         scale = rewiring**2
         if int(cost.sum()) * scale >= NEVER // 4:
             return None
+        library = problem.environment.transformation  # the network may be older than costs are
         change = np.ones(len(cost), np.int64)
         staying: dict[int, bool] = {}
         for unit in problem.environment.units:
@@ -59,7 +60,7 @@ class Weighing:
             if label is not None:
                 staying[label] = staying.get(label, False) or may_stay(problem, network.number, unit)
         for label, may in staying.items():
-            can_be_started = network.transformations[label].labor_us == 0
+            can_be_started = library[network.labels[label]].labor_us == 0
             change[label] = 0 if may else 1 if can_be_started else rewiring
         change[[network.number[label] for label in pinned if label in network.number]] = 0
         return cls(cost * scale + change, scale, rewiring, fixed_us)
