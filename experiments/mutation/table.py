@@ -1,0 +1,493 @@
+"""The mutants: rules broken one at a time, each with the tests of its own room, which must notice."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Mutant:
+    """A rule that is broken by writing `new` for `old`, which stands in `file` exactly once."""
+
+    broken: str
+    file: str
+    old: str
+    new: str
+    tests: tuple[str, ...]
+
+
+def _room(folder: str, tests: tuple[str, ...], *mutants: tuple[str, str, str, str]) -> tuple[Mutant, ...]:
+    return tuple(Mutant(broken, f"{folder}/{file}", old, new, tests) for broken, file, old, new in mutants)
+
+
+MODEL = _room(
+    "cfgplan/planners/cpsat",
+    ("tests/planners/test_rules.py",),
+    (
+        "a kept unit may neither stay nor be wired",
+        "model.py",
+        "model.cp.add_exactly_one(model.stays[i], model.is_wired[i], runs.negated())",
+        "model.cp.add_at_most_one(model.stays[i], model.is_wired[i], runs.negated())",
+    ),
+    (
+        "a staying unit needs no feeders",
+        "model.py",
+        "for p in ports if not p.feedback))",
+        "for p in ports if p.feedback and not p.feedback))",
+    ),
+    (
+        "a staying unit needs no feedback feeders",
+        "model.py",
+        "            if port.feedback:\n                model.cp.add_implication(stays,",
+        "            if port.feedback and not port.tag:\n                model.cp.add_implication(stays,",
+    ),
+    (
+        "ring of staying units is grounded",
+        "model.py",
+        "model.rests_on_all(stays, (model.runs[index_of[feeds[p.name].unit]] for p in ports if not p.feedback))",
+        "[model.cp.add_implication(stays, model.runs[index_of[feeds[p.name].unit]]) for p in ports if not p.feedback]",
+    ),
+    ("a wired unit is not fed", "model.py", "model.rests_on_all(wired, parts)", "model.rests_on_all(wired, [])"),
+    (
+        "a feedback input is fed by nobody",
+        "model.py",
+        "model.needs_any(wired, [model.runs[f] for f in model.site.feeders(port.tag)])",
+        "pass",
+    ),
+    (
+        "an input has several feeders",
+        "model.py",
+        "model.cp.add_exactly_one(*connects.values(), model.runs[unit].negated())",
+        "model.cp.add_bool_or(*connects.values(), model.runs[unit].negated())",
+    ),
+    (
+        "a staying unit changes who feeds it where that matters",
+        "model.py",
+        "model.cp.add_implication(model.stays[unit], kept)",
+        "pass",
+    ),
+    (
+        "a feedback input is fed by a unit that does not run",
+        "model.py",
+        "model.cp.add_implication(connected, model.runs[feeder])",
+        "pass",
+    ),
+    (
+        "a distinct input is fed by a unit that does not run",
+        "model.py",
+        "model.rests_on_all(connected, [model.runs[feeder]])",
+        "model.rests_on_all(connected, [])",
+    ),
+    ("distinct inputs share a feeder", "model.py", "if len(connections) > 1:", "if len(connections) > 9:"),
+    (
+        "two units of one transformation feed one group",
+        "model.py",
+        "sharing[port.distinct, model.site.candidates[feeder].transformation.label]",
+        "sharing[port.distinct, model.site.candidates[feeder].id]",
+    ),
+    (
+        "a hub is fed first by a unit that needs it",
+        "model.py",
+        "for f in feeders if f not in needing[hub.index]])",
+        "for f in feeders])",
+    ),
+    (
+        "a hub is fed by nobody",
+        "model.py",
+        "model.rests_on_any(hub, [model.runs[f] for f in feeders if f not in needing[hub.index]])",
+        "model.support.rests_on_all(hub.index, [])",
+    ),
+    (
+        "a unit publishes that does not run",
+        "model.py",
+        "model.rests_on_all(publishes, [model.runs[feeder]])",
+        "model.rests_on_all(publishes, [])",
+    ),
+    (
+        "a staying unit changes its topics",
+        "model.py",
+        "model.cp.add_implication(stays, publishes if keeps else publishes.negated())",
+        "pass",
+    ),
+    (
+        "a staying unit begins to publish",
+        "model.py",
+        "publishes if keeps else publishes.negated())",
+        "publishes if keeps else stays)",
+    ),
+    ("two units publish a target", "model.py", "add_exactly_one(publishers)", "add_bool_or(publishers)"),
+    ("a pinned unit stops", "model.py", "if model.site.is_kept_pinned(i):", "if False:"),
+    (
+        "units serve through each other",
+        "model.py",
+        "model.cp.add(distance[feeder] > distance[consumer]).only_enforce_if(through)",
+        "pass",
+    ),
+    (
+        "a unit serves through one that serves nothing",
+        "model.py",
+        "model.cp.add_implication(through, model.serves[consumer])",
+        "pass",
+    ),
+    (
+        "a unit serves through a connection that is not there",
+        "model.py",
+        "model.cp.add_implication(through, connected)",
+        "pass",
+    ),
+    (
+        "a required transformation counts as used for nothing",
+        "model.py",
+        "model.needs_any(model.uses_required[label], serving)",
+        "pass",
+    ),
+    ("a rewired unit weighs one", "model.py", "return (len(started) + 1) * sum(rewired)", "return 1 * sum(rewired)"),
+    (
+        "landmarks need one less",
+        "model.py",
+        "at_least(self.cp, least, [",
+        "at_least(self.cp, max(1, least - 1), [",
+    ),
+    ("units fed apart are alike", "symmetry.py", "unit not in apart", "unit >= 0"),
+    ("running units are alike", "symmetry.py", "candidate.running is None and", "True and"),
+    ("required ones are alike", "symmetry.py", "    if model.tracked:\n        return\n", ""),
+)
+
+FLEET = _room(
+    "cfgplan/planners/fleet",
+    ("tests/planners/test_rules.py", "tests/planners/test_fleet_rules.py"),
+    (
+        "a spare runs and waits",
+        "model.py",
+        "add_exactly_one(*states, there.negated())",
+        "add_bool_or(*states, there.negated())",
+    ),
+    (
+        "a unit is on two hosts",
+        "model.py",
+        "add_exactly_one(*found.values(), self.is_there[unit].negated())",
+        "add_bool_or(*found.values(), self.is_there[unit].negated())",
+    ),
+    ("a unit feeds itself", "model.py", "if feeder != i or port.feedback:", "if True:"),
+    (
+        "a unit that does not run feeds",
+        "model.py",
+        "model.cp.add_implication(choices[stream], model.runs[feeder])",
+        "pass",
+    ),
+    (
+        "a running unit is not fed",
+        "model.py",
+        "model.cp.add_exactly_one(*choices.values(), runs.negated())",
+        "model.cp.add_at_most_one(*choices.values(), runs.negated())",
+    ),
+    ("a target has two streams", "model.py", "add_exactly_one(choices.values())", "add_bool_or(choices.values())"),
+    (
+        "a unit publishes that does not run",
+        "model.py",
+        "model.cp.add_implication(choices[stream], model.runs[model.candidates.index_of[stream.unit]])",
+        "pass",
+    ),
+    (
+        "units feed each other",
+        "model.py",
+        "model.cp.add(level[i] > level[feeder]).only_enforce_if(connected)",
+        "pass",
+    ),
+    (
+        "distinct inputs share a feeder",
+        "model.py",
+        "model.cp.add_at_most_one(connections)",
+        "pass",
+    ),
+    ("a pinned unit stops", "model.py", "if model.candidates.is_pinned(i):", "if False:"),
+    (
+        "an old subscription counts for nothing",
+        "model.py",
+        "[rewired] if old is None else [rewired, old])",
+        "[rewired, runs] if old is None else [rewired, old, runs])",
+    ),
+    (
+        "a unit publishes more without being rewired",
+        "model.py",
+        "model.cp.add_implication(publishes, rewired)",
+        "pass",
+    ),
+    ("a stopped unit is rewired", "model.py", "model.cp.add_implication(rewired, runs)", "pass"),
+    (
+        "units serve through each other",
+        "model.py",
+        "model.cp.add(distance[feeder] > distance[consumer]).only_enforce_if(through)",
+        "pass",
+    ),
+    (
+        "a unit serves through a connection that is not there",
+        "model.py",
+        "model.cp.add_implication(through, connected)",
+        "pass",
+    ),
+    (
+        "new units come in any order",
+        "model.py",
+        "model.cp.add_implication(model.is_there[i], model.is_there[i - 1])",
+        "pass",
+    ),
+    (
+        "a cold spare costs nothing",
+        "model.py",
+        "terms += [candidates[i].waiting_cost_us * waits",
+        "terms += [0 * waits",
+    ),
+    ("units that conflict are together", "instances.py", "model.cp.add_at_most_one(one, second)", "pass"),
+    ("too few units run", "instances.py", ">= t.min_instances", ">= 0"),
+    ("too many units are there", "instances.py", "<= t.max_instances", "<= t.max_instances + 1"),
+    (
+        "cold spares count as running",
+        "instances.py",
+        "model.cp.add(LinearExpr.sum(running[t.label]) >=",
+        "model.cp.add(LinearExpr.sum(there[t.label]) >=",
+    ),
+    ("a host bears anything", "placing.py", "if has is not None:", "if False:"),
+    (
+        "memory counts as CPU time",
+        "placing.py",
+        "([c.transformation.needs_mb for _, c in numbered], host.memory_mb)",
+        "([0 for _, c in numbered], host.memory_mb)",
+    ),
+    ("streams are carried for nothing", "placing.py", "price[stream] * is_carried", "0 * is_carried"),
+    ("nothing is carried to targets", "placing.py", "carry(stream, target.host, [publishes.negated()])", "pass"),
+    ("a unit may fail alone", "survival.py", "for i in units]) >= 2)", "for i in units]) >= 1)"),
+    ("the failing host's units count", "survival.py", "if host != each.host])", "if host])"),
+    ("a target of the failing host is to be met", "survivors.py", "if t.host != host.name))", "if t.host))"),
+    ("facts are not needed on hosts", "flat_model.py", "model.cp.add_implication(uses, model.holds[fact])", "pass"),
+    ("a fact is given by what needs it", "flat_model.py", "if fact not in self.flat.needs[label]]", "]"),
+    ("a unit is in two places", "flat_model.py", "model.cp.add_at_most_one(runs)", "pass"),
+    ("a flat host bears anything", "flat_model.py", "if host.cpu_us is not None:", "if False:"),
+    ("a flat host holds anything", "flat_model.py", "if host.memory_mb is not None:", "if False:"),
+    ("flat conflicts are ignored", "flat_model.py", "model.cp.add_at_most_one(one, second)", "pass"),
+    ("too few flat units run", "flat_model.py", ">= t.min_instances", ">= 0"),
+    ("too many flat units run", "flat_model.py", "<= t.max_instances", "<= t.max_instances + 1"),
+    ("new flat units come in any order", "flat_model.py", "<= LinearExpr.sum(model.runs[i - 1]))", "<= 9)"),
+    (
+        "what is needed anywhere is met nowhere",
+        "anywhere.py",
+        "cp.add_implication(is_there, met[fact_number])",
+        "pass",
+    ),
+    ("what is met anywhere is given by nobody", "anywhere.py", "cp.add_bool_or([is_met.negated(), *first])", "pass"),
+    ("the dear run anywhere", "anywhere.py", "if n not in left:", "if False:"),
+    ("a bound on quality is one too lax", "quality.py", "scaled.at_most(wish.bound)", "scaled.at_most(wish.bound) + 1"),
+    ("missed quality costs nothing", "quality.py", "model.more_costs.append(price)", "pass"),
+    (
+        "the worst of the inputs is any",
+        "quality.py",
+        "model.cp.add(result >= value if is_low else result <= value)",
+        "pass",
+    ),
+    (
+        "the mean is the sum",
+        "quality.py",
+        "len(inputs) * result >= total if is_low else len(inputs) * result <= total",
+        "result >= total if is_low else result <= total",
+    ),
+    ("a limit is no limit", "quality.py", "if rule in (Rule.SET, Rule.LIMIT):", "if rule is Rule.SET:"),
+    (
+        "the demand of the worst is not asked",
+        "quality_demands.py",
+        "cp.add(by * bad >= gain * self.bad[before] + more).only_enforce_if(held)",
+        "pass",
+    ),
+)
+
+JUDGE = _room(
+    "cfgplan/validity",
+    ("tests/test_validity.py", "tests/test_fleet_validity.py"),
+    ("a bound may exceed the cost", "plans.py", "if plan.bound_us > cost:", "if False:"),
+    (
+        "an optimal plan needs no bound",
+        "plans.py",
+        "plan.status is Status.OPTIMAL and plan.bound_us != cost",
+        "plan.status is Status.OPTIMAL and plan.bound_us > cost",
+    ),
+    (
+        "a feasible plan may have proven its cost",
+        "plans.py",
+        "plan.status is Status.FEASIBLE and plan.bound_us == cost",
+        "False",
+    ),
+    ("the cost is not looked at", "plans.py", "if plan.cost_us != cost:", "if False:"),
+    ("a plan may cost more than allowed", "plans.py", "cost > problem.max_cost_us:\n", "cost < 0:\n"),
+    ("a pinned unit may stop", "plans.py", "if transformation.label in possible:", "if False:"),
+    ("unused required ones need not be named", "plans.py", "if unused != plan.unused_required:", "if False:"),
+    ("a gap is no fault", "environments.py", "if port.name not in unit.feeds:", "if False:"),
+    (
+        "any stream feeds any input",
+        "environments.py",
+        "elif not similarity.holds(offered, transformation.input[name].tag):",
+        "elif False:",
+    ),
+    ("a target may have two streams", "environments.py", "if len(streams) != 1:", "if not streams:"),
+    ("feedback inputs close no ring", "environments.py", "and not transformation.input[name].feedback", ""),
+    (
+        "distinct inputs may share a feeder",
+        "environments.py",
+        "            if len(ports) > 1:",
+        "            if len(ports) > 9:",
+    ),
+    ("a needless unit may run", "environments.py", "if unit.id not in needed:", "if False:"),
+    ("a host bears anything", "placing.py", "cpu_us > host.cpu_us:", "cpu_us < 0:"),
+    ("a host holds anything", "placing.py", "memory_mb > host.memory_mb:", "memory_mb < 0:"),
+    (
+        "a unit is on any host",
+        "placing.py",
+        "elif unit.host not in environment.hosts_for(transformation):",
+        "elif False:",
+    ),
+    ("too many units are there", "instances.py", "there[label] > transformation.max_instances:", "there[label] < 0:"),
+    ("too few units run", "instances.py", "if len(running[label]) < transformation.min_instances:", "if False:"),
+)
+
+BOUNDS = _room(
+    "cfgplan/planners/bounding",
+    ("tests/planners/test_preprocessing.py",),
+    (
+        "a landmark is charged what its dearest member costs",
+        "bounds.py",
+        "weight = min(int(self.residual[members].min()), at_most)",
+        "weight = min(int(self.residual[members].max()), at_most)",
+    ),
+    (
+        "a landmark's members are not charged",
+        "bounds.py",
+        "self.residual[members] -= weight\n            self.value += weight\n",
+        "self.value += weight\n",
+    ),
+    (
+        "too much is left out",
+        "bounds.py",
+        "self.value + before[:-1] + self.residual <= limit)",
+        "self.value + before[:-1] + self.residual < limit)",
+    ),
+    (
+        "the second least counts for all",
+        "bounds.py",
+        "others = second if residual[label] == first else first",
+        "others = second",
+    ),
+)
+
+CLOSING = _room(
+    "cfgplan/planners",
+    ("tests/planners/test_alike.py", "tests/planners/test_support.py", "tests/planners/test_closing.py"),
+    (
+        "distinct inputs are fed by those alike",
+        "closing/alike.py",
+        "if distinct.isdisjoint(facts.tolist()):",
+        "if True:",
+    ),
+    ("free labels are alike", "closing/alike.py", "np.flatnonzero(cost).tolist()", "range(len(cost))"),
+    (
+        "what costs nothing is never torn",
+        "closing/repairing.py",
+        "if other is not None and self._cost_of(other) < self._cost_of(plan):",
+        "if other is not None:",
+    ),
+    (
+        "the best plan is the last",
+        "closing/repairing.py",
+        "if self._plan is not None and self._cost_of(self._plan) < self._cost_of(self.best):",
+        "if self._plan is not None:",
+    ),
+    (
+        "a loop holds itself up",
+        "solving/support.py",
+        "ahead = sorted(p for p, count in missing.items() if count == 0)",
+        "ahead = sorted(missing)",
+    ),
+    (
+        "all ways are ways into a loop",
+        "solving/support.py",
+        "for choice in self.any_of[p] if choice not in dead})",
+        "for choice in self.any_of[p]})",
+    ),
+    (
+        "a label's charges are not paid back",
+        "closing/feeding.py",
+        "np.add.at(left, self._labels, paid[self._pair])",
+        "pass",
+    ),
+)
+
+SATURATION = _room(
+    "cfgplan/matching",
+    ("tests/matching/test_engine.py",),
+    ("an impossible filler leaves a thing possible", "saturation.py", "if BOTTOM_ATOM in target.atoms:", "if False:"),
+    ("conjunctions imply nothing", "saturation.py", "partners = rules.joint.get(atom)", "partners = None"),
+    ("roles have no supers", "saturation.py", "for upper in self.rules.supers[role]:", "for upper in (role,):"),
+    (
+        "chains lead nowhere",
+        "saturation.py",
+        "for second, composed in rules.chains.get(role, ()):",
+        "for second, composed in ():",
+    ),
+    (
+        "ranges say nothing",
+        "saturation.py",
+        "return self._context((fillers | self.rules.ranges[role]) or frozenset((TOP_ATOM,)))",
+        "return self._context(fillers or frozenset((TOP_ATOM,)))",
+    ),
+    ("subclasses imply nothing", "saturation.py", "for implied in rules.sub.get(atom, ()):", "for implied in ():"),
+)
+
+SUPERVISION = _room(
+    "runtime/cfgplan_runtime/supervision",
+    ("tests/runtime/test_supervisor.py",),
+    ("an undone update leaves outlets open", "applying.py", "        self._close_outlets(set(self.opened))\n", ""),
+    ("an undone update leaves new units", "applying.py", "        self._stop(started)\n", ""),
+    (
+        "an undone update leaves its wires",
+        "applying.py",
+        "staying = [wire for wire in reversed(self.wires) if wire.inlet.unit not in started]",
+        "staying = []",
+    ),
+    (
+        "outlets of topics that nobody wants stay open",
+        "applying.py",
+        "        self._close_outlets(self.supervisor.outlets - wanted_topics(self.after))\n",
+        "",
+    ),
+    (
+        "a unit that does not stop is not killed",
+        "applying.py",
+        "in sorted(supervisor.alive.intersection(units)):",
+        "in ():",
+    ),
+    ("a dead unit fails no update", "applying.py", "        if dead is not None:", "        if False:"),
+    (
+        "what died during an update is believed to live",
+        "applying.py",
+        "if unit.id not in self.supervisor.alive:\n                environment",
+        "if False:\n                environment",
+    ),
+    (
+        "one fed input is enough",
+        "wiring.py",
+        "else not fed.issuperset(transformation.input)",
+        "else fed.isdisjoint(transformation.input)",
+    ),
+    (
+        "every input has to be fed",
+        "wiring.py",
+        'return not fed if transformation.run.start == "any"',
+        'return not fed.issuperset(transformation.input) if transformation.run.start == "any"',
+    ),
+    (
+        "the starting input does not count",
+        "wiring.py",
+        "        return fed.isdisjoint(starting)\n",
+        "        return not fed\n",
+    ),
+    ("a switch is not noted", "wiring.py", "            wire.has_switched = True\n", "            pass\n"),
+)
+
+MUTANTS = (*MODEL, *FLEET, *JUDGE, *BOUNDS, *CLOSING, *SATURATION, *SUPERVISION)
