@@ -9,12 +9,19 @@ from __future__ import annotations
 import argparse
 import os
 import shutil
-import subprocess
 import sys
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
+from queue import Queue
 
+import hypothesis.strategies  # noqa: F401
+import networkx  # noqa: F401
+import numpy  # noqa: F401
+import ortools.sat.python.cp_model  # noqa: F401
+import pydantic  # noqa: F401
+import pytest
 from table import MUTANTS, Mutant
 
 PROJECT = Path(__file__).parents[2]
@@ -34,23 +41,34 @@ def stale() -> list[str]:
     return found
 
 
-def verdict(tree: Path, mutant: Mutant | None, tests: tuple[str, ...]) -> int:
+def verdict(tree: Path, mutant: Mutant | None, tests: tuple[str, ...]) -> int | None:
     """What pytest ends with in a copied tree, with a mutant in it or none; a test that takes too long has failed."""
     path = tree / mutant.file if mutant is not None else None
     whole = path.read_text(encoding="utf-8") if path is not None else ""
     if path is not None and mutant is not None:
         path.write_text(whole.replace(mutant.old, mutant.new), encoding="utf-8")
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-n", "0", "-p", "no:cacheprovider", *tests]
-    paths = os.pathsep.join([str(tree), str(tree / "runtime")])
-    setting = {**os.environ, "PYTHONPATH": paths, "PYTHONDONTWRITEBYTECODE": "1"}
-    try:
-        ended = subprocess.run(command, cwd=tree, env=setting, capture_output=True, timeout=PATIENCE_S, check=False)
-        return ended.returncode
-    except subprocess.TimeoutExpired:
-        return KILLED
-    finally:
-        if path is not None:
-            path.write_text(whole, encoding="utf-8")
+    child = get_context("fork").Process(target=_run_tests, args=(tree, tests))
+    child.start()
+    child.join(PATIENCE_S)
+    code = KILLED if child.is_alive() else child.exitcode
+    child.kill()
+    child.join()
+    if path is not None:
+        path.write_text(whole, encoding="utf-8")
+    return code
+
+
+def _run_tests(tree: Path, tests: tuple[str, ...]) -> None:
+    """In a process of its own, to which the heavy packages are known already, but no module of the project."""
+    sys.path[:0] = paths = [str(tree), str(tree / "runtime")]
+    os.environ["PYTHONPATH"] = os.pathsep.join(paths)
+    sys.dont_write_bytecode = True
+    os.chdir(tree)
+    with Path(os.devnull).open("w", encoding="utf-8") as nowhere:
+        os.dup2(nowhere.fileno(), 1)
+        os.dup2(nowhere.fileno(), 2)
+        code = pytest.main(["-q", "-x", "-n", "0", "-p", "no:cacheprovider", *tests])
+    os._exit(int(code))
 
 
 def survivors(mutants: list[Mutant], processes: int) -> list[Mutant]:
@@ -67,26 +85,21 @@ def survivors(mutants: list[Mutant], processes: int) -> list[Mutant]:
         for tests in dict.fromkeys(mutant.tests for mutant in mutants):
             if verdict(trees[0], None, tests) != SURVIVED:
                 sys.exit(f"{' '.join(tests)} fail without any mutant")
-        shares = [
-            list(zip(range(n, len(mutants), processes), mutants[n::processes], strict=True)) for n in range(processes)
-        ]
-        parts = pool.map(
-            lambda one: [(number, *_judged(one[0], mutant)) for number, mutant in one[1]],
-            zip(trees, shares, strict=True),
-        )
-        return [
-            mutant
-            for _, mutant, survives in sorted((row for part in parts for row in part), key=lambda row: row[0])
-            if survives
-        ]
+        free: Queue[Path] = Queue()
+        for tree in trees:
+            free.put(tree)
+        verdicts = pool.map(lambda mutant: _survives(free, mutant), mutants)
+        return [mutant for mutant, survives in zip(mutants, verdicts, strict=True) if survives]
 
 
-def _judged(tree: Path, mutant: Mutant) -> tuple[Mutant, bool]:
+def _survives(free: Queue[Path], mutant: Mutant) -> bool:
+    tree = free.get()
     code = verdict(tree, mutant, mutant.tests)
+    free.put(tree)
     if code not in (KILLED, SURVIVED):
         raise RuntimeError(f"{mutant.file}: {mutant.broken}: pytest ended with {code}")
     print(f"{'SURVIVES' if code == SURVIVED else 'killed'}  {mutant.file}: {mutant.broken}", flush=True)
-    return mutant, code == SURVIVED
+    return code == SURVIVED
 
 
 def main() -> None:

@@ -349,7 +349,10 @@ JUDGE = _room(
 
 BOUNDS = _room(
     "cfgplan/planners/bounding",
-    ("tests/planners/test_preprocessing.py",),
+    (
+        "tests/planners/test_preprocessing.py::test_bounds_do_not_exceed_the_optimum_and_fixing_keeps_optimal_plans",
+        "tests/planners/test_preprocessing.py::test_what_plans_without_a_label_cost_at_least_is_no_more_than_they_do",
+    ),
     (
         "a landmark is charged what its dearest member costs",
         "bounds.py",
@@ -378,7 +381,7 @@ BOUNDS = _room(
 
 CLOSING = _room(
     "cfgplan/planners",
-    ("tests/planners/test_alike.py", "tests/planners/test_support.py", "tests/planners/test_closing.py"),
+    ("tests/planners/test_support.py", "tests/planners/test_alike.py", "tests/planners/test_closing.py"),
     (
         "distinct inputs are fed by those alike",
         "closing/alike.py",

@@ -6,6 +6,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from fixed import kind, world
 from hypothesis import given
 from test_against_the_oracle import fewer
 from test_preprocessing import Stage
@@ -13,8 +14,10 @@ from worlds import problems
 
 from cfgplan.planners.closing.alike import alike
 from cfgplan.planners.closing.program import LandmarkProgram
+from cfgplan.planners.cpsat.structure import Structure
 from cfgplan.planners.networks.core import Core, Rows
 from cfgplan.planners.networks.network import Graph
+from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Problem
 
 PAIRS = [list(pair) for pair in combinations(range(3), 2)]
@@ -42,6 +45,17 @@ def test_labels_alike_need_together_what_some_of_them_need() -> None:
     assert together.bound([]).value == 21
     assert not together.bound([]).residual.any()
     assert apart.value == pytest.approx(11)
+
+
+def test_labels_that_feed_distinct_inputs_are_alike_with_none() -> None:
+    def kinds(distinct: tuple[int, ...]) -> list[int]:
+        library = (kind("s", gives="A"), kind("t", gives="A"), kind("f", "AA", "B", distinct=distinct))
+        network = Structure.of(world("B", *library), None, Clock()).network
+        assert network.labels == ["f", "s", "t"]
+        return alike(network, np.ones(3, np.int64)).tolist()
+
+    assert kinds(()) == [0, 1, 1]
+    assert kinds((0, 1)) == [0, 1, 2]
 
 
 def test_labels_that_cost_nothing_are_alike_with_none() -> None:

@@ -23,7 +23,7 @@ from cfgplan_runtime.supervision.events import (
     UnitTooLarge,
 )
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
-from cfgplan_runtime.supervision.wiring import wanted_feeds
+from cfgplan_runtime.supervision.wiring import starved_units, wanted_feeds
 from world import RESULT, source, start, unit, worker
 
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, RunOptions, Stream, Target, Transformation
@@ -141,6 +141,35 @@ def test_an_update_is_undone_when_a_unit_dies_at_its_start() -> None:
     assert simulation.supervisor.environment == before
     assert isinstance(simulation.events[-1], RolledBack)
     simulation.check()
+
+
+def test_an_update_that_is_undone_leaves_no_outlet_and_no_unit_of_its_own() -> None:
+    simulation = Simulation(source(), worker(), worker("bad"), bad=Behaviour(dies_at_start="no camera"))
+    simulation.apply(start(*ONE))
+    started = (unit("work.2", topic="/other", x="count.1/n"), unit("bad.1", x="count.1/n"))
+    with pytest.raises(ApplyError):
+        simulation.apply(ChangeSet(started=started, added_targets=(Target("other", "Y", "/other"),)))
+    assert simulation.backend.topics == simulation.supervisor.outlets == {"/result"}
+    assert set(simulation.backend.units) == {"count.1", "work.1"}
+
+
+@pytest.mark.parametrize(
+    ("run", "starves_with_a_gap_at"),
+    [
+        (RunOptions(), {"a", "b", "ab"}),
+        (RunOptions("any"), {"ab"}),
+        (RunOptions("a"), {"a", "ab"}),
+    ],
+)
+def test_a_unit_starves_where_an_input_that_starts_it_is_missing(
+    run: RunOptions, starves_with_a_gap_at: set[str]
+) -> None:
+    for gap in ("", "a", "b", "ab"):
+        fed = {port: "count.1/n" for port in "ab" if port not in gap}
+        units = (unit("count.1"), unit("work.1", **fed), unit("next.1", a="work.1/y", b="count.1/n"))
+        library = (source(), worker(inputs=("a", "b"), run=run), worker("next", inputs=("a", "b")))
+        starved = {"work.1", "next.1"} if gap in starves_with_a_gap_at else set()
+        assert starved_units(Environment(units, library, ())) == starved
 
 
 def test_wires_that_have_switched_are_switched_back_when_a_later_step_fails() -> None:

@@ -1,0 +1,146 @@
+"""What a change of the planner costs: `python experiments/planning/guard.py BEFORE [AFTER]` for one or two checkouts.
+
+Each plan is made in a process of its own, which imports the planner first; CPU seconds of that process are taken. With
+two checkouts each instance is planned by one and by the other in turn. Prints a row for each instance, and for each
+family the geometric mean of the ratios; ends with 1 if a cost, or the number of rewired or started units, differs where
+both prove it, if something is newly unproven, or if a family is slower by more than a tenth.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from math import exp, log
+from pathlib import Path
+from random import Random
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "fleet"))
+
+import instances
+
+from cfgplan.comparing.families.random_library import random_library
+from cfgplan.comparing.suites import SCALE
+from cfgplan.domain import ChangeSet
+from cfgplan.planning import Problem, Status
+
+SLOWER = 1.1
+"""A family that takes so many times as long is one too many."""
+Made = list[Problem]
+"""What one session plans, one after the other."""
+
+
+def _required(seed: int, transformations: int) -> Problem:
+    problem = random_library(seed, transformations=transformations, targets=8)
+    library = list(problem.environment.library)
+    at = 3 * len(library) // 4
+    library[at] = replace(library[at], required=True)
+    return replace(problem, environment=replace(problem.environment, library=tuple(library)))
+
+
+def _replanning(seed: int, transformations: int, targets: int) -> Made:
+    """A plan, the same once it runs, and ten failures of one unit."""
+    from cfgplan.planners.cpsat import plan
+
+    problem = random_library(seed, transformations=transformations, targets=targets)
+    found = plan(problem).change_set
+    assert found is not None
+    environment = problem.environment.update(found)
+    running = replace(problem, environment=environment)
+    dead = Random(seed).sample([unit.id for unit in environment.units], min(10, len(environment.units)))
+    broken = [replace(problem, environment=environment.update(ChangeSet(stopped=(unit,)))) for unit in dead]
+    return [problem, running, *broken]
+
+
+PLAIN: dict[str, Callable[[int], Made]] = {
+    name: lambda seed, parameters=parameters: [random_library(seed, **parameters)]  # type: ignore[misc]
+    for name, parameters in SCALE.items()
+}
+OTHERS: dict[str, Callable[[int], Made]] = {
+    "distinct, 500": lambda seed: [random_library(seed, transformations=500, targets=3, distinct=0.5)],
+    "required, 500": lambda seed: [_required(seed, 500)],
+    "required, 5,000": lambda seed: [_required(seed, 5_000)],
+    "replanning, 500": lambda seed: _replanning(seed, 500, 3),
+    "replanning, 1,000, 10 targets": lambda seed: _replanning(seed, 1_000, 10),
+    "latency weighed, 150": lambda seed: [instances.weighted(seed, 150)],
+    "latency weighed, 415": lambda seed: [instances.weighted(seed, 415)],
+    "latency bounded, 415": lambda seed: [instances.bounded(seed, 415)],
+    "latency and error, 60": lambda seed: [instances.both(seed, 60, 3)],
+    "3 hosts, 150": lambda seed: [instances.hosted(seed, 150)],
+    "3 hosts, 300": lambda seed: [instances.hosted(seed, 300)],
+    "3 roomy hosts, 415": lambda seed: [instances.hosted(seed, 415, tight=False)],
+    "one failure, 40": lambda seed: [instances.surviving(seed, 40)],
+}
+FAMILIES = PLAIN | OTHERS
+"""The hard ones are among `SCALE`: 2,000 with 3 targets, 1,000 with 5 and 60, two outputs, three inputs and cycles."""
+
+
+def measured(family: str, seed: int, limit_s: float) -> dict[str, object]:
+    """CPU seconds for all plans of an instance, and what is proven of the last."""
+    from cfgplan.planners.cpsat import PlannerSession, search  # noqa: F401 - the solver's import is not measured
+
+    made, session = FAMILIES[family](seed), PlannerSession()
+    PlannerSession().plan(random_library(0, transformations=30))
+    began = time.process_time()
+    for problem in made:
+        found = session.plan(problem, time_limit_s=limit_s)
+    took_s, changes = time.process_time() - began, found.change_set
+    counts = (len(changes.rewired), len(changes.started)) if changes is not None else None
+    is_proven = found.status not in (Status.FEASIBLE, Status.UNKNOWN)
+    return {"cpu_s": took_s, "proven": is_proven, "result": [str(found.status), found.cost_us, counts]}
+
+
+def in_checkout(checkout: Path, family: str, seed: int, limit_s: float) -> dict[str, object]:
+    """The same, with the planner of a checkout."""
+    setting = {**os.environ, "PYTHONPATH": os.pathsep.join([str(checkout), str(checkout / "runtime")])}
+    command = [sys.executable, __file__, "--one", family, "--seeds", str(seed), "--limit", str(limit_s), str(checkout)]
+    answer = subprocess.run(command, env=setting, capture_output=True, text=True, check=True).stdout
+    found: dict[str, object] = json.loads(answer.splitlines()[-1])
+    return found
+
+
+def rows(checkouts: list[Path], families: list[str], seeds: list[int], limit_s: float) -> Iterator[str]:
+    """A row for each instance, then one for each family that is too slow; raises SystemExit at the end of a bad one."""
+    ratios: dict[str, list[float]] = defaultdict(list)
+    bad = []
+    for family in families:
+        for seed in seeds:
+            found = [in_checkout(checkout, family, seed, limit_s) for checkout in checkouts]
+            cells = [f"{one['cpu_s']:.3f}{'' if one['proven'] else ' unproven'}" for one in found]
+            yield f"| {family} | {seed} | {' | '.join(cells)} |"
+            before, after = found[0], found[-1]
+            if before["proven"] and (not after["proven"] or before["result"] != after["result"]):
+                bad.append(f"{family} {seed}: {before['result']} before, {after['result']} after")
+            ratios[family].append(float(str(after["cpu_s"])) / max(1e-4, float(str(before["cpu_s"]))))
+    for family, these in ratios.items() if len(checkouts) > 1 else ():
+        mean = exp(sum(map(log, these)) / len(these))
+        yield f"{family}: {mean:.2f}"
+        if mean > SLOWER:
+            bad.append(f"{family} takes {mean:.2f} times as long")
+    if bad:
+        sys.exit("\n".join(bad))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("checkouts", nargs="+", type=Path, help="one or two folders with the project in them")
+    parser.add_argument("--families", nargs="+", choices=list(FAMILIES), default=list(FAMILIES), help="default: all")
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2], help="default: 0 1 2")
+    parser.add_argument("--limit", type=float, default=30.0, help="seconds for each plan (default 30)")
+    parser.add_argument("--one", choices=list(FAMILIES), help=argparse.SUPPRESS)
+    chosen = parser.parse_args()
+    if chosen.one:
+        print(json.dumps(measured(chosen.one, chosen.seeds[0], chosen.limit)))
+        return
+    for row in rows(chosen.checkouts, chosen.families, chosen.seeds, chosen.limit):
+        print(row, flush=True)
+
+
+if __name__ == "__main__":
+    main()
