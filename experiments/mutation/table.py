@@ -86,12 +86,6 @@ MODEL = _room(
         "sharing[port.distinct, model.site.candidates[feeder].id]",
     ),
     (
-        "a hub is fed first by a unit that needs it",
-        "model.py",
-        "for f in feeders if f not in needing[hub.index]])",
-        "for f in feeders])",
-    ),
-    (
         "a hub is fed by nobody",
         "model.py",
         "model.rests_on_any(hub, [model.runs[f] for f in feeders if f not in needing[hub.index]])",
