@@ -1,0 +1,88 @@
+"""What a plan prefers where two wishes meet: planner, oracle and judge hold the same rule."""
+
+from __future__ import annotations
+
+import pytest
+
+from cfgplan.domain import (
+    ChangeSet,
+    ComputationUnit,
+    Environment,
+    OutputPort,
+    Publication,
+    Similarity,
+    Target,
+    Transformation,
+)
+from cfgplan.planners import PLANNERS
+from cfgplan.planning import Failures, Plan, Problem, Status
+from cfgplan.validity import Rule, plan_violations
+
+MATCHING = Similarity({"T": frozenset({"T"})})
+TARGET = (Target("t", "T", "/t"),)
+BOTH = pytest.mark.parametrize("planner", ["cpsat", "exhaustive"])
+
+
+def gives(label: str, labor_us: int, **wishes: object) -> Transformation:
+    return Transformation(label, (), (OutputPort("o", "T"),), labor_us=labor_us, **wishes)  # type: ignore[arg-type]
+
+
+def planned(planner: str, problem: Problem) -> Plan:
+    found = PLANNERS[planner](problem)
+    assert plan_violations(problem, found) == []
+    return found
+
+
+@BOTH
+@pytest.mark.parametrize("rest", [{}, {"conflicts": ("other",)}])
+def test_required_comes_before_the_largest_cost(planner: str, rest: dict[str, object]) -> None:
+    library = (gives("cheap", 1), gives("must", 9, required=True, **rest))
+    environment = Environment((), library, TARGET)
+    dear = planned(planner, Problem(environment, MATCHING, 1, max_cost_us=5))
+    assert (dear.status, dear.cost_us) == (Status.TOO_EXPENSIVE, 9)
+    found = planned(planner, Problem(environment, MATCHING, 1, max_cost_us=9))
+    assert (found.cost_us, found.unused_required) == (9, ())
+
+
+def surviving(units: tuple[ComputationUnit, ...], *library: Transformation) -> Problem:
+    return Problem(Environment(units, library, TARGET), MATCHING, 1, survive=Failures.UNITS)
+
+
+RUNNING = (
+    ComputationUnit("a.1", "a", (), (Publication("o", "/t"),)),
+    ComputationUnit("b.1", "b"),
+)
+
+
+@BOTH
+@pytest.mark.parametrize("pinned", [False, True])
+def test_a_running_unit_never_becomes_a_cold_spare(planner: str, pinned: bool) -> None:
+    problem = surviving(RUNNING, gives("a", 5, upkeep_us=1), gives("b", 5, upkeep_us=9, standby_us=1, pinned=pinned))
+    found = planned(planner, problem)
+    assert found.change_set is not None
+    if pinned:
+        assert (found.change_set, found.cost_us) == (ChangeSet(), 10)
+    else:
+        assert [(unit.transformation, unit.standby) for unit in found.change_set.started] == [("b", True)]
+        assert (found.change_set.stopped, found.cost_us) == (("b.1",), 2)
+    put = ChangeSet(rewired=(ComputationUnit("b.1", "b", standby=True),))
+    assert Rule.CONSISTENT in {
+        broken.rule for broken in plan_violations(problem, Plan("x", Status.FEASIBLE, put, cost_us=2))
+    }
+
+
+@BOTH
+def test_conflicts_cover_spares(planner: str) -> None:
+    problem = surviving((), gives("a", 5, conflicts=("b",)), gives("b", 50, standby_us=1))
+    assert planned(planner, problem).cost_us == 10
+
+
+@BOTH
+def test_to_promote_a_spare_costs_the_labor_of_a_start(planner: str) -> None:
+    spare = (ComputationUnit("a.1", "a", standby=True),)
+    problem = Problem(Environment(spare, (gives("a", 5, standby_us=1),), TARGET), MATCHING, 1)
+    found = planned(planner, problem)
+    assert found.change_set is not None
+    assert found.cost_us == 5
+    assert found.change_set.stopped == ("a.1",)
+    assert [unit.standby for unit in found.change_set.started] == [False]
