@@ -183,6 +183,28 @@ def test_a_feasible_plan_proves_neither_its_cost_nor_more_nor_its_ties(changes: 
     assert plan_rules(plan) == {Rule.BOUND}
 
 
+def test_what_a_plan_claims_of_all_plans_is_held_against_what_runs() -> None:
+    other = replace(CAMERA, label="other", labor_us=0)
+    required = replace(CAMERA, required=True)
+    feeds = (fed("image", "other.1/out"), fed("old", "detector.1/ball"))
+    units = (ComputationUnit("other.1", "other"), replace(detector, subscriptions=feeds))
+
+    def found(library: tuple[Transformation, ...], **claims: object) -> set[Rule]:
+        environment = replace(VALID, library=library)
+        changes = environment.change_to(units)
+        unused = tuple(t.label for t in library if t.required)
+        plan = Plan("by hand", Status.FEASIBLE, changes, 30, 0, unused_required=unused)
+        return plan_rules(replace(plan, **claims), replace(EMPTY, environment=environment))  # type: ignore[arg-type]
+
+    optimal = {"status": Status.OPTIMAL, "bound_us": 30}
+    assert found((CAMERA, DETECTOR, other)) == found((required, DETECTOR, other)) == set()
+    assert found((required, DETECTOR, other), required_proven=True) == {Rule.REQUIRED}
+    assert found((CAMERA, DETECTOR, other), **optimal) == set()
+    assert found((CAMERA, DETECTOR, other), **optimal, ties_proven=True) == {Rule.BOUND}
+    cheaper = replace(CAMERA, upkeep_us=CAMERA.upkeep_us - 1)
+    assert found((cheaper, DETECTOR, other), **optimal) == {Rule.BOUND}
+
+
 def test_a_plan_over_the_largest_cost_is_found_out() -> None:
     assert plan_rules(GOOD, replace(EMPTY, max_cost_us=37)) == {Rule.COST}
 

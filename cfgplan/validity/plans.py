@@ -18,9 +18,10 @@ from cfgplan.validity.startable import givers_by_tag, startable
 def plan_violations(problem: Problem, plan: Plan) -> list[Violation]:
     """Every way in which a plan fails to be what it says it is; empty for a good plan.
 
-    That no plan is cheaper is the planner's proof and is not repeated here. Where pairs of tags are open, what is done
-    must be valid though none of them matches; what is claimed must hold though all of them match: that there is no
-    plan, and with `optimal` that every pinned unit is kept that can be fed. An optimal plan hangs on no open pair.
+    That no plan is cheaper, or uses more of what is required, is the planner's proof and is not repeated here; but what
+    runs may refute it. Where pairs of tags are open, what is done must be valid though none of them matches; what is
+    claimed must hold though all of them match: that there is no plan, and with `optimal` that every pinned unit is kept
+    that can be fed. An optimal plan hangs on no open pair.
     """
     if (plan.change_set is not None) != (plan.status in (Status.OPTIMAL, Status.FEASIBLE)):
         text = f"a plan that is {plan.status} must have a change set exactly if one was found"
@@ -37,6 +38,7 @@ def plan_violations(problem: Problem, plan: Plan) -> list[Violation]:
         *_dropped_pinned_units(problem, plan, after),
         *_misreported_required(plan, after),
         *_bad_cost(problem, plan, after),
+        *_refuted_by_what_runs(problem, plan),
     ]
 
 
@@ -95,10 +97,14 @@ def _dropped_pinned_units(problem: Problem, plan: Plan, after: Environment) -> I
             yield Violation(Rule.PINNED, f"unit {unit.id} is pinned and can be fed, but is stopped", unit.id)
 
 
+def _unused_required(environment: Environment) -> tuple[str, ...]:
+    needed = needed_by(environment, publishers(environment))
+    used = {environment.unit[unit_id].transformation for unit_id in needed}
+    return tuple(t.label for t in environment.library if t.required and t.label not in used)
+
+
 def _misreported_required(plan: Plan, after: Environment) -> Iterator[Violation]:
-    needed = needed_by(after, publishers(after))
-    used = {after.unit[unit_id].transformation for unit_id in needed}
-    unused = tuple(t.label for t in after.library if t.required and t.label not in used)
+    unused = _unused_required(after)
     if unused != plan.unused_required:
         text = (
             f"the unused required transformations are {list(unused)}, but the plan names {list(plan.unused_required)}"
@@ -106,17 +112,39 @@ def _misreported_required(plan: Plan, after: Environment) -> Iterator[Violation]
         yield Violation(Rule.REQUIRED, text)
 
 
-def _bad_cost(problem: Problem, plan: Plan, after: Environment) -> Iterator[Violation]:
+def _refuted_by_what_runs(problem: Problem, plan: Plan) -> Iterator[Violation]:
+    """What a plan that changes something claims of all plans, held against what runs if that is valid."""
+    before, changes = problem.environment, plan.change_set
+    if not changes or violations(before, problem.similarity, problem.survive):
+        return
+    cost, more_unused = _cost_us(problem, before), len(_unused_required(before)) - len(plan.unused_required)
+    if plan.required_proven and more_unused < 0:
+        text = "the plan says that no valid configuration uses more required transformations, but what runs does"
+        yield Violation(Rule.REQUIRED, text)
+    if plan.bound_us > cost and more_unused <= 0:
+        yield Violation(Rule.BOUND, f"the bound is {plan.bound_us} us, but what runs costs {cost} us")
+    if plan.ties_proven and (changes.rewired or changes.started) and plan.cost_us == cost and more_unused == 0:
+        yield Violation(Rule.BOUND, "the plan says that ties are proven, but what runs costs the same without a change")
+
+
+def _cost_us(problem: Problem, after: Environment) -> int:
+    """What the update to an environment costs, in microseconds."""
     cost = carried_us(after, problem.horizon_s) + priced_us(after)
     for unit, transformation in known_units(after):
         if unit.standby:
             cost += (transformation.standby_us or 0) * problem.horizon_s
-            if transformation.standby_us is None:
-                yield Violation(Rule.COST, f"unit {unit.id} is in standby, which its transformation does not know")
             continue
         cost += transformation.upkeep_us * problem.horizon_s
         if unit.id not in problem.environment.unit:
             cost += transformation.labor_us
+    return cost
+
+
+def _bad_cost(problem: Problem, plan: Plan, after: Environment) -> Iterator[Violation]:
+    for unit, transformation in known_units(after):
+        if unit.standby and transformation.standby_us is None:
+            yield Violation(Rule.COST, f"unit {unit.id} is in standby, which its transformation does not know")
+    cost = _cost_us(problem, after)
     if plan.cost_us != cost:
         yield Violation(Rule.COST, f"the update costs {cost} us, but the plan says {plan.cost_us} us")
     if problem.max_cost_us is not None and cost > problem.max_cost_us:
