@@ -95,7 +95,8 @@ class ComputationUnit:
 class Target:
     """A semantic subscription from outside (Definition 4); a larger `priority` matters more.
 
-    `quality` is what it asks of its stream. With a `host`, the stream has to come there.
+    `quality` is what it asks of its stream. With a `host`, the stream has to come there. In a run it counts as unmet
+    once nothing has come for `silent_us`; planning does not look at that.
     """
 
     label: str
@@ -104,6 +105,7 @@ class Target:
     priority: int = 0
     quality: tuple[Wish, ...] = ()
     host: str | None = None
+    silent_us: int | None = None
 
     def __post_init__(self) -> None:
         if self.quality:

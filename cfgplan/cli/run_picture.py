@@ -115,12 +115,12 @@ class Picture:
         return _with_rest(table, len(ordered), room, "target")
 
     def _target(self, target: TargetView) -> Iterator[RenderableType]:
-        flow = self.flows.get(target.topic, Flow()) if target.is_met else Flow()
+        flow = self.flows.get(target.topic, Flow()) if target.stream is not None else Flow()
         yield Text(target.label, style="green" if target.is_met else "red")
         yield Text(target.topic)
         yield Text(f"{flow.rate_hz:.1f} Hz" if flow.elements else "", style="" if flow.rate_hz else "yellow")
         yield Text("" if flow.latency_ms is None else milliseconds(flow.latency_ms / 1e3))
-        if target.stream is None:
+        if target.stream is None or target.is_silent:
             yield Text(target.reason, style="red")
         elif flow.silent_s is None or flow.silent_s > _OLD_S:
             silent = "nothing came yet" if flow.silent_s is None else f"silent for {_span(flow.silent_s)}"

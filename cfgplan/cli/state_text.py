@@ -59,9 +59,20 @@ def _targets(targets: list[Mapping[str, Any]]) -> RenderableType:
             target["topic"],
             "" if rate is None else f"{rate:.1f} Hz",
             "" if latency_ms is None else f"{latency_ms:.1f} ms",
-            target["stream"] or Text(target["reason"], style="red"),
+            _from(target),
         )
     return table
+
+
+def _from(target: Mapping[str, Any]) -> Text:
+    """What a target gets its elements from, or why it gets none."""
+    if not target["met"]:
+        return Text(target["reason"], style="red")
+    if target.get("rate_hz") != 0:
+        return Text(target["stream"])
+    silent_s = target.get("silent_s")
+    silent = "nothing came yet" if silent_s is None else f"silent for {silent_s:.0f} s"
+    return Text().append(f"{target['stream']}  ").append(silent, style="yellow")
 
 
 def _units(units: list[Mapping[str, Any]]) -> RenderableType:

@@ -82,7 +82,7 @@ def environment_digest(
 ) -> str:
     """SHA-256 (hex) of all that a plan depends on, the ontology files and `imports` too.
 
-    Comments, the order of lists and what only running needs (source, params, kind) don't count.
+    Comments, the order of lists and what only running needs (source, params, kind, run, silent) don't count.
     """
     content: list[object] = [
         horizon_s,

@@ -188,6 +188,7 @@ def _target(target: Target, environment: Environment) -> dict[str, Any]:
             "priority": target.priority if target.priority else None,
             "quality": {wish.attribute: _wish(wish, environment) for wish in target.quality},
             "host": target.host,
+            "silent": None if target.silent_us is None else plain_cost(target.silent_us),
         }
     )
 

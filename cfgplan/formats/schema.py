@@ -17,6 +17,7 @@ from cfgplan.formats.schema_values import (
     PositiveMicro,
     Rate,
     Seconds,
+    Span,
     TagText,
     form_of,
 )
@@ -166,6 +167,9 @@ class TargetPart(_Part):
     priority: int = Field(default=0, ge=-LONGEST_HORIZON_S, le=LONGEST_HORIZON_S, description="larger matters more")
     quality: dict[Name, WishPart] | None = Field(default=None, description="attribute to what is asked of it")
     host: Name | None = Field(default=None, description="the host that the stream has to come to")
+    silent: Span | None = Field(
+        default=None, description="in a run it counts as unmet when nothing has come for so long: seconds, or 500ms, 5s"
+    )
 
 
 class HostPart(_Part):

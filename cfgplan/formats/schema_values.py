@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from decimal import Decimal, DecimalException
 from functools import lru_cache
 from typing import Annotated, Any
@@ -16,6 +17,9 @@ from cfgplan.qualities import micro_units
 LARGEST_RATE_HZ = 100_000
 NAME = r"^[^\s\x00-\x1f\x7f]([^\x00-\x1f\x7f]*[^\s\x00-\x1f\x7f])?$"
 PORT = r"^[^\s\x00-\x1f\x7f/]([^\x00-\x1f\x7f/]*[^\s\x00-\x1f\x7f/])?$"
+
+SPAN = r"^(\d+(?:\.\d+)?)(ms|s|m|h)$"
+_SECONDS_OF = {"ms": Decimal("0.001"), "s": Decimal(1), "m": Decimal(60), "h": Decimal(3600)}
 
 SHORT_FORM = "(short)"
 """How errors name the form of a port that is only a tag, or of a list that is one text."""
@@ -46,6 +50,20 @@ def _seconds(value: object) -> int:
     if type(value) is int or type(value) is Decimal:
         return _microseconds(value)
     raise PydanticCustomError("number_type", "a time is a number of seconds")
+
+
+def _span(value: object) -> int:
+    """A span of time that is not empty, in microseconds."""
+    mend = "write a number of seconds above 0, or 500ms, 5s, 2m or 1h"
+    found = re.fullmatch(SPAN, value) if type(value) is str else None
+    if found is not None:
+        value = Decimal(found[1]) * _SECONDS_OF[found[2]]
+    if type(value) is not int and type(value) is not Decimal:
+        raise PydanticCustomError("span", "{text}", {"text": "this is no span of time", "mend": mend})
+    span_us = _microseconds(value)
+    if not span_us:
+        raise PydanticCustomError("span", "{text}", {"text": "a span of time is longer than 0", "mend": mend})
+    return span_us
 
 
 def _rate(value: object) -> float:
@@ -111,6 +129,11 @@ PortName = Annotated[str, Field(pattern=PORT)]
 TagText = Annotated[str, Field(min_length=1, description="a concept in description logic, or the paper's P(a)")]
 Cost = Annotated[int, PlainValidator(_cost), WithJsonSchema({"type": "number", "minimum": 0})]
 Seconds = Annotated[int, PlainValidator(_seconds), WithJsonSchema({"type": "number", "minimum": 0})]
+Span = Annotated[
+    int,
+    PlainValidator(_span),
+    WithJsonSchema({"anyOf": [{"type": "number", "exclusiveMinimum": 0}, {"type": "string", "pattern": SPAN}]}),
+]
 Rate = Annotated[
     float, PlainValidator(_rate), WithJsonSchema({"type": "number", "exclusiveMinimum": 0, "maximum": LARGEST_RATE_HZ})
 ]

@@ -54,7 +54,7 @@ def _environment(data: Mapping[str, Any]) -> Iterator[str]:
     for part in data.get("units") or ():
         yield from _unit(part)
     for part in data.get("targets") or ():
-        yield f"  {_opened('target', priority=part.get('priority'))}"
+        yield f"  {_opened('target', priority=part.get('priority'), silent=part.get('silent'))}"
         for name in ("label", "topic", "tag"):
             yield f"    {_element(name, part[name])}"
         yield "  </target>"

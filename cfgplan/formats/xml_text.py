@@ -1,7 +1,7 @@
 """The paper's XML specifications (Listings 1 and 2) as plain data in the environment file's form.
 
 What the paper's XML lacks is added as attributes (labor, upkeep, host, pinned, required, memory, min_instances,
-max_instances, standby, distinct, feedback, priority) and elements (run, unit, ontology, include, and the root
+max_instances, standby, distinct, feedback, priority, silent) and elements (run, unit, ontology, include, and the root
 environment with horizon and max_cost).
 """
 
@@ -25,7 +25,7 @@ _ATTRIBUTES = {
         *("memory", "min_instances", "max_instances", "standby"),
     ),
     "run": ("start", "tolerance", "rate", "queue", "when_full", "hang", "memory", "state"),
-    "target": ("priority",),
+    "target": ("priority", "silent"),
     "unit": ("id", "transformation"),
     "defaults": ("labor", "upkeep"),
     "param": ("name", "type"),
@@ -201,7 +201,7 @@ class _Reading:
 
     def _target(self, element: Element, path: Path) -> dict[str, Any]:
         part = self._texts(element, path, ("label", "topic", "tag"))
-        return part | self._attributes(element, path, {"priority": resolve})
+        return part | self._attributes(element, path, {"priority": resolve, "silent": resolve})
 
     # --- what all elements have in common ---
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import pytest
+from cfgplan_runtime.children.messages import PortCounts
 from cfgplan_runtime.estimating.estimator import ESTIMATORS, LearningEstimator, make_estimator
 from cfgplan_runtime.estimating.evidence import family
 from cfgplan_runtime.estimating.expecting import Origin
@@ -37,6 +38,25 @@ def test_labor_and_upkeep_are_learned(name: str) -> None:
     estimate = estimator.estimate(WORK, HORIZON_S)
     assert (estimate.labor_us, estimate.upkeep_us) == (80_000, 5_000)
     assert (estimate.labor_origin, estimate.upkeep_origin) == (Origin.OBSERVED, Origin.OBSERVED)
+
+
+def test_nothing_is_learned_from_a_unit_that_gives_nothing() -> None:
+    estimator = LearningEstimator()
+    for now_s in range(60):
+        seen = replace(observation("work.1", 1000), outputs={"y": PortCounts(elements=0)})
+        estimator.observe([seen], now_s)
+    assert estimator.estimated([WORK], HORIZON_S) == (WORK,)
+
+
+def test_what_a_unit_used_while_it_gave_nothing_counts_once_it_gives_again() -> None:
+    estimator = make_estimator("average")
+    for now_s in range(61):
+        elements, cpu_us = (min(now_s, 10), 5_000 * now_s) if now_s < 60 else (11, 5_000 * now_s)
+        seen = replace(observation("work.1", 100_000 + cpu_us), outputs={"y": PortCounts(elements=elements + 1)})
+        estimator.observe([seen], now_s)
+        if now_s == 59:
+            dead = estimator.evidence["work"].upkeep.samples[-1].until
+    assert (dead, estimator.upkeep_us(WORK, HORIZON_S)) == (10, 5_000)
 
 
 def test_the_declared_estimator_learns_only_from_failures() -> None:

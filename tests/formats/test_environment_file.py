@@ -190,6 +190,24 @@ def test_the_digest_depends_on_what_plans_depend_on_and_on_nothing_else(tmp_path
         assert load_text(tmp_path, WHOLE.replace(old, new)).digest != digest, new
 
 
+@pytest.mark.parametrize(
+    ("silent", "expected_us"), [("5", 5_000_000), ("0.5", 500_000), ("5s", 5_000_000), ("2m", 120_000_000)]
+)
+def test_a_target_says_how_long_it_may_be_silent(tmp_path: Path, silent: str, expected_us: int) -> None:
+    text = WHOLE.replace("priority: 1", f"priority: 1, silent: {silent}")
+    world = load_text(tmp_path, text)
+    (target,) = [target for target in world.environment.targets if target.silent_us is not None]
+    assert target.silent_us == expected_us
+    assert world.digest == load_text(tmp_path, WHOLE).digest
+
+
+@pytest.mark.parametrize("silent", ["0", "-1", "soon", "0s", "[5]", "true"])
+def test_a_target_that_may_be_silent_for_no_span_of_time_is_refused(tmp_path: Path, silent: str) -> None:
+    with pytest.raises(InputError) as refused:
+        load_text(tmp_path, WHOLE.replace("priority: 1", f"priority: 1, silent: {silent}"))
+    assert refused.value.faults[0].mend is not None
+
+
 def test_the_digest_depends_on_the_ontology(tmp_path: Path) -> None:
     before = load_text(tmp_path, WHOLE).digest
     (tmp_path / "a.ttl").write_text("one")

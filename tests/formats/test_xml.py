@@ -82,7 +82,7 @@ WHOLE = """\
     <input port="right" stream="fuse.1/out"/>
     <topic port="out">/result</topic>
   </unit>
-  <target priority="2"><label>t</label><topic>/result</topic><tag>A</tag></target>
+  <target priority="2" silent="5s"><label>t</label><topic>/result</topic><tag>A</tag></target>
 </environment>
 """
 
@@ -128,6 +128,7 @@ def test_what_the_papers_xml_lacks_is_said_by_attributes_and_elements(tmp_path: 
     (unit,) = world.environment.units
     assert (unit.feeds["right"].unit, [p.topic for p in unit.publications]) == ("fuse.1", ["/result"])
     assert world.environment.targets[0].priority == 2
+    assert world.environment.targets[0].silent_us == 5_000_000
 
 
 def test_other_encodings_are_read_as_they_declare_themselves(tmp_path: Path) -> None:

@@ -159,6 +159,31 @@ def countdown() -> Iterator[int]:
         yield number
 
 
+def raising() -> Iterator[int]:
+    """0, 1, then an exception."""
+    yield 0
+    yield 1
+    raise OSError("camera: frame timeout")
+
+
+class Flaky:
+    """Raises at every other call, and ends after `last`."""
+
+    def __init__(self, last: int, raises_last: bool) -> None:
+        self.number, self.last, self.raises_last = 0, last, raises_last
+
+    def __iter__(self) -> Iterator[int]:
+        return self
+
+    def __next__(self) -> int:
+        self.number += 1
+        if self.number > self.last:
+            raise StopIteration
+        if (self.number % 2 == 1) == (self.raises_last == (self.last % 2 == 1)):
+            raise OSError("camera: frame timeout")
+        return self.number
+
+
 def timed() -> Iterator[At]:
     """Elements with a time of their own."""
     for second in range(1, 1000):

@@ -7,6 +7,7 @@ import re
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -17,6 +18,7 @@ from cfgplan_runtime.errors import NoSuchTopicError, RuntimeFaultError, Unsuppor
 from cfgplan_runtime.supervision.events import (
     OutletsLost,
     RolledBack,
+    SourceExhausted,
     UnitDied,
     UnitFailed,
     UnitHung,
@@ -85,6 +87,26 @@ def test_a_unit_that_exits_is_reported_and_takes_nobody_with_it(run_units: Start
     assert death.unit == "naughty.1"
     assert part in death.cause
     assert [unit.id for unit in runtime.environment.units] == ["count.1", "work.1"]
+
+
+def test_a_generator_that_raises_has_failed_as_a_unit(run_units: StartRuntime) -> None:
+    runtime = run_units(source(code="raising"))
+    runtime.apply(start(unit("count.1", topic="/result", port="n")))
+    eventually(lambda: bool(seen(runtime, UnitDied)))
+    assert seen(runtime, UnitDied)[0].cause.endswith("OSError: camera: frame timeout (in step 3)")
+    assert seen(runtime, SourceExhausted) == []
+
+
+@pytest.mark.parametrize("raises_last", [True, False])
+def test_a_source_that_ends_after_an_exception_has_failed_and_others_that_raised_go_on(
+    run_units: StartRuntime, raises_last: bool
+) -> None:
+    flaky = replace(source(code="Flaky"), params={"last": 9, "raises_last": raises_last})
+    runtime = run_units(flaky)
+    runtime.apply(start(unit("count.1", topic="/result", port="n")))
+    eventually(lambda: bool(seen(runtime, UnitDied) or seen(runtime, SourceExhausted)))
+    assert [bool(seen(runtime, kind)) for kind in (UnitDied, SourceExhausted)] == [raises_last, not raises_last]
+    assert len(seen(runtime, UnitFailed)) >= 4
 
 
 def test_what_a_unit_prints_is_an_event(run_units: StartRuntime) -> None:

@@ -54,10 +54,15 @@ class UnitChild:
         self._errors = self._reported = 0
         self._suppressed = ("", "")
         self._is_exhausted = self._is_finishing = False
+        self._raised: Exception | None = None
+        """What a source raised last, if it has given nothing since: an end after it is its failure."""
         self._tick_ns = time.monotonic_ns()
 
     def run(self) -> None:
-        """Work until told to finish, or until the supervisor is gone. SystemExit of unit code comes through."""
+        """Work until told to finish, or until the supervisor is gone.
+
+        SystemExit of unit code comes through, and what a source raises that gives no more after it.
+        """
         self._ports.say(Ready(time.process_time_ns()))
         self._status_ns = time.monotonic_ns()
         while not self._ports.has_ended:
@@ -133,10 +138,16 @@ class UnitChild:
         self._moment = None
         try:
             self._results = self._code.produce()
+            self._raised = None
         except StopIteration:
+            if self._raised is not None:
+                raise self._raised from None
             self._is_exhausted = True
             self._ports.say(Exhausted())
         except Exception as error:
+            if self._code.can_not_go_on:
+                raise
+            self._raised = error
             self._fail(error)
         return True
 

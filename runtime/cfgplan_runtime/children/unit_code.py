@@ -74,6 +74,11 @@ class UnitCode:
         assert self._produce is not None
         return self._given(next(self._produce))
 
+    @property
+    def can_not_go_on(self) -> bool:
+        """Whether a source is a generator that has ended, as it does when it raises."""
+        return isinstance(self._produce, GeneratorType) and self._produce.gi_frame is None
+
     def get_state(self) -> object:
         return self._object.get_state()
 

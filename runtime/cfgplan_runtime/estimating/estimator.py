@@ -94,17 +94,21 @@ class LearningEstimator:
     def observe(self, observations: Iterable[Observation], now_s: float) -> None:
         """Learn from the units that run now; upkeep is what each has used since the last call.
 
-        Where a middleware does not count a unit's CPU time (`cpu_us` is 0), its `upkeep_us` is taken.
+        Nothing is learned from a unit that gives nothing: what it uses counts once it gives its next element. Where a
+        middleware does not count a unit's CPU time (`cpu_us` is 0), its `upkeep_us` is taken.
         """
         before, self._units, self._now_s = self._units, {}, now_s
         for seen in observations:
-            last, since_s = self._units[seen.unit] = before.get(seen.unit, (seen, now_s))
+            last, since_s = before.get(seen.unit, (None, now_s))
             ran_s = now_s - since_s
-            if last is seen or not _is_same_process(last, seen):
-                self._units[seen.unit] = (seen, now_s)
-                with self._learning(seen.transformation) as evidence:
-                    evidence.started(seen.labor_us, now_s)
-            elif ran_s >= _SHORTEST_S:
+            if last is None or not _is_same_process(last, seen):
+                if _given(seen) != 0:
+                    self._units[seen.unit] = (seen, now_s)
+                    with self._learning(seen.transformation) as evidence:
+                        evidence.started(seen.labor_us, now_s)
+            elif ran_s < _SHORTEST_S or (_given(seen) is not None and _given(seen) == _given(last)):
+                self._units[seen.unit] = (last, since_s)
+            else:
                 self._units[seen.unit] = (seen, now_s)
                 upkeep_us = (seen.cpu_us - last.cpu_us) / ran_s if seen.cpu_us else seen.upkeep_us
                 if upkeep_us is not None:
@@ -234,6 +238,11 @@ ESTIMATORS: Mapping[str, Callable[[float], Forecaster] | None] = MappingProxyTyp
 def make_estimator(name: str = "trend", guess: str = "declared", settings: Settings | None = None) -> LearningEstimator:
     """An estimator by one of the names of ESTIMATORS and GUESSES."""
     return LearningEstimator(ESTIMATORS[name], GUESSES[guess], settings)
+
+
+def _given(seen: Observation) -> int | None:
+    """How many elements a unit has given; None where nobody counts them, or it has no output."""
+    return sum(counts.elements for counts in seen.outputs.values()) if seen.outputs else None
 
 
 def _is_same_process(last: Observation, seen: Observation) -> bool:

@@ -9,6 +9,7 @@ from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Transformati
 from cfgplan_runtime.lifecycle.back_off import BackOffs
 from cfgplan_runtime.lifecycle.differing import runs_alike
 from cfgplan_runtime.lifecycle.seams import Estimator
+from cfgplan_runtime.lifecycle.silence import Silence
 
 LARGEST_ESTIMATE_US = 10**12
 """Estimates beyond this (11 days of CPU time) mean no more than that: never."""
@@ -34,6 +35,8 @@ class Situation:
     killed: set[str] = field(default_factory=set)
     """Ids of units whose end was asked for."""
     lost_hosts: frozenset[str] = frozenset()
+    silences: tuple[Silence, ...] = ()
+    """Targets that count as unmet though a stream is published for them."""
 
     def label_of(self, unit: str) -> str | None:
         """The transformation of a unit that was started here."""

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future
 
 from cfgplan.api import World
+from cfgplan.domain import ComputationUnit
 from cfgplan.errors import Fault, InputError
+from cfgplan_runtime.children.messages import Flow
 from cfgplan_runtime.lifecycle.back_off import BackOffs
 from cfgplan_runtime.lifecycle.changes import (
     Change,
@@ -31,6 +33,7 @@ from cfgplan_runtime.lifecycle.perturbations import (
     MayStartAgain,
     Perturbation,
     ReviewRequested,
+    TargetSilent,
     UnitGone,
     UnitKeepsFailing,
     WorldChanged,
@@ -38,9 +41,18 @@ from cfgplan_runtime.lifecycle.perturbations import (
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import BackedOff, Perturbed, Report, UnitEvent, WorldRefused
 from cfgplan_runtime.lifecycle.seams import Clock, Estimator, Middleware
+from cfgplan_runtime.lifecycle.silence import Giving
 from cfgplan_runtime.lifecycle.warm_matching import WarmMatching
 from cfgplan_runtime.lifecycle.worlds import LivingWorld
-from cfgplan_runtime.supervision.events import SIGNS, Event, InputLost, UnitDied, UnitStopped
+from cfgplan_runtime.supervision.events import (
+    SIGNS,
+    Event,
+    InputLost,
+    TopicsStatus,
+    UnitDied,
+    UnitStatus,
+    UnitStopped,
+)
 
 
 class Intake:
@@ -84,6 +96,10 @@ class Intake:
         """The transformations of those that died."""
         self._turning_away = threading.Lock()
         self._noticing = Noticing(self.situation, policy)
+        self._giving = Giving()
+        self._silent_s: dict[str, float] = {}
+        """Since when each silent target has been silent, or a review was last asked for, or what runs was changed."""
+        self._looked_at: tuple[ComputationUnit, ...] = ()
 
     def hear(self, event: Event) -> None:
         """Take note of an event."""
@@ -161,6 +177,12 @@ class Intake:
             self._tell(WorldRefused(by, faults))
 
     def _take_event(self, event: Event, at_s: float) -> None:
+        if isinstance(event, TopicsStatus):
+            if self.living.may_be_silent or self.situation.silences:
+                self._take_flows(event.flows, at_s)
+            return
+        if isinstance(event, UnitStatus) and self.living.may_be_silent:
+            self._giving = self._giving.after_status(event, at_s)
         perturbation = self._noticing.perturbation(event, at_s)
         if perturbation is None:
             if isinstance(event, UnitStopped | UnitDied):
@@ -169,9 +191,7 @@ class Intake:
         if isinstance(perturbation, UnitGone):
             self._take_death(perturbation, at_s)
         elif isinstance(perturbation, UnitKeepsFailing):
-            unit = perturbation.unit
-            self.blame(perturbation.transformation, at_s - self.situation.units[unit].since_s, perturbation.text)
-            self.situation.failing.add(unit)
+            self._give_up(perturbation.unit, at_s, perturbation.text)
             self.perturb(perturbation, at_s)
         else:
             self.perturb(perturbation, at_s, delay_s=self._noticing.delay_s(perturbation, at_s))
@@ -188,6 +208,31 @@ class Intake:
             self.not_started.append(gone.transformation)
         else:
             self.perturb(gone, at_s, outcomes)
+
+    def _give_up(self, unit: str, at_s: float, cause: str) -> None:
+        """Have the next review replace a unit that runs, and blame it."""
+        running = self.situation.units.get(unit)
+        if running is not None and unit not in self.situation.failing:
+            self.blame(running.transformation.label, at_s - running.since_s, cause)
+            self.situation.failing.add(unit)
+
+    def _take_flows(self, flows: Mapping[str, Flow], at_s: float) -> None:
+        """Have a review made for targets that are silent for too long, and again as long as they are."""
+        running, wanted, situation = self._middleware.environment, self.living.world.environment, self.situation
+        self._giving = self._giving.after_look(running, at_s)
+        if running.units != self._looked_at:
+            self._looked_at, self._silent_s = running.units, dict.fromkeys(self._silent_s, at_s)
+        situation.silences = self._giving.silences(wanted, running, flows, at_s)
+        self._silent_s = {one.target: self._silent_s.get(one.target, one.since_s) for one in situation.silences}
+        for silence in situation.silences:
+            allowed_us = wanted.target[silence.target].silent_us
+            if allowed_us is None or at_s - self._silent_s[silence.target] <= allowed_us / 1e6:
+                continue
+            self._silent_s[silence.target] = at_s
+            silent_s = at_s - silence.since_s
+            for unit in silence.units:
+                self._give_up(unit, at_s, f"it has given nothing for {silent_s:.1f} s")
+            self.perturb(TargetSilent(silence.target, silence.topic, silent_s, silence.units), at_s)
 
     def _abandon(self) -> None:
         """Don't let an update that waits for slow units hold up what is more urgent, where the middleware can."""

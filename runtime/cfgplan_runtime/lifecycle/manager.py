@@ -100,7 +100,7 @@ class Manager:
             now,
             self._phase,
             Environment(running.units, world.environment.library, world.environment.targets),
-            target_views(world.environment, running, reviews),
+            target_views(world.environment, running, reviews, situation.silences, now),
             unit_views(running, situation, self._observations),
             tuple(entry.perturbation for entry in self._intake.pending.entries),
             reviews,
@@ -119,6 +119,11 @@ class Manager:
     def world(self) -> World:
         """The world that holds now."""
         return self._intake.living.world
+
+    @property
+    def silent(self) -> frozenset[str]:
+        """Labels of targets that count as unmet, since nothing comes for them."""
+        return frozenset(silence.target for silence in self._intake.situation.silences)
 
     @property
     def is_settled(self) -> bool:

@@ -40,6 +40,16 @@ class SubscriptionLost:
 
 
 @dataclass(frozen=True, slots=True)
+class TargetSilent:
+    """Nothing has come on a target's topic for longer than the target may be silent; `units` give nothing."""
+
+    target: str
+    topic: str
+    silent_s: float
+    units: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class Difference:
     """What sets two worlds apart, by label or name; `settings` names horizon and largest cost.
 
@@ -122,6 +132,7 @@ Perturbation: TypeAlias = (
     | UnitGone
     | UnitKeepsFailing
     | SubscriptionLost
+    | TargetSilent
     | WorldChanged
     | HostGone
     | HostBack

@@ -74,10 +74,12 @@ class TargetView:
     priority: int
     stream: Stream | None = None
     reason: str = ""
+    is_silent: bool = False
+    """Whether nothing has come for longer than it may be silent."""
 
     @property
     def is_met(self) -> bool:
-        return self.stream is not None
+        return self.stream is not None and not self.is_silent
 
 
 @dataclass(frozen=True)

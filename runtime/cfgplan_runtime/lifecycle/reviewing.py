@@ -19,6 +19,7 @@ from cfgplan_runtime.lifecycle.perturbations import HorizonReached, ReviewReques
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Decision, Report, Review, ReviewBegan, Reviewed
 from cfgplan_runtime.lifecycle.seams import Clock, Estimator, Middleware
+from cfgplan_runtime.lifecycle.showing import silence_reason
 from cfgplan_runtime.supervision.delays import doubling_s
 
 _OPTIMISING = (Started, HorizonReached, ReviewRequested)
@@ -152,6 +153,7 @@ class Reviewing:
     def _record(
         self, at_s: float, time_s: float, entries: tuple[Entry, ...], thought: Thought, failed: UpdateFailed | None
     ) -> Review:
+        silent = {one.target: silence_reason(one, at_s) for one in self._intake.situation.silences}
         is_failed = failed is not None and thought.change_set is not None
         return Review(
             self._number,
@@ -165,8 +167,8 @@ class Reviewing:
             thought.bound_us,
             thought.is_proven,
             thought.change_set,
-            thought.met,
-            thought.unmet,
+            tuple(label for label in thought.met if label not in silent),
+            {**{label: reason for label, reason in silent.items() if label in thought.met}, **thought.unmet},
             tuple(sorted(thought.avoided)),
             warnings=(*self._intake.matching.warnings, *thought.warnings),
             cause="" if failed is None else failed.cause,

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from cfgplan.domain import Environment, Stream
+from cfgplan.domain import Environment, Stream, Target
 from cfgplan_runtime.lifecycle.configuration import Situation
 from cfgplan_runtime.lifecycle.reports import Decision, Review, TargetView, UnitView
+from cfgplan_runtime.lifecycle.silence import Silence
 from cfgplan_runtime.supervision.observation import Observation
 
 
-def target_views(world: Environment, running: Environment, reviews: Sequence[Review]) -> tuple[TargetView, ...]:
+def target_views(
+    world: Environment, running: Environment, reviews: Sequence[Review], silences: Sequence[Silence], now_s: float
+) -> tuple[TargetView, ...]:
     """Each target with the stream that is published on its topic, or why there is none."""
     streams = {
         publication.topic: Stream(unit.id, publication.port)
@@ -18,6 +21,13 @@ def target_views(world: Environment, running: Environment, reviews: Sequence[Rev
         for publication in unit.publications
     }
     reasons = reviews[-1].unmet if reviews else {}
+    silent = {silence.target: silence_reason(silence, now_s) for silence in silences if silence.topic in streams}
+
+    def reason(target: Target) -> str:
+        if target.topic in streams:
+            return silent.get(target.label, "")
+        return reasons.get(target.label, "it waits for a review")
+
     return tuple(
         TargetView(
             target.label,
@@ -25,10 +35,16 @@ def target_views(world: Environment, running: Environment, reviews: Sequence[Rev
             target.topic,
             target.priority,
             streams.get(target.topic),
-            "" if target.topic in streams else reasons.get(target.label, "it waits for a review"),
+            reason(target),
+            target.label in silent,
         )
         for target in world.targets
     )
+
+
+def silence_reason(silence: Silence, now_s: float) -> str:
+    """Why a silent target counts as unmet."""
+    return f"nothing has come from {silence.stream} for {now_s - silence.since_s:.0f} s"
 
 
 def unit_views(

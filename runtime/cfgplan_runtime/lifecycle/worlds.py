@@ -81,6 +81,11 @@ class LivingWorld:
         return World(environment, ontology, self.base.horizon_s, self.base.max_cost_us)
 
     @cached_property
+    def may_be_silent(self) -> bool:
+        """Whether some target says for how long nothing may come."""
+        return any(target.silent_us is not None for target in self.world.environment.targets)
+
+    @cached_property
     def _said(self) -> tuple[Ontology, Environment]:
         """What the base and the declarations say together, whatever else was asked for. Raises InputError."""
         declared = [one for each in self.declared.values() for one in each.individuals]

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from math import inf
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, TypeAlias
@@ -16,6 +17,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from cfgplan import __version__
 from cfgplan.api import World
 from cfgplan.errors import InputError
+from cfgplan_runtime.children.messages import Flow
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.estimating.estimator import make_estimator
 from cfgplan_runtime.estimating.keeping import EstimatesError, load, save
@@ -41,6 +43,8 @@ if TYPE_CHECKING:
     from cfgplan.planning import Planner
 
 MOST_WAITING = 10_000
+SILENT_S = 5.0
+"""It is told of a met target when nothing comes for so long; of one that says how long it may be silent, then."""
 KEEP_ESTIMATES_S = 10.0
 """What was learned is brought to the disk so often at most, and at the end."""
 _DRAIN_S = 2.0
@@ -82,8 +86,12 @@ class Operation:
         self.recorder: Recorder | None = None
         self.metrics_port: int | None = None
         self.ledger = Ledger()
-        self.all_met = False
-        """Whether the last review that decided something has met every target."""
+        self._unmet: frozenset[str] | None = None
+        """The targets that the last review that decided something has given up."""
+        self._silent: frozenset[str] = frozenset()
+        """The targets that count as unmet, since nothing comes for them."""
+        self._quiet_s: dict[str, float] = {}
+        """By topic of a target that is met: since when nothing comes; inf once that was told."""
         self.failure = ""
         """Why the manager has ended unasked."""
         self.begun = threading.Event()
@@ -118,6 +126,11 @@ class Operation:
     def dropped(self) -> int:
         """How many elements were dropped because the recorder did not fetch them in time."""
         return 0 if self._following is None else self._following.dropped
+
+    @property
+    def all_met(self) -> bool:
+        """Whether every target is met: by the last review that decided something, and by what has come since."""
+        return self._unmet is not None and not self._unmet | self._silent
 
     def observe(self) -> None:
         """Have the ledger note how units stand now. Does nothing after the end."""
@@ -205,12 +218,14 @@ class Operation:
                 if self._following is not None:
                     self._following.follow(target.topic for target in self.manager.world.environment.targets)
                 if review.decision not in (Decision.FAILED, Decision.UNDECIDED):
-                    self.all_met = not review.unmet
+                    self._unmet = frozenset(review.unmet) - self.manager.silent
                 self.begun.set()
                 if time.monotonic() - self._kept_s >= KEEP_ESTIMATES_S:
                     self._keep_estimates()
             case Observed(observations):
                 self.ledger.note(observations, time.monotonic())
+                self._silent = self.manager.silent
+                self._tell_of_silence()
                 return
             case Ended(cause):
                 self.failure = "" if self._is_closed_at_once else cause
@@ -225,6 +240,17 @@ class Operation:
             if file is not None and file.failure is not None and file.path not in self._full:
                 self._full.add(file.path)
                 self._show(f"{file.path} takes no more: {file.failure}; what is lost is counted")
+
+    def _tell_of_silence(self) -> None:
+        """Say once of each target that nothing comes for it though a stream meets it, until something comes."""
+        now, flows = time.monotonic(), self.flows.now()
+        for target in self.manager.snapshot().targets:
+            silent_s = flows.get(target.topic, Flow()).silent_s
+            if not target.is_met or (silent_s is not None and silent_s < SILENT_S):
+                self._quiet_s.pop(target.topic, None)
+            elif now - self._quiet_s.setdefault(target.topic, now) >= SILENT_S:
+                self._quiet_s[target.topic] = inf
+                self._show(f"{target.label} is met by {target.stream}, but nothing comes on {target.topic}")
 
     def _show(self, news: News) -> None:
         while True:

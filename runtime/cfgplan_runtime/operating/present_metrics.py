@@ -54,12 +54,14 @@ def _configuration(now: Snapshot) -> Iterable[Metric]:
 def _targets(now: Snapshot, flows: Mapping[str, Flow]) -> Iterable[Metric]:
     names = ("target", "topic")
     met = [((one.label, one.topic), float(one.is_met)) for one in now.targets]
-    yield _gauge("target_met", "Whether a stream meets the target.", names, met)
+    yield _gauge("target_met", "Whether a stream meets the target, and is not silent for too long.", names, met)
     known = [((one.label, one.topic), flows[one.topic]) for one in now.targets if one.topic in flows]
     rates = [(labels, flow.rate_hz) for labels, flow in known]
     yield _gauge("target_rate_hertz", "Elements per second on the topic, over the last seconds.", names, rates)
     ages = [(labels, flow.latency_ms / 1e3) for labels, flow in known if flow.latency_ms is not None]
     yield _gauge("target_latency_seconds", "Median age of the elements when they come out.", names, ages)
+    silent = [(labels, flow.silent_s) for labels, flow in known if flow.silent_s is not None]
+    yield _gauge("target_silent_seconds", "Time since the last element on the topic.", names, silent)
     elements = [(labels, flow.elements) for labels, flow in known]
     yield _counter("target_elements", "Elements that came out on the topic.", names, elements)
 

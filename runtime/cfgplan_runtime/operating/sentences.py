@@ -147,6 +147,8 @@ def _cause(perturbation: kinds.Perturbation) -> str:
             return f"{unit} keeps failing"
         case kinds.SubscriptionLost(unit, port):
             return f"{unit} lost {port}" if unit else f"topic {port} lost its source"
+        case kinds.TargetSilent(target):
+            return f"{target} is silent"
         case kinds.WorldChanged(by):
             return f"{'a request' if hasattr(changes, by) else 'the file'} changed the world"
         case kinds.HostGone(host):
@@ -182,6 +184,9 @@ def _perturbation(perturbation: kinds.Perturbation) -> str | None:
     match perturbation:
         case kinds.UnitKeepsFailing(unit, _, failures, text):
             return f"{unit} failed {_times(failures)} in a row and is given up: {short(text)}"
+        case kinds.TargetSilent(target, topic, silent_s, units):
+            reasons = f"; {named(units)} {'gives' if len(units) == 1 else 'give'} nothing" if units else ""
+            return f"{target} counts as unmet: nothing has come on {topic} for {silent_s:.0f} s{reasons}"
         case kinds.WorldChanged(by, difference):
             return f"{'a request' if hasattr(changes, by) else by} changed the world: {_difference(difference)}"
         case kinds.HostGone(host, cause):

@@ -8,10 +8,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from cfgplan.domain import Stream, Transformation
+from cfgplan_runtime.children.messages import Flow, PortCounts
 from cfgplan_runtime.supervision.backend import Inlet, Usage
 from cfgplan_runtime.supervision.events import (
     Event,
     InputLost,
+    TopicsStatus,
     UnitDied,
     UnitReady,
     UnitStatus,
@@ -96,6 +98,8 @@ class SimulatedBackend:
     _due: list[tuple[float, int, Event, _Unit | None]] = field(default_factory=list)
     _count: int = 0
     _inputs: dict[Inlet, _Input] = field(default_factory=dict)
+    _gave_s: dict[str, float | None] = field(default_factory=dict)
+    """By topic: when an element was last seen there."""
 
     def now(self) -> float:
         return self._now
@@ -190,11 +194,15 @@ class SimulatedBackend:
 
     def open_outlet(self, topic: str) -> None:
         self.calls.append(("open", topic))
+        if not self._gave_s:
+            self._later(self.sign_period_s, TopicsStatus({}))
         self.topics.add(topic)
+        self._gave_s[topic] = None
 
     def close_outlet(self, topic: str) -> None:
         self.calls.append(("close", topic))
         self.topics.discard(topic)
+        self._gave_s.pop(topic, None)
 
     def renew(self, helper: str) -> None:
         self.calls.append(("renew", helper))
@@ -229,13 +237,40 @@ class SimulatedBackend:
                     self._end(wire)
                 for wire in [wire for wire, (_, inlet) in self.wires.items() if inlet.unit == unit]:
                     self._inputs.pop(self.wires.pop(wire)[1], None)
-            case UnitStatus(unit, steps) if unit in self.units:
+            case TopicsStatus():
+                self._later(self.sign_period_s, TopicsStatus(self._flows()))
+            case UnitStatus(unit, steps, outputs=outputs) if unit in self.units:
                 steps += 10
-                errors = steps if self.units[unit].behaviour.failing else 0
-                self._later(self.sign_period_s, UnitStatus(unit, steps, errors, {}, {}))
+                of_unit = self.units[unit]
+                errors = steps if of_unit.behaviour.failing else 0
+                more = 10 if self._gives(unit) else 0
+                given = {
+                    port.name: PortCounts(outputs.get(port.name, PortCounts()).elements + more)
+                    for port in of_unit.transformation.outputs
+                }
+                self._later(self.sign_period_s, UnitStatus(unit, steps, errors, {}, given))
             case UnitReady() | UnitDied() | UnitStopped() | UnitStatus():
                 return False
         return True
+
+    def _flows(self) -> dict[str, Flow]:
+        for topic in self._gave_s:
+            stream = self.feeding(Inlet("", topic))
+            if stream is not None and self._gives(stream.unit):
+                self._gave_s[topic] = self._now
+        return {
+            topic: Flow(silent_s=None if gave_s is None else self._now - gave_s)
+            for topic, gave_s in self._gave_s.items()
+        }
+
+    def _gives(self, unit: str, above: frozenset[str] = frozenset()) -> bool:
+        """Whether a unit gives elements now: all that feeds it does, in a cycle as well."""
+        found = self.units.get(unit)
+        if found is None or not found.is_ready or found.behaviour.quiet or found.behaviour.failing:
+            return False
+        feeds = [self.feeding(Inlet(unit, port.name)) for port in found.transformation.inputs]
+        above |= {unit}
+        return all(stream is not None and (stream.unit in above or self._gives(stream.unit, above)) for stream in feeds)
 
     def _switch(self, wire: int) -> bool:
         port = self._inputs.get(self.wires[wire][1]) if wire in self.wires else None

@@ -1,0 +1,95 @@
+"""Targets on whose topic nothing comes for longer than they may be silent, and the units that are the reason."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+from cfgplan.domain import Environment, Stream
+from cfgplan_runtime.children.messages import Flow
+from cfgplan_runtime.supervision.events import UnitStatus
+
+_SIGN_S = 2.0
+"""Signs of life tell of what was given up to so long ago."""
+_TOLD_APART_S = 3.5
+"""After so long it is known of every unit whether it gives."""
+
+
+@dataclass(frozen=True, slots=True)
+class Silence:
+    """A target that nothing comes for, since `since_s` on the manager's clock.
+
+    `units` are those that give nothing though nothing that they need is missing, once that is known.
+    """
+
+    target: str
+    topic: str
+    stream: Stream
+    since_s: float
+    units: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Giving:
+    """What units and topics were last known to give; a value, of which `after_...` give the next.
+
+    By unit: how many elements it has given, and since when it is so many. By topic: the stream that is published on
+    it, and since when.
+    """
+
+    units: Mapping[str, tuple[int, float]] = field(default_factory=dict)
+    topics: Mapping[str, tuple[Stream, float]] = field(default_factory=dict)
+
+    def after_status(self, status: UnitStatus, at_s: float) -> Giving:
+        """A unit has told its counts."""
+        elements = sum(counts.elements for counts in status.outputs.values())
+        known = self.units.get(status.unit)
+        if known is not None and known[0] == elements:
+            return self
+        return replace(self, units={**self.units, status.unit: (elements, at_s)})
+
+    def after_look(self, running: Environment, at_s: float) -> Giving:
+        """What runs was looked at: units that are gone are forgotten, topics that are fed otherwise begin anew."""
+        published = {p.topic: Stream(unit.id, p.port) for unit in running.units for p in unit.publications}
+        known = self.topics
+        topics = {
+            topic: known[topic] if topic in known and known[topic][0] == stream else (stream, at_s)
+            for topic, stream in published.items()
+        }
+        units = {unit: gave for unit, gave in self.units.items() if unit in running.unit}
+        return Giving(units, topics)
+
+    def silences(
+        self, wanted: Environment, running: Environment, flows: Mapping[str, Flow], at_s: float
+    ) -> tuple[Silence, ...]:
+        """The targets of `wanted` for which nothing has come for longer than they may be silent, by label."""
+        silences = []
+        for target in wanted.targets:
+            if target.silent_us is None or target.topic not in self.topics:
+                continue
+            stream, fed_s = self.topics[target.topic]
+            came_s = flows.get(target.topic, Flow()).silent_s
+            since_s = fed_s if came_s is None else max(fed_s, at_s - came_s)
+            if at_s - since_s > target.silent_us / 1e6:
+                is_known = at_s - since_s > _TOLD_APART_S
+                units = self._reasons(stream.unit, running, since_s) if is_known else ()
+                silences.append(Silence(target.label, target.topic, stream, since_s, units))
+        return tuple(silences)
+
+    def _reasons(self, last: str, running: Environment, since_s: float) -> tuple[str, ...]:
+        """The units, from the one that is published on, that give nothing though what feeds them gives."""
+        reasons, seen, ahead = set(), {last}, [last]
+        while ahead:
+            unit = ahead.pop()
+            if self._gives(unit, since_s):
+                continue
+            feeders = {s.unit for s in running.unit[unit].feeds.values() if s.unit in running.unit}
+            silent = [feeder for feeder in feeders if not self._gives(feeder, since_s)]
+            if not silent:
+                reasons.add(unit)
+            ahead += [feeder for feeder in silent if feeder not in seen]
+            seen.update(silent)
+        return tuple(sorted(reasons))
+
+    def _gives(self, unit: str, since_s: float) -> bool:
+        return unit in self.units and self.units[unit][1] > since_s + _SIGN_S
