@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from unittest.mock import patch
 
 import numpy as np
@@ -11,6 +12,7 @@ from cfgplan.cli.update_text import with_the_stream
 from cfgplan.domain import (
     ComputationUnit,
     Environment,
+    Host,
     InputPort,
     OutputPort,
     Publication,
@@ -26,6 +28,7 @@ from cfgplan.planners.networks import wiring
 from cfgplan.planners.networks.greedy import plan_at
 from cfgplan.planners.networks.network import Network
 from cfgplan.planning import Problem, Status
+from cfgplan.qualities import Better, Contribution, QualityAttribute, Rule, Wish
 from cfgplan.reasons import Givers
 from cfgplan.validity import plan_violations
 
@@ -110,3 +113,20 @@ def test_facts_cost_the_same_whether_followed_in_passes_or_one_by_one(most: int)
         found = plan_at(network, np.array([3, 5, 1, 1]), np.array([3.0, 5.0, 1.0, 1.0]))
     assert before.tolist() == [0, 3, 8, 9, 10]
     assert found == {0, 1, 2, 3}
+
+
+def test_what_hosts_and_quality_ask_of_a_chain_is_found_by_looking_at_each_unit_a_few_times() -> None:
+    problem = chain(2_000)
+    error = QualityAttribute("error", Better.LOWER, worst=4_000)
+    library = tuple(
+        replace(t, outputs=tuple(replace(o, quality=(Contribution("error", Rule.ADD, 1),)) for o in t.outputs))
+        for t in problem.environment.library
+    )
+    (target,) = problem.environment.targets
+    asked = replace(target, quality=(Wish("error", 3_000, 1_000_000),))
+    hosts = (Host("left"), Host("right"))
+    environment = Environment((), library, (asked,), hosts, (error,), transfer_us=3)
+    found = plan(replace(problem, environment=environment))
+    assert (found.status, found.cost_us, found.ties_proven) == (Status.OPTIMAL, 2_000 * 10 + 2_000, True)
+    assert "rounds" not in found.counts
+    assert plan_violations(replace(problem, environment=environment), found) == []

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from threading import Event
 from typing import TYPE_CHECKING
 
-from cfgplan.planners.fleet.best_case import bound_by_price, leave_out_what_is_too_bad
+from cfgplan.planners.fleet.best_case import bound_by_price, least_of_all, leave_out_what_is_too_bad
 from cfgplan.planners.fleet.candidates import Candidates
 from cfgplan.planners.fleet.first_plans import ATTEMPTS, FirstPlans
 from cfgplan.planners.fleet.flat import Flat
@@ -65,11 +65,16 @@ def _bring_forward(standing: Standing, without_hosts: InterruptiblePlanner) -> N
         return
     standing.counts = {"candidates": len(candidates.all), "conflicts": 0}
     standing.fewest_unused = sum(not candidates.of(label) for label in problem.environment.required)
-    _ = candidates.network
+    least_us, started = least_of_all(candidates)
+    standing.raise_bound(least_us)
     clock.end("closure")
     first = FirstPlans(candidates, standing)
     first.look(ATTEMPTS if problem.survive is None else 0)  # each attempt needs spares
     clock.end("first plans")
+    if standing.best is not None and standing.best[0] == (standing.fewest_unused, least_us, 0, started):
+        standing.prove_cost()
+        standing.are_ties_proven = True
+        return
     if Notion.SURVIVAL not in problem.notions:  # a hot spare may get any quality
         leave_out_what_is_too_bad(candidates)
     _search(candidates, standing, first, without_hosts)

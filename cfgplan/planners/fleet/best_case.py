@@ -71,6 +71,18 @@ def least_prices_us(candidates: Candidates) -> dict[tuple[str, str], int]:
     return prices
 
 
+def least_of_all(candidates: Candidates) -> tuple[int, int]:
+    """What every plan costs at least, and how many units it starts at least.
+
+    It runs a unit of each transformation that no plan does without, and no target gets more than the best quality.
+    """
+    network = candidates.network
+    indispensable = [[c for c in candidates.of(network.labels[n]) if c.may_run] for n in network.pinned]
+    cost_us = sum(min((c.cost_us for c in units), default=0) for units in indispensable)
+    started = sum(all(c.running is None for c in units) for units in indispensable if units)
+    return cost_us + sum(least_prices_us(candidates).values()), started
+
+
 def bound_by_price(candidates: Candidates, most_us: int) -> None:
     """Bound what targets weigh, where all else and the best quality leave at most `most_us` for all prices."""
     least = least_prices_us(candidates)

@@ -50,7 +50,7 @@ class FirstPlans:
         price = self._first()
         tried: set[str] = set()
         while price is not None and standing.best is not None and len(tried) < attempts:
-            if standing.clock.is_over():
+            if standing.clock.is_over() or standing.is_at_bound:
                 break
             labels = {unit.transformation for unit in standing.best[1] if not unit.standby}
             ahead = sorted(candidates.numbers(labels - tried), key=lambda n: (-self._cost[n], n))
@@ -77,7 +77,7 @@ class FirstPlans:
             priced, before = price + share * usual * burden, self.standing.best
             if self._offer_supports(priced) and (found is None or self.standing.best is not before):
                 found = priced
-            if found is not None and not self._is_weighed:
+            if self.standing.is_at_bound or (found is not None and not self._is_weighed):
                 break
         return found
 

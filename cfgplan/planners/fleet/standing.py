@@ -30,6 +30,11 @@ class Standing:
         self.are_ties_proven = False
         self.counts: dict[str, int] = {}
 
+    @property
+    def is_at_bound(self) -> bool:
+        """Whether the bound has reached the best plan."""
+        return self.best is not None and self.best[0][1] == self.bound_us
+
     def offer(self, units: list[ComputationUnit]) -> Key:
         """Take a configuration as the best plan if it is; returns its key."""
         key = key_of(self.problem, units)
