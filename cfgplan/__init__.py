@@ -3,8 +3,7 @@
 import cfgplan
 
 world = cfgplan.load("models/nao/2-segmenter-lost.yaml")
-problem = cfgplan.match(world)
-plan = cfgplan.plan(problem)
+problem, plan = cfgplan.solve(world)
 after = problem.environment.update(plan.change_set)
 """
 
@@ -26,9 +25,11 @@ if TYPE_CHECKING:
     from cfgplan.api import load_plan as load_plan
     from cfgplan.api import match as match
     from cfgplan.api import match_ports as match_ports
+    from cfgplan.api import matches as matches
     from cfgplan.api import plan as plan
     from cfgplan.api import plan_violations as plan_violations
     from cfgplan.api import problem as problem
+    from cfgplan.api import solve as solve
     from cfgplan.api import violations as violations
     from cfgplan.api import what_if as what_if
     from cfgplan.api import world as world
@@ -68,8 +69,8 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "cfgplan.answers": "alternatives best_effort front sensitivity why why_not",
-    "cfgplan.api": "UntruthfulPlanError World load load_plan match match_ports plan plan_violations problem violations "
-    "what_if world",
+    "cfgplan.api": "UntruthfulPlanError World load load_plan match match_ports matches plan plan_violations problem "
+    "solve violations what_if world",
     "cfgplan.domain": "ChangeSet ComputationUnit Environment Host InputPort OutputPort Publication Similarity Stream "
     "Subscription Target Transformation",
     "cfgplan.errors": "CfgplanError Fault InputError InvalidValueError",

@@ -8,10 +8,10 @@ from functools import partial
 from threading import Event
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
-from cfgplan.api import World, accepted, nearest_offers
-from cfgplan.api import plan as judged_plan
+from cfgplan.api import World, accepted, interruptible, nearest_offers
 from cfgplan.errors import InputError, known
-from cfgplan.planning import Plan, Planner, Problem, Progress
+from cfgplan.planners.undecided import Deciding
+from cfgplan.planning import Decider, Plan, Problem, Progress
 from cfgplan.reasons import pinned_reasons
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ def why_not(
     planner: str = "cpsat",
     time_limit_s: float | None = None,
     reasoner: str = "auto",
+    decider: Decider | None = None,
 ) -> WhyNot:
     """Why a problem of this world has no plan, or why its plan leaves required transformations unused.
 
@@ -33,7 +34,7 @@ def why_not(
     from cfgplan import explaining
 
     nearest = partial(nearest_offers, world, reasoner=reasoner)
-    return explaining.why_not(problem, _judged(planner, time_limit_s), nearest)
+    return explaining.why_not(problem, _Judged(planner, time_limit_s, decider), nearest)
 
 
 def unfed_pinned(world: World, problem: Problem, *, reasoner: str = "auto") -> dict[str, Unreachable]:
@@ -59,6 +60,7 @@ def why(
     *,
     planner: str = "cpsat",
     time_limit_s: float | None = None,
+    decider: Decider | None = None,
 ) -> Why:
     """Why a plan with a change set uses a unit, a transformation or an output (transformation/port), or why not.
 
@@ -76,7 +78,7 @@ def why(
         "stream": [f"{t.label}/{port.name}" for t in environment.library for port in t.outputs],
     }
     known(name, subjects[known(kind, subjects, "kind of subject")], "output" if kind == "stream" else kind)
-    ask = _judged(planner, time_limit_s)
+    ask = _Judged(planner, time_limit_s, decider)
     if kind == "unit":
         return explaining.why_unit(problem, ask, plan, name)
     if kind == "transformation":
@@ -86,18 +88,29 @@ def why(
 
 
 def front(
-    problem: Problem, target: str, attribute: str, *, planner: str = "cpsat", time_limit_s: float | None = None
+    problem: Problem,
+    target: str,
+    attribute: str,
+    *,
+    planner: str = "cpsat",
+    time_limit_s: float | None = None,
+    decider: Decider | None = None,
 ) -> Front:
     """What better quality of a target's stream costs; see `cfgplan.explaining`."""
     from cfgplan import explaining
 
     known(target, problem.environment.target, "target")
     known(attribute, problem.environment.quality, "quality attribute")
-    return explaining.front(problem, _judged(planner, None), target, attribute, time_limit_s=time_limit_s)
+    return explaining.front(problem, _Judged(planner, None, decider), target, attribute, time_limit_s=time_limit_s)
 
 
 def alternatives(
-    problem: Problem, count: int, *, planner: str = "cpsat", time_limit_s: float | None = None
+    problem: Problem,
+    count: int,
+    *,
+    planner: str = "cpsat",
+    time_limit_s: float | None = None,
+    decider: Decider | None = None,
 ) -> Alternatives:
     """The `count` best configurations that differ in what runs, in order; see `cfgplan.explaining`.
 
@@ -108,12 +121,18 @@ def alternatives(
     if count < 1:
         raise InputError.of(f"{count} alternatives are asked for", mend="ask for at least 1")
 
-    found = explaining.alternatives(problem, _judged(planner, None), count, time_limit_s=time_limit_s)
-    return replace(found, plans=tuple(accepted(problem, each) for each in found.plans))
+    judged = _Judged(planner, None, decider)
+    found = explaining.alternatives(problem, judged, count, time_limit_s=time_limit_s)
+    return replace(found, plans=tuple(accepted(judged.known(problem), each) for each in found.plans))
 
 
 def sensitivity(
-    problem: Problem, *, upkeep_of: str | None = None, planner: str = "cpsat", time_limit_s: float | None = None
+    problem: Problem,
+    *,
+    upkeep_of: str | None = None,
+    planner: str = "cpsat",
+    time_limit_s: float | None = None,
+    decider: Decider | None = None,
 ) -> Sensitivity:
     """For which horizons, or upkeeps of a transformation, which plan is optimal; see `cfgplan.explaining`.
 
@@ -121,39 +140,47 @@ def sensitivity(
     """
     from cfgplan import explaining
 
-    ask = _judged(planner, time_limit_s)
+    ask = _Judged(planner, time_limit_s, decider)
     if upkeep_of is None:
         return explaining.horizon_sensitivity(problem, ask)
     known(upkeep_of, problem.environment.transformation, "transformation")
     return explaining.upkeep_sensitivity(problem, ask, upkeep_of)
 
 
-def best_effort(problem: Problem, *, planner: str = "cpsat", time_limit_s: float | None = None) -> BestEffort:
+def best_effort(
+    problem: Problem,
+    *,
+    planner: str = "cpsat",
+    time_limit_s: float | None = None,
+    decider: Decider | None = None,
+) -> BestEffort:
     """The best update that some of the targets allow, the most important ones; see `cfgplan.explaining`."""
     from cfgplan import explaining
 
-    return explaining.best_effort(problem, _judged(planner, None), time_limit_s=time_limit_s)
+    judged = _Judged(planner, None, decider)
+    found = explaining.best_effort(problem, judged, time_limit_s=time_limit_s)
+    return replace(found, problem=judged.known(found.problem))
 
 
-def _judged(planner: str, limit_s: float | None) -> Planner:
-    """A planner whose every answer is accepted by the judge."""
+class _Judged:
+    """A planner whose every answer is accepted by the judge; it asks a decider, if there is one, about open pairs."""
 
-    def judged(
+    def __init__(self, planner: str, limit_s: float | None, decider: Decider | None) -> None:
+        # A single plan that is stopped by Ctrl-C is the best so far; what asks for many of them has to end.
+        self._stop = Event()
+        self._limit_s = limit_s
+        self._deciding = Deciding(interruptible(planner, self._stop), decider, self._stop.is_set)
+        self.known = self._deciding.known
+
+    def __call__(
+        self,
         problem: Problem,
         *,
         time_limit_s: float | None = None,
         report: Callable[[Progress], None] | None = None,
     ) -> Plan:
-        limit = min((limit for limit in (limit_s, time_limit_s) if limit is not None), default=None)
-        if planner != "cpsat":
-            return judged_plan(problem, planner=planner, time_limit_s=limit, report=report)
-        from cfgplan.planners import cpsat
-
-        # A single plan that is stopped by Ctrl-C is the best so far; what asks for many of them has to end.
-        stop = Event()
-        found = accepted(problem, cpsat.plan(problem, time_limit_s=limit, report=report, stop=stop))
-        if stop.is_set():
+        limit_s = min((limit for limit in (self._limit_s, time_limit_s) if limit is not None), default=None)
+        found = self._deciding(problem, time_limit_s=limit_s, report=report)
+        if self._stop.is_set():
             raise KeyboardInterrupt
-        return found
-
-    return judged
+        return accepted(self.known(problem), found)

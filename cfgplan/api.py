@@ -11,16 +11,27 @@ import os
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from threading import Event
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from cfgplan import validity
 from cfgplan.domain import Environment, Similarity
 from cfgplan.errors import Fault, InputError, known
-from cfgplan.matching import REASONERS, MatchExplanation, Matching, Nearest, Ontology, load_ontology, read_owlready
+from cfgplan.matching import (
+    REASONERS,
+    Matches,
+    MatchExplanation,
+    Matching,
+    Nearest,
+    Ontology,
+    load_ontology,
+    read_owlready,
+)
 from cfgplan.planners import PLANNERS
-from cfgplan.planning import Failures, Plan, PlannerFaultError, Problem, Progress
+from cfgplan.planners.undecided import Deciding
+from cfgplan.planning import Decider, Failures, Plan, Planner, PlannerFaultError, Problem, Progress
 from cfgplan.reasons import pinned_reasons
 from cfgplan.validity import Violation
 
@@ -29,6 +40,8 @@ if TYPE_CHECKING:
 
 PLANNER_NAMES = tuple(PLANNERS)
 REASONER_NAMES = tuple(REASONERS)
+FEW_PAIRS = 100
+"""Up to so many open pairs of tags are all asked about; of more only those that matter to a plan."""
 MEMBERSHIP_LIMIT_S = 60.0
 """How long a reasoner may take to find the individuals of a template's class."""
 
@@ -140,14 +153,32 @@ def match_ports(
 
     `reasoner` is one of `REASONER_NAMES`. Pairs that can't be decided in `time_limit_s` are unknown.
     """
-    from cfgplan.matching import match as match_tags
+    return matches(world, reasoner=reasoner, time_limit_s=time_limit_s, use_cache=use_cache, most=None).matching
 
-    library, targets = world.environment.library, world.environment.targets
-    offered = {port.tag for transformation in library for port in transformation.outputs}
-    demanded = {port.tag for transformation in library for port in transformation.inputs}
-    demanded |= {target.tag for target in targets}
+
+def matches(
+    world: World,
+    *,
+    reasoner: str = "auto",
+    time_limit_s: float | None = None,
+    use_cache: bool = True,
+    most: int | None = FEW_PAIRS,
+) -> Matches:
+    """What is known of the similarity of a world's tags; open pairs are asked about at once only if they are few.
+
+    At most `most` are few. Give it to what plans as `decider`, so that those that matter are asked about.
+    """
     cache = _cache_folder() if use_cache else None
-    return match_tags(offered, demanded, world.ontology, reasoner=reasoner, time_limit_s=time_limit_s, cache=cache)
+    return Matches(
+        *_tags(world.environment), world.ontology, reasoner=reasoner, time_limit_s=time_limit_s, cache=cache, most=most
+    )
+
+
+def _tags(environment: Environment) -> tuple[frozenset[str], frozenset[str]]:
+    """The tags that are offered, and those that are demanded."""
+    offered = {port.tag for transformation in environment.library for port in transformation.outputs}
+    demanded = {port.tag for transformation in environment.library for port in transformation.inputs}
+    return frozenset(offered), frozenset(demanded | {target.tag for target in environment.targets})
 
 
 def explain_match(world: World, offered: str, demanded: str, *, reasoner: str = "auto") -> MatchExplanation:
@@ -208,6 +239,58 @@ def plan(
     """
     chosen = PLANNERS[known(planner, PLANNERS, "planner")]
     return accepted(problem, chosen(problem, time_limit_s=time_limit_s, report=report))
+
+
+class Solved(NamedTuple):
+    """A problem, with what was decided of its tags, and the answer to it."""
+
+    problem: Problem
+    plan: Plan
+
+
+def solve(
+    world: World,
+    *,
+    planner: str = "cpsat",
+    horizon_s: int | None = None,
+    max_cost_us: int | None = None,
+    survive: Failures | Literal[0] | None = None,
+    time_limit_s: float | None = None,
+    reasoner: str = "auto",
+    reasoner_limit_s: float | None = None,
+) -> Solved:
+    """Match a world's tags as far as it matters, and plan: the problem and the optimal update, accepted by the judge.
+
+    Planning and reasoning have a time limit each. Raises as `plan`.
+    """
+    decider = matches(world, reasoner=reasoner, time_limit_s=reasoner_limit_s)
+    stated = problem(world, decider.similarity, horizon_s=horizon_s, max_cost_us=max_cost_us, survive=survive)
+    return solved(stated, decider, planner=planner, time_limit_s=time_limit_s)
+
+
+def solved(
+    problem: Problem,
+    decider: Decider,
+    *,
+    planner: str = "cpsat",
+    time_limit_s: float | None = None,
+    report: Callable[[Progress], None] | None = None,
+) -> Solved:
+    """The answer to a problem, and the problem with what the decider had to find out for it. Raises as `plan`."""
+    stop = Event()
+    deciding = Deciding(interruptible(planner, stop), decider, stop.is_set)
+    answer = deciding(problem, time_limit_s=time_limit_s, report=report)
+    return Solved(deciding.known(problem), accepted(deciding.known(problem), answer))
+
+
+def interruptible(planner: str, stop: Event) -> Planner:
+    """One of `PLANNER_NAMES`; `cpsat` tells by `stop` that Ctrl-C ended it. Raises InputError for an unknown one."""
+    chosen = PLANNERS[known(planner, PLANNERS, "planner")]
+    if planner != "cpsat":
+        return chosen
+    from cfgplan.planners import cpsat
+
+    return partial(cpsat.plan, stop=stop)
 
 
 def accepted(problem: Problem, answer: Plan) -> Plan:

@@ -13,12 +13,12 @@ from cfgplan.planning import Problem
 def unmet_reasons(
     problem: Problem, givers: Givers | None = None, possible: frozenset[str] | None = None
 ) -> dict[str, str]:
-    """One short reason for each target, by its label, that no update can meet; empty if all can be met.
+    """One short reason for each target, by its label, that no update can meet; empty if all may be met.
 
     `givers` and what is `startable` may be given by who knows them already.
     """
     environment = problem.environment
-    givers = Givers(environment.library, problem.similarity) if givers is None else givers
+    givers = Givers(environment.library, problem.similarity.optimistic) if givers is None else givers
     possible = startable(environment, givers) if possible is None else possible
     return {
         target.label: _reason(f"target {target.label}", target.tag, environment, givers, possible)
@@ -28,20 +28,23 @@ def unmet_reasons(
 
 
 def pinned_reasons(problem: Problem) -> dict[str, str]:
-    """One short reason for each pinned unit, by its id, that no update can keep since it can't be fed."""
+    """One short reason for each pinned unit, by its id, that is not kept since nothing is known to feed it."""
     environment, library = problem.environment, problem.environment.transformation
     pinned = [u for u in environment.units if u.transformation in library and library[u.transformation].pinned]
     if not pinned:
         return {}
     givers = Givers(environment.library, problem.similarity)
     possible = startable(environment, givers)
+    hopeful = startable(environment, Givers(environment.library, problem.similarity.optimistic))
     found = {}
     for unit in pinned:
         if unit.transformation not in possible and not unit.standby:
             ports = library[unit.transformation].inputs
             unfed = [port for port in ports if possible.isdisjoint(givers.of(port.tag))]
             why = "its inputs need different transformations, and there are too few"
-            if unfed:
+            if unit.transformation in hopeful:
+                why = "nobody knows yet whether what could feed it matches"
+            elif unfed:
                 why = _reason(f"its input {unfed[0].name}", unfed[0].tag, environment, givers, possible)
             found[unit.id] = f"pinned unit {unit.id} can't be fed: {why}"
     return found

@@ -32,14 +32,20 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from rich.text import Text
 
     from cfgplan import api
+    from cfgplan.planners.undecided import used_pairs
 
     world = shared.load(options, screen)
-    problem = shared.problem(options, screen, world)
+    matches = shared.matches(options, screen, world, api.FEW_PAIRS)
+    with screen.phase("match"):
+        matches.decide([*used_pairs(world.environment, matches.similarity)])
+    problem = shared.problem(options, screen, world, matches)
     found = api.violations(problem.environment, problem.similarity, problem.survive)
+    broken = sum(not violation.is_open for violation in found)
+    is_open = bool(found) and not broken
     if screen.json:
         screen.show_json(
             {
-                "valid": not found,
+                "valid": None if is_open else not found,
                 "violations": [
                     {
                         "rule": violation.rule.name.lower(),
@@ -47,6 +53,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
                         "unit": violation.unit,
                         "port": violation.port,
                         "target": violation.target,
+                        "undecided": violation.is_open,
                         "place": _place(world, violation),
                     }
                     for violation in found
@@ -67,9 +74,14 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
                 counted(len(environment.targets), "target"),
             ]
         )
-        broken = f"the running configuration violates {counted(len(found), 'rule')}"
-        verdict = broken if found else "the running configuration is valid"
-        screen.show(Text(f"{size}: {verdict}.", style="bold red" if found else "bold green"))
+        verdict, style = "the running configuration is valid", "bold green"
+        if is_open:
+            verdict, style = "it is not decided whether the running configuration is valid", "bold yellow"
+        elif found:
+            verdict, style = f"the running configuration violates {counted(broken, 'rule')}", "bold red"
+        screen.show(Text(f"{size}: {verdict}.", style=style))
+    if is_open:
+        return Exit.NOT_PROVEN
     return Exit.INVALID if found else Exit.OK
 
 

@@ -39,10 +39,11 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan import answers, api
 
     world = shared.load(options, screen)
-    problem = shared.problem(options, screen, world)
-    chosen = {"planner": options.planner, "time_limit_s": options.timeout}
+    matches = shared.matches(options, screen, world, api.FEW_PAIRS)
+    problem = shared.problem(options, screen, world, matches)
     with screen.phase("plan"):
-        plan = api.plan(problem, **chosen)
+        problem, plan = api.solved(problem, matches, planner=options.planner, time_limit_s=options.timeout)
+    chosen = {"planner": options.planner, "time_limit_s": options.timeout, "decider": matches}
     if plan.change_set is None:
         with screen.phase("explain"):
             why = answers.why_not(world, problem, reasoner=options.reasoner, **chosen)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from cfgplan.cli.exits import OF_STATUS, Exit
 from cfgplan.cli.screen import Screen, counted
 from cfgplan.errors import InputError
-from cfgplan.planning import Problem, Status
+from cfgplan.planning import Decider, Problem, Status
 from cfgplan.qualities import units
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ def add_front(parser: argparse._MutuallyExclusiveGroup) -> None:
     )
 
 
-def show_front(options: argparse.Namespace, screen: Screen, problem: Problem) -> Exit:
+def show_front(options: argparse.Namespace, screen: Screen, problem: Problem, decider: Decider) -> Exit:
     """Compute the front and show it; exit code 0 only if it is complete."""
     from cfgplan import answers, api
 
@@ -38,7 +38,9 @@ def show_front(options: argparse.Namespace, screen: Screen, problem: Problem) ->
         raise InputError.of("no plot format ends so", file=options.plot, mend=mend)
     target, attribute = _asked(options.front, problem)
     with screen.phase("plan"):
-        found = answers.front(problem, target, attribute, planner=options.planner, time_limit_s=options.timeout)
+        found = answers.front(
+            problem, target, attribute, planner=options.planner, time_limit_s=options.timeout, decider=decider
+        )
     if screen.json:
         screen.show_json(_plain(found))
     else:

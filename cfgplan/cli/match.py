@@ -15,6 +15,10 @@ if TYPE_CHECKING:
     from cfgplan.domain import Environment, Similarity
 
 
+MOST_OPEN = 10
+"""More open outputs of one input are counted, not listed."""
+
+
 def add_to(verbs: shared.Subparsers) -> None:
     parser = shared.add_verb(
         verbs,
@@ -26,16 +30,23 @@ def add_to(verbs: shared.Subparsers) -> None:
     shared.add_environment(parser)
     parser.add_argument("output", nargs="?", help="an output as transformation/port")
     parser.add_argument("input", nargs="?", help="an input as transformation/port, or a target's label")
+    parser.add_argument("--decide", action="store_true", help="have all pairs decided, however many are open")
     shared.add_matching(parser)
     shared.add_json(parser)
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
+    from cfgplan.api import FEW_PAIRS
+
     world = shared.load(options, screen)
     if options.output is None:
-        problem = shared.problem(options, screen, world)
-        _show_matrix(problem.environment, problem.similarity, screen)
+        matches = shared.matches(options, screen, world, None if options.decide else FEW_PAIRS)
+        _show_matrix(world.environment, matches.similarity, screen)
+        if matches.similarity.open and not options.decide:
+            screen.note(
+                f"More than {FEW_PAIRS} pairs are open: --decide has them all decided; plans ask what they need."
+            )
         return Exit.OK
     if options.input is None:
         raise InputError.of("name an output and an input", mend="write both as transformation/port")
@@ -84,8 +95,16 @@ def _show_matrix(environment: Environment, similarity: Similarity, screen: Scree
         line = Text(f"{input_:{width}}", style="bold")
         line.append(f"  {rows[input_]}", style="dim")
         lines.append(line)
-        lines += [Text(f"  <- {output}", style="green") for output in outputs] or [Text("  nothing", style="red")]
-    size = f"{len(rows)} inputs and targets x {len(columns)} outputs, {counted(count, 'match', 'matches')}"
+        lines += [Text(f"  <- {output}", style="green") for output in outputs]
+        unknown = sorted({name for tag in similarity.open.get(rows[input_], ()) for name in by_tag.get(tag, ())})
+        lines += [Text(f"  ?? {output}", style="yellow") for output in unknown[:MOST_OPEN]]
+        if len(unknown) > MOST_OPEN:
+            lines.append(Text(f"  ?? and {len(unknown) - MOST_OPEN} more that are not decided", style="yellow"))
+        if not outputs and not unknown:
+            lines.append(Text("  nothing", style="red"))
+    left = sum(1 for _ in similarity.open_pairs())
+    open_pairs = f", {counted(left, 'pair')} of tags not decided (??)" if left else ""
+    size = f"{len(rows)} inputs and targets x {len(columns)} outputs, {counted(count, 'match', 'matches')}{open_pairs}"
     screen.show(Text("\n").join([*lines, Text(f"Validity matrix: {size}.", style="bold")]))
 
 

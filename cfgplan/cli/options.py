@@ -16,6 +16,7 @@ from cfgplan.errors import InvalidValueError
 
 if TYPE_CHECKING:
     from cfgplan import api
+    from cfgplan.matching import Matches
     from cfgplan.planning import Failures, Problem, Progress
 
 Subparsers: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
@@ -51,7 +52,7 @@ def add_matching(parser: argparse.ArgumentParser) -> None:
         type=positive,
         default=60.0,
         metavar="S",
-        help="what HermiT can't decide in S seconds does not match (60)",
+        help="what HermiT can't decide in S seconds is called undecided (60)",
     )
     parser.add_argument("--no-cache", action="store_true", help="neither read nor write the cache of matches")
 
@@ -113,22 +114,31 @@ def load(options: argparse.Namespace, screen: Screen) -> api.World:
         return api.what_if(world, without=without, settings=settings) if without or settings else world
 
 
-def problem(options: argparse.Namespace, screen: Screen, world: api.World) -> Problem:
-    """The planning problem of a world, with the horizon and the largest cost of the options."""
+def matches(options: argparse.Namespace, screen: Screen, world: api.World, most: int | None = None) -> Matches:
+    """What is known of the similarity of a world's tags; with more than `most` open pairs none is asked about yet."""
     from cfgplan import api
 
     with screen.phase("match"):
-        matching = api.match_ports(
+        found = api.matches(
             world,
             reasoner=options.reasoner,
             time_limit_s=options.reasoner_timeout,
             use_cache=not options.no_cache,
+            most=most,
         )
-    for warning in matching.warnings:
+    for warning in found.matching.warnings:
         screen.warn(warning)
+    return found
+
+
+def problem(options: argparse.Namespace, screen: Screen, world: api.World, known: Matches | None = None) -> Problem:
+    """The planning problem of a world, with the horizon and the largest cost of the options."""
+    from cfgplan import api
+
+    found = known or matches(options, screen, world)
     return api.problem(
         world,
-        matching.similarity,
+        found.similarity,
         horizon_s=getattr(options, "horizon", None),
         max_cost_us=getattr(options, "max_cost", None),
         survive=_failures(getattr(options, "survive", None), world),

@@ -37,10 +37,15 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     if options.out and Path(options.out).suffix.lower() not in _ENDINGS:
         raise InputError.of("not a kind of picture", file=options.out, mend=f"use one of {', '.join(_ENDINGS)}")
     world = shared.load(options, screen)
-    problem = shared.problem(options, screen, world)
+    matches = shared.matches(options, screen, world, api.FEW_PAIRS)
+    problem = shared.problem(options, screen, world, matches)
     with screen.phase("plan"):
         found = answers.sensitivity(
-            problem, upkeep_of=options.upkeep_of, planner=options.planner, time_limit_s=options.timeout
+            problem,
+            upkeep_of=options.upkeep_of,
+            planner=options.planner,
+            time_limit_s=options.timeout,
+            decider=matches,
         )
     if screen.json:
         from cfgplan.explaining import plain

@@ -18,7 +18,7 @@ from cfgplan.planning import PlannerFaultError, Status
 
 if TYPE_CHECKING:
     from cfgplan.api import World
-    from cfgplan.planning import Problem
+    from cfgplan.planning import Decider, Problem
 
 
 def add_to(verbs: shared.Subparsers) -> None:
@@ -60,25 +60,28 @@ def add_to(verbs: shared.Subparsers) -> None:
 
 
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
+    from cfgplan import api
+
     if options.plot and options.front is None:
         raise InputError.of("--plot draws what --front finds", mend="add --front; `cfgplan graph` draws an update")
     if options.out and options.front is not None:
         raise InputError.of("--out writes one plan, but --front finds several", mend="use --json, or --plot FILE")
     world = shared.load(options, screen)
-    problem = shared.problem(options, screen, world)
+    matches = shared.matches(options, screen, world, api.FEW_PAIRS)
+    problem = shared.problem(options, screen, world, matches)
     try:
         if options.front is not None:
-            return show_front(options, screen, problem)
+            return show_front(options, screen, problem, matches)
         if options.alternatives:
-            return _alternatives(options, screen, world, problem)
-        return _solve(options, screen, world, problem)
+            return _alternatives(options, screen, world, problem, matches)
+        return _solve(options, screen, world, problem, matches)
     except PlannerFaultError as error:
         if error.plan.change_set is None or os.environ.get("CFGPLAN_TRACEBACK"):
             raise
         return _show_unjudged(screen, world, problem, error)
 
 
-def _solve(options: argparse.Namespace, screen: Screen, world: World, problem: Problem) -> Exit:
+def _solve(options: argparse.Namespace, screen: Screen, world: World, problem: Problem, matches: Decider) -> Exit:
     from cfgplan import answers, api
     from cfgplan.cli.explain_text import pinned_lines
     from cfgplan.cli.update_text import given_up, update_text
@@ -86,11 +89,13 @@ def _solve(options: argparse.Namespace, screen: Screen, world: World, problem: P
     is_proven = True
     with screen.phase("plan"):
         if options.best_effort:
-            found = answers.best_effort(problem, planner=options.planner, time_limit_s=options.timeout)
+            found = answers.best_effort(problem, planner=options.planner, time_limit_s=options.timeout, decider=matches)
             problem, plan, is_proven = found.problem, found.plan, found.exact
         else:
             report = shared.progress_report(screen) if options.progress else None
-            plan = api.plan(problem, planner=options.planner, time_limit_s=options.timeout, report=report)
+            problem, plan = api.solved(
+                problem, matches, planner=options.planner, time_limit_s=options.timeout, report=report
+            )
     try:
         document = api.plan_text(world, problem, plan)
         shown = None if screen.json else update_text(problem, plan)
@@ -146,15 +151,17 @@ def _show_unjudged(screen: Screen, world: World, problem: Problem, error: Planne
     return Exit.INTERNAL
 
 
-def _alternatives(options: argparse.Namespace, screen: Screen, world: World, problem: Problem) -> Exit:
+def _alternatives(
+    options: argparse.Namespace, screen: Screen, world: World, problem: Problem, decider: Decider
+) -> Exit:
     from cfgplan import answers, api
 
     with screen.phase("plan"):
         found = answers.alternatives(
-            problem, options.alternatives, planner=options.planner, time_limit_s=options.timeout
+            problem, options.alternatives, planner=options.planner, time_limit_s=options.timeout, decider=decider
         )
     if not found.plans:
-        return _solve(options, screen, world, problem)
+        return _solve(options, screen, world, problem, decider)
     documents = [api.plan_text(world, problem, plan) for plan in found.plans]
     if options.out:
         api.write_file(Path(options.out), documents[0].encode())

@@ -8,12 +8,15 @@ from collections.abc import Iterator
 from rich.text import Text
 
 from cfgplan.cli.fleet_text import fleet_lines
+from cfgplan.cli.screen import counted
 from cfgplan.costs import keep_cost_us, seconds
 from cfgplan.domain import ComputationUnit, Environment
 from cfgplan.planners import IGNORING_REQUIRED
 from cfgplan.planning import Plan, Problem, Status
 
 _STYLE = {"+": "green", "~": "yellow", "-": "red", "=": "dim"}
+MOST_PAIRS, MOST_NAMES = 10, 3
+"""More open pairs, and more ports of one tag, are left to `--json`."""
 _VERB = {"+": "start", "~": "rewire", "-": "stop", "=": "keep"}
 
 
@@ -137,6 +140,7 @@ def _summary(problem: Problem, plan: Plan) -> Iterator[Text]:
         )
         yield from fleet_lines(problem, before.update(changes))
     yield verdict(problem, plan)
+    yield from undecided_lines(problem, plan)
     lost = given_up(problem, plan)
     if plan.change_set is not None and lost:
         yield Text(f"Given up: {len(lost)} of {len(before.targets) + len(lost)} targets.", style="bold yellow")
@@ -151,6 +155,26 @@ def _summary(problem: Problem, plan: Plan) -> Iterator[Text]:
 def given_up(problem: Problem, plan: Plan) -> dict[str, str]:
     """Why targets are not met, by label: the reasons of a plan without those for pinned units."""
     return {label: why for label, why in plan.reasons.items() if label not in problem.environment.unit}
+
+
+def undecided_lines(problem: Problem, plan: Plan) -> Iterator[Text]:
+    """The pairs of tags that an answer hangs on, with the ports that have them, and how many were asked about."""
+    environment = problem.environment
+    outputs = [(port.tag, f"{t.label}/{port.name}") for t in environment.library for port in t.outputs]
+    inputs = [(port.tag, f"{t.label}/{port.name}") for t in environment.library for port in t.inputs]
+    inputs += [(target.tag, f"target {target.label}") for target in environment.targets]
+    for offered, demanded in plan.undecided[:MOST_PAIRS]:
+        ways = (
+            ", ".join([name for tag, name in ports if tag == one][:MOST_NAMES])
+            for ports, one in ((outputs, offered), (inputs, demanded))
+        )
+        yield Text(f"Not decided: whether `{offered}` is `{demanded}` ({' -> '.join(ways)}).", style="yellow")
+    if len(plan.undecided) > MOST_PAIRS:
+        yield Text(f"  ... nor are {len(plan.undecided) - MOST_PAIRS} further pairs.", style="yellow")
+    if plan.undecided:
+        yield Text(f"If so, an update for {cpu(plan.bound_us)} may exist.", style="yellow")
+    if asked := plan.counts.get("pairs asked"):
+        yield Text(f"The reasoner was asked about {counted(asked, 'pair')} of tags.", style="dim")
 
 
 def why_unused(plan: Plan) -> str:

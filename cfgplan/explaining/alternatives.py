@@ -216,7 +216,7 @@ class _Ranking:
     def _relevant(self) -> Labels:
         """What a target or a pinned unit may need, directly or through others."""
         environment = self._problem.environment
-        givers = Givers(environment.library, self._problem.similarity)
+        givers = Givers(environment.library, self._problem.similarity.optimistic)
         ahead = [target.tag for target in environment.targets]
         ahead += [port.tag for label in sorted(self._kept) for port in environment.transformation[label].inputs]
         possible = startable(environment, givers)

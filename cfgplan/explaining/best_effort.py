@@ -218,4 +218,7 @@ class _Search:
             if plan.status is Status.INFEASIBLE:
                 known = plan.reasons.get(target.label)
                 return f"{wanted} can't be met" + (f": {known}" if known else "")
+            if plan.undecided:
+                offered, demanded = plan.undecided[0]
+                return f"target {target.label} wants {target.tag}, but nobody knows yet whether {offered} is {demanded}"
         return f"target {target.label} wants {target.tag}, but time ran out"

@@ -65,7 +65,7 @@ class Unreachable:
 def unreachable(problem: Problem, nearest: NearestOffers | None = None) -> tuple[Unreachable, ...]:
     """A minimal reason for each target that no wiring can reach, whatever it costs."""
     environment = problem.environment
-    givers = Givers(environment.library, problem.similarity)
+    givers = Givers(environment.library, problem.similarity.optimistic)
     dead = DeadEnds(environment, givers, nearest)
     return tuple(
         dead.reason(target.label, target.tag)

@@ -73,7 +73,7 @@ def running(problem: Problem, label: str) -> Problem:
     environment = problem.environment
     used = OutputPort(_USED, _USED)
     library = tuple(replace(t, outputs=(*t.outputs, used)) if t.label == label else t for t in environment.library)
-    similarity = Similarity({**problem.similarity.offers, _USED: frozenset({_USED})})
+    similarity = Similarity({**problem.similarity.offers, _USED: frozenset({_USED})}, problem.similarity.open)
     alone = replace(environment, units=(), library=library, targets=(Target(label, _USED, _USED),))
     return replace(problem, environment=alone, similarity=similarity)
 

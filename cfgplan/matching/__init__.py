@@ -18,7 +18,7 @@ if TYPE_CHECKING:
         UnknownNameError,
     )
     from cfgplan.matching.loading import load_ontology, read_owlready
-    from cfgplan.matching.matrix import match
+    from cfgplan.matching.matrix import Matches, match
     from cfgplan.matching.membership import instances
     from cfgplan.matching.ontology import Ontology
     from cfgplan.matching.reasoners import REASONERS
@@ -30,6 +30,7 @@ __all__ = [
     "InconsistentOntologyError",
     "MatchExplanation",
     "Matcher",
+    "Matches",
     "Matching",
     "MatchingError",
     "Nearest",
@@ -54,7 +55,7 @@ _MODULES = {
         *("TagError", "UnknownNameError"),
     ),
     "loading": ("load_ontology", "read_owlready"),
-    "matrix": ("match",),
+    "matrix": ("Matches", "match"),
     "membership": ("instances",),
     "ontology": ("Ontology",),
     "reasoners": ("REASONERS",),

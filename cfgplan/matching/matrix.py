@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import time
+from collections.abc import Callable, Collection, Sequence
+from itertools import islice
 from pathlib import Path
+from typing import TypeVar
 
+from cfgplan.domain import Similarity
 from cfgplan.matching.cache import key_of, load, store
 from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.session import Matcher, Matching
+from cfgplan.planning import Pair
+
+T = TypeVar("T")
 
 
 def match(
@@ -25,14 +32,68 @@ def match(
     nothing can have would match everything: it is reported and matches nothing. Raises InputError for tags that
     can't be read and for an ontology that can't be reasoned with.
     """
-    if cache is not None:
-        key = key_of(ontology, reasoner, offered, demanded)
-        known = load(cache, key, offered, demanded)
+    return Matches(offered, demanded, ontology, reasoner=reasoner, time_limit_s=time_limit_s, cache=cache).matching
+
+
+class Matches:
+    """The similarity of some tags as far as it is known; open pairs can be asked about (`planning.Decider`)."""
+
+    def __init__(
+        self,
+        offered: Collection[str],
+        demanded: Collection[str],
+        ontology: Ontology,
+        *,
+        reasoner: str = "auto",
+        time_limit_s: float | None = None,
+        cache: Path | None = None,
+        most: int | None = None,
+    ) -> None:
+        """Open pairs are all asked about if they are at most `most`. All questions together take the time limit."""
+        self._tags = offered, demanded
+        self._cache = cache
+        self._left_s = time_limit_s
+        self._key = key_of(ontology, reasoner, offered, demanded) if cache is not None else ""
+        known = load(cache, self._key, offered, demanded) if cache is not None else None
+        self._matcher = Matcher(ontology, reasoner=reasoner)
         if known is not None:
-            return known
-    matcher = Matcher(ontology, reasoner=reasoner)
-    matcher.add(offered=dict.fromkeys(offered), demanded=dict.fromkeys(demanded))
-    matching = matcher.matching(time_limit_s=time_limit_s)
-    if cache is not None:
-        store(cache, key, offered, demanded, matching)
-    return matching
+            self.matching = known
+            return
+        self._matcher.add(offered=dict.fromkeys(offered), demanded=dict.fromkeys(demanded))
+        found = None if most is None else self._undecided()
+        if found is None or most is None or len([*islice(found.similarity.open_pairs(), most + 1)]) <= most:
+            found = self._within_limit(lambda left_s: self._matcher.matching(time_limit_s=left_s))
+        self.matching = found
+        self._store()
+
+    @property
+    def similarity(self) -> Similarity:
+        """What is known by now."""
+        return self.matching.similarity
+
+    def decide(self, pairs: Sequence[Pair]) -> int:
+        """Ask about open pairs within what is left of the time limit; returns how many were asked."""
+        if self._left_s is not None and self._left_s <= 0:
+            return 0
+        asked = self._within_limit(lambda left_s: self._matcher.decide(pairs, time_limit_s=left_s))
+        found = self._undecided()
+        if found.similarity != self.matching.similarity:
+            self.matching = found
+            self._store()
+        return asked
+
+    def _undecided(self) -> Matching:
+        """What is known without asking."""
+        return self._within_limit(lambda left_s: self._matcher.matching(time_limit_s=left_s, decide=False))
+
+    def _within_limit(self, question: Callable[[float | None], T]) -> T:
+        start = time.monotonic()
+        try:
+            return question(None if self._left_s is None else max(0.0, self._left_s))
+        finally:
+            if self._left_s is not None:
+                self._left_s -= time.monotonic() - start
+
+    def _store(self) -> None:
+        if self._cache is not None:
+            store(self._cache, self._key, *self._tags, self.matching)

@@ -114,7 +114,7 @@ class Matcher:
         self._refute(rows, time_limit_s)
         if decide and not self._ask(self._open(rows), time_limit_s) and (rows is None or self.outside()):
             self._check_consistency(time_limit_s)
-        return self._told(rows, time_limit_s if decide else None)
+        return self._told(rows, time_limit_s, is_asked=decide)
 
     def decide(self, pairs: Collection[tuple[str, str]], *, time_limit_s: float | None = None) -> int:
         """Ask the reference about (offered, demanded) texts of registered tags, until the time limit.
@@ -201,7 +201,7 @@ class Matcher:
     def _refuted(self, demand: Concept) -> frozenset[Concept]:
         return frozenset() if self._countermodels is None else self._countermodels.refuted(demand)
 
-    def _told(self, rows: Rows | None, time_limit_s: float | None) -> Matching:
+    def _told(self, rows: Rows | None, time_limit_s: float | None, *, is_asked: bool) -> Matching:
         warnings = [*self._ontology.warnings]
         never = {self._offered.name_of(c) for c in self._verdicts.unsatisfiable if c in self._offered}
         if rows is not None:
@@ -223,7 +223,8 @@ class Matcher:
                 if left:
                     undecided[text] = left
         similarity = Similarity(offers, undecided)
-        warnings.extend(self._about_open(sum(map(len, undecided.values())), time_limit_s))
+        if is_asked or self._reference is None:
+            warnings.extend(self._about_open(sum(map(len, undecided.values())), time_limit_s))
         return Matching(similarity, tuple(warnings), self._answered_by(rows, open_rows))
 
     def _names(self, offered: Iterable[Concept]) -> frozenset[str]:

@@ -60,8 +60,9 @@ def _bad_subscriptions(environment: Environment, similarity: Similarity) -> Iter
                 yield Violation(Rule.FED, text, unit.id, name)
             elif not similarity.holds(offered, transformation.input[name].tag):
                 wanted = transformation.input[name].tag
-                text = f"input {name} of unit {unit.id} needs {wanted}, but {stream} gives {offered}"
-                yield Violation(Rule.MATCHING, text, unit.id, name)
+                is_open = similarity.is_open(offered, wanted)
+                text = f"input {name} of unit {unit.id} needs {wanted}, {_unfit(stream, offered, is_open=is_open)}"
+                yield Violation(Rule.MATCHING, text, unit.id, name, is_open=is_open)
 
 
 def _bad_publications(environment: Environment, similarity: Similarity) -> Iterator[Violation]:
@@ -85,8 +86,14 @@ def _bad_publications(environment: Environment, similarity: Similarity) -> Itera
         for stream in streams:
             offered = tag_of(environment, stream)
             if offered is not None and not similarity.holds(offered, target.tag):
-                text = f"target {target.label} wants {target.tag}, but {stream} gives {offered}"
-                yield Violation(Rule.MATCHING, text, target=target.label)
+                is_open = similarity.is_open(offered, target.tag)
+                text = f"target {target.label} wants {target.tag}, {_unfit(stream, offered, is_open=is_open)}"
+                yield Violation(Rule.MATCHING, text, target=target.label, is_open=is_open)
+
+
+def _unfit(stream: Stream, offered: str, *, is_open: bool) -> str:
+    gives = f"{stream} gives {offered}"
+    return f"and nobody knows whether that is what {gives}" if is_open else f"but {gives}"
 
 
 def _cycles(environment: Environment) -> Iterator[Violation]:

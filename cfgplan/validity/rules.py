@@ -34,13 +34,17 @@ class Rule(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Violation:
-    """One broken rule, with the unit or target (and port) where it is broken."""
+    """One broken rule, with the unit or target (and port) where it is broken.
+
+    It `is_open` if nobody knows whether it is broken: that hangs on a pair of tags that is not decided.
+    """
 
     rule: Rule
     text: str
     unit: str | None = None
     port: str | None = None
     target: str | None = None
+    is_open: bool = False
 
     def __str__(self) -> str:
         return self.text
