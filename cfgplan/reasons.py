@@ -98,7 +98,32 @@ def startable(environment: Environment, givers: Givers) -> frozenset[str]:
             p.feedback for label in reached for p in environment.transformation[label].inputs
         ):
             return reached
-        alive = reached
+        alive = _offered_all(environment, givers, reached)
+
+
+def _offered_all(environment: Environment, givers: Givers, labels: frozenset[str]) -> frozenset[str]:
+    """The labels without those of which some input is offered by none of the others, and so on."""
+    left = set(labels)
+    users: dict[str, list[str]] = defaultdict(list)
+    for label in sorted(labels):
+        for port in environment.transformation[label].inputs:
+            users[port.tag].append(label)
+    offers: dict[str, list[str]] = defaultdict(list)
+    count: dict[str, int] = {}
+    for tag in users:
+        offering = labels.intersection(givers.of(tag))
+        count[tag] = len(offering)
+        for label in offering:
+            offers[label].append(tag)
+    ahead = [tag for tag, number in count.items() if not number]
+    for tag in ahead:
+        for label in left.intersection(users[tag]):
+            left.remove(label)
+            for offered in offers[label]:
+                count[offered] -= 1
+                if not count[offered]:
+                    ahead.append(offered)
+    return frozenset(left)
 
 
 def distinct_groups(transformation: Transformation) -> list[list[InputPort]]:

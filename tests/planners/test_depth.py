@@ -29,7 +29,7 @@ from cfgplan.planners.networks.greedy import plan_at
 from cfgplan.planners.networks.network import Network
 from cfgplan.planning import Problem, Status
 from cfgplan.qualities import Better, Contribution, QualityAttribute, Rule, Wish
-from cfgplan.reasons import Givers
+from cfgplan.reasons import Givers, forward_closure, startable
 from cfgplan.validity import plan_violations
 
 
@@ -130,3 +130,20 @@ def test_what_hosts_and_quality_ask_of_a_chain_is_found_by_looking_at_each_unit_
     assert (found.status, found.cost_us, found.ties_proven) == (Status.OPTIMAL, 2_000 * 10 + 2_000, True)
     assert "rounds" not in found.counts
     assert plan_violations(replace(problem, environment=environment), found) == []
+
+
+def test_what_falls_through_feedback_falls_in_few_closures() -> None:
+    """Each but the last waits for the next one by feedback, and the last for what nobody offers."""
+    length = 3_000
+    library = tuple(
+        Transformation(
+            f"t{i:05}",
+            (InputPort("i", f"T{i + 1}", feedback=True), *((InputPort("j", f"T{i - 1}"),) if i else ())),
+            (OutputPort("o", f"T{i}"),),
+        )
+        for i in range(length)
+    )
+    similarity = Similarity({f"T{i}": frozenset({f"T{i}"}) for i in range(length)})
+    with patch("cfgplan.reasons.forward_closure", wraps=forward_closure) as closures:
+        assert startable(Environment((), library), Givers(library, similarity)) == frozenset()
+    assert closures.call_count <= 3
