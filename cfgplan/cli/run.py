@@ -65,6 +65,13 @@ def add_to(verbs: shared.Subparsers) -> None:
     kept = parser.add_mutually_exclusive_group()
     kept.add_argument("--estimates", metavar="FILE", help="where estimates are kept between runs (the state folder)")
     kept.add_argument("--no-estimates", action="store_true", help="neither read nor keep estimates")
+    parser.add_argument(
+        "--back-off",
+        type=duration,
+        default=3.0,
+        metavar="TIME",
+        help="how long at most what keeps failing waits for its next start where nothing can take its place (3s)",
+    )
     parser.add_argument("--preload", action="append", default=[], metavar="MODULE", help="import it before units start")
     shared.add_planning(parser, "with --dry-run only; a run is changed by editing the file, or by `cfgplan ctl`")
     shared.add_matching(parser)
@@ -80,6 +87,8 @@ def port(text: str) -> int:
 
 
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
+    from cfgplan_runtime.lifecycle.worlds import check_can_run
+
     for name in options.preload:
         top = name.partition(".")[0]
         if top not in sys.builtin_module_names and PathFinder.find_spec(top, ["", *sys.path]) is None:
@@ -88,7 +97,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         mend = "add --dry-run; or edit the file, or use `cfgplan ctl` while it runs"
         raise InputError.of("--without, --with and --set are for trying out what would be planned", mend=mend)
     loaded = shared.load(options, screen)
-    _refuse_what_only_plans_know(loaded)
+    check_can_run(loaded)
+    _check_can_start(loaded)
     if loaded.environment.units:
         count = counted(len(loaded.environment.units), "running unit")
         screen.note(f"The file names {count}, but a run starts from nothing: `units:` does not count.")
@@ -107,17 +117,14 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     return _operate(options, world, screen)
 
 
-def _refuse_what_only_plans_know(world: World) -> None:
-    """Units run on this computer: nothing is placed, no spare waits, and quality is not measured."""
-    asked = {
-        "hosts": bool(world.environment.hosts),
-        "survive": world.survive is not None,
-        "quality": any(target.quality for target in world.environment.targets),
-    }
-    found = [key for key, is_asked in asked.items() if is_asked]
-    if found:
-        message = f"a run does not know {' and '.join(found)}: all units run on this computer"
-        raise InputError.of(message, file=str(world.file.path) if world.file else None, mend="plan it with `solve`")
+def _check_can_start(world: World) -> None:
+    library = world.environment.library
+    if world.environment.targets and library and not any(transformation.source for transformation in library):
+        labels = ", ".join(transformation.label for transformation in library[:4])
+        more = f" and {len(library) - 4} more" if len(library) > 4 else ""
+        message = f"nothing can be started: {labels}{more} are left out, since none names its unit code"
+        mend = "add `source: units.py:Class` to them, or plan with `solve`"
+        raise InputError.of(message, file=str(world.file.path) if world.file else None, mend=mend)
 
 
 def _operate(options: argparse.Namespace, world: World, screen: Screen) -> Exit:
@@ -190,6 +197,7 @@ def _estimates_file(options: argparse.Namespace) -> Path:
 
 
 def _settings(options: argparse.Namespace) -> Settings:
+    from cfgplan_runtime.lifecycle.back_off import BackOffRules
     from cfgplan_runtime.lifecycle.policy import Policy
     from cfgplan_runtime.operating.operation import Settings
 
@@ -203,6 +211,7 @@ def _settings(options: argparse.Namespace) -> Settings:
             time_limit_s=options.timeout or Policy().time_limit_s,
             match_limit_s=options.reasoner_timeout,
             reasoner=options.reasoner,
+            back_off=BackOffRules(alone_s=options.back_off),
         ),
         preload=options.preload,
         log=None if options.log is None else Path(options.log),

@@ -78,13 +78,14 @@ def _from(target: Mapping[str, Any]) -> Text:
 def _units(units: list[Mapping[str, Any]]) -> RenderableType:
     if not units:
         return Text("No units run.")
-    table = Table("unit", "cpu", "memory", "steps/s", "dropped", "errors", "fed by", box=None)
+    table = Table("unit", "pid", "cpu", "memory", "steps/s", "dropped", "errors", "fed by", box=None)
     for unit in units:
         upkeep = unit.get("upkeep_us")
         memory = f"{unit['memory_bytes'] >> 20} MB" if "memory_bytes" in unit else ""
         counts = [str(unit.get(key, "")) for key in ("steps_per_s", "dropped", "errors")]
         feeds = ", ".join(f"{port} <- {stream}" for port, stream in unit["inputs"].items())
-        table.add_row(unit["id"], "" if upkeep is None else f"{upkeep / 1e4:.1f} %", memory, *counts, feeds)
+        pid = "" if unit.get("pid") is None else str(unit["pid"])
+        table.add_row(unit["id"], pid, "" if upkeep is None else f"{upkeep / 1e4:.1f} %", memory, *counts, feeds)
     return table
 
 

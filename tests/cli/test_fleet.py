@@ -89,3 +89,11 @@ def test_a_run_refuses_what_it_does_not_know(run: Run) -> None:
     result = run("run", FLEET / "1-start.yaml", "--for", "1s")
     assert result.code == 30
     assert "a run does not know hosts and quality" in result.err
+
+
+def test_a_run_of_what_has_no_unit_code_says_so_once(run: Run) -> None:
+    result = run("run", MODELS / "building" / "office.yaml", "--for", "1s")
+    assert result.code == 30
+    assert "nothing can be started" in result.err
+    assert "left out, since none names its unit code" in result.err
+    assert "no output matches" not in result.err + result.out

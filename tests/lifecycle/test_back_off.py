@@ -11,14 +11,16 @@ from cfgplan_runtime.lifecycle.configuration import Situation
 from cfgplan_runtime.lifecycle.noticing import Noticing
 from cfgplan_runtime.lifecycle.perturbations import MayStartAgain, SubscriptionLost, UpdateFailed
 from cfgplan_runtime.lifecycle.reports import BackedOff, Decision, Phase
+from cfgplan_runtime.lifecycle.waiting import without_stopping
 from cfgplan_runtime.supervision.events import UnitReady
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
 from living import Life, source, started, worker
 
-from cfgplan.domain import Target
+from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Publication, Stream, Subscription, Target
 
 CRASHING = {"work": Behaviour(dies_s=0.5)}
 DYING = {"work": Behaviour(dies_at_start="no camera")}
+PATIENT = Policy(back_off=BackOffRules(alone_s=300))
 SPARE = worker("spare", upkeep_us=101)
 
 
@@ -38,19 +40,47 @@ def test_a_unit_that_had_lived_well_fails_as_if_for_the_first_time() -> None:
 
 
 def test_what_can_not_start_waits_from_the_first_time_on_and_is_counted_once_each_time() -> None:
-    life = started(behaviours=DYING)
+    life = started(behaviours=DYING, policy=PATIENT)
     life.pass_time(100)
     waits = [report.backing_off for report in life.reports if isinstance(report, BackedOff)]
     assert [(each.failures, round(each.left_s)) for each in waits[:5]] == [(1, 1), (2, 2), (3, 4), (4, 8), (5, 16)]
 
 
 def test_a_transformation_that_keeps_crashing_is_not_restarted_for_ever() -> None:
-    life = started(behaviours=CRASHING)
+    life = started(behaviours=CRASHING, policy=PATIENT)
     life.pass_time(600)
     assert 8 <= life.starts("work") <= 12
     waits = [round(report.backing_off.left_s) for report in life.reports if isinstance(report, BackedOff)]
     assert waits[:8] == [1, 2, 4, 8, 16, 32, 64, 128]
     assert life.perturbations(MayStartAgain)
+
+
+def test_where_nothing_can_take_its_place_what_keeps_crashing_waits_no_longer_than_allowed() -> None:
+    life = started(behaviours=CRASHING, policy=Policy(back_off=BackOffRules(alone_s=4)))
+    life.pass_time(100)
+    assert 20 <= life.starts("work") <= 27
+    assert life.starts("count") == 1
+
+
+def test_units_that_only_wait_for_what_may_start_again_stay() -> None:
+    life = Life(behaviours={"work": Behaviour(start_s=5.0)})
+    life.settle(10)
+    for _ in range(2):
+        life.fail("count.1")
+    assert (life.units, life.met) == ({"work.1"}, set())
+    assert life.reviews[-1].decision is Decision.KEPT
+    assert "result" in life.reviews[-1].unmet
+    life.pass_time(1.2)
+    assert life.met == {"result"}
+    assert life.starts("work") == 1
+
+
+def test_what_waits_gives_topics_and_feeders_up_to_others() -> None:
+    feeds, topic = (Subscription("x", Stream("a.1", "n")),), (Publication("y", "/1"),)
+    running = Environment((ComputationUnit("a.1", "a"), ComputationUnit("w.1", "w", feeds, topic)))
+    plan = ChangeSet(started=(ComputationUnit("b.1", "b", (), topic),), stopped=("a.1", "w.1"))
+    spared = without_stopping(plan, running, {"w.1"})
+    assert (spared.stopped, spared.rewired) == (("a.1",), (ComputationUnit("w.1", "w"),))
 
 
 def test_what_keeps_crashing_is_replaced_by_what_is_dearer() -> None:
@@ -72,7 +102,7 @@ def test_the_rest_is_started_where_one_unit_cannot() -> None:
     life = started(source(), worker(), targets=(Target("n", "N", "/n"), Target("y", "Y", "/y")), behaviours=DYING)
     assert life.met == {"n"}
     assert life.reviews[-1].avoided == ("work",)
-    assert life.reviews[-1].unmet["y"].endswith(" (left out for now: work)")
+    assert life.reviews[-1].unmet["y"] == "left out for now: work (it keeps failing)"
 
 
 def test_a_unit_that_is_never_ready_is_to_blame() -> None:
@@ -87,6 +117,8 @@ def test_without_unit_code_a_transformation_is_left_alone_until_it_changes() -> 
     assert life.units == {"count.1", "spare.1"}
     (waiting,) = life.manager.snapshot().backing_off
     assert (waiting.transformation, waiting.left_s) == ("work", inf)
+    only = started(source(), worker(source=None))
+    assert only.reviews[-1].unmet["result"].startswith("left out for now: work (it has no unit code: add `source:")
     life.ask(ReviewNow())
     assert life.units == {"count.1", "spare.1"}
     life.ask(AddTransformations((worker(),)))

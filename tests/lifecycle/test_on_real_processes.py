@@ -119,6 +119,17 @@ def test_a_slow_start_does_not_hold_up_a_repair(run_for_real: RealRun) -> None:
     run_for_real.await_result("slow", topic="/slow")
 
 
+def test_what_only_waits_for_a_source_that_died_twice_is_not_loaded_again(run_for_real: RealRun) -> None:
+    run_for_real.start(source(), worker(deed="start slowly"))
+    pid = run_for_real.runtime.pid("work.1")
+    for number in (1, 2):
+        eventually(lambda: "count.1" in run_for_real.runtime.environment.unit)
+        run_for_real.kill("count.1")
+        eventually(lambda number=number: len(run_for_real.seen(UnitGone)) == number)  # type: ignore[misc]
+    run_for_real.await_result("work")
+    assert run_for_real.runtime.pid("work.1") == pid
+
+
 def test_a_stopped_nursery_makes_few_reviews_and_the_stream_goes_on(
     run_for_real: RealRun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -132,6 +143,21 @@ def test_a_stopped_nursery_makes_few_reviews_and_the_stream_goes_on(
     gone = len(run_for_real.seen(UnitGone))
     eventually(lambda: len(run_for_real.seen(UnitGone)) > gone)
     assert len(run_for_real.reviews) < 30
+    run_for_real.await_result("work")
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [("hosts: [{name: here}]\n", "hosts"), ("survive: units\n", "survive")],
+)
+def test_an_edit_that_asks_for_what_a_run_does_not_know_is_refused(run_for_real: RealRun, more: str, said: str) -> None:
+    run_for_real.start(source(), worker())
+    run_for_real.write_text(run_for_real.file.read_text() + more)
+    eventually(lambda: len(run_for_real.refused) == 1)
+    (fault,) = run_for_real.manager.snapshot().faults
+    assert "a run does not know" in fault.message
+    assert said in fault.message
+    assert fault.mend == "plan it with `solve`"
     run_for_real.await_result("work")
 
 

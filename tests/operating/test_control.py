@@ -178,6 +178,7 @@ def test_a_reply_does_not_wait_for_ever_for_the_review(control: Control, manager
         ('{"id": 7, "method": "kill"}', "bad_params"),
         ('{"id": 7, "method": "kill", "params": {"unit": 7}}', "bad_params"),
         ('{"id": 7, "method": "review", "params": {"wait_s": "long"}}', "bad_params"),
+        ('{"id": 7, "method": "review", "params": {"wait_s": 1e300}}', "bad_params"),
         ('{"id": 7, "method": "state", "version": 2}', "bad_version"),
     ],
 )

@@ -36,6 +36,10 @@ def image_number(x: NDArray[numpy.uint8]) -> int:
     return int.from_bytes(x.reshape(-1)[:8].tobytes(), "little")
 
 
+def fails(x: Any) -> Any:
+    raise ValueError(f"no {x}")
+
+
 def same(x: Any) -> Any:
     return x
 

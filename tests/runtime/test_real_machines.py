@@ -14,7 +14,7 @@ from pathlib import Path
 import failing_forks
 import psutil
 import pytest
-from cfgplan_runtime import ApplyError, Runtime
+from cfgplan_runtime import ApplyError, Patience, Runtime
 from cfgplan_runtime.processes import process_backend
 from cfgplan_runtime.processes.process_backend import NURSERY_HELPER, OUTLETS, OUTLETS_HELPER
 from cfgplan_runtime.supervision.events import HelperHung, OutletsLost, UnitDied
@@ -142,6 +142,46 @@ def test_a_nursery_that_stops_is_made_anew(run_units: StartRuntime, monkeypatch:
     eventually(lambda: len(listener.received) > before + 10)
     runtime.close()
     listener.join()
+
+
+FOLDERS = """
+import sys
+from pathlib import Path
+from cfgplan_runtime.streams.run_folder import RunFolder, is_alive
+gone = 0
+for _ in range(int(sys.argv[2])):
+    folder = RunFolder(Path(sys.argv[1]))
+    gone += not is_alive(folder.path)
+    folder.close()
+print(gone)
+"""
+
+
+def test_runs_that_start_at_once_do_not_remove_each_others_folder(tmp_path: Path) -> None:
+    line = [sys.executable, "-c", FOLDERS, str(tmp_path), "300"]
+    starting = [subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) for _ in range(4)]
+    done = [process.communicate(timeout=4 * PATIENCE_S) for process in starting]
+    assert [told for told, _ in done] == ["0\n"] * 4, done
+
+
+def test_processes_are_told_apart_by_run_and_unit_and_observations_give_their_ids(run_units: StartRuntime) -> None:
+    runtime = run_units(source(), worker())
+    runtime.apply(ONE)
+    (count, work) = runtime.observe()
+    assert (count.pid, work.pid) == (runtime.pid("count.1"), runtime.pid("work.1"))
+    assert psutil.Process(work.pid).cmdline()[0] == f"cfgplan {runtime.id} work.1"
+    assert nursery_of(runtime).cmdline()[0] == f"cfgplan {runtime.id} nursery"
+
+
+def test_a_unit_whose_steps_fail_is_replaced_without_waiting_for_what_it_gives(run_units: StartRuntime) -> None:
+    runtime = run_units(source(), worker("bad", "fails"), worker())
+    runtime.apply(start(unit("count.1"), unit("bad.1", topic="/result", x="count.1/n")))
+    eventually(lambda: any(seen.errors > 700 for seen in runtime.observe()))
+    applied = runtime.apply(
+        ChangeSet(started=(unit("work.1", topic="/result", x="count.1/n"),), stopped=("bad.1",)),
+        patience=Patience(switch_s=100.0),
+    )
+    assert applied.seconds["rewire"] < 50
 
 
 SHORT = """

@@ -380,6 +380,15 @@ def test_an_old_source_that_has_nothing_more_to_give_is_not_waited_for() -> None
     simulation.check()
 
 
+def test_an_old_unit_whose_steps_fail_is_not_waited_for() -> None:
+    simulation = Simulation(source(), worker(), worker("bad"), bad=Behaviour(failing=True))
+    simulation.apply(start(unit("count.1"), unit("bad.1", topic="/result", x="count.1/n")))
+    simulation.pass_time(5.0)
+    applied = simulation.apply(ChangeSet(started=(unit("work.1", topic="/result", x="count.1/n"),), stopped=("bad.1",)))
+    assert applied.seconds["rewire"] < 0.1
+    simulation.check()
+
+
 def test_a_unit_that_dies_before_it_is_rewired_leaves_no_wire_to_its_successor_of_the_same_id() -> None:
     simulation = Simulation(source(), source("other"), worker(), other=Behaviour(start_s=1.0))
     simulation.apply(start(*ONE))

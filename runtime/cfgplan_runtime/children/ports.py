@@ -26,6 +26,8 @@ from cfgplan_runtime.streams.channel import Receiver, Sender
 from cfgplan_runtime.streams.element import Element, Outgoing
 from cfgplan_runtime.streams.inlet import Inlet
 
+_MOST_SAID = 1 << 16
+
 
 @dataclass(slots=True)
 class InputPort:
@@ -235,9 +237,9 @@ class Ports:
         receiver.close()
 
     def _peer_spoke(self, output: OutputPort, sender: Sender) -> None:
-        """A receiver never speaks: it has gone, or its socket takes more now."""
+        """What a receiver says is thrown away: it has gone, or its socket takes more now."""
         try:
-            gone = not sender.socket.recv(1, socket.MSG_DONTWAIT)
+            gone = not sender.socket.recv(_MOST_SAID, socket.MSG_DONTWAIT)
         except BlockingIOError:
             gone = False
         except OSError:

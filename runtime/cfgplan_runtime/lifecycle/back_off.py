@@ -14,12 +14,14 @@ from cfgplan_runtime.supervision.delays import doubling_s
 class BackOffRules:
     """Times in seconds. The first failure costs no time, the next `first_s`, each further one twice as much.
 
-    A unit that had lived for `good_life_s` fails as if for the first time.
+    A unit that had lived for `good_life_s` fails as if for the first time. Where nothing else can take a unit's place,
+    it waits no longer than `alone_s`.
     """
 
     first_s: float = 1.0
     most_s: float = 300.0
     good_life_s: float = 60.0
+    alone_s: float = 3.0
 
     def delay_s(self, failures: int) -> float:
         """How long to wait after so many failures in a row."""
@@ -60,6 +62,27 @@ class BackOffs:
         """Leave a transformation alone for a while; nobody is to blame."""
         before = self._records.get(label, _Record(0, until_s, "its start would hold up another update"))
         self._note(label, replace(before, until_s=max(before.until_s, until_s)), waits=True)
+
+    def shorten(self, label: str, now_s: float) -> bool:
+        """Nothing else can take a transformation's place: it waits for `alone_s` at most. Whether that is shorter."""
+        record = self._records[label]
+        until_s = now_s + self._rules.alone_s
+        if label not in self._waiting or not until_s < record.until_s < inf:
+            return False
+        self._note(label, replace(record, until_s=until_s), waits=True)
+        return True
+
+    def refusals(self) -> BackOffs:
+        """Only what is never to be started until it changes."""
+        refusals = BackOffs(self._rules)
+        refusals._records = self._records
+        refusals._waiting = frozenset(label for label in self._waiting if self._records[label].until_s == inf)
+        return refusals
+
+    def refusal(self, label: str) -> str | None:
+        """Why a transformation is not to be started until it changes, if so it is."""
+        record = self._records.get(label)
+        return record.cause if record is not None and record.until_s == inf else None
 
     def forgive(self, label: str) -> None:
         """Forget the failures of a transformation."""

@@ -92,7 +92,7 @@ def avoided_now(world: Environment, running: Environment, situation: Situation) 
         elif label in situation.back_offs.avoided:
             served = serving.get(label)
             if served is None or not _has_ports_of(served, transformation):
-                avoided[label] = "it keeps failing"
+                avoided[label] = situation.back_offs.refusal(label) or "it keeps failing"
     return avoided
 
 

@@ -10,6 +10,7 @@ from importlib import import_module
 
 from cfgplan.domain import Transformation
 from cfgplan.planning import Plan, Planner, Problem, Progress
+from cfgplan.reasons import unmet_reasons
 from cfgplan_runtime.lifecycle.acting import Acting
 from cfgplan_runtime.lifecycle.deliberation import Deliberation, Thought
 from cfgplan_runtime.lifecycle.inbox import Outcome
@@ -20,8 +21,10 @@ from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Decision, Report, Review, ReviewBegan, Reviewed
 from cfgplan_runtime.lifecycle.seams import Clock, Estimator, Middleware
 from cfgplan_runtime.lifecycle.showing import silence_reason
+from cfgplan_runtime.lifecycle.waiting import without_stopping
 from cfgplan_runtime.supervision.delays import doubling_s
 
+_MOST_NAMED = 4
 _OPTIMISING = (Started, HorizonReached, ReviewRequested)
 
 
@@ -94,6 +97,8 @@ class Reviewing:
             entries += intake.pending.take()
             optimises = self._owes_optimising or any(isinstance(e.perturbation, _OPTIMISING) for e in entries)
             thought = self._think(optimises=optimises, stop=intake.ending if is_last else intake.interrupt)
+            self._let_wait(thought)
+            thought.unmet = self._reasons(thought)
             intake.take_in()
             if is_closing() or intake.stops:
                 intake.pending.put_back(entries)
@@ -144,6 +149,48 @@ class Reviewing:
         return self._deliberation.think(
             intake.living.world, intake.matching.similarity, running, intake.situation, optimises=optimises
         )
+
+    def _let_wait(self, thought: Thought) -> None:
+        """Where targets are given up for what may start again, keep units that only wait for it, and hurry it on."""
+        intake, situation, change_set = self._intake, self._intake.situation, thought.change_set
+        refusals = situation.back_offs.refusals()
+        avoided = situation.back_offs.avoided - refusals.avoided
+        if change_set is None or not thought.unmet or avoided.isdisjoint(thought.avoided):
+            return
+        hoped = self._deliberation.think(
+            intake.living.world,
+            intake.matching.similarity,
+            thought.running,
+            replace(situation, back_offs=refusals),
+            optimises=True,
+        )
+        thought.seconds["plan"] += hoped.seconds.get("plan", 0.0)
+        if hoped.change_set is None or not set(hoped.met) - set(thought.met):
+            return
+        for label in sorted({unit.transformation for unit in hoped.change_set.started} & avoided):
+            if situation.back_offs.shorten(label, self._clock.now()):
+                intake.tell_back_off(label)
+        spared = set(change_set.stopped).difference(hoped.change_set.stopped, situation.failing)
+        thought.change_set = without_stopping(change_set, thought.running, spared)
+        if not thought.change_set and thought.decision is Decision.APPLIED:
+            thought.decision = Decision.KEPT
+
+    def _reasons(self, thought: Thought) -> Mapping[str, str]:
+        """Why targets are given up; where all that is missing is left out for now, that is the reason."""
+        if not (thought.unmet and thought.avoided):
+            return thought.unmet
+        world, similarity = self._intake.living.world, self._intake.matching.similarity
+        impossible, impossible_now = (
+            unmet_reasons(Problem(environment, similarity, world.horizon_s, world.max_cost_us))
+            for environment in (world.environment, thought.planned)
+        )
+        some = [f"{label} ({thought.avoided[label]})" for label in sorted(thought.avoided)[:_MOST_NAMED]]
+        more = len(thought.avoided) - len(some)
+        left_out = f"left out for now: {', '.join(some)}{f' and {more} more' if more else ''}"
+        return {
+            label: left_out if label in impossible_now.keys() - impossible.keys() else reason
+            for label, reason in thought.unmet.items()
+        }
 
     def _act(self, thought: Thought) -> UpdateFailed | None:
         if thought.change_set is None:

@@ -9,6 +9,7 @@ from cfgplan_runtime.lifecycle.configuration import Situation
 from cfgplan_runtime.lifecycle.reports import Decision, Review, TargetView, UnitView
 from cfgplan_runtime.lifecycle.silence import Silence
 from cfgplan_runtime.supervision.observation import Observation
+from cfgplan_runtime.supervision.wiring import starved_units
 
 
 def target_views(
@@ -20,6 +21,8 @@ def target_views(
         for unit in running.units
         for publication in unit.publications
     }
+    starved = starved_units(running)
+    streams = {topic: stream for topic, stream in streams.items() if stream.unit not in starved}
     reasons = reviews[-1].unmet if reviews else {}
     silent = {silence.target: silence_reason(silence, now_s) for silence in silences if silence.topic in streams}
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from cfgplan.domain import Environment, Stream
 from cfgplan_runtime.children.messages import Flow
 from cfgplan_runtime.supervision.events import UnitStatus
+from cfgplan_runtime.supervision.wiring import starved_units
 
 _SIGN_S = 2.0
 """Signs of life tell of what was given up to so long ago."""
@@ -63,11 +64,13 @@ class Giving:
         self, wanted: Environment, running: Environment, flows: Mapping[str, Flow], at_s: float
     ) -> tuple[Silence, ...]:
         """The targets of `wanted` for which nothing has come for longer than they may be silent, by label."""
-        silences = []
+        silences, starved = [], starved_units(running)
         for target in wanted.targets:
             if target.silent_us is None or target.topic not in self.topics:
                 continue
             stream, fed_s = self.topics[target.topic]
+            if stream.unit in starved:  # something that it needs is missing, which a review knows
+                continue
             came_s = flows.get(target.topic, Flow()).silent_s
             since_s = fed_s if came_s is None else max(fed_s, at_s - came_s)
             if at_s - since_s > target.silent_us / 1e6:

@@ -54,8 +54,10 @@ class LivingWorld:
 
     def after(self, change: WorldChange) -> LivingWorld:
         """The world after a change. Raises InputError if the change, or the world after it, is bad."""
+        if isinstance(change, ReplaceWorld):
+            check_can_run(change.world)
         changed = self._changed(change)
-        changed.world  # noqa: B018  computes it, which finds its faults
+        check_can_run(changed.world)
         return changed
 
     @property
@@ -189,6 +191,19 @@ class LivingWorld:
             without_transformations=self.without_transformations
             - (said.transformation.keys() - besides.transformation.keys()),
         )
+
+
+def check_can_run(world: World) -> None:
+    """Units run on this computer: nothing is placed, no spare waits, and quality is not measured. Raises InputError."""
+    asked = {
+        "hosts": bool(world.environment.hosts),
+        "survive": world.survive is not None,
+        "quality": any(target.quality for target in world.environment.targets),
+    }
+    found = [key for key, is_asked in asked.items() if is_asked]
+    if found:
+        message = f"a run does not know {' and '.join(found)}: all units run on this computer"
+        raise InputError.of(message, file=str(world.file.path) if world.file else None, mend="plan it with `solve`")
 
 
 def _told(old: Mapping[str, object], new: Mapping[str, object]) -> set[str]:

@@ -32,6 +32,9 @@ PATIENCE_S = 60.0
 """How long a reply waits for the review that a change leads to."""
 
 
+LONGEST_WAIT_S = 1_000_000
+
+
 class Controlled(Protocol):
     """A manager, as its operators use it."""
 
@@ -107,8 +110,9 @@ class Methods:
     def _ask(self, change: Change, params: Mapping[str, Any]) -> Record:
         """Request a change, and wait for what its review decides."""
         wait_s = params.get("wait_s", PATIENCE_S)
-        if isinstance(wait_s, bool) or not isinstance(wait_s, int | float) or wait_s < 0:
-            raise RefusedError("bad_params", "`wait_s` is no number of seconds", "write a number from 0")
+        if isinstance(wait_s, bool) or not isinstance(wait_s, int | float) or not 0 <= wait_s <= LONGEST_WAIT_S:
+            mend = f"write a number from 0 to {LONGEST_WAIT_S}"
+            raise RefusedError("bad_params", "`wait_s` is no number of seconds that can be waited for", mend)
         try:
             review = self._manager.request(change).result(wait_s)
         except FutureTimeoutError:

@@ -120,6 +120,7 @@ def _unit(view: UnitView) -> Record:
     seen = view.observation
     if seen is not None:
         record |= {
+            "pid": seen.pid,
             "labor_us": seen.labor_us,
             "upkeep_us": seen.upkeep_us,
             "memory_bytes": seen.memory_bytes,

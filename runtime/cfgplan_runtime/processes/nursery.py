@@ -20,6 +20,8 @@ import time
 import traceback
 from collections.abc import Sequence
 
+from setproctitle import setproctitle
+
 from cfgplan_runtime.children import death_signal
 from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.messages import (
@@ -49,7 +51,8 @@ _SOCKETS_OF_A_CHILD = 2
 class Nursery:
     """Forks children on request and reports the end of each."""
 
-    def __init__(self, end: socket.socket) -> None:
+    def __init__(self, end: socket.socket, run: str) -> None:
+        self._run = run
         self._control: ControlConnection[ToNursery] = ControlConnection(end, ToNursery)
         self._serials: dict[int, int] = {}
         self._selector = selectors.DefaultSelector()
@@ -94,6 +97,8 @@ class Nursery:
             status = FAILED
             try:
                 self._become_child(parent)
+                name = order.unit if isinstance(order, UnitOrder) else "outlets"
+                setproctitle(f"cfgplan {self._run} {name}")
                 status = be_child(order, *sockets)
             finally:
                 os._exit(status)
@@ -208,8 +213,9 @@ def _kill_group(pid: int) -> None:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Be a nursery: the number of the control socket, the supervisor's process id, modules to import."""
-    number, parent, *preload = arguments
+    """Be a nursery: the number of the control socket, the supervisor's process id, the run's id, modules to import."""
+    number, parent, run, *preload = arguments
+    setproctitle(f"cfgplan {run} nursery")
     death_signal.die_with_parent(int(parent))
     os.setpgid(0, 0)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -218,4 +224,4 @@ def main(arguments: Sequence[str]) -> None:
             importlib.import_module(name)
     gc.collect()
     gc.freeze()
-    Nursery(socket.socket(fileno=int(number))).run()
+    Nursery(socket.socket(fileno=int(number)), run).run()

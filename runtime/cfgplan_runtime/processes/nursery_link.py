@@ -18,7 +18,8 @@ _PATIENCE_AT_CLOSE_S = 5.0
 class NurseryLink:
     """A nursery and the connection to it. It is made by the thread that calls `open`, and ends with that thread."""
 
-    def __init__(self, preload: Sequence[str]) -> None:
+    def __init__(self, run: str, preload: Sequence[str]) -> None:
+        self._run = run
         self._preload = tuple(preload)
         self._control: ControlConnection[FromNursery] | None = None
         self._process: subprocess.Popen[bytes] | None = None
@@ -33,7 +34,7 @@ class NurseryLink:
         number = theirs.fileno()
         try:
             self._process = subprocess.Popen(
-                [sys.executable, "-c", _CODE, str(number), str(os.getpid()), *self._preload],
+                [sys.executable, "-c", _CODE, str(number), str(os.getpid()), self._run, *self._preload],
                 pass_fds=[number],
                 stdin=subprocess.DEVNULL,
             )

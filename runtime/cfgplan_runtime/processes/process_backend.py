@@ -95,7 +95,7 @@ class ProcessBackend:
         self._topics: list[str] = []
         self._serial = 0
         self._clock_offset_ns = time.time_ns() - time.monotonic_ns()
-        self._nursery = NurseryLink(("numpy", "numpy.random", *preload))
+        self._nursery = NurseryLink(self.run_folder.id, ("numpy", "numpy.random", *preload))
         self._nursery_socket: socket.socket | None = None
         self._outlets_lost = 0
         """How often in a row."""
@@ -201,7 +201,7 @@ class ProcessBackend:
         if child is None or child.pid is None:
             return None
         cpu, memory = cpu_us(child.pid), memory_bytes(child.pid)
-        return None if cpu is None or memory is None else Usage(cpu, memory)
+        return None if cpu is None or memory is None else Usage(cpu, memory, child.pid)
 
     def pid(self, unit: str) -> int | None:
         """The process id of a unit."""

@@ -15,8 +15,8 @@ import socket
 import stat
 import sys
 import tempfile
-import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from urllib.parse import quote
 
@@ -33,12 +33,13 @@ class RunFolder:
 
     def __init__(self, base: Path | None = None) -> None:
         self.base = base_folder() if base is None else base
-        remove_dead_runs(self.base)
         self.id = secrets.token_hex(4)
         self.path = self.base / self.id
-        self.path.mkdir(mode=0o700)
-        self._lock = os.open(self.path / "lock", os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600)
-        fcntl.flock(self._lock, fcntl.LOCK_EX)
+        with _alone(self.base):  # else one that is being made might be taken for a dead one
+            remove_dead_runs(self.base)
+            self.path.mkdir(mode=0o700)
+            self._lock = os.open(self.path / "lock", os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600)
+            fcntl.flock(self._lock, fcntl.LOCK_EX)
 
     def listen(self, topic: str) -> socket.socket:
         """A listening socket at the topic's address."""
@@ -96,7 +97,7 @@ def is_alive(run: Path) -> bool:
     except OSError:
         return False
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
         return True
     finally:
@@ -105,9 +106,9 @@ def is_alive(run: Path) -> bool:
 
 
 def remove_dead_runs(base: Path) -> None:
-    """Remove what killed runtimes have left."""
+    """Remove what killed runtimes have left; only for who is alone in making and removing folders there."""
     for path in base.iterdir():
-        if path.is_dir() and not _is_being_made(path) and not is_alive(path):
+        if path.is_dir() and not is_alive(path):
             shutil.rmtree(path, ignore_errors=True)
 
 
@@ -124,9 +125,12 @@ def address(run: Path, topic: str) -> Path:
     return run / f"{name}.socket"
 
 
-def _is_being_made(path: Path) -> bool:
-    """Whether a folder may belong to a runtime that is just about to lock it."""
+@contextmanager
+def _alone(base: Path) -> Iterator[None]:
+    """Be the only process that makes or removes runs' folders."""
+    lock = os.open(base, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
-        return time.time() - path.stat().st_mtime < 5.0 and not (path / "lock").exists()
-    except OSError:
-        return True
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(lock)

@@ -142,7 +142,8 @@ class Applying:
             fed = wiring.feeds.get(inlet)
             if fed is None or fed.stream != stream:
                 self.wires.append(wiring.connect(stream, inlet, self.after))
-        starved = starved_units(self.supervisor.environment).intersection(self.change_set.stopped)
+        idle = starved_units(self.supervisor.environment) | self.supervisor.dry_units()
+        starved = idle.intersection(self.change_set.stopped)
         self._wait(
             lambda: self._dead(started) is not None or all(_waits_for(wire, starved) for wire in self._unswitched()),
             self.patience.switch_s,

@@ -27,10 +27,11 @@ class Inlet:
 
 @dataclass(frozen=True, slots=True)
 class Usage:
-    """What a unit has used: CPU time since its start in microseconds, memory now in bytes."""
+    """What a unit has used: CPU time since its start in microseconds, memory now in bytes; `pid` is its process."""
 
     cpu_us: int
     memory_bytes: int
+    pid: int | None = None
 
 
 class Backend(Protocol):

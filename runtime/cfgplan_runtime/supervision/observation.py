@@ -33,6 +33,8 @@ class Observation:
     last_error: str | None = None
     inputs: Mapping[str, PortCounts] = field(default_factory=dict)
     outputs: Mapping[str, PortCounts] = field(default_factory=dict)
+    pid: int | None = None
+    """Its process, where it has one."""
 
     @property
     def dropped(self) -> int:
@@ -55,6 +57,9 @@ class UnitRecord:
     killed_s: float | None = None
     _last_cpu_us: int = 0
     _last_s: float | None = None
+    gave_s: float = 0.0
+    """When it was last known to have given another element."""
+    _given: int = 0
     _counted: tuple[int, float] | None = None
     """The steps at the sign of life from which the rate is counted, and when that was."""
 
@@ -64,6 +69,9 @@ class UnitRecord:
         if self._counted is None or now_s - at_s >= _SHORTEST_S:
             self._counted = status.steps, now_s
             self.steps_per_s = (status.steps - steps) / (now_s - at_s) if now_s > at_s else 0.0
+        given = sum(counts.elements for counts in status.outputs.values())
+        if self.status is None or given != self._given:
+            self._given, self.gave_s = given, now_s
         self.status = status
 
     def observe(self, unit: str, usage: Usage, now_s: float) -> Observation:
@@ -86,4 +94,5 @@ class UnitRecord:
             self.failure.text if self.failure else None,
             status.inputs if status else {},
             status.outputs if status else {},
+            usage.pid,
         )

@@ -174,8 +174,8 @@ class SimulatedBackend:
             return
         port.standby = wire
         producer = self.units.get(stream.unit)
-        is_stuck = self.wires[port.active][0].unit not in self.units  # who is gone gives nothing, nor its end
-        if producer is not None and not producer.behaviour.quiet and not is_stuck:
+        old = self.wires[port.active][0].unit  # one that gives nothing, nor ends, is waited for
+        if producer is not None and not producer.behaviour.quiet and self._gives(old):
             self._later(self.switch_s, WireSwitched(wire))
 
     def disconnect(self, wire: int, inlet: Inlet) -> None:

@@ -40,6 +40,7 @@ _LONGEST_ROUND_S = 1.0
 """A round that takes longer is a gap: this process was stopped, suspended or paused, and has seen nothing meanwhile."""
 MEGABYTE = 1 << 20
 _TIME_TO_DUMP_S = 0.2
+_DRY_S = 2.5
 _MOST_REMEMBERED = 1000
 """How many change sets are known by their ids."""
 
@@ -142,6 +143,15 @@ class Supervisor:
         self._library[unit.id] = transformation
         self._records[unit.id] = UnitRecord(transformation.label, self.now())
         self.backend.start(unit.id, transformation, self._states.get(transformation.label))
+
+    def dry_units(self) -> set[str]:
+        """Units that have given nothing for a while, though they have outputs: nothing is to be waited for there."""
+        now = self.backend.now()
+        return {
+            unit
+            for unit, record in self._records.items()
+            if record.status is not None and record.status.outputs and now - record.gave_s >= _DRY_S
+        }
 
     def stop(self, unit: str) -> None:
         """Ask a unit to end, for an update."""
