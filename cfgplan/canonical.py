@@ -7,10 +7,16 @@ from collections.abc import Callable, Iterable
 from dataclasses import fields
 from operator import index
 from typing import Any, TypeVar
+from unicodedata import normalize
 
 from cfgplan.errors import InvalidValueError
 
 T = TypeVar("T")
+
+
+def normal(text: str) -> str:
+    """A text in Unicode's normal form NFC, so that a name is the same however its accents are encoded."""
+    return text if text.isascii() else normalize("NFC", text)
 
 
 def store_sorted(holder: object, name: str, values: Iterable[T], key: Callable[[T], object]) -> None:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cfgplan.canonical import normal
 from cfgplan.cli import options as shared
 from cfgplan.cli.durations import duration
 from cfgplan.cli.exits import Exit
@@ -81,9 +82,10 @@ def add_to(verbs: shared.Subparsers) -> None:
         each.add_argument("--run", dest="run_id", metavar="ID", default=argparse.SUPPRESS, help="the run")
         each.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="print JSON for machines")
         if command.operand:
-            each.add_argument("operand", metavar=command.operand, help=command.means)
+            kind = str if command.name == "add" else normal
+            each.add_argument("operand", type=kind, metavar=command.operand, help=command.means)
         if command.name == "add":
-            each.add_argument("--name", metavar="NAME", help="under another name than the file's")
+            each.add_argument("--name", type=normal, metavar="NAME", help="under another name than the file's")
         if command.method or command.name == "add":
             each.add_argument(
                 "--wait", type=duration, default=60.0, metavar="TIME", help="wait so long for the review (60s)"

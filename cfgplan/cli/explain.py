@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
+from cfgplan.canonical import normal
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import OF_STATUS, Exit
 from cfgplan.cli.screen import Screen
@@ -25,9 +26,14 @@ def add_to(verbs: shared.Subparsers) -> None:
     )
     shared.add_environment(parser)
     subject = parser.add_mutually_exclusive_group()
-    subject.add_argument("--unit", metavar="U", help="why this unit is started, kept, rewired or stopped")
-    subject.add_argument("--transformation", metavar="T", help="why this transformation is used, or not")
-    subject.add_argument("--stream", metavar="S", help="why this output is used: unit/port or transformation/port")
+    subject.add_argument("--unit", type=normal, metavar="U", help="why this unit is started, kept, rewired or stopped")
+    subject.add_argument("--transformation", type=normal, metavar="T", help="why this transformation is used, or not")
+    subject.add_argument(
+        "--stream",
+        type=normal,
+        metavar="S",
+        help="why this output is used: unit/port or transformation/port",
+    )
     shared.add_planning(parser)
     shared.add_survive(parser)
     shared.add_matching(parser)

@@ -7,6 +7,7 @@ import json
 import time
 from collections import deque
 
+from cfgplan.canonical import normal
 from cfgplan.cli import options as shared
 from cfgplan.cli.durations import duration
 from cfgplan.cli.exits import Exit
@@ -22,7 +23,7 @@ def add_to(verbs: shared.Subparsers) -> None:
         "print what comes on a topic of a running system",
         "  cfgplan listen /result\n  cfgplan listen /result --json --count 10",
     )
-    parser.add_argument("topic", metavar="TOPIC", help="the topic of a target, such as /result")
+    parser.add_argument("topic", type=normal, metavar="TOPIC", help="the topic of a target, such as /result")
     parser.add_argument("--run", dest="run_id", metavar="ID", help="the run, if several have the topic")
     parser.add_argument("--count", type=shared.count, metavar="N", help="end after N elements")
     parser.add_argument("--for", dest="span", type=duration, metavar="TIME", help="end after 30s, 5m, 1h")

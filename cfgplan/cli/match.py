@@ -6,6 +6,7 @@ import argparse
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
+from cfgplan.canonical import normal
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.screen import Screen, counted
@@ -28,8 +29,8 @@ def add_to(verbs: shared.Subparsers) -> None:
         "  cfgplan match models/nao/1-piff-registered.yaml 'segmenter(piff)/hull' 'ball_detector(piff)/hull'",
     )
     shared.add_environment(parser)
-    parser.add_argument("output", nargs="?", help="an output as transformation/port")
-    parser.add_argument("input", nargs="?", help="an input as transformation/port, or a target's label")
+    parser.add_argument("output", nargs="?", type=normal, help="an output as transformation/port")
+    parser.add_argument("input", nargs="?", type=normal, help="an input as transformation/port, or a target's label")
     parser.add_argument("--decide", action="store_true", help="have all pairs decided, however many are open")
     shared.add_matching(parser)
     shared.add_json(parser)

@@ -11,6 +11,7 @@ from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
+from cfgplan.canonical import normal
 from cfgplan.cli.screen import Screen
 from cfgplan.errors import InvalidValueError
 
@@ -72,6 +73,7 @@ def add_planning(parser: argparse.ArgumentParser, what_if: str | None = None) ->
     supposing = parser.add_argument_group("what if", what_if)
     supposing.add_argument(
         "--without",
+        type=normal,
         action="append",
         default=[],
         metavar="NAME",
@@ -157,7 +159,7 @@ def _failures(asked: str | None, world: api.World) -> Failures | Literal[0] | No
 
 def setting(text: str) -> tuple[str, str]:
     """`KEY=VALUE`, where the key may hold `=` itself."""
-    key, equals, value = text.rpartition("=")
+    key, equals, value = normal(text).rpartition("=")
     if not (key and equals and value):
         raise argparse.ArgumentTypeError(f"{text!r} is not KEY=VALUE")
     return key.strip(), value.strip()

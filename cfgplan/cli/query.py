@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cfgplan.canonical import normal
 from cfgplan.cli import options as shared
 from cfgplan.cli.durations import duration
 from cfgplan.cli.exits import Exit
@@ -45,15 +46,22 @@ def add_to(verbs: shared.Subparsers) -> None:
     )
     parser.add_argument(
         "formula",
+        type=normal,
         metavar="FORMULA",
         help="not, and, or, ->, always[a,b], eventually[a,b], until[a,b] over comparisons, in(point, region), RCC8",
     )
     parser.add_argument("--features", metavar="FILE", help="names of features and regions (features.yaml beside ENV)")
     parser.add_argument(
-        "--feature", action="append", default=[], metavar="NAME=TAG", help="a name for a semantic subscription"
+        "--feature",
+        type=normal,
+        action="append",
+        default=[],
+        metavar="NAME=TAG",
+        help="a name for a semantic subscription",
     )
     parser.add_argument(
         "--region",
+        type=normal,
         action="append",
         default=[],
         metavar="NAME=REGION",

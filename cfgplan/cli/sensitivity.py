@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from cfgplan.canonical import normal
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.screen import Screen
@@ -22,7 +23,9 @@ def add_to(verbs: shared.Subparsers) -> None:
         "  cfgplan sensitivity models/building/office.yaml --upkeep-of air_flow_meter --out upkeep.svg",
     )
     shared.add_environment(parser)
-    parser.add_argument("--upkeep-of", metavar="T", help="vary the upkeep of this transformation, not the horizon")
+    parser.add_argument(
+        "--upkeep-of", type=normal, metavar="T", help="vary the upkeep of this transformation, not the horizon"
+    )
     picture = "draw the least cost with its break points (svg, png or pdf)"
     parser.add_argument("--out", type=shared.out_file, metavar="FILE", help=picture)
     shared.add_planning(parser)

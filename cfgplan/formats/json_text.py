@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from decimal import Decimal
 from typing import Any
 
+from cfgplan.canonical import normal
 from cfgplan.errors import Fault, InputError
 from cfgplan.formats.places import Path, Source, Spot
 from cfgplan.formats.scalars import resolve
@@ -23,6 +24,7 @@ def read_json(text: str, file: str) -> Source:
     repeats: list[str] = []
 
     def mapping(pairs: list[tuple[str, object]]) -> dict[str, object]:
+        pairs = [(normal(key), value) for key, value in pairs]
         values = dict(pairs)
         if len(values) != len(pairs):
             repeats.extend(key for key in values if sum(key == other for other, _ in pairs) > 1)
@@ -147,7 +149,7 @@ def _value(tokens: Iterator[tuple[str, int, int]], token: tuple[str, int, int]) 
         step: Any = len(node.children)
         key = _Node(token[1], token[2])
         if text == "{":
-            step = json.loads(token[0])
+            step = normal(json.loads(token[0]))
             next(tokens)
             token = next(tokens)
         node.children.append((step, key, _value(tokens, token)))

@@ -10,6 +10,7 @@ from cfgplan.formats.schema_values import (
     FULL_FORM,
     SHORT_FORM,
     Cost,
+    FileName,
     Micro,
     Name,
     Params,
@@ -81,6 +82,10 @@ Output = Annotated[
 
 Names = Annotated[
     Annotated[Name, Tag(SHORT_FORM)] | Annotated[list[Name], Tag(FULL_FORM)],
+    Discriminator(form_of),
+]
+FileNames = Annotated[
+    Annotated[FileName, Tag(SHORT_FORM)] | Annotated[list[FileName], Tag(FULL_FORM)],
     Discriminator(form_of),
 ]
 
@@ -213,7 +218,7 @@ class IncludedPart(_Part):
 IGNORE = "ignore"
 
 Imports = Annotated[
-    Annotated[Literal["ignore"], Tag(SHORT_FORM)] | Annotated[dict[Name, Name], Tag(FULL_FORM)],
+    Annotated[Literal["ignore"], Tag(SHORT_FORM)] | Annotated[dict[Name, FileName], Tag(FULL_FORM)],
     Discriminator(form_of),
 ]
 
@@ -224,7 +229,7 @@ class EnvironmentPart(_Part):
     model_config = ConfigDict(extra="forbid", strict=True, title="cfgplan environment")
 
     format: Literal["cfgplan/1"]
-    ontology: Names | None = Field(default=None, description="ontology file or files, relative to this file")
+    ontology: FileNames | None = Field(default=None, description="ontology file or files, relative to this file")
     imports: Imports | None = Field(
         default=None,
         description="IRI that an ontology imports to a file, relative to this file, or to `ignore`; "
@@ -235,7 +240,7 @@ class EnvironmentPart(_Part):
     )
     max_cost: Cost | None = Field(default=None, description="the most that an update may cost, in CPU seconds")
     defaults: DefaultsPart | None = None
-    include: list[Name] | None = Field(
+    include: list[FileName] | None = Field(
         default=None, description="files and folders with more transformations and targets"
     )
     hosts: list[HostPart] | None = Field(default=None, description="where units run; if absent, nothing is placed")

@@ -7,9 +7,10 @@ from decimal import Decimal, DecimalException
 from functools import lru_cache
 from typing import Annotated, Any
 
-from pydantic import BaseModel, Field, PlainValidator, WithJsonSchema
+from pydantic import AfterValidator, BaseModel, Field, PlainValidator, WithJsonSchema
 from pydantic_core import PydanticCustomError
 
+from cfgplan.canonical import normal
 from cfgplan.costs import microseconds
 from cfgplan.errors import InvalidValueError
 from cfgplan.qualities import micro_units
@@ -124,9 +125,13 @@ def form_of(value: object) -> str:
     return FULL_FORM if isinstance(value, dict | list | BaseModel) else SHORT_FORM
 
 
-Name = Annotated[str, Field(pattern=NAME)]
-PortName = Annotated[str, Field(pattern=PORT)]
-TagText = Annotated[str, Field(min_length=1, description="a concept in description logic, or the paper's P(a)")]
+FileName = Annotated[str, Field(pattern=NAME)]
+"""The name of a file stays as it is written; all other names are spelled in one way."""
+Name = Annotated[FileName, AfterValidator(normal)]
+PortName = Annotated[str, Field(pattern=PORT), AfterValidator(normal)]
+TagText = Annotated[
+    str, Field(min_length=1, description="a concept in description logic, or the paper's P(a)"), AfterValidator(normal)
+]
 Cost = Annotated[int, PlainValidator(_cost), WithJsonSchema({"type": "number", "minimum": 0})]
 Seconds = Annotated[int, PlainValidator(_seconds), WithJsonSchema({"type": "number", "minimum": 0})]
 Span = Annotated[

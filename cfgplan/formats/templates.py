@@ -6,6 +6,8 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import product
 
+from cfgplan.canonical import normal
+
 _MARK = re.compile(r"\$(\$\{)|\$\{([^\s${}:]+)(?::([^\s${}:]+))?\}|(\$\{)")
 MOST_EXPANSIONS = 1_000_000
 
@@ -28,7 +30,7 @@ def variables(text: str) -> Iterator[tuple[Variable, int]]:
         if mark.group(4):
             raise BadTemplateError(mark.start() + 1)
         if mark.group(2):
-            yield (mark.group(2), mark.group(3) or ""), mark.start() + 1
+            yield _variable(mark), mark.start() + 1
 
 
 def shown(variable: Variable) -> str:
@@ -86,7 +88,11 @@ def assignments(
         yield dict(zip(instances, values, strict=True))
 
 
+def _variable(mark: re.Match[str]) -> Variable:
+    return normal(mark.group(2)), normal(mark.group(3) or "")
+
+
 def _replacement(mark: re.Match[str], values: Mapping[Variable, str]) -> str:
     if mark.group(1):
         return mark.group(1)
-    return values[mark.group(2), mark.group(3) or ""]
+    return values[_variable(mark)]

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import NoReturn
 from xml.parsers import expat
 
+from cfgplan.canonical import normal
 from cfgplan.errors import Fault, InputError
 from cfgplan.formats.places import Spot
 
@@ -66,7 +67,7 @@ def parse_xml(content: bytes, file: str) -> Element:
     def start(name: str, attributes: dict[str, str]) -> None:
         if len(opened) >= DEEPEST_NESTING:
             parser.stop(f"elements are nested more than {DEEPEST_NESTING} deep", "flatten the document")
-        element = Element(name, attributes, *parser.place)
+        element = Element(name, {key: normal(value) for key, value in attributes.items()}, *parser.place)
         (opened[-1].children if opened else roots).append(element)
         opened.append(element)
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from decimal import Decimal
 from typing import Any
 
+from cfgplan.canonical import normal
 from cfgplan.errors import Fault, InputError
 from cfgplan.formats.json_text import read_json
 from cfgplan.formats.places import Path, Source, Spot
@@ -133,13 +134,13 @@ class _Reading:
                 self._note(port, f"the port `{port.text}` has no direction", 'write type="in" or type="out"')
                 continue
             key = f"{direction}puts"
-            name = port.text
+            name = normal(port.text)
             if name in ports[key]:
                 self._note(port, f"the port `{name}` is there twice", "remove one of the two or rename it")
             written = self._port(port, (*path, key, name), tags.pop(name, None))
             if written is not None:
                 ports[key][name] = written
-        known = [port.text for port in self._inside(element, "ports", "port")]
+        known = [normal(port.text) for port in self._inside(element, "ports", "port")]
         for tagged, tag in tags.items():
             if tagged is not None:
                 mend = did_you_mean(tagged, known, "add it to <ports>")

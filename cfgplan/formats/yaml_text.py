@@ -11,6 +11,7 @@ from typing import Any
 import yaml
 from yaml import events
 
+from cfgplan.canonical import normal
 from cfgplan.errors import Fault, InputError
 from cfgplan.formats.garbage import no_garbage_collection
 from cfgplan.formats.places import Path, Source, Spot
@@ -120,11 +121,12 @@ class _Reading:
             written = getattr(event, "value", "")
             self._note(event, f"the key {written} is not text", f'write it in quotes: "{written}"')
             value = written
+        value = normal(str(value))
         if value == "<<" and event.implicit[0]:
             self._note(event, "merge keys (`<<`) are not supported", "write the merged keys out")
         elif value in mapping:
             self._note(event, f"the key `{value}` stands here twice", "remove one of the two or rename it")
-        return str(value)
+        return value
 
     def _define(self, event: Any, anchor: str, value: object, size: int) -> None:
         if anchor in self.anchors:
@@ -199,7 +201,7 @@ def _child(node: Any, step: str | int) -> tuple[Any, Any]:
         return None, node.value[step]
     if isinstance(node, yaml.MappingNode):
         for key, value in reversed(node.value):
-            if key.value == step:
+            if normal(key.value) == step:
                 return key, value
     return None, None
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from cfgplan.canonical import normal
 from cfgplan.matching.faults import ReasonerTimeoutError, UnknownNameError
 from cfgplan.matching.matrix import match
-from cfgplan.matching.names import normal
 from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.syntax import parse_tag
 

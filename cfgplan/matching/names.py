@@ -7,8 +7,8 @@ import re
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from types import MappingProxyType
-from unicodedata import normalize
 
+from cfgplan.canonical import normal
 from cfgplan.matching.faults import UnknownNameError
 
 _LAST_PART = re.compile(r"[#/:]([^#/:]+)[#/]?$")
@@ -18,11 +18,6 @@ def short_name(iri: str) -> str:
     """The fragment of an IRI or else its last path part."""
     found = _LAST_PART.search(iri)
     return found.group(1) if found else iri
-
-
-def normal(text: str) -> str:
-    """A text in Unicode's normal form NFC, so that a name is the same however its accents are encoded."""
-    return text if text.isascii() else normalize("NFC", text)
 
 
 class Vocabulary:

@@ -10,11 +10,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
+from cfgplan.canonical import normal
 from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI, Concept, in_description_logic
 from cfgplan.matching.faults import UnknownNameError
 from cfgplan.matching.functional import Signature, Tree, parse
 from cfgplan.matching.literals import told
-from cfgplan.matching.names import Vocabulary, expanded, normal, short_name, suggestion
+from cfgplan.matching.names import Vocabulary, expanded, short_name, suggestion
 
 _BRACKETED: Final = re.compile(r"<([^<>\s]+)>")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from unicodedata import normalize
 
 from command import MODELS, Run
 
@@ -62,3 +63,10 @@ def test_an_unknown_subject_is_bad_input_with_the_nearest_name(run: Run) -> None
     result = run("explain", NAO / "2-segmenter-lost.yaml", "--unit", "segmentor(piff).1")
     assert result.code == 30
     assert "did you mean 'segmenter(piff).1'?" in result.err
+
+
+def test_a_name_is_understood_however_its_accents_are_encoded(run: Run, write: Callable[[str], Path]) -> None:
+    path = write("format: cfgplan/1\ntransformations:\n  - {label: Gärung, outputs: {o: T}}\n")
+    label = normalize("NFD", "Gärung")
+    for more in (["--transformation", label], ["--without", label], ["--set", f"{label}.labor=2"]):
+        assert run("explain", path, *more).code == 0

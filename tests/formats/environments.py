@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from hypothesis import strategies as st
 
+from cfgplan.canonical import normal
 from cfgplan.domain import (
     START_MODES,
     ComputationUnit,
@@ -21,7 +22,7 @@ from cfgplan.domain import (
 _TRICKY = """on 1.0 1e-3 0x1F null ~ 2026-11-20 ${x} $${NAO} ' " << é⊓ {a} [a] &a *a !t % @ ` | > ? true .inf -.5 =
     <a>&amp; ]]> 🤖"""
 TRICKY = st.sampled_from([*_TRICKY.split(), "a b", "a: b", "# no", "- x", "a  b"])
-PLAIN = st.text(st.characters(exclude_categories=["C", "Z"]), min_size=1, max_size=6)
+PLAIN = st.text(st.characters(exclude_categories=["C", "Z"]), min_size=1, max_size=6).map(normal)
 NAMES = TRICKY | PLAIN
 PORTS = NAMES.filter(lambda name: "/" not in name)
 TAGS = NAMES

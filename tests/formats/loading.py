@@ -7,7 +7,7 @@ from pathlib import Path
 from cfgplan.errors import Fault, InputError
 from cfgplan.formats import BadClassError, BadTagError, EnvironmentFile, build, read_document
 
-CLASSES = {"NAO": ("piff", "puff"), "Room": ("r1", "r2", "r3"), "Nothing": ()}
+CLASSES = {"NAO": ("piff", "puff"), "Room": ("r1", "r2", "r3"), "Nothing": (), "Café": ("x",)}
 
 
 class SmallVocabulary:

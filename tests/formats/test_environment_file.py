@@ -5,8 +5,10 @@ from __future__ import annotations
 import gc
 import json
 from pathlib import Path
+from unicodedata import normalize
 
 import pytest
+import yaml
 from loading import faults_of, load, load_text
 
 from cfgplan.domain import (
@@ -283,3 +285,53 @@ def test_imports_are_refused_where_they_are_no_files(tmp_path: Path) -> None:
     for text in ("imports: all\n", "imports: [a.ttl]\n", "imports: {http://x/: 3}\n"):
         with pytest.raises(InputError, match="imports"):
             load_text(tmp_path, WHOLE + text)
+
+
+SPELLED = """\
+format: cfgplan/1
+ontology: Café.ttl
+transformations:
+  - label: Gärung(${Café})
+    params: {Größe: 1}
+    outputs: {größe: Länge}
+  - label: maß
+    conflicts: [Gärung(x)]
+    run: {start: größe}
+    inputs: {größe: Länge}
+units:
+  - {id: gär, transformation: Gärung(x)}
+  - id: maß
+    transformation: maß
+    inputs: {größe: gär/größe}
+targets:
+  - {label: länge, topic: /Länge, tag: Länge}
+"""
+
+
+@pytest.mark.parametrize("shift", [0, 1])
+def test_names_meet_however_their_accents_are_encoded(shift: int, tmp_path: Path) -> None:
+    world = load_text(tmp_path, SPELLED)
+    lines = SPELLED.splitlines(keepends=True)
+    alternating = "".join(normalize("NFD" if i % 2 == shift else "NFC", line) for i, line in enumerate(lines))
+    found = load_text(tmp_path, alternating)
+    assert (found.environment, found.digest) == (world.environment, world.digest)
+    place = found.place(unit="maß", port="größe")
+    assert place is not None
+    assert place.line == SPELLED[: SPELLED.index("größe: gär/")].count("\n") + 1
+    text = json.dumps(yaml.safe_load(alternating))
+    assert load_text(tmp_path, text, "env.json").environment == world.environment
+
+
+def test_a_key_in_two_spellings_stands_there_twice_and_what_is_no_name_is_left_as_it_is(tmp_path: Path) -> None:
+    composed, decomposed = "Länge", normalize("NFD", "Länge")
+    assert composed != decomposed
+    data = {"label": "a", "params": {composed: decomposed}}
+    text = json.dumps({"format": "cfgplan/1", "ontology": f"{decomposed}.ttl", "transformations": [data]})
+    for name in ("env.json", "env.yaml"):
+        world = load_text(tmp_path, text, name)
+        assert world.environment.library[0].params == {composed: decomposed}
+        assert world.ontology_paths == (tmp_path / f"{decomposed}.ttl",)
+        twice = text.replace('"params": {', f'"params": {{"{decomposed}": 1, ')
+        assert [f"`{composed}` stands here twice" in fault.message for fault in faults_of(tmp_path, twice, name)] == [
+            True
+        ]

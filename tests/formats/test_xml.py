@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
+from unicodedata import normalize
 
 import pytest
 from environments import environments
@@ -273,3 +274,9 @@ def test_what_is_written_as_xml_loads_back(environment: Environment, horizon_s: 
 def write(path: Path, text: str) -> Path:
     path.write_text(text, encoding="utf-8")
     return path
+
+
+def test_a_port_and_its_tag_meet_however_their_accents_are_encoded(tmp_path: Path) -> None:
+    text = LISTING_1.replace("undist<", "größe<").replace('"undist"', normalize("NFD", '"größe"'))
+    (found,) = load_text(tmp_path, text, "a.xml").environment.library
+    assert [port.name for port in (*found.inputs, *found.outputs)] == ["rawCamera", "größe"]
