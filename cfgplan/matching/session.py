@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import time
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import Final
 
 from cfgplan.domain import Similarity
 from cfgplan.errors import Fault, InputError
@@ -19,6 +21,9 @@ from cfgplan.matching.registry import TagRegistry
 from cfgplan.matching.rows import Rows
 from cfgplan.matching.tracing import contradiction
 from cfgplan.matching.verdicts import Verdicts
+
+REFUTING: Final = 0.25
+"""The share of a time limit in which models are looked for before the reference is asked."""
 
 
 @dataclass(frozen=True)
@@ -111,9 +116,9 @@ class Matcher:
         Raises InputError for an ontology that can't be reasoned with.
         """
         rows = self._current_rows()
-        self._refute(rows, time_limit_s)
-        if decide and not self._ask(self._open(rows), time_limit_s) and (rows is None or self.outside()):
-            self._check_consistency(time_limit_s)
+        left_s = self._refute(rows, time_limit_s)
+        if decide and not self._ask(self._open(rows), left_s) and (rows is None or self.outside()):
+            self._check_consistency(left_s)
         return self._told(rows, time_limit_s, is_asked=decide)
 
     def decide(self, pairs: Collection[tuple[str, str]], *, time_limit_s: float | None = None) -> int:
@@ -124,14 +129,14 @@ class Matcher:
         ontology that can't be reasoned with.
         """
         rows = self._current_rows()
-        self._refute(rows, time_limit_s)
+        left_s = self._refute(rows, time_limit_s)
         open_rows = self._open(rows)
         wanted: dict[Concept, dict[Concept, None]] = {}
         for offered_text, demanded_text in sorted(pairs):
             offered, demanded = self._offered.concept(offered_text), self._demanded.concept(demanded_text)
             if offered in open_rows.get(demanded, ()):
                 wanted.setdefault(demanded, {})[offered] = None
-        return self._ask(wanted, time_limit_s)
+        return self._ask(wanted, left_s)
 
     def outside(self) -> Mapping[str, str]:
         """The axioms that the fast engine has no words for, with the reason."""
@@ -180,15 +185,21 @@ class Matcher:
                 continue
             yield demand, frozenset(offers[name] for name in names)
 
-    def _refute(self, rows: Rows | None, time_limit_s: float | None) -> None:
-        """Look for models that show what does not match, for offers that the fast engine does not certify."""
+    def _refute(self, rows: Rows | None, time_limit_s: float | None) -> float | None:
+        """Look for models that show what does not match, for offers that the fast engine does not certify.
+
+        Returns how much of the time limit is left.
+        """
         if rows is None or not (rows.beyond_words or rows.uncertified):
-            return
+            return time_limit_s
+        start = time.monotonic()
         if self._countermodels is None:
             self._countermodels = Countermodels(self._ontology)
         beyond = dict(self._beyond_engine(rows))
-        self._countermodels.build(set().union(*beyond.values()), beyond, time_limit_s)
+        share_s = None if time_limit_s is None else REFUTING * time_limit_s
+        self._countermodels.build(set().union(*beyond.values()), beyond, share_s)
         self._verdicts.possible |= self._countermodels.possible
+        return None if time_limit_s is None else time_limit_s - (time.monotonic() - start)
 
     def _open(self, rows: Rows | None) -> dict[Concept, frozenset[Concept]]:
         """For each demand the offers for which it is not decided whether they meet it."""

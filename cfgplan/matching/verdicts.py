@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Final
 
 from cfgplan.matching.concepts import TOP, Concept, conjunction, in_functional_syntax, negation
@@ -14,10 +14,16 @@ from cfgplan.matching.reference import Reference, classify, satisfiable
 
 PAIRS_OF_A_TAG: Final = 4
 """With more open pairs than this for each of their tags, to classify the tags costs less than to ask for the pairs."""
-CLASSIFYING: Final = 0.5
+CLASSIFYING: Final = 0.75
 """The share of a time limit that classifying may take before pairs are asked for one by one."""
-CLASSIFYING_S: Final = 60.0
-"""How long classifying may take where there is no time limit, seconds."""
+PATIENCE: Final = 0.1
+"""The share of a time limit that the answer for one pair may take before others are asked for."""
+PATIENCE_S: Final = 30.0
+"""How long the answer for one pair may take at first where there is no time limit, seconds."""
+FIRST_PAIRS: Final = 64
+"""So many pairs are asked for in the first call, in each later one four times as many as in the one before it."""
+MOST_PAIRS: Final = 8192
+"""So many pairs are asked for in one call: a command line has its limits."""
 
 
 class Verdicts:
@@ -35,6 +41,8 @@ class Verdicts:
         """Concepts that something can have; with any, the ontology does not contradict itself."""
         self.unsatisfiable: set[Concept] = set()
         """The offered concepts that nothing can have."""
+        self._too_hard: list[tuple[int, float]] = []
+        """How many tags could not be classified in how many seconds."""
 
     def accepted(self, demanded: Concept) -> frozenset[Concept]:
         """The offered concepts that were found to be below a demanded one."""
@@ -60,7 +68,8 @@ class Verdicts:
     def ask(self, wanted: Mapping[Concept, Collection[Concept]], time_limit_s: float | None) -> int:
         """Ask which offered concepts are below the demanded ones that they are wanted for; how many pairs were asked.
 
-        What time does not suffice for stays open. Raises what the reasoner raises, except ReasonerTimeoutError.
+        Many are asked for by classifying them, and if that took too long, one by one. What time does not suffice for
+        stays open. Raises what the reasoner raises, except ReasonerTimeoutError.
         """
         deadline = None if time_limit_s is None else time.monotonic() + time_limit_s
         missing = self._missing(wanted)
@@ -69,10 +78,8 @@ class Verdicts:
             return 0
         offered = frozenset().union(*missing.values())
         if asked > PAIRS_OF_A_TAG * (len(offered) + len(missing)):
-            self._classify(offered, missing, CLASSIFYING_S if time_limit_s is None else CLASSIFYING * time_limit_s)
-            missing = self._missing(missing)
-        if missing:
-            self._ask_one_by_one(missing, None if deadline is None else deadline - time.monotonic())
+            self._classify(offered, missing, None if time_limit_s is None else CLASSIFYING * time_limit_s)
+        self._ask_one_by_one(self._missing(missing), deadline)
         return asked
 
     def _missing(self, wanted: Mapping[Concept, Collection[Concept]]) -> dict[Concept, frozenset[Concept]]:
@@ -82,11 +89,16 @@ class Verdicts:
         }
         return {demanded: offered for demanded, offered in rows.items() if offered}
 
-    def _classify(self, offered: frozenset[Concept], demanded: Collection[Concept], time_limit_s: float) -> None:
+    def _classify(self, offered: frozenset[Concept], demanded: Collection[Concept], time_limit_s: float | None) -> None:
+        """Ask about all pairs at once, unless as much time was too little for as few tags before."""
         assert self._reference is not None
+        tags = len(offered) + len(demanded)
+        if time_limit_s is not None and any(tags >= n and time_limit_s <= s for n, s in self._too_hard):
+            return
         try:
-            answer = classify(self._reference, self._ontology, [*offered, *demanded], time_limit_s)
+            answer = classify(self._reference, self._ontology, offered, demanded, time_limit_s)
         except ReasonerTimeoutError:
+            self._too_hard.append((tags, time_limit_s or 0.0))
             return
         impossible = {concept for concept in offered if answer.is_unsatisfiable(concept)}
         self.unsatisfiable |= impossible
@@ -95,31 +107,50 @@ class Verdicts:
             told = {concept for concept in offered - impossible if answer.below(concept, (wanted,))}
             self._tell(wanted, offered, frozenset(told))
 
-    def _ask_one_by_one(self, wanted: Mapping[Concept, frozenset[Concept]], time_limit_s: float | None) -> None:
-        """Offered ⊑ demanded if nothing is offered and not demanded, but something is offered."""
+    def _ask_one_by_one(self, wanted: Mapping[Concept, frozenset[Concept]], deadline: float | None) -> None:
+        """Ask pair by pair until time is over. One for which no answer comes waits until others were asked for."""
+        pairs = [(each, demand) for demand, row in wanted.items() for each in sorted(row, key=in_functional_syntax)]
+        left_s = None if deadline is None else deadline - time.monotonic()
+        patience_s = PATIENCE_S if left_s is None else PATIENCE * left_s
+        size = FIRST_PAIRS
+        while pairs and (left_s is None or left_s > 0):
+            told, stuck = self._ask_some(pairs[:size], left_s, patience_s)
+            done = self.unsatisfiable
+            pairs = [(one, demand) for one, demand in pairs if one not in done and one not in self._answered[demand]]
+            if stuck is not None:
+                pairs.sort(key=lambda pair: stuck in _questions(pair))
+                patience_s *= 1 if told else 2
+            size = min(4 * size, MOST_PAIRS)
+            left_s = None if deadline is None else deadline - time.monotonic()
+
+    def _ask_some(
+        self, pairs: Sequence[tuple[Concept, Concept]], time_limit_s: float | None, patience_s: float
+    ) -> tuple[int, Concept | None]:
+        """Ask for pairs in one call; how many questions were answered, and the one that was not."""
         assert self._reference is not None
-        pairs = {
-            (concept, demanded): conjunction((concept, negation(demanded)))
-            for demanded, offered in wanted.items()
-            for concept in sorted(offered, key=in_functional_syntax)
-        }
-        questions: dict[Concept, None] = {}
-        for (concept, _), both in pairs.items():
-            if concept not in self.possible:
-                questions[concept] = None
-            questions[both] = None
-        told = satisfiable(self._reference, self._ontology, questions, time_limit_s)
+        questions = dict.fromkeys(
+            question for pair in pairs for question in _questions(pair) if question not in self.possible
+        )
+        told = satisfiable(self._reference, self._ontology, questions, time_limit_s, patience_s)
         for concept in {concept for concept, _ in pairs} & told.keys():
             (self.possible if told[concept] else self.unsatisfiable).add(concept)
         rows: defaultdict[Concept, list[tuple[Concept, bool]]] = defaultdict(list)
-        for (concept, demanded), both in pairs.items():
-            if both in told and concept in self.possible:
-                rows[demanded].append((concept, not told[both]))
+        for pair in pairs:
+            concept, both = _questions(pair)
+            if concept in self.possible and (both in told or both in self.possible):
+                rows[pair[1]].append((concept, both in told and not told[both]))
         for demanded, row in rows.items():
             self._tell(demanded, (concept for concept, _ in row), (concept for concept, holds in row if holds))
+        return len(told), next((question for question in questions if question not in told), None)
 
     def _tell(self, demanded: Concept, answered: Iterable[Concept], accepted: Iterable[Concept]) -> None:
         """Note for a demanded concept which offered ones were asked about, and which of them are below it."""
         known = self._answered[demanded]
         self._answered[demanded] = known.union(answered) if known else frozenset(answered)
         self._accepted[demanded] |= frozenset(accepted)
+
+
+def _questions(pair: tuple[Concept, Concept]) -> tuple[Concept, Concept]:
+    """Offered ⊑ demanded if nothing is offered and not demanded, but something is offered."""
+    offered, demanded = pair
+    return offered, conjunction((offered, negation(demanded)))

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Sequence
+
 import pytest
 
 from cfgplan.errors import InputError
-from cfgplan.matching import Matcher, Ontology, hermit
+from cfgplan.matching import Matcher, Ontology, ReasonerTimeoutError, hermit
+from cfgplan.matching.concepts import Concept, Named
+from cfgplan.matching.taxonomy import Taxonomy
+from cfgplan.matching.verdicts import Verdicts
 
 COVERED = Ontology(
     [
@@ -114,3 +120,67 @@ def test_what_was_dropped_leaves_open_what_does_not_match() -> None:
     inside = Matcher(Ontology(["SubClassOf(<w#A> <w#W>)"], dropped=dropped.dropped), reasoner="el")
     inside.add(offered=["A"], demanded=["W"])
     assert not inside.matching().similarity.open
+
+
+class Slow:
+    """A reasoner by which everything is below everything; it takes long about what `hard` is in, and to classify."""
+
+    def __init__(self, hard: str) -> None:
+        self._hard = hard
+        self._calls = 0
+        self.classified_s: list[float | None] = []
+        self.answered: list[str] = []
+
+    def classify(self, _: str, *, time_limit_s: float | None = None) -> Taxonomy:
+        self.classified_s.append(time_limit_s)
+        raise ReasonerTimeoutError("too hard", "")
+
+    def satisfiable(
+        self,
+        document: str,
+        classes: Sequence[str],
+        *,
+        time_limit_s: float | None = None,
+        patience_s: float | None = None,
+    ) -> dict[str, bool]:
+        assert patience_s is not None
+        self._calls += 1
+        meanings = {line.split()[0][12:-1]: line for line in document.splitlines() if line.startswith("SubClassOf(<t:")}
+        answers: dict[str, bool] = {}
+        for name in classes:
+            if self._hard in meanings[name] and patience_s < (time_limit_s or 600.0) / 2:
+                break
+            answers[name] = "ObjectComplementOf" not in meanings[name]
+            self.answered.append(meanings[name])
+        return answers
+
+
+def concepts(stem: str, count: int) -> list[Concept]:
+    return [Named(f"w#{stem}{number}") for number in range(count)]
+
+
+@pytest.mark.parametrize("time_limit_s", [None, 600.0])
+def test_a_question_that_takes_long_is_asked_after_all_others(time_limit_s: float | None) -> None:
+    reasoner = Slow("<w#A1>")
+    verdicts = Verdicts(Ontology(), reasoner)
+    offered, demanded = concepts("A", 3), concepts("B", 2)
+    assert verdicts.ask(dict.fromkeys(demanded, offered), time_limit_s) == 6
+    assert all(verdicts.accepted(demand) == {*offered} for demand in demanded)
+    assert ["<w#A1>" in meaning for meaning in reasoner.answered] == [False] * 6 + [True] * 3
+
+
+def test_what_could_not_be_classified_is_asked_pair_by_pair_and_not_classified_again_in_as_little_time() -> None:
+    reasoner = Slow("<w#A1>")
+    verdicts = Verdicts(Ontology(), reasoner)
+    demanded = concepts("B", 12)
+    for stem, number, time_limit_s in (("A", 12, 600.0), ("C", 14, 400.0), ("D", 11, 400.0), ("E", 14, 800.0)):
+        assert verdicts.ask(dict.fromkeys(demanded, concepts(stem, number)), time_limit_s) == 12 * number
+    assert reasoner.classified_s == [450.0, 300.0, 600.0]
+    assert all(len(verdicts.accepted(demand)) == 12 + 14 + 11 + 14 for demand in demanded)
+
+
+def test_hermit_is_not_waited_for_when_no_answer_comes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(hermit, "_java", lambda: ("sh", "-c", "echo 't:0 is satisfiable.'; exec sleep 600"))
+    start = time.monotonic()
+    assert hermit.satisfiable("", ["t:0", "t:1"], patience_s=1.0) == {"t:0": True}
+    assert time.monotonic() - start < 60
