@@ -276,7 +276,6 @@ FLEET = _room(
         "len(inputs) * result >= total if is_low else len(inputs) * result <= total",
         "result >= total if is_low else result <= total",
     ),
-    ("a limit is no limit", "quality.py", "if rule in (Rule.SET, Rule.LIMIT):", "if rule is Rule.SET:"),
     (
         "the demand of the worst is not asked",
         "quality_demands.py",
