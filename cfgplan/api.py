@@ -330,7 +330,9 @@ def load_plan(world: World, problem: Problem, path: str | os.PathLike[str]) -> P
     """A plan that may be carried out: the one in a plan file, if it was made for this world and the judge accepts it.
 
     Change set, cost, status and bound are checked against `problem`; that no plan is cheaper is the planner's proof,
-    which a file can't repeat. Raises InputError for a file that is broken, stale or has been changed.
+    which a file can't repeat. An ontology file that neither `ontology:` nor `imports:` names, but an import led to,
+    does not make a plan stale when it changes; the judge holds the plan against what matches now all the same.
+    Raises InputError for a file that is broken, stale or has been changed.
     """
     from cfgplan.formats import load_plan as read_plan
 

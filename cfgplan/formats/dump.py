@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from decimal import Decimal
 from typing import Any
 
@@ -23,10 +23,18 @@ def dump_environment(
     max_cost_us: int | None = None,
     ontology: Iterable[str] = (),
     survive: Failures | None = None,
+    imports: Mapping[str, str | None] | None = None,
 ) -> str:
-    """The YAML text of an environment; `ontology` holds the ontology files as the text is to name them."""
+    """The YAML text of an environment; `ontology` and `imports` say how it names files, see `plain_environment`."""
     return dump_yaml(
-        plain_environment(environment, horizon_s=horizon_s, max_cost_us=max_cost_us, ontology=ontology, survive=survive)
+        plain_environment(
+            environment,
+            horizon_s=horizon_s,
+            max_cost_us=max_cost_us,
+            ontology=ontology,
+            survive=survive,
+            imports=imports,
+        )
     )
 
 

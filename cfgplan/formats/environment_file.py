@@ -82,7 +82,8 @@ def environment_digest(
 ) -> str:
     """SHA-256 (hex) of all that a plan depends on, the ontology files and `imports` too.
 
-    Comments, the order of lists and what only running needs (source, params, kind, run, silent) don't count.
+    Comments, the order of lists and what only running needs (source, params, kind, run, silent) don't count. Nor does
+    a file that is only found by a search for what an ontology imports: to find it would take reading ontologies.
     """
     content: list[object] = [
         horizon_s,

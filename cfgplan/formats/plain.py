@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from decimal import Decimal
 from typing import Any
 
@@ -17,7 +17,8 @@ from cfgplan.domain import (
     Target,
     Transformation,
 )
-from cfgplan.formats.schema import FORMAT
+from cfgplan.formats.environment_file import ANY_IMPORT
+from cfgplan.formats.schema import FORMAT, IGNORE
 from cfgplan.formats.templates import escape
 from cfgplan.planning import Failures
 from cfgplan.qualities import Better, Contribution, Over, QualityAttribute, Wish, units
@@ -30,16 +31,19 @@ def plain_environment(
     max_cost_us: int | None = None,
     ontology: Iterable[str] = (),
     survive: Failures | None = None,
+    imports: Mapping[str, str | None] | None = None,
 ) -> dict[str, Any]:
     """What an environment file says, as mappings and lists; costs are Decimal or int.
 
-    Loading it gives the same environment back. `ontology` holds paths as the file is to name them.
+    Loading it gives the same environment back. `ontology` holds paths as the file is to name them, `imports` the path
+    of each IRI, or None where that import is ignored, with ANY_IMPORT for every one that can't be found.
     """
     ontologies = list(ontology)
     return _without_nothing(
         {
             "format": FORMAT,
             "ontology": ontologies[0] if len(ontologies) == 1 else ontologies,
+            "imports": _imports(imports or {}),
             "horizon": horizon_s,
             "max_cost": None if max_cost_us is None else plain_cost(max_cost_us),
             "hosts": [_host(host) for host in environment.hosts],
@@ -51,6 +55,12 @@ def plain_environment(
             "targets": [_target(target, environment) for target in environment.targets],
         }
     )
+
+
+def _imports(imports: Mapping[str, str | None]) -> str | dict[str, str]:
+    if ANY_IMPORT in imports:
+        return IGNORE
+    return {iri: IGNORE if path is None else path for iri, path in imports.items()}
 
 
 def plain_cost(cost_us: int) -> Decimal | int:

@@ -66,7 +66,11 @@ def test_an_unknown_subject_is_bad_input_with_the_nearest_name(run: Run) -> None
 
 
 def test_a_name_is_understood_however_its_accents_are_encoded(run: Run, write: Callable[[str], Path]) -> None:
-    path = write("format: cfgplan/1\ntransformations:\n  - {label: Gärung, outputs: {o: T}}\n")
+    path = write(
+        "transformations: [{label: Gärung, outputs: {o: T}}, {label: other, outputs: {o: T}}]\n"
+        "targets: [{label: t, topic: /t, tag: T}]\n"
+    )
     label = normalize("NFD", "Gärung")
     for more in (["--transformation", label], ["--without", label], ["--set", f"{label}.labor=2"]):
-        assert run("explain", path, *more).code == 0
+        found = run("explain", path, *more)
+        assert found.code == 0, found.err

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
+import pytest
 from environments import environments
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -37,3 +38,10 @@ def test_the_yaml_is_what_a_person_would_write() -> None:
         "  outputs:\n"
         "    image: Image ⊓ ∃hasSource.piff\n"
     )
+
+
+@pytest.mark.parametrize("imports", [{"http://a.example/a": "sub/a.ttl", "http://b.example/b": None}, {"": None}])
+def test_imports_are_written_as_they_were_named_or_ignored(imports: dict[str, str | None], tmp_path: Path) -> None:
+    text = dump_environment(Environment(), horizon_s=60, ontology=["o.ttl"], imports=imports)
+    expected = tuple((iri, None if path is None else tmp_path / path) for iri, path in imports.items())
+    assert load_text(tmp_path, text).imports == expected
