@@ -104,12 +104,14 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         screen.note(f"The file names {count}, but a run starts from nothing: `units:` does not count.")
     world = replace(loaded, environment=replace(loaded.environment, units=()))
     if options.dry_run or options.strict:
+        from cfgplan.api import FEW_PAIRS
         from cfgplan.cli import dry_run
 
         settings = _settings(options)
-        problem = shared.problem(options, screen, world)
+        matches = shared.matches(options, screen, world, FEW_PAIRS)
+        problem = shared.problem(options, screen, world, matches)
         with screen.phase("plan"):
-            found = dry_run.first_update(problem, settings)
+            found = dry_run.first_update(problem, settings, matches)
         code = dry_run.exit_of(found)
         if options.dry_run or code is not Exit.OK:
             dry_run.show(found, world.digest, screen)

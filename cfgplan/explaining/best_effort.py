@@ -11,7 +11,7 @@ from functools import cached_property
 from cfgplan.costs import seconds
 from cfgplan.domain import Target
 from cfgplan.explaining.together import REFUSED, only_targets
-from cfgplan.planning import Plan, Planner, Problem, Status
+from cfgplan.planning import Pair, Plan, Planner, Problem, Status
 from cfgplan.reasons import pinned_reasons, unmet_reasons
 
 
@@ -21,13 +21,15 @@ class BestEffort:
 
     `problem` is the problem that was asked with only the targets that are met, and `plan` its plan, whose
     `reasons` say why each of the other targets is given up, and why pinned units can't be fed. `exact` tells whether
-    it is proven that no better set of targets can be met. The plan has no change set only if it was stopped too
-    early, or if not even the pinned units can be kept at the largest cost.
+    it is proven that no better set of targets can be met; `undecided` are the open pairs of tags that this, or the
+    bound of the plan, hangs on. The plan has no change set only if it was stopped too early, or if not even the pinned
+    units can be kept at the largest cost.
     """
 
     plan: Plan
     problem: Problem
     exact: bool = True
+    undecided: tuple[Pair, ...] = ()
 
     @property
     def unmet(self) -> tuple[str, ...]:
@@ -67,7 +69,8 @@ def best_effort(
     if search.is_over:
         search.look_at_what_runs()
     plan = replace(search.best_plan(), reasons=pinned_reasons(problem) | impossible | search.why_given_up())
-    return BestEffort(plan, only_targets(problem, {target.label for target in search.best}), search.is_exact)
+    met = only_targets(problem, {target.label for target in search.best})
+    return BestEffort(plan, met, search.is_exact, tuple(sorted(search.undecided)))
 
 
 class _Search:
@@ -81,6 +84,7 @@ class _Search:
     def __init__(self, problem: Problem, targets: Sequence[Target], planner: Planner) -> None:
         self.end_s: float | None = None
         self.is_exact = True
+        self.undecided: set[Pair] = set()
         self.best: frozenset[Target] = frozenset()
         self._problem = problem
         self._planner = planner
@@ -201,6 +205,7 @@ class _Search:
             if self._is_free or problem is self._free:
                 self._refused.append(targets)
         else:
+            self.undecided.update(plan.undecided)
             self.is_exact &= plan.status is Status.OPTIMAL and plan.required_proven
         return plan
 
@@ -214,7 +219,8 @@ class _Search:
             if plan.status is Status.TOO_EXPENSIVE:
                 dear_us = plan.bound_us if plan.cost_us is None else plan.cost_us
                 allowed = f"{seconds(self._problem.max_cost_us or 0):f} s is allowed"
-                return f"{wanted} would cost {seconds(dear_us):f} s, and {allowed}"
+                least = "at least " if plan.cost_us is None else ""
+                return f"{wanted} would cost {least}{seconds(dear_us):f} s, and {allowed}"
             if plan.status is Status.INFEASIBLE:
                 known = plan.reasons.get(target.label)
                 return f"{wanted} can't be met" + (f": {known}" if known else "")

@@ -59,7 +59,7 @@ class Matches:
         if known is not None:
             self.matching = known
             return
-        self._matcher.add(offered=dict.fromkeys(offered), demanded=dict.fromkeys(demanded))
+        self._matcher.add(offered=sorted({*offered}), demanded=sorted({*demanded}))
         found = None if most is None else self._undecided()
         if found is None or most is None or len([*islice(found.similarity.open_pairs(), most + 1)]) <= most:
             found = self._within_limit(lambda left_s: self._matcher.matching(time_limit_s=left_s))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -20,7 +20,8 @@ from cfgplan.matching.reasoners import reference_named
 from cfgplan.matching.registry import TagRegistry
 from cfgplan.matching.rows import Rows
 from cfgplan.matching.tracing import contradiction
-from cfgplan.matching.verdicts import Verdicts
+from cfgplan.matching.verdicts import Asked, Verdicts
+from cfgplan.planning import Pair
 
 REFUTING: Final = 0.25
 """The share of a time limit in which models are looked for before the reference is asked."""
@@ -117,12 +118,12 @@ class Matcher:
         """
         rows = self._current_rows()
         left_s = self._refute(rows, time_limit_s)
-        if decide and not self._ask(self._open(rows), left_s) and (rows is None or self.outside()):
+        if decide and not self._ask(self._in_order(rows), left_s) and (rows is None or self.outside()):
             self._check_consistency(left_s)
         return self._told(rows, time_limit_s, is_asked=decide)
 
-    def decide(self, pairs: Collection[tuple[str, str]], *, time_limit_s: float | None = None) -> int:
-        """Ask the reference about (offered, demanded) texts of registered tags, until the time limit.
+    def decide(self, pairs: Sequence[Pair], *, time_limit_s: float | None = None) -> int:
+        """Ask the reference about (offered, demanded) texts of registered tags in this order, until the time limit.
 
         Returns how many pairs were asked: those of distinct tags that were open and not asked about before. What time
         does not suffice for stays open. Raises KeyError for a text that is not registered, and InputError for an
@@ -131,12 +132,8 @@ class Matcher:
         rows = self._current_rows()
         left_s = self._refute(rows, time_limit_s)
         open_rows = self._open(rows)
-        wanted: dict[Concept, dict[Concept, None]] = {}
-        for offered_text, demanded_text in sorted(pairs):
-            offered, demanded = self._offered.concept(offered_text), self._demanded.concept(demanded_text)
-            if offered in open_rows.get(demanded, ()):
-                wanted.setdefault(demanded, {})[offered] = None
-        return self._ask(wanted, left_s)
+        named = ((self._offered.concept(offered), self._demanded.concept(demanded)) for offered, demanded in pairs)
+        return self._ask([pair for pair in named if pair[0] in open_rows.get(pair[1], ())], left_s)
 
     def outside(self) -> Mapping[str, str]:
         """The axioms that the fast engine has no words for, with the reason."""
@@ -159,9 +156,18 @@ class Matcher:
             self._rows = rows
         return self._rows
 
-    def _ask(self, wanted: Mapping[Concept, Collection[Concept]], time_limit_s: float | None) -> int:
+    def _in_order(self, rows: Rows | None) -> Iterable[Asked]:
+        """The open pairs, in the order in which tags were registered."""
+        rank = {concept: number for number, concept in enumerate(self._offered.names.values())}
+        return (
+            (offered, demand)
+            for demand, row in self._open(rows).items()
+            for offered in sorted(row, key=rank.__getitem__)
+        )
+
+    def _ask(self, pairs: Iterable[Asked], time_limit_s: float | None) -> int:
         try:
-            return self._verdicts.ask(wanted, time_limit_s)
+            return self._verdicts.ask(pairs, time_limit_s)
         except MatchingError as error:
             raise self._input_error(error) from error
 

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import Final
 
-from cfgplan.matching.concepts import TOP, Concept, conjunction, in_functional_syntax, negation
+from cfgplan.matching.concepts import TOP, Concept, conjunction, negation
 from cfgplan.matching.faults import ReasonerTimeoutError
 from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.reference import Reference, classify, satisfiable
 
+Asked = tuple[Concept, Concept]
+"""An offered concept and a demanded one."""
 PAIRS_OF_A_TAG: Final = 4
 """With more open pairs than this for each of their tags, to classify the tags costs less than to ask for the pairs."""
 CLASSIFYING: Final = 0.75
@@ -65,29 +67,28 @@ class Verdicts:
             told = satisfiable(self._reference, self._ontology, [TOP], time_limit_s)
             self.possible |= told.keys()
 
-    def ask(self, wanted: Mapping[Concept, Collection[Concept]], time_limit_s: float | None) -> int:
-        """Ask which offered concepts are below the demanded ones that they are wanted for; how many pairs were asked.
+    def ask(self, pairs: Iterable[Asked], time_limit_s: float | None) -> int:
+        """Ask in this order of which pairs the offered concept is below the demanded one; how many were asked.
 
         Many are asked for by classifying them, and if that took too long, one by one. What time does not suffice for
         stays open. Raises what the reasoner raises, except ReasonerTimeoutError.
         """
         deadline = None if time_limit_s is None else time.monotonic() + time_limit_s
-        missing = self._missing(wanted)
-        asked = sum(map(len, missing.values()))
-        if self._reference is None or not asked:
-            return 0
-        offered = frozenset().union(*missing.values())
-        if asked > PAIRS_OF_A_TAG * (len(offered) + len(missing)):
-            self._classify(offered, missing, None if time_limit_s is None else CLASSIFYING * time_limit_s)
-        self._ask_one_by_one(self._missing(missing), deadline)
+        missing = [] if self._reference is None else self._missing(pairs)
+        offered, demanded = frozenset(pair[0] for pair in missing), dict.fromkeys(pair[1] for pair in missing)
+        asked = len(missing)
+        if asked > PAIRS_OF_A_TAG * (len(offered) + len(demanded)):
+            self._classify(offered, demanded, None if time_limit_s is None else CLASSIFYING * time_limit_s)
+            missing = self._missing(missing)
+        self._ask_one_by_one(missing, deadline)
         return asked
 
-    def _missing(self, wanted: Mapping[Concept, Collection[Concept]]) -> dict[Concept, frozenset[Concept]]:
-        rows = {
-            demanded: frozenset(offered) - self._answered[demanded] - self.unsatisfiable
-            for demanded, offered in wanted.items()
-        }
-        return {demanded: offered for demanded, offered in rows.items() if offered}
+    def _missing(self, pairs: Iterable[Asked]) -> list[Asked]:
+        return [
+            (offered, demanded)
+            for offered, demanded in dict.fromkeys(pairs)
+            if offered not in self.unsatisfiable and offered not in self._answered.get(demanded, ())
+        ]
 
     def _classify(self, offered: frozenset[Concept], demanded: Collection[Concept], time_limit_s: float | None) -> None:
         """Ask about all pairs at once, unless as much time was too little for as few tags before."""
@@ -107,24 +108,22 @@ class Verdicts:
             told = {concept for concept in offered - impossible if answer.below(concept, (wanted,))}
             self._tell(wanted, offered, frozenset(told))
 
-    def _ask_one_by_one(self, wanted: Mapping[Concept, frozenset[Concept]], deadline: float | None) -> None:
+    def _ask_one_by_one(self, pairs: Sequence[Asked], deadline: float | None) -> None:
         """Ask pair by pair until time is over. One for which no answer comes waits until others were asked for."""
-        pairs = [(each, demand) for demand, row in wanted.items() for each in sorted(row, key=in_functional_syntax)]
         left_s = None if deadline is None else deadline - time.monotonic()
         patience_s = PATIENCE_S if left_s is None else PATIENCE * left_s
         size = FIRST_PAIRS
         while pairs and (left_s is None or left_s > 0):
             told, stuck = self._ask_some(pairs[:size], left_s, patience_s)
-            done = self.unsatisfiable
-            pairs = [(one, demand) for one, demand in pairs if one not in done and one not in self._answered[demand]]
+            pairs = self._missing(pairs)
             if stuck is not None:
-                pairs.sort(key=lambda pair: stuck in _questions(pair))
+                pairs = sorted(pairs, key=lambda pair: stuck in _questions(pair))
                 patience_s *= 1 if told else 2
             size = min(4 * size, MOST_PAIRS)
             left_s = None if deadline is None else deadline - time.monotonic()
 
     def _ask_some(
-        self, pairs: Sequence[tuple[Concept, Concept]], time_limit_s: float | None, patience_s: float
+        self, pairs: Sequence[Asked], time_limit_s: float | None, patience_s: float
     ) -> tuple[int, Concept | None]:
         """Ask for pairs in one call; how many questions were answered, and the one that was not."""
         assert self._reference is not None
@@ -150,7 +149,7 @@ class Verdicts:
         self._accepted[demanded] |= frozenset(accepted)
 
 
-def _questions(pair: tuple[Concept, Concept]) -> tuple[Concept, Concept]:
+def _questions(pair: Asked) -> tuple[Concept, Concept]:
     """Offered ⊑ demanded if nothing is offered and not demanded, but something is offered."""
     offered, demanded = pair
     return offered, conjunction((offered, negation(demanded)))

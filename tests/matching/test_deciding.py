@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from itertools import product
 
 import pytest
 
@@ -82,6 +83,23 @@ def test_without_time_a_pair_stays_open() -> None:
     some = matcher()
     assert some.decide([("C", "W")], time_limit_s=0.0) == 1
     assert some.matching(decide=False).similarity.is_open("C", "W")
+
+
+@pytest.mark.parametrize("pairs", [[("C", "W"), ("F", "V")], [("F", "V"), ("C", "W")]])
+def test_what_is_wanted_most_is_asked_first(monkeypatch: pytest.MonkeyPatch, pairs: list[tuple[str, str]]) -> None:
+    axioms = ["SubClassOf(<w#W> <w#V>)", "SubClassOf(<w#F> ObjectUnionOf(<w#A> <w#B>))"]
+    some = Matcher(Ontology([*COVERED.axioms, *axioms]))
+    some.add(offered=["C", "F"], demanded=["V", "W"])
+
+    told: list[str] = []
+
+    def satisfiable(document: str, classes: Sequence[str], **_limits: float | None) -> dict[str, bool]:
+        told.extend(line for line in document.splitlines() if line.startswith("SubClassOf(<t:"))
+        return dict.fromkeys(classes, False)
+
+    monkeypatch.setattr(hermit, "satisfiable", satisfiable)
+    assert some.decide(pairs) == 2
+    assert [f"<w#{offered}>" in line for (offered, _), line in zip(pairs, told, strict=True)] == [True, True]
 
 
 def test_a_contradiction_is_told_whatever_is_asked() -> None:
@@ -164,7 +182,7 @@ def test_a_question_that_takes_long_is_asked_after_all_others(time_limit_s: floa
     reasoner = Slow("<w#A1>")
     verdicts = Verdicts(Ontology(), reasoner)
     offered, demanded = concepts("A", 3), concepts("B", 2)
-    assert verdicts.ask(dict.fromkeys(demanded, offered), time_limit_s) == 6
+    assert verdicts.ask(product(offered, demanded), time_limit_s) == 6
     assert all(verdicts.accepted(demand) == {*offered} for demand in demanded)
     assert ["<w#A1>" in meaning for meaning in reasoner.answered] == [False] * 6 + [True] * 3
 
@@ -174,7 +192,7 @@ def test_what_could_not_be_classified_is_asked_pair_by_pair_and_not_classified_a
     verdicts = Verdicts(Ontology(), reasoner)
     demanded = concepts("B", 12)
     for stem, number, time_limit_s in (("A", 12, 600.0), ("C", 14, 400.0), ("D", 11, 400.0), ("E", 14, 800.0)):
-        assert verdicts.ask(dict.fromkeys(demanded, concepts(stem, number)), time_limit_s) == 12 * number
+        assert verdicts.ask(product(concepts(stem, number), demanded), time_limit_s) == 12 * number
     assert reasoner.classified_s == [450.0, 300.0, 600.0]
     assert all(len(verdicts.accepted(demand)) == 12 + 14 + 11 + 14 for demand in demanded)
 

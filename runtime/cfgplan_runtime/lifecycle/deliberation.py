@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from operator import is_
 
 from cfgplan import validity
 from cfgplan.api import World
 from cfgplan.costs import keep_cost_us
 from cfgplan.domain import ChangeSet, Environment, Similarity, Transformation
-from cfgplan.errors import InvalidValueError
+from cfgplan.errors import CfgplanError
 from cfgplan.explaining.best_effort import BestEffort, best_effort
-from cfgplan.planning import Planner, Problem, Status
+from cfgplan.planners.undecided import Deciding
+from cfgplan.planning import Decider, Pair, Planner, Problem, Status
 from cfgplan.reasons import unmet_reasons
 from cfgplan.validity import Rule
 from cfgplan_runtime.lifecycle.configuration import EstimatedLibrary, Situation, avoided_now, environment_to_plan
@@ -36,6 +37,7 @@ class Thought:
     cost_us: int | None = None
     bound_us: int = 0
     is_proven: bool = False
+    undecided: tuple[Pair, ...] = ()
     met: tuple[str, ...] = ()
     unmet: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
@@ -70,10 +72,21 @@ class Reach:
 
 
 class Deliberation:
-    """Plans updates, one after the other, with a planner that may remember."""
+    """Plans updates, one after the other, with a planner that may remember.
 
-    def __init__(self, planner: Planner, estimator: Estimator, time_limit_s: float | None) -> None:
-        self._planner = planner
+    The decider is asked about open pairs of tags that matter: where a review optimises, and where there is no plan
+    else, unless `is_stopped`.
+    """
+
+    def __init__(
+        self,
+        planner: Planner,
+        estimator: Estimator,
+        time_limit_s: float | None,
+        decider: Decider,
+        is_stopped: Callable[[], bool],
+    ) -> None:
+        self._planner = Deciding(planner, decider, is_stopped)
         self._estimator = estimator
         self._time_limit_s = time_limit_s
         self._library = EstimatedLibrary()
@@ -96,8 +109,8 @@ class Deliberation:
         with thought.timed("plan"):
             try:
                 problem = Problem(planned, similarity, world.horizon_s, world.max_cost_us)
-                found = self._plan(problem)
-            except InvalidValueError as error:
+                found = self._plan(problem, optimises=optimises)
+            except CfgplanError as error:
                 thought.cause = str(error)
                 return thought
             except Exception as error:  # a planner's own fault must not end the life-cycle
@@ -105,7 +118,7 @@ class Deliberation:
                 return thought
         with thought.timed("judge"):
             try:
-                self._judge(thought, found, similarity, optimises=optimises)
+                self._judge(thought, found, optimises=optimises)
             except Exception as error:  # what nobody has judged is not carried out
                 thought.decision, thought.change_set = Decision.UNDECIDED, None
                 thought.cause = f"the judge failed: {type(error).__name__}: {error}"
@@ -115,14 +128,16 @@ class Deliberation:
         """Plan for what runs as it is: a planner that remembers finds out what repairs will need."""
         _, _, planned = self._planned(world, running, situation)
         with suppress(Exception):  # a review would meet it again, and tell
-            self._plan(Problem(planned, similarity, world.horizon_s, world.max_cost_us))
+            self._plan(Problem(planned, similarity, world.horizon_s, world.max_cost_us), optimises=False)
 
-    def _plan(self, problem: Problem) -> BestEffort:
+    def _plan(self, problem: Problem, *, optimises: bool) -> BestEffort:
         if self._reach is None or not self._reach.holds_for(problem):
             self._reach = Reach(problem, unmet_reasons(problem))
-        return best_effort(
+        self._planner.asks_early = optimises
+        found = best_effort(
             problem, self._planner, time_limit_s=self._time_limit_s, impossible=self._reach.unmet_reasons
         )
+        return replace(found, problem=self._planner.known(found.problem))
 
     def _planned(
         self, world: World, running: Environment, situation: Situation
@@ -133,13 +148,14 @@ class Deliberation:
         costs = {t.label: self._library.estimated(t, self._estimator, world.horizon_s) for t in wanted.library}
         return avoided, costs, environment_to_plan(wanted, running, situation, avoided, costs)
 
-    def _judge(self, thought: Thought, found: BestEffort, similarity: Similarity, *, optimises: bool) -> None:
+    def _judge(self, thought: Thought, found: BestEffort, *, optimises: bool) -> None:
         plan = found.plan
+        thought.undecided = found.undecided
         # The planner does not know of what is left out, which may be all that is missing.
         left_out = f" (left out for now: {', '.join(sorted(thought.avoided))})" if thought.avoided else ""
         given_up = {label: f"{reason}{left_out}" for label, reason in found.given_up.items()}
         thought.warnings = tuple(why for label, why in plan.reasons.items() if label not in found.given_up)
-        violations = validity.violations(thought.planned, similarity)
+        violations = validity.violations(thought.planned, found.problem.similarity)
         unmet_now = {violation.target for violation in violations if violation.rule is Rule.MET}
         thought.unmet = {label: why for label, why in given_up.items() if label in unmet_now}
         if plan.change_set is None:

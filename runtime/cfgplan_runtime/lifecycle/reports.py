@@ -9,6 +9,7 @@ from typing import TypeAlias
 
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Stream
 from cfgplan.errors import Fault
+from cfgplan.planning import Pair
 from cfgplan_runtime.lifecycle.perturbations import Perturbation
 from cfgplan_runtime.supervision.events import Event
 from cfgplan_runtime.supervision.observation import Observation
@@ -37,7 +38,8 @@ class Review:
     """One review interval.
 
     Times in seconds: `at_s` on the manager's clock when it began, `time_s` the same as time since 1970; `seconds` of
-    each of PHASES, where `detect` is from the report of the first perturbation to the beginning. Costs are over the
+    each of PHASES, where `detect` is from the report of the first perturbation to the beginning, and `plan` includes
+    asking the reasoner about pairs of tags that the plan needs. Costs are over the
     horizon, in microseconds of CPU time: `cost_before_us` of letting run what ran (gaps and all), `cost_us` of the
     plan, its labor included. `change_set` is what was, or would be, applied. `unmet` gives the reason for each
     target that is given up. `is_proven` tells that no plan is cheaper.
@@ -62,6 +64,8 @@ class Review:
     warnings: tuple[str, ...] = ()
     cause: str = ""
     """Why it failed or was undecided."""
+    undecided: tuple[Pair, ...] = ()
+    """The (offered, demanded) pairs of tags that nobody has decided: if they match, something better may exist."""
 
 
 @dataclass(frozen=True)

@@ -72,7 +72,13 @@ class Reviewing:
         self._warm = WarmPlanner() if planner is None else None
         chosen = planner or self._warm
         assert chosen is not None
-        self._deliberation = Deliberation(chosen, estimator, policy.time_limit_s)
+        self._deliberation = Deliberation(
+            chosen,
+            estimator,
+            policy.time_limit_s,
+            intake.matching,
+            lambda: intake.interrupt.is_set() or intake.ending.is_set(),
+        )
         self._acting = Acting(middleware, intake, clock, policy.postpone_s)
         self._number = 0
         self._failures = 0
@@ -219,6 +225,7 @@ class Reviewing:
             tuple(sorted(thought.avoided)),
             warnings=(*self._intake.matching.warnings, *thought.warnings),
             cause="" if failed is None else failed.cause,
+            undecided=thought.undecided,
         )
 
     def _follow_up(self, failed: UpdateFailed | None, *, optimises: bool) -> None:

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Sequence
+
 from cfgplan.api import World
 from cfgplan.domain import Similarity
 from cfgplan.errors import InputError
-from cfgplan.matching import Matcher, Ontology
+from cfgplan.matching import Matcher, Matching, Ontology
+from cfgplan.planning import Pair
 
 
 class WarmMatching:
-    """The similarity of the tags of one world after the other.
+    """The similarity of the tags of one world after the other; reviews ask about open pairs (`planning.Decider`).
 
     The same object is given again as long as nothing has changed, which is what keeps a planner's session warm.
+    Questions that leave something open may take the time limit together, anew for each world.
     """
 
     def __init__(self, reasoner: str, time_limit_s: float | None) -> None:
         self._reasoner = reasoner
-        self._time_limit_s = time_limit_s
+        self._time_limit_s = self._left_s = time_limit_s
         self._matcher: Matcher | None = None
         self._offered: frozenset[str] = frozenset()
         self._demanded: frozenset[str] = frozenset()
@@ -25,7 +30,7 @@ class WarmMatching:
         self.warnings: tuple[str, ...] = ()
 
     def take(self, world: World) -> None:
-        """Match a world from now on. Raises InputError; then the last world is matched as before."""
+        """Match a world from now on, without asking. Raises InputError; then the last world is matched as before."""
         environment = world.environment
         offered = frozenset(port.tag for t in environment.library for port in t.outputs)
         demanded = frozenset(port.tag for t in environment.library for port in t.inputs)
@@ -42,7 +47,18 @@ class WarmMatching:
             if last is not None:
                 self.take(last)
             raise
-        self._last = world
+        self._last, self._left_s = world, self._time_limit_s
+
+    def decide(self, pairs: Sequence[Pair]) -> int:
+        """Ask about open pairs; returns how many were asked. Raises InputError for a contradictory ontology."""
+        if self._matcher is None or (self._left_s is not None and self._left_s <= 0):
+            return 0
+        start = time.monotonic()
+        asked = self._matcher.decide(pairs, time_limit_s=self._left_s)
+        self._note(self._matcher.matching(time_limit_s=self._left_s, decide=False))
+        if self._left_s is not None and any(self.similarity.is_open(*pair) for pair in pairs):
+            self._left_s -= time.monotonic() - start
+        return asked
 
     def _match(self, ontology: Ontology, offered: frozenset[str], demanded: frozenset[str]) -> None:
         if self._matcher is None:
@@ -54,7 +70,10 @@ class WarmMatching:
         if matcher.ontology != ontology:
             matcher.change_ontology(ontology)
         matcher.add(**new)
-        found = matcher.matching(time_limit_s=self._time_limit_s)
-        self._offered, self._demanded, self.warnings = offered, demanded, found.warnings
+        self._offered, self._demanded = offered, demanded
+        self._note(matcher.matching(time_limit_s=self._time_limit_s, decide=False))
+
+    def _note(self, found: Matching) -> None:
+        self.warnings = found.warnings
         if found.similarity != self.similarity:
             self.similarity = found.similarity

@@ -96,6 +96,10 @@ def review_sentence(review: Review) -> str:
         parts += [f"{label} is not met: {reason}" for label, reason in sorted(review.unmet.items())]
     elif review.avoided:
         parts.append(f"without {named(review.avoided)}, which failed or whose host is gone")
+    if review.undecided:
+        (offered, demanded), more = review.undecided[0], len(review.undecided) - 1
+        others = f", nor of {more} more such pairs" if more else ""
+        parts.append(f"nobody knows whether {offered} is {demanded}{others}: if so, there may be a better update")
     took = {phase: seconds for phase, seconds in review.seconds.items() if seconds >= 0.0005}
     if took:
         total = sum(took.values())
