@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,7 +9,7 @@ from typing import Final
 
 from cfgplan.domain import Similarity
 from cfgplan.errors import Fault, InputError
-from cfgplan.matching.concepts import Concept
+from cfgplan.matching.concepts import TOP, Concept
 from cfgplan.matching.countermodels import Countermodels
 from cfgplan.matching.engine import Engine, roles_in
 from cfgplan.matching.faults import InconsistentOntologyError, MatchingError
@@ -20,7 +19,7 @@ from cfgplan.matching.reasoners import reference_named
 from cfgplan.matching.registry import TagRegistry
 from cfgplan.matching.rows import Rows
 from cfgplan.matching.tracing import contradiction
-from cfgplan.matching.verdicts import Asked, Verdicts
+from cfgplan.matching.verdicts import Asked, Verdicts, countdown
 from cfgplan.planning import Pair
 
 REFUTING: Final = 0.25
@@ -42,6 +41,8 @@ class Matcher:
     Tags are counted: one that was added twice is there until it was removed twice. The fast engine takes changes in
     at once. The reference is asked about pairs that the engine leaves open: all of them by `matching`, those that
     matter by `decide`, after which `matching(decide=False)` knows the answers. No pair is asked about twice.
+    An offered tag that nothing can have matches nothing as soon as that is known: always after `matching`, if time
+    suffices, and after `decide` of those that it asked about. Until then it matches what the fast engine finds.
     Raises UnknownNameError for a reasoner that is none of REASONERS.
     """
 
@@ -117,9 +118,11 @@ class Matcher:
         Raises InputError for an ontology that can't be reasoned with.
         """
         rows = self._current_rows()
-        left_s = self._refute(rows, time_limit_s)
-        if decide and not self._ask(self._in_order(rows), left_s) and (rows is None or self.outside()):
-            self._check_consistency(left_s)
+        left_s = countdown(time_limit_s)
+        self._refute(rows, time_limit_s)
+        if decide:
+            self._ask(self._in_order(rows), left_s())
+            self._check(rows, left_s())
         return self._told(rows, time_limit_s, is_asked=decide)
 
     def decide(self, pairs: Sequence[Pair], *, time_limit_s: float | None = None) -> int:
@@ -130,10 +133,11 @@ class Matcher:
         ontology that can't be reasoned with.
         """
         rows = self._current_rows()
-        left_s = self._refute(rows, time_limit_s)
+        left_s = countdown(time_limit_s)
+        self._refute(rows, time_limit_s)
         open_rows = self._open(rows)
         named = ((self._offered.concept(offered), self._demanded.concept(demanded)) for offered, demanded in pairs)
-        return self._ask([pair for pair in named if pair[0] in open_rows.get(pair[1], ())], left_s)
+        return self._ask([pair for pair in named if pair[0] in open_rows.get(pair[1], ())], left_s())
 
     def outside(self) -> Mapping[str, str]:
         """The axioms that the fast engine has no words for, with the reason."""
@@ -171,9 +175,14 @@ class Matcher:
         except MatchingError as error:
             raise self._input_error(error) from error
 
-    def _check_consistency(self, time_limit_s: float | None) -> None:
+    def _check(self, rows: Rows | None, time_limit_s: float | None) -> None:
+        """Have the reference look for contradictions in offers, and in the ontology, as far as nobody has."""
+        offers = self._offered.names
+        doubtful = {offers[name] for name in (offers if rows is None else rows.uncertified)}
+        if rows is None or self.outside():
+            doubtful.add(TOP)
         try:
-            self._verdicts.check_consistency(time_limit_s)
+            self._verdicts.check(doubtful, time_limit_s)
         except MatchingError as error:
             raise self._input_error(error) from error
 
@@ -191,21 +200,16 @@ class Matcher:
                 continue
             yield demand, frozenset(offers[name] for name in names)
 
-    def _refute(self, rows: Rows | None, time_limit_s: float | None) -> float | None:
-        """Look for models that show what does not match, for offers that the fast engine does not certify.
-
-        Returns how much of the time limit is left.
-        """
+    def _refute(self, rows: Rows | None, time_limit_s: float | None) -> None:
+        """Look for models that show what does not match, for offers that the fast engine does not certify."""
         if rows is None or not (rows.beyond_words or rows.uncertified):
-            return time_limit_s
-        start = time.monotonic()
+            return
         if self._countermodels is None:
             self._countermodels = Countermodels(self._ontology)
         beyond = dict(self._beyond_engine(rows))
         share_s = None if time_limit_s is None else REFUTING * time_limit_s
         self._countermodels.build(set().union(*beyond.values()), beyond, share_s)
         self._verdicts.possible |= self._countermodels.possible
-        return None if time_limit_s is None else time_limit_s - (time.monotonic() - start)
 
     def _open(self, rows: Rows | None) -> dict[Concept, frozenset[Concept]]:
         """For each demand the offers for which it is not decided whether they meet it."""

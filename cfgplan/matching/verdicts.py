@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Final
 
-from cfgplan.matching.concepts import TOP, Concept, conjunction, negation
+from cfgplan.matching.concepts import TOP, Concept, conjunction, in_functional_syntax, negation
 from cfgplan.matching.faults import ReasonerTimeoutError
 from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.reference import Reference, classify, satisfiable
@@ -58,14 +58,19 @@ class Verdicts:
         known = self._accepted if self._ontology.dropped else self._answered
         return known.get(demanded, frozenset()).union(self.unsatisfiable)
 
-    def check_consistency(self, time_limit_s: float | None) -> None:
-        """Have the reasoner look for a contradiction in the ontology, unless it is known that there is none.
+    def check(self, concepts: Collection[Concept], time_limit_s: float | None) -> None:
+        """Ask which concepts something can have; about ⊤ only as long as nothing is known to have any of them.
 
         Raises what the reasoner raises, such as InconsistentOntologyError.
         """
-        if self._reference is not None and not self.possible:
-            told = satisfiable(self._reference, self._ontology, [TOP], time_limit_s)
-            self.possible |= told.keys()
+        known = {*self.possible, *self.unsatisfiable, *([TOP] if self.possible else [])}
+        questions = sorted({*concepts} - known, key=in_functional_syntax)
+        if self._reference is not None and questions and (time_limit_s is None or time_limit_s > 0):
+            self._note(satisfiable(self._reference, self._ontology, questions, time_limit_s), concepts)
+
+    def _note(self, told: Mapping[Concept, bool], concepts: Collection[Concept]) -> None:
+        for concept in told.keys() & concepts:
+            (self.possible if told[concept] else self.unsatisfiable).add(concept)
 
     def ask(self, pairs: Iterable[Asked], time_limit_s: float | None) -> int:
         """Ask in this order of which pairs the offered concept is below the demanded one; how many were asked.
@@ -73,14 +78,14 @@ class Verdicts:
         Many are asked for by classifying them, and if that took too long, one by one. What time does not suffice for
         stays open. Raises what the reasoner raises, except ReasonerTimeoutError.
         """
-        deadline = None if time_limit_s is None else time.monotonic() + time_limit_s
+        left_s = countdown(time_limit_s)
         missing = [] if self._reference is None else self._missing(pairs)
-        offered, demanded = frozenset(pair[0] for pair in missing), dict.fromkeys(pair[1] for pair in missing)
+        offered, demanded = (dict.fromkeys(pair[place] for pair in missing) for place in (0, 1))
         asked = len(missing)
         if asked > PAIRS_OF_A_TAG * (len(offered) + len(demanded)):
             self._classify(offered, demanded, None if time_limit_s is None else CLASSIFYING * time_limit_s)
             missing = self._missing(missing)
-        self._ask_one_by_one(missing, deadline)
+        self._ask_one_by_one(missing, left_s)
         return asked
 
     def _missing(self, pairs: Iterable[Asked]) -> list[Asked]:
@@ -90,7 +95,9 @@ class Verdicts:
             if offered not in self.unsatisfiable and offered not in self._answered.get(demanded, ())
         ]
 
-    def _classify(self, offered: frozenset[Concept], demanded: Collection[Concept], time_limit_s: float | None) -> None:
+    def _classify(
+        self, offered: Collection[Concept], demanded: Collection[Concept], time_limit_s: float | None
+    ) -> None:
         """Ask about all pairs at once, unless as much time was too little for as few tags before."""
         assert self._reference is not None
         tags = len(offered) + len(demanded)
@@ -101,26 +108,25 @@ class Verdicts:
         except ReasonerTimeoutError:
             self._too_hard.append((tags, time_limit_s or 0.0))
             return
-        impossible = {concept for concept in offered if answer.is_unsatisfiable(concept)}
-        self.unsatisfiable |= impossible
-        self.possible |= offered - impossible
+        self._note({concept: not answer.is_unsatisfiable(concept) for concept in offered}, offered)
         for wanted in demanded:
-            told = {concept for concept in offered - impossible if answer.below(concept, (wanted,))}
-            self._tell(wanted, offered, frozenset(told))
+            self._tell(
+                wanted, offered, (one for one in self.possible.intersection(offered) if answer.below(one, (wanted,)))
+            )
 
-    def _ask_one_by_one(self, pairs: Sequence[Asked], deadline: float | None) -> None:
+    def _ask_one_by_one(self, pairs: Sequence[Asked], left_s: Callable[[], float | None]) -> None:
         """Ask pair by pair until time is over. One for which no answer comes waits until others were asked for."""
-        left_s = None if deadline is None else deadline - time.monotonic()
-        patience_s = PATIENCE_S if left_s is None else PATIENCE * left_s
+        limit_s = left_s()
+        patience_s = PATIENCE_S if limit_s is None else PATIENCE * limit_s
         size = FIRST_PAIRS
-        while pairs and (left_s is None or left_s > 0):
-            told, stuck = self._ask_some(pairs[:size], left_s, patience_s)
+        while pairs and (limit_s is None or limit_s > 0):
+            told, stuck = self._ask_some(pairs[:size], limit_s, patience_s)
             pairs = self._missing(pairs)
             if stuck is not None:
                 pairs = sorted(pairs, key=lambda pair: stuck in _questions(pair))
                 patience_s *= 1 if told else 2
             size = min(4 * size, MOST_PAIRS)
-            left_s = None if deadline is None else deadline - time.monotonic()
+            limit_s = left_s()
 
     def _ask_some(
         self, pairs: Sequence[Asked], time_limit_s: float | None, patience_s: float
@@ -131,8 +137,7 @@ class Verdicts:
             question for pair in pairs for question in _questions(pair) if question not in self.possible
         )
         told = satisfiable(self._reference, self._ontology, questions, time_limit_s, patience_s)
-        for concept in {concept for concept, _ in pairs} & told.keys():
-            (self.possible if told[concept] else self.unsatisfiable).add(concept)
+        self._note(told, {concept for concept, _ in pairs})
         rows: defaultdict[Concept, list[tuple[Concept, bool]]] = defaultdict(list)
         for pair in pairs:
             concept, both = _questions(pair)
@@ -153,3 +158,9 @@ def _questions(pair: Asked) -> tuple[Concept, Concept]:
     """Offered ⊑ demanded if nothing is offered and not demanded, but something is offered."""
     offered, demanded = pair
     return offered, conjunction((offered, negation(demanded)))
+
+
+def countdown(time_limit_s: float | None) -> Callable[[], float | None]:
+    """How much of a time limit that begins now is left, seconds; None of none."""
+    deadline = None if time_limit_s is None else time.monotonic() + time_limit_s
+    return lambda: None if deadline is None else deadline - time.monotonic()

@@ -202,3 +202,22 @@ def test_hermit_is_not_waited_for_when_no_answer_comes(monkeypatch: pytest.Monke
     start = time.monotonic()
     assert hermit.satisfiable("", ["t:0", "t:1"], patience_s=1.0) == {"t:0": True}
     assert time.monotonic() - start < 60
+
+
+NEVER_B = [
+    "SubClassOf(<w#B> ObjectUnionOf(<w#A> <w#E>))",
+    "DisjointClasses(<w#B> <w#A>)",
+    "DisjointClasses(<w#B> <w#E>)",
+]
+
+
+@pytest.mark.parametrize("demanded", [["W"], ["W", "A"], ["W", "E"]])
+@pytest.mark.parametrize("reasoner", ["auto", "hermit"])
+def test_an_offer_that_nothing_can_have_matches_nothing_whoever_finds_its_matches(
+    reasoner: str, demanded: list[str]
+) -> None:
+    some = Matcher(Ontology([*COVERED.axioms, "SubClassOf(<w#E> <w#W>)", *NEVER_B]), reasoner=reasoner)
+    some.add(offered=["B", "D"], demanded=demanded)
+    found = some.matching()
+    assert not any("B" in offers for offers in found.similarity.offers.values())
+    assert found.warnings == ("nothing can have the offered tag 'B': it contradicts the ontology and never matches",)
