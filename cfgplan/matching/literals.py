@@ -4,33 +4,17 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Set
 from typing import Final
 
 from cfgplan.matching.concepts import Nominal
+from cfgplan.matching.datatypes import is_known, is_well_formed
 from cfgplan.matching.expressions import OutsideError, concept_of
 from cfgplan.matching.functional import Tree, parse
 from cfgplan.matching.names import short_name
 from cfgplan.matching.statements import Translation, include
 
-_XSD: Final = "http://www.w3.org/2001/XMLSchema#"
 _LITERAL: Final = "http://www.w3.org/2000/01/rdf-schema#Literal"
-_KNOWN: Final = frozenset(
-    (
-        *("string", "normalizedString", "token", "language", "Name", "NCName", "NMTOKEN", "boolean", "anyURI"),
-        *("decimal", "integer", "nonNegativeInteger", "nonPositiveInteger", "positiveInteger", "negativeInteger"),
-        *("long", "int", "short", "byte", "unsignedLong", "unsignedInt", "unsignedShort", "unsignedByte"),
-        *("double", "float", "hexBinary", "base64Binary", "dateTime", "dateTimeStamp"),
-    )
-)
-"""The XML Schema datatypes of OWL 2; a reasoner refuses an ontology for most others."""
-_KNOWN_BESIDES: Final = frozenset(
-    (
-        _LITERAL,
-        *(f"http://www.w3.org/2002/07/owl#{name}" for name in ("real", "rational")),
-        *(f"http://www.w3.org/1999/02/22-rdf-syntax-ns#{name}" for name in ("PlainLiteral", "XMLLiteral")),
-    )
-)
 _TYPED: Final = re.compile(r'("(?:[^"\\]|\\.)*)"\^\^<([^>]*)>')
 _ASSERTION: Final = re.compile(r"DataPropertyAssertion\(<([^>]*)> (<[^>]*>|_:\w+) ")
 _RESTRICTING: Final = (
@@ -42,68 +26,92 @@ _RESTRICTING: Final = (
 def told(axioms: Collection[str]) -> tuple[frozenset[str], dict[str, str]]:
     """The axioms as reasoners can be told them, and what is lost by that, with the reason.
 
-    Literals of datatypes that they don't know become texts where nothing restricts them, or only ranges of their own
-    datatype. Else what is told is that there is some literal. A restriction to such a datatype is not told.
+    Literals that are malformed, or of datatypes that they don't know, become texts where nothing restricts them, or
+    only ranges of their own datatype. Else what is told is that there is some literal. A restriction to such a
+    datatype or literal is not told.
     """
-    foreign = {axiom: types for axiom in axioms if "^^" in axiom and (types := _foreign(_TYPED.findall(axiom)))}
+    foreign = {axiom: kinds for axiom in axioms if "^^" in axiom and (kinds := _foreign(axiom))}
     restricting = {a: parse(a) for a in axioms if a.startswith(_RESTRICTING) or " Data" in a or "(Data" in a}
     defined = {str(tree[1]) for tree in restricting.values() if tree[0] == "DatatypeDefinition"}
-    untold = {
-        axiom: names
-        for axiom, tree in restricting.items()
-        if (names := {name for name in _datatypes(tree) if not _is_known(name)} - defined)
-    }
+    untold = {a: kinds for a, tree in restricting.items() if (kinds := frozenset(_foreign_in(tree)) - defined)}
     if not foreign and not untold:
         return frozenset(axioms), {}
-    above = _above(map(parse, (axiom for axiom in axioms if axiom.startswith(("SubData", "EquivalentData")))))
-    values: defaultdict[Tree, set[str]] = defaultdict(set)
-    for axiom in axioms:
-        found = _ASSERTION.match(axiom)
-        if found:
-            types = {name for _, name in _TYPED.findall(axiom)} or {""}
-            for name in _reached(found[1], above):
-                values[name] |= types
-    names_in = {axiom: frozenset(_names(tree)) for axiom, tree in restricting.items()}
-    lost: dict[str, str] = {}
+    used = _Usage(axioms, restricting)
+    lost = {axiom: _why(kinds) for axiom, kinds in untold.items() if used.is_missed(axiom, untold)}
     result = set(axioms) - foreign.keys() - untold.keys()
-    for axiom, unknown in untold.items():
-        tree = restricting[axiom]
-        related = {tree[1]}.union(*(_reached(name, above) for name in values if tree[1] in _reached(name, above)))
-        is_alone = tree[0] == "DataPropertyRange" and all(
-            other in untold and restricting[other][0] == "DataPropertyRange" and untold[other] == unknown
-            for other, names in names_in.items()
-            if not names.isdisjoint(related)
-        )
-        if not (is_alone and values[tree[1]] <= unknown) and tree[0] != "DatatypeDefinition":
-            lost[axiom] = f"reasoners don't know the datatype {', '.join(sorted(map(short_name, unknown)))}"
     for axiom in foreign.keys() - restricting.keys():
         found = _ASSERTION.match(axiom)
         if found is None:
             continue
         name, individual = found.groups()
-        above_it = _reached(name, above)
-        limits = [other for other, names in names_in.items() if not names.isdisjoint(above_it)]
-        limits = [other for other in limits if other not in untold or other in lost]
+        limits = [other for other in used.limits({*used.reached(name)}) if other not in untold or other in lost]
         if limits:
             result.add(f"ClassAssertion(DataSomeValuesFrom(<{name}> <{_LITERAL}>) {individual})")
-            kinds = ", ".join(sorted(map(short_name, foreign[axiom])))
-            why = f"reasoners don't know them, and they are restricted: {min(limits)}"
-            lost[f"literals of {kinds} at <{name}>"] = why
+            text = f"what <{name}> is of {individual}"
+            lost[text] = f"{_why(foreign[axiom])}, and it is restricted: {min(limits)}"
         else:
             result.add(_TYPED.sub(_as_text, axiom))
     return frozenset(result), lost
 
 
-def _foreign(literals: Iterable[tuple[str, str]]) -> set[str]:
-    return {name for _, name in literals if not _is_known(name)}
+class _Usage:
+    """The literals and the restrictions of data properties."""
+
+    def __init__(self, axioms: Collection[str], restricting: Mapping[str, Tree]) -> None:
+        self._restricting = restricting
+        self._above = _above(map(parse, (axiom for axiom in axioms if axiom.startswith(("SubData", "EquivalentData")))))
+        self._names = {axiom: frozenset(_names(tree)) for axiom, tree in restricting.items()}
+        self._values: defaultdict[Tree, set[str]] = defaultdict(set)
+        for axiom in axioms:
+            found = _ASSERTION.match(axiom)
+            if found:
+                types = {name for _, name in _TYPED.findall(axiom)} or {""}
+                for name in self.reached(found[1]):
+                    self._values[name] |= types
+
+    def reached(self, name: Tree) -> set[Tree]:
+        """A data property and all above it."""
+        return _reached(name, self._above)
+
+    def limits(self, names: Set[Tree]) -> list[str]:
+        """The axioms that restrict one of some data properties."""
+        return [axiom for axiom, others in self._names.items() if not others.isdisjoint(names)]
+
+    def is_missed(self, axiom: str, untold: Mapping[str, frozenset[str]]) -> bool:
+        """Whether a restriction that is not told says more than a range that all its literals are of, and no others."""
+        tree, kinds = self._restricting[axiom], untold[axiom]
+        if tree[0] == "DatatypeDefinition":
+            return False
+        related = {tree[1]}.union(*(self.reached(name) for name in self._values if tree[1] in self.reached(name)))
+        is_alone = tree[0] == "DataPropertyRange" and all(
+            untold.get(other) == kinds and self._restricting[other][0] == "DataPropertyRange"
+            for other in self.limits(related)
+        )
+        return not (is_alone and self._values[tree[1]] <= kinds)
 
 
-def _is_known(datatype: str) -> bool:
-    return datatype.removeprefix(_XSD) in _KNOWN if datatype.startswith(_XSD) else datatype in _KNOWN_BESIDES
+def _foreign(axiom: str) -> frozenset[str]:
+    """What of an axiom's literals reasoners can't be told: datatypes that they don't know, malformed literals."""
+    return frozenset(kind for text, name in _TYPED.findall(axiom) if (kind := _foreign_kind(text, name)) is not None)
+
+
+def _foreign_kind(quoted: str, datatype: str) -> str | None:
+    if not is_known(datatype):
+        return datatype
+    text = quoted[1:].replace('\\"', '"').replace("\\\\", "\\")
+    return None if is_well_formed(text, datatype) else f'{quoted}"^^<{datatype}>'
+
+
+def _why(kinds: frozenset[str]) -> str:
+    unknown = ", ".join(sorted(short_name(kind) for kind in kinds if not kind.startswith('"')))
+    malformed = ", ".join(sorted(kind for kind in kinds if kind.startswith('"')))
+    said = [f"reasoners don't know the datatype {unknown}"] if unknown else []
+    return " and ".join([*said, f"the literal {malformed} is malformed"] if malformed else said)
 
 
 def _as_text(literal: re.Match[str]) -> str:
-    return literal.group() if _is_known(literal[2]) else f'{literal[1]} ({short_name(literal[2])})"'
+    is_foreign = _foreign_kind(literal[1], literal[2]) is not None
+    return f'{literal[1]} ({short_name(literal[2])})"' if is_foreign else literal.group()
 
 
 def _names(tree: Tree) -> Iterator[str]:
@@ -114,8 +122,8 @@ def _names(tree: Tree) -> Iterator[str]:
             yield part
 
 
-def _datatypes(tree: Tree) -> Iterator[str]:
-    """The datatypes that an axiom or expression names, those of its literals too."""
+def _foreign_in(tree: Tree) -> Iterator[str]:
+    """The datatypes that an axiom or expression names and reasoners don't know, and what is foreign in its literals."""
     keyword, arguments = tree[0], tree[1:]
     if keyword in ("DataPropertyRange", "DataSomeValuesFrom", "DataAllValuesFrom"):
         places = arguments[-1:]
@@ -125,12 +133,13 @@ def _datatypes(tree: Tree) -> Iterator[str]:
         places = arguments if keyword != "DatatypeRestriction" else arguments[:1]
     else:
         places = arguments[1:] if keyword == "DatatypeDefinition" else ()
-    yield from (place for place in places if isinstance(place, str) and not place.startswith('"'))
+    named = (place for place in places if isinstance(place, str) and not place.startswith('"'))
+    yield from (name for name in named if not is_known(name))
     for argument in arguments:
         if isinstance(argument, tuple):
-            yield from _datatypes(argument)
+            yield from _foreign_in(argument)
         elif argument.startswith('"'):
-            yield from (name for _, name in _TYPED.findall(argument))
+            yield from _foreign(argument)
 
 
 def _above(trees: Iterable[Tree]) -> Mapping[Tree, set[Tree]]:

@@ -73,6 +73,7 @@ def load_ontology(paths: Sequence[Path], imports: Mapping[str, Path | None] | No
     if not paths:
         return Ontology(is_open=True)
     documents: dict[Path, _Document] = {}
+    ignored: set[str] = set()
     faults: list[Fault] = []
     waiting = [path.resolve() for path in reversed(paths)]
     shown = {path.resolve(): str(path) for path in paths}
@@ -95,6 +96,7 @@ def load_ontology(paths: Sequence[Path], imports: Mapping[str, Path | None] | No
                 waiting.append(named.resolve())
                 continue
             if written.rstrip("#/") in given:
+                ignored.add(written)
                 continue
             found = _imported_file(iri, path, documents, [p for p in shown if p not in documents])
             if found is None and "" not in given:
@@ -102,7 +104,9 @@ def load_ontology(paths: Sequence[Path], imports: Mapping[str, Path | None] | No
                 faults.append(
                     Fault(message, file=shown[path], line=_line_with(path, written), mend=_NO_IMPORT.format(written))
                 )
-            elif found is not None and found not in documents:
+            elif found is None:
+                ignored.add(written)
+            elif found not in documents:
                 shown.setdefault(found, str(Path(shown[path]).parent / _relative_path(found, path.parent)))
                 waiting.append(found)
     if faults:
@@ -117,7 +121,7 @@ def load_ontology(paths: Sequence[Path], imports: Mapping[str, Path | None] | No
         for axiom in document.axioms
     ]
     dropped = {text: why for document in documents.values() for text, why in document.dropped.items()}
-    return Ontology(axioms, prefixes, files=documents, dropped=dropped)
+    return Ontology(axioms, prefixes, files=documents, dropped=dropped, ignored=ignored)
 
 
 def read_owlready(onto: Any) -> Ontology:

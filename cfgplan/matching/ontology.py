@@ -26,7 +26,8 @@ class Ontology:
     An *open* ontology knows no names: every name is free to use in tags and means nothing but itself.
     Ontologies are values: those with the same axioms and prefixes are equal. `files` says where it was read from.
     `dropped` maps what its files say and no reasoner is told to the reason: matches are right all the same, but
-    whatever does not match may do so by it.
+    whatever does not match may do so by it. `ignored` are the IRIs of imports that are left out on request: what they
+    say is no part of the ontology, so that nothing is open for them.
     """
 
     def __init__(
@@ -37,6 +38,7 @@ class Ontology:
         is_open: bool = False,
         files: Iterable[Path] = (),
         dropped: Mapping[str, str] | None = None,
+        ignored: Iterable[str] = (),
     ) -> None:
         self.axioms: frozenset[str] = frozenset(map(normal, axioms))
         written = prefixes or {}
@@ -44,6 +46,7 @@ class Ontology:
         self.is_open = is_open
         self.files = tuple(files)
         self._dropped = dict(dropped or {})
+        self.ignored = tuple(sorted(set(ignored)))
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Ontology):
@@ -55,7 +58,7 @@ class Ontology:
 
     @property
     def _content(self) -> tuple[object, ...]:
-        return self.axioms, self.prefixes, self.is_open, self.dropped
+        return self.axioms, self.prefixes, self.is_open, self.dropped, self.ignored
 
     def __repr__(self) -> str:
         return f"<Ontology of {len(self.axioms)} axioms{', open' if self.is_open else ''}>"
@@ -67,9 +70,10 @@ class Ontology:
 
     @cached_property
     def digest(self) -> str:
-        """A hash of the axioms: equal for ontologies that say the same in the same words."""
+        """A hash of the axioms: equal for ontologies that say the same in the same words and leave out the same."""
         lines = "\n".join(sorted(self.axioms)) + ("\nopen" if self.is_open else "")
         lines += "".join(f"\ndropped {text}" for text in self.dropped)
+        lines += "".join(f"\nignored {iri}" for iri in self.ignored)
         return hashlib.sha256(lines.encode()).hexdigest()
 
     @cached_property
@@ -88,10 +92,16 @@ class Ontology:
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
-        """A sentence on each thing that no reasoner is told."""
-        return tuple(
-            f"the ontology says more than cfgplan reads: {self.shortened(text)}: {self.shortened(why)}"
-            for text, why in self.dropped.items()
+        """A sentence on each thing that no reasoner is told, and on each import that is ignored."""
+        return (
+            *(
+                f"the ontology says more than cfgplan reads: {self.shortened(text)}: {self.shortened(why)}"
+                for text, why in self.dropped.items()
+            ),
+            *(
+                f"the import <{iri}> is ignored: what matches only by what it says does not match"
+                for iri in self.ignored
+            ),
         )
 
     @cached_property

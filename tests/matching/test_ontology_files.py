@@ -385,7 +385,11 @@ def test_an_import_is_named_or_ignored_in_the_environment_file(tmp_path: Path) -
     with pytest.raises(InputError, match=r"main\.ttl:4: .*can't be found .*imports: \{http.*elsewhere/: ignore\}"):
         loaded("")
     assert "Lidar" in loaded(f"imports: {{{iri}: sub/other.ttl}}\n", "Lidar").ontology.classes
-    assert "Lidar" not in loaded(f"imports: {{{iri[:-1]}: ignore}}\n").ontology.classes
-    assert "Lidar" not in loaded("imports: ignore\n").ontology.classes
+    for imports in (f"imports: {{{iri[:-1]}: ignore}}\n", "imports: ignore\n"):
+        ontology = loaded(imports).ontology
+        assert "Lidar" not in ontology.classes
+        found = match(["Device"], ["Camera"], ontology)
+        assert not found.similarity.open
+        assert found.warnings == (f"the import <{iri}> is ignored: what matches only by what it says does not match",)
     with pytest.raises(InputError, match=r"env\.yaml:3:.*imports.*missing\.ttl.*does not exist"):
         loaded(f"imports: {{{iri}: missing.ttl}}\n")

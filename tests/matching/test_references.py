@@ -116,6 +116,60 @@ def test_what_the_loss_of_a_literal_may_change_is_open(streams: Ontology, axioms
     assert found.similarity.is_open("RawRGB", "Undistorted") is is_open
 
 
+@pytest.mark.parametrize(
+    ("text", "datatype", "is_well_formed"),
+    [
+        ("2017-04-17", "dateTime", False),
+        ("2017-02-30T00:00:00", "dateTime", False),
+        ("-0004-02-29T24:00:00.0+14:00", "dateTime", True),
+        ("12017-02-28T00:00:00Z", "dateTime", False),
+        ("2017-02-28T00:00:00", "dateTimeStamp", False),
+        ("+5", "integer", True),
+        ("5.0", "integer", False),
+        ("٣", "integer", False),
+        ("128", "byte", False),
+        ("-128", "byte", True),
+        ("5.", "decimal", True),
+        ("-.5E+3", "double", True),
+        ("+INF", "float", False),
+        ("1,5", "double", False),
+        ("yes", "boolean", False),
+        ("abc", "hexBinary", False),
+        ("a b", "anyURI", False),
+        ("http://x.example/a%20b", "anyURI", True),
+        ("en-GB", "language", True),
+        ("a:b", "NCName", False),
+        ("größe", "NCName", True),
+        (" a", "token", False),
+        ("a\nb", "string", True),
+        ("YWJj", "base64Binary", True),
+    ],
+)
+def test_a_malformed_literal_is_told_as_text_and_open_where_it_is_restricted(
+    text: str, datatype: str, is_well_formed: bool, streams: Ontology
+) -> None:
+    kind = f"<http://www.w3.org/2001/XMLSchema#{datatype}>"
+    literal = f'DataPropertyAssertion(<w#at> <w#cam1> "{text}"^^{kind})'
+    free = Ontology([*streams.axioms, literal])
+    assert not free.dropped
+    held = Ontology([*streams.axioms, literal, f"DataPropertyRange(<w#at> {kind})"])
+    assert [f'"{text}"^^{kind} is malformed' in why for why in held.dropped.values()] == [True] * (not is_well_formed)
+    assert all("restricted" in why for why in held.dropped.values())
+
+
+def test_malformed_literals_do_not_stop_the_reasoner(streams: Ontology) -> None:
+    kind = "<http://www.w3.org/2001/XMLSchema#dateTime>"
+    literals = [f'DataPropertyAssertion(<w#at> <w#cam1> "{text}"^^{kind})' for text in ("2017", 'a \\"b\\" c', "")]
+    limits = [f"DataPropertyRange(<w#at> {kind})", f'SubClassOf(<w#RawRGB> DataHasValue(<w#at> "now"^^{kind}))']
+    for axioms in (literals, [*literals, *limits]):
+        found = match(
+            ["Image", "RawRGB"], ["¬Device", "Undistorted"], Ontology([*streams.axioms, *axioms]), reasoner="hermit"
+        )
+        assert found.similarity.holds("RawRGB", "¬Device")
+        assert found.similarity.is_open("RawRGB", "Undistorted") is (axioms != literals)
+    assert any('"now"^^dateTime is malformed' in warning for warning in found.warnings)
+
+
 def test_the_domain_of_a_literal_that_is_not_told_still_follows(streams: Ontology) -> None:
     axioms = [
         "FunctionalDataProperty(<w#at>)",

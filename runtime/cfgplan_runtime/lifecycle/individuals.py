@@ -31,7 +31,7 @@ def with_individuals(ontology: Ontology, come: Iterable[Individual], gone: Colle
             faults.append(Fault(f"individual {one.name}: {error.message}", mend=error.mend))
     if faults:
         raise InputError(faults)
-    return Ontology(kept, ontology.prefixes, files=ontology.files, dropped=ontology.dropped)
+    return Ontology(kept, ontology.prefixes, files=ontology.files, dropped=ontology.dropped, ignored=ontology.ignored)
 
 
 def _axioms(one: Individual, iris: dict[str, str], ontology: Ontology) -> Iterable[str]:
