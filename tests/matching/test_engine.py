@@ -10,6 +10,9 @@ from small_worlds import NAMESPACE, small_world
 from cfgplan.errors import InputError
 from cfgplan.matching import Matcher, Ontology, match, session
 
+A_HAS_B = "SubClassOf(<w#A> ObjectSomeValuesFrom(<w#r> <w#B>))"
+HAS_D_IS_C = "SubClassOf(ObjectSomeValuesFrom(<w#r> <w#D>) <w#C>)"
+CHAIN = "SubObjectPropertyOf(ObjectPropertyChain(<w#r> <w#s>) <w#t>)"
 DECLARED = ["Declaration(NamedIndividual(<w#a>))", "Declaration(NamedIndividual(<w#b>))"]
 
 
@@ -41,6 +44,8 @@ def holds(axioms: list[str], offered: str, demanded: str, reasoner: str = "auto"
         (["ObjectPropertyAssertion(<w#r> <w#a> <w#b>)", "ClassAssertion(<w#B> <w#b>)"], "∃s.{a}", "∃s.∃r.B"),
         (["SubClassOf(ObjectOneOf(<w#a> <w#b>) <w#C>)"], "{a, b}", "C"),
         (["DataPropertyAssertion(<w#p> <w#a> \"5\")", "DataPropertyDomain(<w#p> <w#C>)"], "{a}", "C"),
+        ([A_HAS_B, "SubObjectPropertyOf(<w#r> <w#s>)", "ObjectPropertyDomain(<w#s> <w#C>)"], "A", "C"),
+        ([A_HAS_B, "ObjectPropertyRange(<w#r> <w#D>)", HAS_D_IS_C], "A", "C"),
         (["InverseObjectProperties(<w#r> <w#s>)", "ObjectPropertyRange(<w#s> <w#B>)"], "∃r.A", "B"),
         (["InverseObjectProperties(<w#r> <w#s>)", "ObjectPropertyAssertion(<w#s> <w#a> <w#b>)"], "{b}", "∃r.{a}"),
     ],
@@ -78,6 +83,22 @@ def test_what_the_fast_engine_misses_it_leaves_to_the_reference(axioms: list[str
     assert holds(axioms, offered, demanded)
     with pytest.raises(AssertionError):
         holds(axioms, offered, demanded, "el")
+
+
+@pytest.mark.parametrize(
+    ("axioms", "matches"),
+    [
+        (["SubClassOf(<w#B> ObjectSomeValuesFrom(<w#s> <w#D>))", CHAIN, "ObjectPropertyDomain(<w#t> <w#C>)"], True),
+        (["SubClassOf(<w#A> <w#C>)", "SubClassOf(<w#B> <http://www.w3.org/2002/07/owl#Nothing>)"], False),
+    ],
+)
+def test_what_followed_for_one_tag_follows_for_those_that_need_it_later(axioms: list[str], matches: bool) -> None:
+    names = [f"Declaration(Class(<w#{name}>))" for name in "ABCD"]
+    matcher = Matcher(Ontology([A_HAS_B, *axioms, *names], {"": "w#"}), reasoner="el")
+    matcher.add(offered=["B"])
+    assert matcher.matching().similarity.offers == {}
+    matcher.add(offered=["A"], demanded=["C"])
+    assert matcher.matching().similarity.holds("A", "C") is matches
 
 
 @pytest.mark.parametrize("seed", [seed for seed in range(11) if seed not in (6, 8)])  # those take HermiT long
