@@ -7,11 +7,13 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
+import undecided
 from fleets import fleets
 from hypothesis import assume
 from hypothesis import strategies as st
 from worlds import fusions, histories, problems
 
+from cfgplan.domain import Similarity
 from cfgplan.errors import InputError
 from cfgplan.planners import PLANNERS
 from cfgplan.planners.cpsat import PlannerSession
@@ -62,6 +64,15 @@ def of_a_history(history: list[tuple[Problem, Plan]]) -> list[str]:
     return [wrong for problem, oracle in history for wrong in differences(problem, session.plan(problem), oracle)]
 
 
+def of_open_pairs(case: tuple[Problem, Similarity]) -> list[str]:
+    """What is asked ends in the truth, and an answer without asking claims nothing that a truth denies."""
+    try:
+        return undecided.differences(*case)
+    except InputError:
+        assume(False)
+        raise
+
+
 HOSTS, QUALITY, SURVIVAL = (frozenset({notion}) for notion in (Notion.HOSTS, Notion.QUALITY, Notion.SURVIVAL))
 NUMBERS = frozenset({Notion.CONFLICTS, Notion.INSTANCES})
 
@@ -72,5 +83,9 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         "hosts": Kind(st.one_of(fleets(HOSTS), fleets(HOSTS | NUMBERS)), of_one),
         "quality": Kind(st.one_of(fleets(QUALITY), fleets(QUALITY | HOSTS, most=2)), of_one),
         "survival": Kind(st.one_of(fleets(SURVIVAL), fleets(SURVIVAL | HOSTS, most=2)), of_one),
+        "undecided": Kind(
+            st.one_of(undecided.undecided(problems(most=3)), undecided.undecided(fleets(frozenset(Notion), most=2))),
+            of_open_pairs,
+        ),
     }
 )
