@@ -19,15 +19,19 @@ class World:
     demanded: tuple[str, ...]
 
 
-def small_world(seed: int, tags: int = 40, *, outside: float = 0.0) -> World:
-    """A dense little ontology of the fast fragment, with a share `outside` of axioms that leave it."""
-    return _Small(random.Random(seed), outside).world(tags)
+def small_world(seed: int, tags: int = 40, *, outside: float = 0.0, far: bool = False) -> World:
+    """A dense little ontology of the fast fragment, with a share `outside` of axioms that leave it.
+
+    With `far` these are of every kind that OWL has for classes, properties and individuals, and so are the tags.
+    """
+    return _Small(random.Random(seed), outside, far).world(tags)
 
 
 class _Small:
-    def __init__(self, rng: random.Random, outside: float) -> None:
+    def __init__(self, rng: random.Random, outside: float, far: bool) -> None:
         self.rng = rng
         self.outside = outside
+        self.far = far
         self.classes = [f"C{n}" for n in range(rng.randint(3, 9))]
         self.roles = [f"r{n}" for n in range(rng.randint(1, 4))]
         self.individuals = [f"a{n}" for n in range(rng.randint(0, 4))]
@@ -99,7 +103,41 @@ class _Small:
             one, other = map(iri, rng.sample(self.individuals, 2))
             choices.append(f"SameIndividual({one} {other})")
             choices.append(f"EquivalentClasses({name} ObjectOneOf({one} {other}))")
-        return rng.choice(choices)
+        return rng.choice([*choices, *(self.far_axioms(role, name) if self.far else ())])
+
+    def far_axioms(self, role: str, name: str) -> list[str]:
+        rng = self.rng
+        one, other = (iri(rng.choice(self.classes)) for _ in range(2))
+        back = f"ObjectInverseOf({iri(rng.choice(self.roles))})"
+        result = [
+            f"DisjointClasses({name} {other})",
+            f"DisjointUnion({name} {one} {other})",
+            f"EquivalentClasses({name} ObjectUnionOf({one} {self.right(1)}))",
+            f"EquivalentClasses({name} ObjectAllValuesFrom({role} {one}))",
+            f"SubClassOf({one} ObjectSomeValuesFrom({back} {other}))",
+            f"SubClassOf(ObjectSomeValuesFrom({back} {one}) {other})",
+            f"SubClassOf(ObjectComplementOf({one}) {self.right(1)})",
+            f"SubClassOf(ObjectAllValuesFrom({role} {one}) {other})",
+            f"SymmetricObjectProperty({role})",
+        ]
+        if self.individuals:
+            thing = iri(rng.choice(self.individuals))
+            result += [
+                f"ClassAssertion(ObjectUnionOf({one} {other}) {thing})",
+                f"ClassAssertion(ObjectAllValuesFrom({role} {other}) {thing})",
+            ]
+        if self.with_chains:
+            return result
+        counted = [f"Object{kind}Cardinality({rng.randint(1, 2)} {role} {one})" for kind in ("Min", "Max", "Exact")]
+        result += [f"SubClassOf({name} {restriction})" for restriction in counted]
+        result += [f"SubClassOf({restriction} {other})" for restriction in counted]
+        result += [f"{kind}ObjectProperty({role})" for kind in ("Asymmetric", "Irreflexive", "InverseFunctional")]
+        return [
+            *result,
+            f"SubClassOf({name} ObjectHasSelf({role}))",
+            f"SubClassOf(ObjectHasSelf({role}) {name})",
+            f"DisjointObjectProperties({role} {back})",
+        ]
 
     def left(self, depth: int) -> str:
         kind = self.rng.random()
@@ -135,6 +173,10 @@ class _Small:
 
     def tag(self, depth: int) -> str:
         rng = self.rng
+        if self.far and depth and rng.random() < 0.4:
+            kinds = ["∀", "¬"] if self.with_chains else ["∀", "¬", "≥2 ", "≤1 ", "≤0 "]
+            kind = rng.choice(kinds)
+            return f"{kind}{'' if kind == '¬' else f'{rng.choice(self.roles)}.'}({self.tag(depth - 1)})"
         kind = rng.random()
         if depth == 0 or kind < 0.15:
             if self.individuals and rng.random() < 0.15:

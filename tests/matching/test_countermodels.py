@@ -123,10 +123,11 @@ def test_a_structure_of_two_linked_things_tells_which_axioms_hold(axiom: str, ho
     assert (not structure.broken(tree)) is holds
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_models_never_deny_what_hermit_finds_far_outside_the_fragment(seed: int) -> None:
-    found = compare(small_world(seed, 24, outside=0.6))
+@pytest.mark.parametrize("seed", [0, 2, 4, 7, 8, 10])  # others contradict themselves, or OWL's restrictions
+def test_engine_models_and_questions_agree_with_what_hermit_classifies_far_outside_the_fragment(seed: int) -> None:
+    found = compare(small_world(seed, 24, outside=0.6, far=True))
     assert found["false positives"] == found["certified misses"] == 0
+    assert found["asked one by one"]
 
 
 @pytest.mark.parametrize("seed", [1, 3, 5])  # the others contradict themselves
