@@ -6,6 +6,7 @@ import json
 import os
 import socket
 import stat
+import time
 from typing import Any
 
 import pytest
@@ -47,6 +48,22 @@ def test_a_client_is_told_what_it_is_connected_to(run_folder: RunFolder) -> None
         "environment": "/robots/env.yaml",
         "pid": os.getpid(),
     }
+
+
+@pytest.mark.usefixtures("server")
+def test_what_is_added_while_connected_is_withdrawn_when_the_connection_ends(
+    run_folder: RunFolder, manager: FakeManager
+) -> None:
+    params = {"name": "query", "text": "{}", "while_connected": True}
+    kept = {"method": "add", "params": {"name": "kept", "text": "targets: []"}}
+    talk(run_folder, json.dumps({"method": "add", "params": {**params, "text": "targets: []"}}), json.dumps(kept))
+    deadline = time.monotonic() + 60
+    while not any(isinstance(change, changes.Withdraw) for change in manager.requested):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    assert [change for change in manager.requested if isinstance(change, changes.Withdraw)] == [
+        changes.Withdraw("query")
+    ]
 
 
 @pytest.mark.usefixtures("server")

@@ -8,18 +8,20 @@ import resource
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy
 import pytest
-from cfgplan_runtime.lifecycle.reports import Observed, Reviewed, UnitEvent
+from cfgplan_runtime.children.messages import PortCounts
+from cfgplan_runtime.lifecycle.reports import Decision, Observed, Review, Reviewed, UnitEvent
 from cfgplan_runtime.operating.messages import log_message, messages
 from cfgplan_runtime.operating.recorder import Recorder
 from cfgplan_runtime.operating.recording import MOST_SCHEMAS, Recording
 from cfgplan_runtime.streams.element import Element
 from cfgplan_runtime.streams.payload import PayloadEncoder
-from cfgplan_runtime.supervision.events import UnitDied
+from cfgplan_runtime.supervision.events import UnitDied, UnitHung
 from fake_manager import REVIEW, observation
 
 from cfgplan.errors import InputError
@@ -174,10 +176,52 @@ def test_elements_and_reports_of_a_run_are_recorded(tmp_path: Path) -> None:
     assert by_topic["/cfgplan/events"] == [{"kind": "UnitDied", "unit": "detector.1", "cause": "exited with 3"}]
     (review,) = by_topic["/cfgplan/reviews"]
     assert (review["decision"], review["cost_us"]) == ("applied", 2_000_000)
-    assert by_topic["/cfgplan/units"][0]["camera.1"]["memory_bytes"] == 25 << 20
+    ((unit,),) = [units["units"] for units in by_topic["/cfgplan/units"]]
+    assert (unit["unit"], unit["memory_bytes"]) == ("camera.1", 25 << 20)
     died, reviewed = by_topic["/cfgplan/log"]
     assert (died["level"], died["message"]) == (4, "detector.1 died: exited with 3")
     assert reviewed["message"].startswith("Review 1: started detector.1; goal is not met: nothing gives Goal")
+
+
+def test_cost_cpu_and_rates_can_be_plotted_from_what_the_schemas_say(tmp_path: Path) -> None:
+    counts = PortCounts(elements=7, dropped=1)
+    seen = replace(observation("camera.1"), inputs={"x": counts}, outputs={"image": counts}, pid=7)
+    unknown = Review(2, 1.0, 2.0, (), Decision.UNDECIDED, 60, 1_000_000)
+    recorder = Recorder(tmp_path / "a.mcap")
+    for report in (Reviewed(REVIEW), Reviewed(unknown), Observed((seen,)), UnitEvent(UnitHung("camera.1", 11.5))):
+        recorder.report(report)
+    assert recorder.close()
+    read(tmp_path / "a.mcap")
+    assert plotted(tmp_path / "a.mcap", "/cfgplan/reviews", "cost_us") == [2_000_000]
+    assert plotted(tmp_path / "a.mcap", "/cfgplan/reviews", "seconds", "plan") == [0.002]
+    for path, value in {
+        ("upkeep_us",): 20_000,
+        ("steps_per_s",): 30.0,
+        ("pid",): 7,
+        ("inputs", 0, "dropped"): 1,
+        ("outputs", 0, "elements"): 7,
+    }.items():
+        assert plotted(tmp_path / "a.mcap", "/cfgplan/units", "units", 0, *path) == [value]
+    assert plotted(tmp_path / "a.mcap", "/cfgplan/events", "silent_s") == [11.5]
+
+
+def plotted(file: Path, topic: str, *path: str | int) -> list[float]:
+    """The numbers at a path of a topic's messages, if the schema says that there are numbers."""
+    from mcap.reader import make_reader
+
+    found = []
+    with file.open("rb") as stream:
+        for schema, _, message in make_reader(stream).iter_messages(topics=[topic]):
+            assert schema is not None
+            form, value = json.loads(schema.data), json.loads(message.data)
+            for step in path:
+                inner = form.get("properties", {}).get(step, form.get("additionalProperties"))
+                form = form["items"] if isinstance(step, int) else inner
+                known = value is not None and (isinstance(step, int) or step in value)
+                value = value[step] if known else None
+            assert form["type"] in ("integer", "number"), path
+            found += [] if value is None else [value]
+    return found
 
 
 def test_what_was_flushed_survives_a_crash_of_the_recorder(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from cfgplan_runtime.lifecycle.reports import (
     WorldRefused,
 )
 from cfgplan_runtime.operating.report_log import logging_to
-from cfgplan_runtime.supervision.events import Event, UnitDied, UnitStatus
+from cfgplan_runtime.supervision.events import SIGNS, Event, HelperAlive, UnitDied
 from cfgplan_runtime.supervision.run_log import RunLog
 from fake_manager import REVIEW, SNAPSHOT, observation
 
@@ -76,10 +76,11 @@ def test_a_reviews_line_says_what_perturbed_what_was_decided_and_what_it_cost(li
 def test_every_event_and_every_field_is_described(lines: list[dict[str, Any]]) -> None:
     text = DESCRIPTION.read_text()
     names = {kind.__name__ for union in (Report, Event, Perturbation) for kind in get_args(union)}
-    names -= {Observed.__name__, UnitEvent.__name__, UnitStatus.__name__}
+    signs = {*SIGNS, HelperAlive}
+    names -= {Observed.__name__, UnitEvent.__name__, *(kind.__name__ for kind in signs)}
     names |= {field for line in lines for field in line}
-    names |= {field for kind in get_args(Event) + get_args(Perturbation) for field in kind.__dataclass_fields__}
-    names -= set(UnitStatus.__dataclass_fields__) - {"unit"}
+    told = set(get_args(Event) + get_args(Perturbation)) - signs
+    names |= {field for kind in told for field in kind.__dataclass_fields__}
     assert [name for name in sorted(names) if f"`{name}`" not in text] == []
 
 

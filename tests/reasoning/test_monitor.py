@@ -8,7 +8,7 @@ from cfgplan_runtime.reasoning import automaton, obligations
 from cfgplan_runtime.reasoning.monitor import Monitor
 from cfgplan_runtime.reasoning.obligations import TooManyObligationsError
 from cfgplan_runtime.reasoning.syntax import Always, And, Atom, Eventually, Formula, Implies, Interval, Not, Or, Until
-from cfgplan_runtime.reasoning.truth import FALSE, TRUE, UNKNOWN, Verdict
+from cfgplan_runtime.reasoning.truth import FALSE, TRUE, UNKNOWN, Truth, Verdict
 from direct import State, holds
 from following import VERDICT, follow, truths
 from hypothesis import assume, given, settings
@@ -199,6 +199,22 @@ def test_times_must_rise() -> None:
     with pytest.raises(InvalidValueError, match="times must rise"):
         monitor.step(5, [TRUE])
     assert monitor.step(6, [FALSE]) is Verdict.FALSE
+
+
+@pytest.mark.parametrize("row", [[], [TRUE, TRUE], [FALSE, FALSE, TRUE]])
+def test_rows_of_the_wrong_length_are_refused(row: list[Truth]) -> None:
+    monitor = Monitor(Always(P))
+    with pytest.raises(InvalidValueError, match=f"{len(row)} truths, but there are 1 propositions"):
+        monitor.step(5, row)
+    assert monitor.step(5, [FALSE]) is Verdict.FALSE
+
+
+def test_a_state_can_be_given_by_names_and_what_is_absent_is_unknown() -> None:
+    monitor, names = Monitor(And(Eventually(P), Always(Q))), [str(each) for each in (P, Q)]
+    with pytest.raises(InvalidValueError, match="'r' is no proposition of the formula: there is "):
+        monitor.step_by_names(0, {"r": True})
+    assert monitor.step_by_names(0, {names[1]: True}) is Verdict.OPEN
+    assert monitor.step_by_names(1, {names[1]: False, names[0]: True}) is Verdict.FALSE
 
 
 def test_arrays_of_the_wrong_shape_are_refused() -> None:

@@ -40,7 +40,8 @@ class ControlServer:
     """Serves `methods` at the control socket of the run in `folder` until it is closed; a context manager.
 
     `about` is told to each client as it connects. `subscribe` is a method of the server's own: `publish` sends
-    an event to whoever has called it; events that a client does not fetch are dropped, and it is told how many.
+    an event to whoever has called it; events that a client does not fetch are dropped, and it is told how many. What
+    `add` brings `while_connected` is withdrawn when the connection ends, however it does.
     """
 
     def __init__(self, folder: Path, methods: Mapping[str, Method], about: Mapping[str, Any]) -> None:
@@ -137,6 +138,8 @@ class _Client:
         self._sending = threading.Lock()
         self._events: queue.Queue[Record | None] = queue.Queue(MOST_WAITING_EVENTS)
         self._dropped = 0
+        self._brought: list[str] = []
+        """What was added for as long as this connection lasts."""
         self._answerer = threading.Thread(target=self._answer, name="cfgplan-control-client", daemon=True)
         self._teller = threading.Thread(target=self._tell, name="cfgplan-control-events", daemon=True)
 
@@ -172,6 +175,9 @@ class _Client:
                 self._events.put(None)
                 self._teller.join()
             self._end.close()
+            for name in self._brought:
+                with suppress(RefusedError):  # it is gone already, or the run is
+                    self._methods["withdraw"]({"name": name, "wait_s": 0})
 
     def _lines(self) -> Any:
         pending = bytearray()
@@ -209,7 +215,10 @@ class _Client:
         if method not in self._methods:
             known = ", ".join(sorted([*self._methods, "subscribe"]))
             raise RefusedError("unknown_method", f"there is no method {method!r}", f"use one of {known}")
-        return self._methods[method](params)
+        given = self._methods[method](params)
+        if method == "add" and params.get("while_connected"):
+            self._brought.append(given["name"])
+        return given
 
     def _tell(self) -> None:
         while (event := self._events.get()) is not None:

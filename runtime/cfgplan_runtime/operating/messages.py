@@ -111,9 +111,8 @@ def log_message(topic: str, level: int, name: str, text: str, time_ns: int) -> M
     return Message(topic, "foxglove.Log", _LOG, body)
 
 
-def record_message(topic: str, record: Mapping[str, Any]) -> Message:
-    """A record of the run, under a schema that says no more than that it is one."""
-    schema = {"type": "object", "properties": {"kind": {"type": "string"}}}
+def record_message(topic: str, record: Mapping[str, Any], schema: Mapping[str, Any]) -> Message:
+    """A record of the run, under its schema."""
     return Message(topic, f"cfgplan.{topic.rpartition('/')[2].capitalize()}", schema, record)
 
 

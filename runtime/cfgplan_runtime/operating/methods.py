@@ -75,7 +75,9 @@ class Methods:
         return snapshot_record(self._manager.snapshot(), self._flows())
 
     def _add(self, params: Mapping[str, Any]) -> Record:
-        _only(params, "name", "text", "wait_s")
+        _only(params, "name", "text", "wait_s", "while_connected")
+        if not isinstance(params.get("while_connected", False), bool):
+            raise RefusedError("bad_params", "`while_connected` is neither true nor false", "write true or false")
         name = _text(params, "name", self._free_name())
         try:
             declared = declaration(name, _text(params, "text"))

@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 from cfgplan_runtime.lifecycle.reports import Observed, Report, Reviewed
+from cfgplan_runtime.operating.forms import events_form, known, reviews_form, unit_record, units_form
 from cfgplan_runtime.operating.messages import Message, log_message, messages, record_message
 from cfgplan_runtime.operating.recording import Recording
 from cfgplan_runtime.operating.records import plain, report_record, review_record
@@ -84,10 +85,11 @@ class Recorder:
 def _messages(report: Report, time_ns: int) -> list[Message]:
     match report:
         case Reviewed(review):
-            told = record_message(REVIEWS, review_record(review))
+            told = record_message(REVIEWS, known(review_record(review)), reviews_form())
         case Observed(observations):
-            return [record_message(UNITS, {seen.unit: plain(seen) for seen in observations})]
+            units = [known(unit_record(plain(seen))) for seen in observations]
+            return [record_message(UNITS, {"units": units}, units_form())]
         case _:
-            told = record_message(EVENTS, report_record(report))
+            told = record_message(EVENTS, known(report_record(report)), events_form())
     said = sentence(report)
     return [told] if said is None else [told, log_message(LOG, level(report), "cfgplan", said, time_ns)]

@@ -12,6 +12,8 @@ from dataclasses import fields, is_dataclass
 from enum import Enum
 from typing import Any
 
+import msgspec
+
 from cfgplan.domain import ChangeSet, ComputationUnit, Stream
 from cfgplan_runtime.lifecycle.reports import Report, Review, Reviewed, Snapshot, TargetView, UnitEvent, UnitView
 from cfgplan_runtime.operating.protocol import Record
@@ -86,6 +88,8 @@ def plain(value: Any) -> Any:
             return change_record(value)
         case Mapping():
             return {str(key): plain(item) for key, item in value.items()}
+        case msgspec.Struct():
+            return {name: plain(getattr(value, name)) for name in value.__struct_fields__}
         case list() | tuple() | set() | frozenset():
             return [plain(item) for item in value]
     if is_dataclass(value) and not isinstance(value, type):

@@ -86,7 +86,7 @@ class RemoteSubscriptions:
     def add(self, targets: Sequence[Target]) -> None:
         name = targets[0].label.rpartition(" ")[0]
         document = [{"label": each.label, "topic": each.topic, "tag": each.tag} for each in targets]
-        self._call("add", name=name, text=json.dumps({"targets": document}))
+        self._call("add", name=name, text=json.dumps({"targets": document}), while_connected=True)
         self._names.update(dict.fromkeys((target.label for target in targets), name))
 
     def unmet(self, labels: Sequence[str]) -> Mapping[str, str]:

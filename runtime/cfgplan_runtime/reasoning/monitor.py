@@ -8,7 +8,7 @@ on irregular streams alike a known step is one look-up.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -18,7 +18,7 @@ from cfgplan_runtime.reasoning.compiling import Program, compiled
 from cfgplan_runtime.reasoning.obligations import Kind, Obligation, bound
 from cfgplan_runtime.reasoning.situations import Situation, moved, pending_of
 from cfgplan_runtime.reasoning.syntax import Formula
-from cfgplan_runtime.reasoning.truth import FALSE, TRUE, VERDICT_OF, Truth, Verdict
+from cfgplan_runtime.reasoning.truth import FALSE, TRUE, UNKNOWN, VERDICT_OF, Truth, Verdict
 
 if TYPE_CHECKING:
     import numpy as np
@@ -76,14 +76,30 @@ class Monitor:
         return self._automaton.remembered
 
     def step(self, time_ns: int, truths: Sequence[Truth | bool]) -> Verdict:
-        """Progress through one state; `truths` has FALSE, UNKNOWN or TRUE (or a bool) for each proposition.
+        """Progress through one state; `truths` has FALSE, UNKNOWN or TRUE (or a bool) for each proposition, in order.
 
-        Does nothing once the verdict is final. Raises InvalidValueError if time does not rise.
+        Does nothing once the verdict is final. Raises InvalidValueError if time does not rise, or for another number of
+        truths than there are propositions.
         """
+        count = len(self.program.propositions)
+        if len(truths) != count:
+            raise InvalidValueError(f"{len(truths)} truths, but there are {count} propositions in each state")
         code = 0
         for truth in reversed(truths):
             code = 3 * code + (2 * truth if truth is True or truth is False else truth)
         return self._follow((time_ns,), (code,))
+
+    def step_by_names(self, time_ns: int, truths: Mapping[str, Truth | bool]) -> Verdict:
+        """Progress through one state, whose `truths` are by the propositions' texts; one that is absent is UNKNOWN.
+
+        Raises InvalidValueError for a name that is no proposition, and as `step` does.
+        """
+        names = [str(proposition) for proposition in self.program.propositions]
+        strange = sorted(truths.keys() - set(names))
+        if strange:
+            known = ", ".join(names)
+            raise InvalidValueError(f"{strange[0]!r} is no proposition of the formula: there is {known or 'none'}")
+        return self.step(time_ns, [truths.get(name, UNKNOWN) for name in names])
 
     def feed(self, times_ns: npt.NDArray[np.int64], truths: npt.NDArray[np.int8 | np.bool_]) -> Verdict:
         """Progress through many states: `times_ns` of shape (states,), `truths` of shape (states, propositions).

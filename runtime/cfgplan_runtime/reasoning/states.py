@@ -1,8 +1,9 @@
 """Streams made into one stream of states: time-aligned, with a stated bound on delay and on missing samples.
 
 In a state of time T each feature has the value of its last sample that is not after T, if that is at most `hold`
-old; else it is missing. A state is given as soon as every feature has a sample at or after T, and at the latest
-`delay` after T on the clock. What comes later than that can't change a state that was given: it is counted as late.
+old; else it is missing. A state is given as soon as every feature has a sample at or after T, or when T is `delay` ago
+on the clock; if the sample that makes it a state comes later than that, then when that comes. A sample that comes after
+a later state was given can't change anything: it is counted as late.
 A missing value makes atoms unknown, never false.
 """
 

@@ -1,0 +1,110 @@
+"""The JSON Schemas of what a run tells, from the types of what it tells: no field is written down twice.
+
+What is unknown is left out of a recorded message, so that each field has one type, as programs that plot need it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from functools import cache
+from types import NoneType, UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+import msgspec
+
+from cfgplan.domain import ChangeSet, Stream
+from cfgplan_runtime.lifecycle.reports import PHASES, Report, Review, UnitEvent
+from cfgplan_runtime.operating.protocol import Record
+from cfgplan_runtime.supervision.events import Event
+from cfgplan_runtime.supervision.observation import Observation
+
+_PLAIN: Mapping[Any, str] = {bool: "boolean", int: "integer", float: "number", str: "string", bytes: "integer"}
+_TEXT: Record = {"type": "string"}
+_TEXTS: Record = {"type": "array", "items": _TEXT}
+_WIRED: Record = {
+    "type": "object",
+    "properties": {"id": _TEXT, "transformation": _TEXT, "inputs": {"type": "object"}, "topics": {"type": "object"}},
+}
+_CHANGES: Record = {
+    "type": "object",
+    "properties": {
+        "started": {"type": "array", "items": _WIRED},
+        "rewired": {"type": "array", "items": _WIRED},
+        "stopped": _TEXTS,
+    },
+}
+
+
+@cache
+def units_form() -> Record:
+    """Of `/cfgplan/units`."""
+    unit = _form(Observation)
+    for side in ("inputs", "outputs"):
+        counts = unit["properties"][side]["additionalProperties"]
+        ports = {"type": "object", "properties": {"port": _TEXT, **counts["properties"]}}
+        unit["properties"][side] = {"type": "array", "items": ports}
+    return {"type": "object", "properties": {"units": {"type": "array", "items": unit}}}
+
+
+@cache
+def reviews_form() -> Record:
+    """Of `/cfgplan/reviews`."""
+    form = _form(Review)
+    seconds = {"type": "object", "properties": {phase: {"type": "number"} for phase in PHASES}}
+    return {"type": "object", "properties": {**form["properties"], "seconds": seconds, "says": _TEXT}}
+
+
+@cache
+def events_form() -> Record:
+    """Of `/cfgplan/events`: all fields of all kinds."""
+    return _form(Union[tuple(kind for kind in get_args(Report) if kind is not UnitEvent) + get_args(Event)])  # noqa: UP007
+
+
+def known(value: Any) -> Any:
+    """A record without what is unknown."""
+    if isinstance(value, dict):
+        return {key: known(item) for key, item in value.items() if item is not None}
+    return [known(item) for item in value] if isinstance(value, list) else value
+
+
+def unit_record(seen: Mapping[str, Any]) -> Record:
+    """An observation's record with its ports as lists, whose names no schema can know."""
+    sides = {side: [{"port": port, **counts} for port, counts in seen[side].items()] for side in ("inputs", "outputs")}
+    return {**seen, **sides}
+
+
+def _form(hint: Any) -> Record:
+    """The JSON Schema of what `records.plain` makes of a value of a type; of a union that of all its members."""
+    origin, arguments = get_origin(hint), get_args(hint)
+    if hint in _PLAIN:
+        return {"type": _PLAIN[hint]}
+    if hint is ChangeSet:
+        return _CHANGES
+    if origin in (Union, UnionType):
+        return _merged([_form(each) for each in arguments if each is not NoneType])
+    if origin is Literal or hint is Stream or (isinstance(hint, type) and issubclass(hint, Enum)):
+        return _TEXT
+    if origin is not None and issubclass(origin, Mapping):
+        return {"type": "object", "additionalProperties": _form(arguments[1])}
+    if origin in (tuple, list, frozenset):
+        return {"type": "array", "items": _form(arguments[0])}
+    if is_dataclass(hint):
+        names = [field.name for field in fields(hint)]
+    elif isinstance(hint, type) and issubclass(hint, msgspec.Struct):
+        names = list(hint.__struct_fields__)
+    else:
+        return _TEXT
+    hints = get_type_hints(hint)
+    return {"type": "object", "properties": {"kind": _TEXT, **{name: _form(hints[name]) for name in names}}}
+
+
+def _merged(forms: list[Record]) -> Record:
+    if len({form["type"] for form in forms}) > 1 or forms[0]["type"] != "object":
+        return forms[0]
+    properties: Record = {}
+    for form in forms:
+        for name, inner in form.get("properties", {}).items():
+            properties.setdefault(name, inner)
+    return {"type": "object", "properties": properties}
