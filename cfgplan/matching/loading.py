@@ -33,7 +33,7 @@ _PREFIX: Final = re.compile(
 _ANONYMOUS: Final = re.compile(r'"(?:[^"\\]|\\.)*"|<[^>]*>|_:([\w.-]+)')
 _PLACE: Final = re.compile(r"^Parser error (?:at|between) [^:]*: ")
 _ANONYMOUS_IRI: Final = re.compile(f"<{ANONYMOUS}([^>]*)>")
-_LINE: Final = re.compile(r"line_col: Pos\(\((\d+), (\d+)\)\)|BytePosition\((\d+)\)")
+_LINE: Final = re.compile(r"line_col: Pos\(\((\d+), (\d+)\)\)|(?:BytePosition|ByteSpan)\((\d+)")
 _REASON: Final = re.compile(
     r'message: "((?:[^"\\]|\\.)*)"|Msg\("((?:[^"\\]|\\.)*)"\)|(?:Validity)?Error\("((?:[^"\\]|\\.)*)"'
 )
@@ -41,6 +41,8 @@ _REASON: Final = re.compile(
 _TERM: Final = re.compile(r'(?:Iri\()?IRI\(\\*"([^"\\]+)\\*"\)\)?')
 _DL_SAFE: Final = ("ofn", "owx")
 """The syntaxes whose rules are about named individuals only by definition; those of others are about everything."""
+_BUILT_INS: Final = "<http://www.w3.org/2003/11/swrlb#"
+"""Manchester syntax does not tell built-ins from data properties."""
 _NOT_TOLD: Final = "its built-ins are told to no reasoner"
 
 _MISSING = "check the path under `ontology:`; it is relative to the environment file, and web addresses are not fetched"
@@ -67,8 +69,9 @@ def load_ontology(paths: Sequence[Path], imports: Mapping[str, Path | None] | No
     The syntax (Turtle, N-Triples, RDF/XML, JSON-LD, OWL/XML, functional, Manchester) is told by the content. An
     import is a relative path, a file beside the importing one that is named like the last part of the IRI or declares
     it, or one of `paths`. `imports` comes first: it maps an IRI to its file, or to None where the import is ignored,
-    and "" to None where every import is ignored that can't be found. Raises InputError with every file that can't be
-    used.
+    and "" to None where every import is ignored that can't be found. Of the syntaxes that are no RDF everything is
+    read but annotations; what RDF says beyond axioms of OWL 2 is in `Ontology.dropped`. Data ranges over several
+    properties are refused. Raises InputError with every file that can't be used.
     """
     if not paths:
         return Ontology(is_open=True)
@@ -274,7 +277,7 @@ def _document(parsed: Any, components: Iterable[str], syntax: str, shown: str) -
 
 def _loss_of_rule(rule: str, syntax: str) -> str | None:
     """What reasoners leave out of a rule; None if they know all of it."""
-    if "BuiltInAtom(" in rule or "DataRangeAtom(" in rule:
+    if "BuiltInAtom(" in rule or "DataRangeAtom(" in rule or _BUILT_INS in rule:
         return _NOT_TOLD
     return None if syntax in _DL_SAFE else "it is applied to named individuals only"
 

@@ -73,17 +73,6 @@ _ROOTS: Final = {
 """The axioms that nodes of a type come to."""
 _NAME: Final = r"<[^<>]*>"
 _PLACES: Final = re.compile(rf"(\w+)\(({_NAME})?.*?({_NAME})?\)$", re.DOTALL)
-_KEYWORDS_OF_TRIPLES: Final = frozenset(
-    keyword
-    for keywords in (
-        *_KEYWORDS.values(),
-        *_CHARACTERISTICS.values(),
-        *_ROOTS.values(),
-        _ASSERTIONS,
-        ("ClassAssertion",),
-    )
-    for keyword in keywords
-) - {"AnnotationAssertion"}
 
 
 class Graph:
@@ -160,13 +149,10 @@ class Graph:
 
     def unread(self, axioms: Collection[str]) -> Iterator[str]:
         """What the triples say and none of the axioms read from `lossless` does, shortened."""
-        triples = [*self._triples_of_axioms()]
-        if len(triples) <= sum(map(_comes_from_triple, axioms)):
-            return
         known = frozenset(axioms)
         direct: set[str] = set()
         expected: defaultdict[tuple[tuple[str, ...], str, str], set[object]] = defaultdict(set)
-        for subject, predicate, value in triples:
+        for subject, predicate, value in self._triples_of_axioms():
             keywords, name, arguments = _axiom_of(self._named(subject), predicate, self._named(value))
             said = known.intersection([f"{keyword}({arguments})" for keyword in keywords])
             direct |= said
@@ -271,8 +257,3 @@ def _axiom_of(subject: str, predicate: str, value: str) -> tuple[tuple[str, ...]
     if value in _CHARACTERISTICS:
         return _CHARACTERISTICS[value], name, subject
     return ("ClassAssertion",), name, f"{value} {subject}"
-
-
-def _comes_from_triple(axiom: str) -> bool:
-    """Whether an axiom comes from one triple of `_triples_of_axioms`, and from no other."""
-    return axiom.partition("(")[0] in _KEYWORDS_OF_TRIPLES and not axiom.startswith(f"ClassAssertion(<{OWL}")

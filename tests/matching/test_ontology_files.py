@@ -368,6 +368,77 @@ def test_keys_are_told_to_the_reasoner(tmp_path: Path) -> None:
     assert match(["{other}"], ["{cam1}"], ontology).similarity.holds("{other}", "{cam1}")
 
 
+ATOM, VARIABLE = "<ClassAtom><Class abbreviatedIRI=':{}'/>{}</ClassAtom>", "<Variable IRI='urn:v'/>"
+MORE = {
+    OWL_XML: f"""
+  <HasKey><Class abbreviatedIRI=":Camera"/><DataProperty abbreviatedIRI=":size"/></HasKey>
+  <DatatypeDefinition><Datatype abbreviatedIRI=":Short"/><DatatypeRestriction>
+    <Datatype IRI="http://www.w3.org/2001/XMLSchema#string"/>
+    <FacetRestriction facet="http://www.w3.org/2001/XMLSchema#maxLength"><Literal
+      datatypeIRI="http://www.w3.org/2001/XMLSchema#integer">5</Literal></FacetRestriction>
+  </DatatypeRestriction></DatatypeDefinition>
+  <DLSafeRule><Body>{ATOM.format("Camera", VARIABLE)}</Body><Head>{ATOM.format("Device", VARIABLE)}</Head></DLSafeRule>
+  """,
+    FUNCTIONAL: """
+  HasKey(:Camera () (:size))
+  DatatypeDefinition(:Short DatatypeRestriction(<http://www.w3.org/2001/XMLSchema#string>
+    <http://www.w3.org/2001/XMLSchema#maxLength> "5"^^<http://www.w3.org/2001/XMLSchema#integer>))
+  DLSafeRule(Body(ClassAtom(:Camera Variable(<urn:v>)))Head(ClassAtom(:Device Variable(<urn:v>))))
+  """,
+    MANCHESTER: """
+DataProperty: :size
+Class: :Camera
+  HasKey: :size
+Datatype: :Short
+  EquivalentTo: <http://www.w3.org/2001/XMLSchema#string>[maxLength 5]
+Rule: :Camera(?v) -> :Device(?v)
+""",
+}
+SEVERAL = {
+    OWL_XML: """
+  <SubClassOf><Class abbreviatedIRI=":Camera"/><DataAllValuesFrom><DataProperty abbreviatedIRI=":size"/>
+  <DataProperty abbreviatedIRI=":weight"/><Datatype abbreviatedIRI=":Pair"/></DataAllValuesFrom></SubClassOf>
+  """,
+    FUNCTIONAL: "\n\n  SubClassOf(:Camera DataAllValuesFrom(:size :weight :Pair))",
+    MANCHESTER: "DataProperty: :size\nClass: :Camera\n  SubClassOf: :size :weight only :Pair\n",
+}
+END = {OWL_XML: "</Ontology>", FUNCTIONAL: ")\n", MANCHESTER: ""}
+
+
+def with_more(text: str, more: str) -> str:
+    """The ontology with more at its end."""
+    end = END[text]
+    before = text.rstrip().removesuffix(end.strip())
+    return f"{before}\n{more}{end}"
+
+
+@pytest.mark.parametrize("text", MORE, ids=["OWL/XML", "functional", "Manchester"])
+def test_nothing_is_lost_of_the_syntaxes_that_are_no_rdf(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "more"
+    path.write_text(with_more(text, MORE[text]))
+    ontology = load_ontology([path])
+    assert not [text for text in ontology.dropped if "rule" not in text]
+    kinds = {axiom.partition("(")[0] for axiom in ontology.axioms}
+    assert {"HasKey", "DatatypeDefinition", "DLSafeRule", "SubClassOf", "ClassAssertion"} <= kinds
+    path.write_text(with_more(text, SEVERAL[text]))
+    with pytest.raises(InputError) as caught:
+        load_ontology([path])
+    (fault,) = caught.value.faults
+    assert fault.line is not None
+    assert fault.line > len(text.rstrip().removesuffix(END[text].strip()).splitlines())
+
+
+def test_a_built_in_that_is_read_as_a_property_is_not_told(tmp_path: Path) -> None:
+    path = tmp_path / "rules.omn"
+    prefix = "Prefix: swrlb: <http://www.w3.org/2003/11/swrlb#>\n"
+    path.write_text(
+        f"{prefix}{MANCHESTER}DataProperty: :size\nRule: :size(?x, ?y), swrlb:greaterThan(?y, 5) -> :Camera(?x)\n"
+    )
+    ontology = load_ontology([path])
+    assert ["built-ins" in why for why in ontology.dropped.values()] == [True]
+    assert not any(axiom.startswith("DLSafeRule") for axiom in ontology.axioms)
+
+
 def test_an_import_is_named_or_ignored_in_the_environment_file(tmp_path: Path) -> None:
     import cfgplan
 
