@@ -375,12 +375,6 @@ CLOSING = _room(
     ),
     ("free labels are alike", "closing/alike.py", "np.flatnonzero(cost).tolist()", "range(len(cost))"),
     (
-        "what costs nothing is never torn",
-        "closing/repairing.py",
-        "if other is not None and self._cost_of(other) < self._cost_of(plan):",
-        "if other is not None:",
-    ),
-    (
         "the best plan is the last",
         "closing/repairing.py",
         "if self._plan is not None and self._cost_of(self._plan) < self._cost_of(self.best):",
