@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+import os
 import re
+import signal
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
-from cfgplan_runtime import Manager, Policy
+from cfgplan_runtime import Manager, Policy, Runtime, SimulatedRuntime, testing
 from cfgplan_runtime.errors import ApplyError, RuntimeFaultError, StaleChangeSetError
 from cfgplan_runtime.lifecycle.changes import AddTargets, KillUnit
 from cfgplan_runtime.lifecycle.reports import Decision, Ended, Report
+from cfgplan_runtime.streams.run_folder import base_folder, topics_of
+from cfgplan_runtime.supervision.simulated_backend import Behaviour
+from cfgplan_runtime.testing import FIRST, LAST, Bench, check_middleware
 from living import RESULT, source, worker
+from real_run import UNITS
 
 from cfgplan import api
-from cfgplan.domain import Environment, Target, Transformation
+from cfgplan.domain import Environment, RunOptions, Target, Transformation
 from cfgplan.planners import PLANNERS
 
 README = (Path(__file__).parents[2] / "runtime" / "README.md").read_text(encoding="utf-8")
@@ -32,13 +39,22 @@ class FakeRobot:
         self.on_crash: Callable[[str], None]
 
     def load(self, name: str, code: str) -> None:
+        if code == "broken":
+            raise OSError("no such nodelet")
+        assert name not in self.loaded
         self.loaded[name] = code
+
+    def has(self, name: str) -> bool:
+        return name in self.loaded
 
     def unload(self, name: str) -> None:
         del self.loaded[name]
 
     def remap(self, name: str, to: str) -> None:
         self.wires[name] = to
+
+    def unmap(self, name: str) -> None:
+        del self.wires[name]
 
     def cpu_us(self, name: str) -> tuple[int, int]:
         return 1000, 500 if name.startswith("work") else 100
@@ -152,8 +168,100 @@ def test_a_middleware_with_a_fault_of_its_own_does_not_end_the_life_cycle() -> N
     manager = Manager(WORLD, middleware, clock=SetClock())
     manager.run(5)
     first, last = manager.snapshot().reviews
-    assert (first.decision, first.cause) == (Decision.FAILED, "ZeroDivisionError: a bug of the middleware")
+    assert (first.decision, first.cause) == (
+        Decision.FAILED,
+        "the middleware failed: ZeroDivisionError: a bug of the middleware",
+    )
     assert last.decision is Decision.APPLIED
+
+
+def test_a_manager_is_settled_though_its_middleware_keeps_failing() -> None:
+    middleware = nodelets(FakeRobot())
+
+    def crashing(*_: Any, **__: Any) -> Any:
+        raise ZeroDivisionError("a bug of the middleware")
+
+    middleware.apply = crashing
+    manager = Manager(WORLD, middleware)
+    manager.start()
+    try:
+        assert manager.settle(60)
+        assert manager.snapshot().reviews[-1].decision is Decision.FAILED
+    finally:
+        manager.close()
+
+
+@contextmanager
+def bench_of_nodelets() -> Iterator[Bench]:
+    robot = FakeRobot()
+    broken = worker("broken", source="broken")
+    yield Bench(
+        nodelets(robot), source(), worker(), broken, robot.crash, lambda: robot.loaded, lambda: robot.wires.keys()
+    )
+
+
+@contextmanager
+def simulated_bench() -> Iterator[Bench]:
+    runtime = SimulatedRuntime(behaviours={"broken": Behaviour(dies_at_start="no camera")})
+
+    def wait(seconds: float) -> None:
+        runtime.clock.wait(threading.Event(), seconds)
+
+    yield Bench(
+        runtime,
+        source(),
+        worker(),
+        worker("broken"),
+        runtime.backend.fail,
+        lambda: [unit.id for unit in runtime.environment.units if unit.id in runtime.backend.units],
+        lambda: runtime.backend.topics,
+        wait,
+    )
+
+
+@contextmanager
+def real_bench(folder: Path) -> Iterator[Bench]:
+    (folder / "units.py").write_text(UNITS)
+    code, params = "units.py:Worker", {"name": "x"}
+    with Runtime(folder=folder) as runtime:
+        yield Bench(
+            runtime,
+            source(source="units.py:count", run=RunOptions(rate_hz=100)),
+            worker(source=code, params=params),
+            worker("broken", source=code, params={**params, "deed": "die at start"}),
+            lambda unit: os.kill(runtime.pid(unit) or 0, signal.SIGKILL),
+            lambda: [name for name in ("count.1", "work.1", "work.2", FIRST, LAST) if runtime.pid(name) is not None],
+            lambda: topics_of(base_folder() / runtime.id),
+        )
+
+
+@pytest.mark.parametrize("make", [bench_of_nodelets, simulated_bench])
+def test_a_middleware_keeps_its_promises(make: Callable[[], AbstractContextManager[Bench]]) -> None:
+    check_middleware(make)
+
+
+def test_the_runtime_keeps_its_promises(
+    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("r")))
+    check_middleware(lambda: real_bench(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("method", "broken", "promise"),
+    [
+        ("unmap", lambda *_: None, "is still there"),
+        ("unload", lambda *_: None, "other units run"),
+        ("crash", lambda *_: None, "is never told"),
+    ],
+)
+def test_the_kit_names_the_promise_that_is_not_kept(
+    monkeypatch: pytest.MonkeyPatch, method: str, broken: Callable[..., None], promise: str
+) -> None:
+    monkeypatch.setattr(FakeRobot, method, broken)
+    monkeypatch.setattr(testing, "PATIENCE_S", 0.1)
+    with pytest.raises(AssertionError, match=promise):
+        check_middleware(bench_of_nodelets)
 
 
 def test_without_its_middleware_a_manager_ends_and_tells_who_waits() -> None:

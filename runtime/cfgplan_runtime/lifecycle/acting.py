@@ -55,7 +55,7 @@ class Acting:
         except RuntimeFaultError:
             raise  # nothing runs any more
         except Exception as error:
-            failed = UpdateFailed(f"{type(error).__name__}: {error}")
+            failed = UpdateFailed(f"the middleware failed: {type(error).__name__}: {error}", is_fault=True)
         else:
             for unit_id in change_set.stopped:
                 self._intake.situation.forget(unit_id)

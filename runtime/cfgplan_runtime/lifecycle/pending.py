@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from math import inf
 
 from cfgplan_runtime.lifecycle.inbox import Outcome
-from cfgplan_runtime.lifecycle.perturbations import Perturbation
+from cfgplan_runtime.lifecycle.perturbations import Perturbation, UpdateFailed
 
 
 @dataclass(frozen=True)
@@ -53,8 +53,9 @@ class Pending:
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing is pending, and no end of a unit is awaited."""
-        return not self.entries and not self._waiting
+        """Whether nothing is pending but what a faulty middleware is asked again, and no end of a unit is awaited."""
+        faults = (isinstance(each.perturbation, UpdateFailed) and each.perturbation.is_fault for each in self.entries)
+        return all(faults) and not self._waiting
 
     def waiting_for(self, unit: str) -> tuple[Outcome, ...]:
         """Those who wait for a unit's end, which has come."""

@@ -106,11 +106,15 @@ class HorizonReached:
 
 @dataclass(frozen=True, slots=True)
 class UpdateFailed:
-    """An update was undone or refused; `transformations` are those that could not be started."""
+    """An update was undone or refused; `transformations` are those that could not be started.
+
+    `is_fault` tells that the middleware has raised what none may: nobody knows what it has done.
+    """
 
     cause: str
     transformations: tuple[str, ...] = ()
     is_stale: bool = False
+    is_fault: bool = False
 
 
 @dataclass(frozen=True, slots=True)
