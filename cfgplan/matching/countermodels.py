@@ -21,7 +21,20 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Final
 
-from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI, And, Concept, Nominal, in_functional_syntax
+from cfgplan.matching.concepts import (
+    NOTHING_IRI,
+    THING_IRI,
+    And,
+    AtLeast,
+    AtMost,
+    Concept,
+    Nominal,
+    Not,
+    Only,
+    Or,
+    Some,
+    in_functional_syntax,
+)
 from cfgplan.matching.functional import Signature, Tree, parse
 from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.structures import LITERAL, Structure, inverse, linked_by, symbols_of
@@ -462,6 +475,7 @@ class Countermodels:
         self._program = _Program(ontology.trees.values())
         self._batches: list[_Batch] = []
         self._tried: set[Concept] = set()
+        self._excluded: set[Concept] = set()
         self._none = bool(ontology.dropped)
         self._some = False
         self._builds_left = 0
@@ -477,8 +491,10 @@ class Countermodels:
 
     def build(self, offered: Iterable[Concept], demanded: Collection[Concept], time_limit_s: float | None) -> None:
         """Look for models with offered concepts that are new, until they refute no more pairs or time is over."""
+        offered = list(offered)
         new = [concept for concept in offered if concept not in self._tried]
-        if self._none or not new:
+        negative = sorted(filter(_says_not, demanded), key=in_functional_syntax)
+        if self._none or not (new or self._excluded.issuperset(negative)):
             return
         self._tried.update(new)
         deadline = None if time_limit_s is None else time.monotonic() + time_limit_s
@@ -488,6 +504,9 @@ class Countermodels:
         try:
             for group in filter(None, (plain, special)):
                 self._build_all(sorted(group, key=in_functional_syntax), demanded, deadline)
+            self._exclude(new, [concept for concept in negative if concept in self._excluded], deadline)
+            self._exclude(offered, [concept for concept in negative if concept not in self._excluded], deadline)
+            self._excluded.update(negative)
         except _OutOfTimeError:
             return
 
@@ -498,16 +517,29 @@ class Countermodels:
             if not chose or (turn and sum(len(self.refuted(each)) for each in demanded) == before):
                 return
 
-    def _build(self, group: list[Concept], turn: int, deadline: float | None) -> bool:
+    def _exclude(self, offered: Iterable[Concept], demanded: list[Concept], deadline: float | None) -> None:
+        """Build models with things that have offered concepts and no demanded one: none of all, else of each half."""
+        waiting = [demanded] if demanded else []
+        while waiting:
+            some = waiting.pop(0)
+            left = [concept for concept in offered if not all(concept in self.refuted(each) for each in some)]
+            if not left:
+                continue
+            self._build(sorted(left, key=in_functional_syntax), 0, deadline, [complement(tree_of(c)) for c in some])
+            if len(some) > 1:
+                waiting += [some[: len(some) // 2], some[len(some) // 2 :]]
+
+    def _build(self, group: list[Concept], turn: int, deadline: float | None, besides: Collection[Tree] = ()) -> bool:
         """Build a model, or one for each half of the group if there is none for all; whether it had choices.
 
-        Without a group the model is one of the ontology alone. Raises _OutOfTimeError.
+        What has a concept of the group has all that is `besides`, too. Without a group the model is one of the ontology
+        alone. Raises _OutOfTimeError.
         """
         if not self._builds_left:
             raise _OutOfTimeError
         self._builds_left -= 1
         model = _Model(self._program, turn, deadline)
-        things = {concept: model.new(tree_of(concept)) for concept in group}
+        things = {concept: model.new(_both(tree_of(concept), besides)) for concept in group}
         model.saturate()
         if model.prune():
             structure = model.structure
@@ -525,7 +557,7 @@ class Countermodels:
                 self._build([], turn, deadline)
             half = len(group) // 2
             if not self._none:
-                return _some(self._build(part, turn, deadline) for part in (group[:half], group[half:]))
+                return _some(self._build(part, turn, deadline, besides) for part in (group[:half], group[half:]))
         return model.chose
 
 
@@ -534,11 +566,29 @@ def tree_of(concept: Concept) -> Tree:
     return parse(in_functional_syntax(concept))
 
 
+def _both(tree: Tree, besides: Collection[Tree]) -> Tree:
+    parts = tree[1:] if isinstance(tree, tuple) and tree[0] == "ObjectIntersectionOf" else (tree,)
+    return ("ObjectIntersectionOf", *parts, *besides) if besides else tree
+
+
+def _says_not(concept: Concept) -> bool:
+    """Whether a concept says what things are not: a model in which nothing is more than needed does not refute it."""
+    return isinstance(concept, Not | Only | AtMost) or any(map(_says_not, _parts_of(concept)))
+
+
 def _says_more_of_individuals(concept: Concept) -> bool:
     """Whether a concept joins an individual with something else."""
     if isinstance(concept, And) and any(isinstance(part, Nominal) for part in concept.parts):
         return True
-    parts = getattr(concept, "parts", None) or [
-        getattr(concept, name) for name in ("filler", "concept") if hasattr(concept, name)
-    ]
-    return any(map(_says_more_of_individuals, parts))
+    return any(map(_says_more_of_individuals, _parts_of(concept)))
+
+
+def _parts_of(concept: Concept) -> Iterable[Concept]:
+    match concept:
+        case And(parts) | Or(parts):
+            return parts
+        case Some(_, filler) | Only(_, filler) | AtLeast(_, _, filler) | AtMost(_, _, filler):
+            return (filler,)
+        case Not(part):
+            return (part,)
+    return ()

@@ -107,7 +107,7 @@ class _Small:
 
     def far_axioms(self, role: str, name: str) -> list[str]:
         rng = self.rng
-        one, other = (iri(rng.choice(self.classes)) for _ in range(2))
+        one, other = map(iri, rng.sample([each for each in self.classes if iri(each) != name], 2))
         back = f"ObjectInverseOf({iri(rng.choice(self.roles))})"
         result = [
             f"DisjointClasses({name} {other})",
