@@ -298,15 +298,15 @@ def accepted(problem: Problem, answer: Plan) -> Plan:
 
     Raises UntruthfulPlanError if not, and PlannerFaultError if the judge fails; both have the plan.
     """
+    if answer.change_set is not None:
+        answer = replace(answer, stopped_pinned=pinned_reasons(problem))
     try:
-        found = plan_violations(problem, answer)
+        found = plan_violations(problem, answer) or validity.silent_stops(problem, answer)
     except Exception as error:
         raise PlannerFaultError(f"the judge failed: {type(error).__name__}: {error}", answer) from error
     if found:
         raise UntruthfulPlanError(answer, found)
-    if answer.change_set is None:
-        return answer
-    return replace(answer, reasons={**pinned_reasons(problem), **answer.reasons})
+    return answer
 
 
 def violations(environment: Environment, similarity: Similarity, survive: Failures | None = None) -> list[Violation]:
@@ -337,7 +337,7 @@ def load_plan(world: World, problem: Problem, path: str | os.PathLike[str]) -> P
     from cfgplan.formats import load_plan as read_plan
 
     answer = read_plan(path, world.digest)
-    found = plan_violations(problem, answer)
+    found = plan_violations(problem, answer) or validity.silent_stops(problem, answer)
     if found:
         mend = "write the plan anew with `solve --out`"
         raise InputError([Fault(f"the plan is not what it says: {each}", str(path), mend=mend) for each in found])

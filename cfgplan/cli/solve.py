@@ -84,7 +84,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 def _solve(options: argparse.Namespace, screen: Screen, world: World, problem: Problem, matches: Decider) -> Exit:
     from cfgplan import answers, api
     from cfgplan.cli.explain_text import pinned_lines
-    from cfgplan.cli.update_text import given_up, update_text
+    from cfgplan.cli.update_text import update_text
 
     is_proven = True
     with screen.phase("plan"):
@@ -122,7 +122,7 @@ def _solve(options: argparse.Namespace, screen: Screen, world: World, problem: P
             screen.note(f"`cfgplan explain {options.env}` tells more about why.")
     if plan.status is Status.OPTIMAL and not is_proven:
         return Exit.NOT_PROVEN
-    if plan.status is Status.OPTIMAL and given_up(problem, plan):
+    if plan.status is Status.OPTIMAL and plan.reasons:
         return Exit.UNMET
     if options.detailed_exitcode and plan.status is Status.OPTIMAL and plan.change_set:
         return Exit.CHANGES

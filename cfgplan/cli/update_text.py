@@ -141,20 +141,15 @@ def _summary(problem: Problem, plan: Plan) -> Iterator[Text]:
         yield from fleet_lines(problem, before.update(changes))
     yield verdict(problem, plan)
     yield from undecided_lines(problem, plan)
-    lost = given_up(problem, plan)
+    lost = plan.reasons
     if plan.change_set is not None and lost:
         yield Text(f"Given up: {len(lost)} of {len(before.targets) + len(lost)} targets.", style="bold yellow")
     for reason in lost.values():
         yield Text(f"  {reason}")
-    for reason in (plan.reasons[unit] for unit in sorted(before.unit.keys() & plan.reasons.keys())):
+    for reason in (why for _, why in sorted(plan.stopped_pinned.items())):
         yield Text(f"Stopped, though pinned: {reason}.", style="bold yellow")
     for label in plan.unused_required:
         yield Text(f"Required {label} is not used: {why_unused(plan)}.", style="yellow")
-
-
-def given_up(problem: Problem, plan: Plan) -> dict[str, str]:
-    """Why targets are not met, by label: the reasons of a plan without those for pinned units."""
-    return {label: why for label, why in plan.reasons.items() if label not in problem.environment.unit}
 
 
 def undecided_lines(problem: Problem, plan: Plan) -> Iterator[Text]:

@@ -20,7 +20,7 @@ class BestEffort:
     """The best update that some of the targets allow.
 
     `problem` is the problem that was asked with only the targets that are met, and `plan` its plan, whose
-    `reasons` say why each of the other targets is given up, and why pinned units can't be fed. `exact` tells whether
+    `reasons` say why each of the other targets is given up. `exact` tells whether
     it is proven that no better set of targets can be met; `undecided` are the open pairs of tags that this, or the
     bound of the plan, hangs on. The plan has no change set only if it was stopped too early, or if not even the pinned
     units can be kept at the largest cost.
@@ -39,8 +39,7 @@ class BestEffort:
     @property
     def given_up(self) -> Mapping[str, str]:
         """Why each of the targets is given up that are, by label."""
-        kept = self.problem.environment
-        return {label: why for label, why in self.plan.reasons.items() if label not in kept.unit}
+        return self.plan.reasons
 
 
 def best_effort(
@@ -68,7 +67,9 @@ def best_effort(
     search.run()
     if search.is_over:
         search.look_at_what_runs()
-    plan = replace(search.best_plan(), reasons=pinned_reasons(problem) | impossible | search.why_given_up())
+    plan = replace(
+        search.best_plan(), reasons=impossible | search.why_given_up(), stopped_pinned=pinned_reasons(problem)
+    )
     met = only_targets(problem, {target.label for target in search.best})
     return BestEffort(plan, met, search.is_exact, tuple(sorted(search.undecided)))
 

@@ -78,6 +78,9 @@ class PlanPart(_Part):
     undecided: list[tuple[str, str]] = Field(
         default=[], description="pairs of tags (offered, demanded) that nobody has decided and the bound hangs on"
     )
+    stopped_pinned: dict[str, str] = Field(
+        default={}, description="why a pinned unit can't be fed and is stopped, by its id"
+    )
     seconds: dict[str, Any] = Field(default={}, description="wall time of each phase")
     counts: dict[str, int] = Field(default={}, description="the planner's own figures")
     survive: Literal["units", "hosts"] | None = Field(default=None, description="single failures that it bears")
@@ -117,6 +120,7 @@ def plain_plan(plan: Plan, problem: Problem, digest: str) -> dict[str, Any]:
         "ties_proven": plan.ties_proven,
         "required_proven": plan.required_proven,
         "undecided": [list(pair) for pair in plan.undecided],
+        "stopped_pinned": dict(plan.stopped_pinned),
         "seconds": dict(plan.seconds),
         "counts": dict(plan.counts),
         **_beyond_the_paper(plan, problem),
@@ -219,6 +223,7 @@ def _plan(part: PlanPart) -> Plan:
         part.ties_proven,
         part.required_proven,
         tuple(part.undecided),
+        part.stopped_pinned,
         _floats(part.seconds),
         part.counts,
     )

@@ -12,7 +12,7 @@ are merged from the root down. It is faithful, so that it can be compared, and k
   stand below itself, except below a feedback input, where it points at the one above.
 * Distinct groups and required transformations are unknown to it. A plan that breaks a rule is not
   given out: the status is unknown and the reasons hold the judge's words.
-* It proves no bound but 0. Pinned units are further children of the root.
+* It proves no bound but 0. Pinned units that can be fed are further children of the root.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from dataclasses import dataclass, field
 from cfgplan.costs import keep_cost_us, start_cost_us
 from cfgplan.domain import ComputationUnit, Publication, Stream, Subscription, Transformation
 from cfgplan.planning import Plan, Problem, Progress, Status, fresh_unit_ids, refuse_notions
-from cfgplan.reasons import unmet_reasons
+from cfgplan.reasons import Givers, startable, unmet_reasons
 from cfgplan.validity import plan_violations
 
 
@@ -105,16 +105,18 @@ class Tree:
         self._rows: dict[str, list[tuple[Transformation, ComputationUnit | None]]] = {}
 
     def explore(self) -> Node:
-        """The root with the best option of every target (and pinned unit) that was completed."""
+        """The root with the best option of every target (and pinned unit that can be fed) that was completed."""
         root = Node()
         queue: deque[Node] = deque()
         for target in self.problem.environment.targets:
             node = Node(root, len(root.slots), slots=[(target.topic, target.tag, False)])
             root.slots.append((target.topic, target.tag, False))
             queue.append(node)
-        for unit in self.problem.environment.units:
+        environment = self.problem.environment
+        possible = startable(environment, Givers(environment.library, self.problem.similarity))
+        for unit in environment.units:
             transformation = self.library.get(unit.transformation)
-            if transformation is not None and transformation.pinned:
+            if transformation is not None and transformation.pinned and unit.transformation in possible:
                 root.slots.append(("", "", False))
                 self.add_option(root, len(root.slots) - 1, transformation, unit, queue)
         while queue and (self.deadline is None or time.monotonic() < self.deadline):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from cfgplan.domain import Environment
+from cfgplan.domain import ComputationUnit, Environment, Transformation
 from cfgplan.errors import InvalidValueError
 from cfgplan.planning import Plan, Problem, Status
 from cfgplan.validity.environments import violations
@@ -83,13 +83,29 @@ def _bad_change_set(before: Environment, plan: Plan, after: Environment) -> Iter
             yield Violation(Rule.CONSISTENT, text, unit.id)
 
 
-def _dropped_pinned_units(problem: Problem, plan: Plan, after: Environment) -> Iterator[Violation]:
-    dropped = [
+def silent_stops(problem: Problem, plan: Plan) -> list[Violation]:
+    """The pinned units that a plan stops and does not say why; planners need not say it, what is handed out has to."""
+    if plan.change_set is None:
+        return []
+    dropped = _dropped_pinned(problem.environment, problem.environment.update(plan.change_set))
+    return [
+        Violation(Rule.PINNED, f"unit {unit.id} is pinned, and it is not said why it is stopped", unit.id)
+        for unit, _ in dropped
+        if unit.id not in plan.stopped_pinned
+    ]
+
+
+def _dropped_pinned(before: Environment, after: Environment) -> list[tuple[ComputationUnit, Transformation]]:
+    return [
         (unit, transformation)
-        for unit, transformation in known_units(problem.environment)
+        for unit, transformation in known_units(before)
         if transformation.pinned and unit.id not in after.unit and not unit.standby
         if not after.hosts or unit.host in after.hosts_for(transformation)
     ]
+
+
+def _dropped_pinned_units(problem: Problem, plan: Plan, after: Environment) -> Iterator[Violation]:
+    dropped = _dropped_pinned(problem.environment, after)
     similarity = problem.similarity.optimistic if plan.status is Status.OPTIMAL else problem.similarity
     possible = startable(problem.environment, similarity) if dropped else set()
     for unit, transformation in dropped:

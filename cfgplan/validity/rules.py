@@ -23,7 +23,7 @@ class Rule(StrEnum):
     APART = "units of transformations that conflict are not there together"
     INSTANCES = "of each transformation as many units run as it asks for and allows"
     SURVIVES = "no single failure leaves a target without a stream"
-    PINNED = "a running unit of a pinned transformation is kept where it can be fed"
+    PINNED = "a running unit of a pinned transformation is kept where it can be fed, and not stopped without a reason"
     REQUIRED = "a plan says which required transformations it leaves unused"
     CONSISTENT = "a change set can be applied and says exactly what changes"
     COST = (

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from command import Run
+
+import cfgplan
+from cfgplan.errors import InputError
 
 SIM = """
 transformations:
@@ -24,6 +28,7 @@ WHY = "pinned unit sim.1 can't be fed: its input cmd wants CmdVel, but no output
     ("text", "options"),
     [
         (SIM, ("--planner", "cpsat")),
+        (SIM, ("--planner", "branch-and-bound")),
         (SIM, ("--planner", "branch-and-bound-shared")),
         (SIM, ("--planner", "exhaustive")),
         (SIM, ("--best-effort",)),
@@ -41,7 +46,7 @@ def test_every_planner_says_why_a_pinned_unit_is_stopped_and_what_comes_nearest(
     assert "warning: pinned unit sim.1 is stopped, since it can't be fed" in result.err
     assert "input cmd wants CmdVel" in result.err
     assert "nearest: sim/clock gives Clock" in result.err
-    assert run("solve", write(text), *options, "--json").document["reasons"] == {"sim.1": WHY}
+    assert run("solve", write(text), *options, "--json").document["stopped_pinned"] == {"sim.1": WHY}
 
 
 def test_explain_tells_why_a_pinned_unit_can_not_be_fed(run: Run, write: Callable[[str], Path]) -> None:
@@ -57,3 +62,26 @@ def test_a_pinned_unit_that_can_be_fed_goes_on_without_a_word(run: Run, write: C
     result = run("solve", write(fed))
     assert "~ rewire  sim.1" in result.out
     assert "pinned" not in result.out + result.err
+
+
+def test_a_plan_file_that_stops_a_pinned_unit_without_a_word_is_refused(
+    run: Run, write: Callable[[str], Path], tmp_path: Path
+) -> None:
+    env, out = write(SIM), tmp_path / "plan.json"
+    assert run("solve", env, "--out", out).code == 0
+    world = cfgplan.load(env)
+    problem = cfgplan.problem(world, cfgplan.match(world).similarity)
+    assert cfgplan.load_plan(world, problem, out).stopped_pinned == {"sim.1": WHY}
+    data = json.loads(out.read_text())
+    out.write_text(json.dumps({**data, "stopped_pinned": {}}))
+    with pytest.raises(InputError, match=r"sim\.1 is pinned, and it is not said why"):
+        cfgplan.load_plan(world, problem, out)
+
+
+def test_a_pinned_unit_and_a_target_of_one_name_have_their_own_reasons(run: Run, write: Callable[[str], Path]) -> None:
+    text = SIM.replace("]\n", ", {label: sim.1, topic: /u, tag: Nothing}]\n")
+    result = run("solve", write(text), "--best-effort")
+    assert result.code == 12
+    assert f"Stopped, though pinned: {WHY}." in result.out
+    assert "Given up: 1 of 2 targets." in result.out
+    assert "target sim.1 wants Nothing, but no output matches" in result.out
