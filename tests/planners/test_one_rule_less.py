@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from math import inf
@@ -9,7 +10,7 @@ from math import inf
 from fleets import fleets
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_against_the_oracle import fewer
+from test_against_the_oracle import EXAMPLES, many
 from worlds import problems
 
 from cfgplan.domain import Transformation
@@ -49,14 +50,15 @@ def with_less_wanted(problem: Problem) -> Iterator[tuple[str, Problem]]:
 
 
 def with_less_forbidden(problem: Problem) -> Iterator[tuple[str, Problem]]:
-    """Each problem with one rule less: distinct inputs, conflicts, numbers, hosts, a bound, a limit, failures."""
+    """Each problem with one rule less: distinct inputs, conflicts, a number, hosts, a bound, a limit, failures."""
     environment = problem.environment
     for i, t in enumerate(environment.library):
         apart = replace(t, inputs=tuple(replace(port, distinct=None) for port in t.inputs))
         for name, freer in {
             "distinct": apart,
             "conflicts": replace(t, conflicts=()),
-            "instances": replace(t, min_instances=0, max_instances=None),
+            "least number": replace(t, min_instances=0),
+            "most": replace(t, max_instances=None if t.max_instances is None else t.max_instances + 1),
             "hosts": replace(t, host=None, hosts=()),
         }.items():
             if freer != t:
@@ -72,10 +74,16 @@ def with_less_forbidden(problem: Problem) -> Iterator[tuple[str, Problem]]:
         if hosts != environment.hosts:
             yield f"{host.name} without limits", replace(problem, environment=replace(environment, hosts=hosts))
     if problem.survive is not None:
-        yield "without failures", replace(problem, survive=None)
+        # Two new units of each are allowed where failures are to be survived: so they have to be without them.
+        there = Counter(unit.transformation for unit in environment.units)
+        as_many = [
+            t if t.max_instances is not None else replace(t, max_instances=2 + there[t.label])
+            for t in environment.library
+        ]
+        yield "without failures", replace(with_library(problem, as_many), survive=None)
 
 
-@settings(fewer, max_examples=40)
+@settings(many, max_examples=EXAMPLES // 10)
 @given(ANY)
 def test_without_required_ones_a_target_or_a_pin_nothing_is_dearer(problem: Problem) -> None:
     free = without(problem, "required")
@@ -85,7 +93,7 @@ def test_without_required_ones_a_target_or_a_pin_nothing_is_dearer(problem: Prob
     assert not dearer
 
 
-@settings(fewer, max_examples=40)
+@settings(many, max_examples=EXAMPLES // 10)
 @given(ANY)
 def test_without_a_rule_that_forbids_something_nothing_is_dearer(problem: Problem) -> None:
     """Nothing is pinned: units that can't be fed are let go, and may have to go on where less is forbidden."""
