@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import numpy
@@ -58,3 +61,20 @@ class Ages:
             return None
         ages, self.ages = self.ages, []
         return [len(ages), sorted(ages)[len(ages) // 2], sorted(ages)[len(ages) * 99 // 100], time.monotonic_ns()]
+
+
+class SameWithHeir:
+    """Gives what it gets; on a wish, it leaves a process of a session of its own behind, for some seconds."""
+
+    def __init__(self) -> None:
+        self._wish = Path(os.environ["CFGPLAN_SOAK_HEIR"])
+
+    def __call__(self, x: Any) -> Any:
+        if self._wish.exists():
+            with suppress(FileNotFoundError):
+                self._wish.unlink()
+                if os.fork() == 0:
+                    os.setsid()
+                    time.sleep(5)
+                    os._exit(0)
+        return x

@@ -3,7 +3,8 @@
 python experiments/runtime/soak.py --faults 1000
 
 Checks: elements are lost only while something was killed, never by a swap or an undone update; none comes twice or
-out of order; no process, descriptor or file is left over; the supervisor's memory stays flat.
+out of order; no process, descriptor or file is left over; the supervisor's memory stays flat. Among the faults are
+stalls of the supervisor, forks that fail, and units that leave a process behind that holds their sockets open.
 """
 
 from __future__ import annotations
@@ -12,7 +13,9 @@ import argparse
 import os
 import random
 import signal
+import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections import Counter
@@ -20,6 +23,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 
+import preloaded
 import psutil
 from cfgplan_runtime import ApplyError, Received, Runtime, StaleChangeSetError, subscribe
 from cfgplan_runtime.supervision.events import OutletsLost, UnitDied
@@ -40,7 +44,7 @@ from cfgplan.domain import (
 LIBRARY = (
     Transformation("count", (), (OutputPort("n", "N"),), source="measured_units.py:count", run=RunOptions(rate_hz=200)),
     *(
-        Transformation(label, (InputPort("x", "N"),), (OutputPort("y", "N"),), source="measured_units.py:same")
+        Transformation(label, (InputPort("x", "N"),), (OutputPort("y", "N"),), source="measured_units.py:SameWithHeir")
         for label in ("first", "second")
     ),
     Transformation("bad", (InputPort("x", "N"),), (OutputPort("y", "N"),), source="measured_units.py:FailsToStart"),
@@ -85,8 +89,11 @@ class Soak:
                 self.kill_in_update,
                 self.kill_outlets,
                 self.kill_nursery,
+                self.stall,
+                self.failing_fork,
+                self.kill_with_heirs,
             ],
-            [40, 20, 10, 20, 6, 3, 1],
+            [40, 20, 10, 20, 6, 3, 1, 1, 5, 4],
         )[0]
         self.done[deed.__name__] += 1
         kills = len(self.kills_ns)
@@ -120,6 +127,41 @@ class Soak:
         self._replace({label})
         self.kills_ns.append((begin, time.time_ns()))
         self.mended_ms.append((time.time_ns() - begin) / 1e6)
+
+    def stall(self) -> None:
+        """Stop this process, supervisor, consumer and all, for longer than a round takes: nobody is taken for hung."""
+        me = os.getpid()
+        subprocess.run(["sh", "-c", f"(kill -STOP {me}; sleep 1.5; kill -CONT {me}) &"], check=True)
+        time.sleep(0.3)
+
+    def failing_fork(self) -> None:
+        """An update for which no process can be made is undone."""
+        full = Path(os.environ[preloaded.FULL])
+        full.touch()
+        try:
+            self.runtime.apply(
+                ChangeSet(started=(ComputationUnit("first.0", "first", self.unit("first").subscriptions),))
+            )
+        except ApplyError:
+            return
+        finally:
+            full.unlink()
+        raise AssertionError("a unit was started though no process can be made")
+
+    def kill_with_heirs(self) -> None:
+        """Kill units after one of them has left a process behind that holds its sockets open."""
+        wish = Path(os.environ[preloaded.HEIR])
+        wish.touch()
+        deadline = time.monotonic() + 30
+        while wish.exists():
+            assert time.monotonic() < deadline, "no unit leaves an heir"
+            time.sleep(0.005)
+        for label in ("first", "second"):
+            begin = time.time_ns()
+            os.kill(self.runtime.pid(self.name(label)) or 0, signal.SIGKILL)
+            self._await_death(self.name(label))
+            self._replace({label})
+            self.kills_ns.append((begin, time.time_ns()))
 
     def kill_in_update(self) -> None:
         """Kill what is being replaced, at some moment of the update."""
@@ -205,7 +247,10 @@ def soak(faults: int, seed: int) -> dict[str, object]:
     received: list[Received] = []
     before = set(me.children(recursive=True))
     descriptors_outside = me.num_fds()
-    with Runtime(LIBRARY, [Target("t", "N", "/result")], folder=Path(__file__).parent) as runtime:
+    here, notes = Path(__file__).parent, Path(tempfile.mkdtemp())
+    os.environ["PYTHONPATH"] = os.pathsep.join([str(here), *sys.path])
+    os.environ |= {preloaded.FULL: str(notes / "full"), preloaded.HEIR: str(notes / "heir")}
+    with Runtime(LIBRARY, [Target("t", "N", "/result")], folder=here, preload=["preloaded"]) as runtime:
         run = Soak(runtime, random.Random(seed))
         run.begin()
         subscription = subscribe("/result", run=runtime.id)
