@@ -9,7 +9,6 @@ from cfgplan.planners.cpsat.prepared import Prepared
 from cfgplan.planners.cpsat.search import Search as PlainSearch
 from cfgplan.planners.cpsat.standing import Standing as PlainStanding
 from cfgplan.planners.fleet.candidates import Candidates
-from cfgplan.planners.fleet.first_plans import FirstPlans
 from cfgplan.planners.fleet.flat import Flat
 from cfgplan.planners.fleet.flat_search import FlatSearch
 from cfgplan.planners.fleet.flatness import is_flat
@@ -32,11 +31,11 @@ def plain_search(problem: Problem) -> PlainSearch:
     return PlainSearch(standing, prepared, Grounding.CUTS)
 
 
-def fleet_search(problem: Problem) -> FleetSearch:
-    """A search in the model in which every possible subscription has a boolean, from nothing."""
-    candidates, standing = Candidates(problem), FleetStanding(problem, Clock(), None)
+def fleet_search(problem: Problem, *, is_apart: bool = False) -> FleetSearch:
+    """A search in the model of who feeds whom, from nothing; with `is_apart` every subscription has a boolean."""
+    standing = FleetStanding(problem, Clock(), None)
     standing.counts = {"conflicts": 0}
-    return FleetSearch(candidates, standing, FirstPlans(candidates, standing))
+    return FleetSearch(Candidates(problem), standing, is_apart=is_apart)
 
 
 def flat_search(problem: Problem) -> FlatSearch:

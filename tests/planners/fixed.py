@@ -27,7 +27,6 @@ from cfgplan.domain import (
 from cfgplan.planners.cpsat.symmetry import one_of_those_alike_is_enough
 from cfgplan.planners.fleet.anywhere import Anywhere as WithoutHosts
 from cfgplan.planners.fleet.candidates import Candidates
-from cfgplan.planners.fleet.decode import solution
 from cfgplan.planners.fleet.flat import Flat as Labels
 from cfgplan.planners.fleet.flat import Met
 from cfgplan.planners.fleet.flat_decode import decoded
@@ -182,11 +181,13 @@ class WithoutTwins(Plain):
         return self.model.cp
 
 
-class Fleet(Fixed):
-    """The model in which every possible subscription has a boolean."""
+class Hubs(Fixed):
+    """The model of a fleet in which inputs share what meets them wherever they can."""
+
+    is_apart = False
 
     def build(self) -> CpModel:
-        self.search = fleet_search(self.problem)
+        self.search = fleet_search(self.problem, is_apart=self.is_apart)
         self.candidates = self.search.model.candidates
         self.model = self.search.model
         return self.model.cp
@@ -196,27 +197,36 @@ class Fleet(Fixed):
         if fact.kind == "uses":
             return [model.uses_required[label] for label in fact.of if label in model.uses_required]
         unit = index_of.get(fact.of[0], -1)
-        states = {"runs": model.runs, "waits": model.waits, "rewired": model.rewired}
+        kept = {i: wired for i, wired in model.is_wired.items() if self.candidates.all[i].running is not None}
+        states = {"runs": model.runs, "waits": model.waits, "rewired": kept}
         if fact.kind in states:
             return [states[fact.kind][unit]] if unit in states[fact.kind] else []
         if fact.kind == "on":
-            return [there for host, there in model.is_on[unit].items() if host == fact.of[1]]
+            places = (model.runs_on[unit], model.waits_on[unit])
+            return [there for on in places for host, there in on.items() if host == fact.of[1]]
         if fact.kind == "publishes":
-            topic = self.problem.environment.target[fact.of[1]].topic
-            return _from(fact.of[0], model.publishes[topic])
+            return _from(fact.of[0], model.publishes[fact.of[1]])
         fed, port = fact.of[1].split("/")
         return _from(fact.of[0], model.connects[index_of[fed], port])
 
     def is_one(self, solver: CpSolver) -> bool:
-        missed = self.search.survival.missed(solution(self.model, solver.boolean_value))
-        self.search.survival.demand(self.model, missed)
-        return not missed
+        true = self.search.true_of(solver.boolean_value)
+        if self.search.consider(true) is not None:
+            return True
+        self.search.forbid(true)
+        return False
 
     def cost(self) -> LinearExprT:
         return self.model.cost()
 
     def changes(self) -> LinearExprT:
         return self.model.changes()
+
+
+class Fleet(Hubs):
+    """The model of a fleet in which every possible subscription has a boolean."""
+
+    is_apart = True
 
 
 class Flat(Fixed):

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import pytest
-from fixed import Anywhere, Fixed, Flat, Fleet, kind, on, publishes, runs, unit, waits, world
+from fixed import Anywhere, Fixed, Flat, Fleet, Hubs, kind, on, publishes, runs, unit, waits, world
 
 from cfgplan.domain import Host, OutputPort, Target, Transformation
 from cfgplan.planning import Failures, Problem
 from cfgplan.qualities import MICRO, Better, Contribution, Over, QualityAttribute, Rule, Wish
 
-every_model = pytest.mark.parametrize("model", [Fleet, Flat])
+every_model = pytest.mark.parametrize("model", [Fleet, Flat, Hubs])
 
 TWO = (Host("h0"), Host("h1"))
 STREAM = OutputPort("x", "", (), 1_000_000, 1_000_000)  # a megabyte each second

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from unittest.mock import patch
 
 import pytest
+from fixed import Hubs, kind, runs, world
 from fleets import fleets
 from hypothesis import assume, given, settings
 from test_fleets_against_the_oracle import EXAMPLES, agree_with_the_explicit_model, some
@@ -79,3 +80,23 @@ def test_a_dearer_unit_on_the_target_s_host_beats_a_cheap_one_and_a_transfer() -
     assert found.cost_us == 30
     assert found.change_set is not None
     assert {unit.transformation[:4] for unit in found.change_set.started} == {"near", "sink"}
+
+
+def test_what_nothing_grounds_on_any_host_is_cut_by_who_has_to_run() -> None:
+    """Two units could feed each other from any hosts; only `s` starts from nothing."""
+    output = OutputPort("x", "", rate_uhz=1_000_000, size_bytes=1_000_000)
+    library = (
+        kind("s", gives="A", labor_us=90, output=output),
+        kind("t", "A", "B", output=output),
+        kind("u", "B", "A", output=output),
+    )
+    hosts = (Host("h0"), Host("h1"), Host("h2"))
+    target = Target("B", "B", "/B", host="h0")
+    fixed = Hubs(world((target,), *library, hosts=hosts, transfer_us=1))
+    fixed.build()
+    model, s = fixed.model, fixed.candidates.index_of["s.1"]
+    true = {literal.index for literal in model.literals} - {model.runs[s].index}
+    unfounded, ways_in = model.anywhere.cut(true, model.anywhere.grounded(true))
+    assert len(unfounded) == 2
+    assert ways_in == [model.runs[s].index]
+    assert not fixed.allows(runs("t.1"), runs("u.1"), ~runs("s.1"))

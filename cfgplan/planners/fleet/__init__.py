@@ -1,7 +1,7 @@
 """The exact planner for what the paper leaves to the future: quality, hosts, conflicts, instances, spares.
 
 First plans are made without search. Where it does not matter who feeds whom, landmarks and a model of what is
-where prove the cost; all else is one model in which every possible subscription has a boolean.
+where prove the cost; all else is a model in which inputs are told apart where they have to be.
 """
 
 from __future__ import annotations
@@ -81,8 +81,8 @@ def _bring_forward(standing: Standing, without_hosts: InterruptiblePlanner) -> N
 
 
 def _search(candidates: Candidates, standing: Standing, first: FirstPlans, without_hosts: InterruptiblePlanner) -> None:
-    """The fast way where it is exact; what it leaves open, and all else, in the explicit model."""
-    problem, clock = candidates.problem, standing.clock
+    """The fast way where it is exact; what it leaves open, and all else, in the model of who feeds whom."""
+    clock = standing.clock
     clock.check()
     if is_flat(candidates):
         search = _solve_flat(candidates, standing, first, without_hosts)
@@ -91,16 +91,17 @@ def _search(candidates: Candidates, standing: Standing, first: FirstPlans, witho
         if search is None or standing.are_ties_proven or standing.is_infeasible or clock.is_over():
             return
         if standing.is_cost_proven:
-            candidates = Candidates(problem, search.left(), clock.check, candidates)
-            first = FirstPlans(candidates, standing)
-    from cfgplan.planners.fleet.kernels import look_among_few_explicitly
+            candidates = candidates.among(search.left())
+    from cfgplan.planners.fleet.kernels import left_by_bounds, look_among_few_of
     from cfgplan.planners.fleet.search import Search
 
     if not standing.is_cost_proven:
-        look_among_few_explicitly(candidates, standing, first)
-    explicit = Search(candidates, standing, first)
+        look_among_few_of(candidates, standing, first)
+    left = left_by_bounds(candidates, standing)
+    clock.end("bounds")
+    search_for_all = Search(candidates.among(left.labels), standing, landmarks=left.landmarks)
     clock.end("model")
-    explicit.run()
+    search_for_all.run()
 
 
 def _solve_flat(

@@ -66,6 +66,10 @@ class Anywhere:
         for number, (givers, is_met) in enumerate(zip(self._givers, met, strict=True)):
             first = [there[n] for n in givers if number not in self._needs[n]]
             cp.add_bool_or([is_met.negated(), *first])
+            model.anywhere.rests_on_any(is_met.index, [unit.index for unit in first])
+        for needs, is_there in zip(self._needs, there, strict=True):
+            model.anywhere.rests_on_all(is_there.index, [met[fact_number].index for fact_number in needs])
+        model.units_anywhere += [*there, *met]
         labels = self.bound.core.labels
         for landmark, weight in zip(self.bound.landmarks, self.bound.weights, strict=True):
             if weight:

@@ -10,9 +10,13 @@ from functools import cached_property
 from cfgplan.costs import keep_cost_us, standby_cost_us, start_cost_us
 from cfgplan.domain import ComputationUnit, Environment, Stream, Transformation
 from cfgplan.planners.networks.network import Network
+from cfgplan.planners.networks.site import may_stay
 from cfgplan.planning import Problem, fresh_units
 from cfgplan.qualities import QualityAttribute, worst_allowed
 from cfgplan.reasons import Givers, startable
+
+Host = str | None
+"""Where something is; None where there are no hosts, or on no host in particular."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +29,7 @@ class Candidate:
     id: str
     transformation: Transformation
     running: ComputationUnit | None
-    hosts: tuple[str | None, ...]
+    hosts: tuple[Host, ...]
     may_run: bool
     may_wait: bool
     cost_us: int
@@ -68,6 +72,7 @@ class Candidates:
         self.all = tuple(found)
         self.index_of = {candidate.id: i for i, candidate in enumerate(self.all)}
         self._streams: dict[str, tuple[Stream, ...]] = {}
+        self._useless: set[tuple[str, Stream]] = set()
         self.bounds = {
             (target.label, wish.attribute): worst_allowed(problem.environment.quality[wish.attribute], wish)
             for target in problem.environment.targets
@@ -83,6 +88,17 @@ class Candidates:
             watch()
             self._by_label[candidate.transformation.label].append(candidate)
         self._is_closed = among is None and len(self._by_label) == len(labels)
+
+    def among(self, labels: Collection[str]) -> Candidates:
+        """Those of some transformations, with what is known of quality."""
+        part = Candidates(self.problem, labels, self.watch, self)
+        part.bounds, part._useless = dict(self.bounds), set(self._useless)
+        return part
+
+    @property
+    def labels(self) -> Collection[str]:
+        """The transformations that there are candidates of."""
+        return self._by_label.keys()
 
     @cached_property
     def network(self) -> Network:
@@ -126,17 +142,31 @@ class Candidates:
                 if candidate.may_run
                 for port in candidate.transformation.outputs
                 if self.problem.similarity.holds(port.tag, tag)
+                and (tag, Stream(candidate.id, port.name)) not in self._useless
             )
         return self._streams[tag]
 
     def leave_out(self, useless: Collection[tuple[str, Stream]]) -> None:
         """Streams that no plan uses where a tag is demanded."""
-        for tag in {tag for tag, _ in useless}:
-            self._streams[tag] = tuple(stream for stream in self.streams(tag) if (tag, stream) not in useless)
+        self._useless.update(useless)
+        for tag, _ in useless:
+            self._streams.pop(tag, None)
 
     def feeders(self, tag: str) -> list[int]:
         """The candidates that have such a stream, each once."""
         return sorted({self.index_of[stream.unit] for stream in self.streams(tag)})
+
+    def may_stay(self, index: int) -> bool:
+        """Whether a running unit's wiring is valid as far as it can tell by itself: see `networks.site`."""
+        unit = self.all[index].running
+        if unit is None or not self.all[index].may_run or not may_stay(self.problem, self._by_label, unit):
+            return False
+        inputs = self.all[index].transformation.input
+        tag_of = {target.topic: target.tag for target in self.environment.targets}
+        wanted = [(s.stream, inputs[s.port].tag) for s in unit.subscriptions]
+        wanted += [(Stream(unit.id, p.port), tag_of[p.topic]) for p in unit.publications]
+        feeds_itself = any(s.stream.unit == unit.id and not inputs[s.port].feedback for s in unit.subscriptions)
+        return not feeds_itself and all(stream in self.streams(tag) for stream, tag in wanted)
 
     def is_asked_for(self, index: int) -> bool:
         """Whether the candidate has to run or its transformation asks for a number of units."""

@@ -1,46 +1,125 @@
-"""From a solution to units: named, wired, and without what nothing needs."""
+"""From a solution to units: wired, named, and without what nothing needs."""
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable
+from collections import Counter, defaultdict
+from collections.abc import Collection, Iterable
 from dataclasses import replace
 
-from ortools.sat.python.cp_model import IntVar
-
-from cfgplan.domain import ComputationUnit, Publication, Stream, Subscription
-from cfgplan.planners.fleet.candidates import Candidates
+from cfgplan.domain import ComputationUnit, InputPort, Publication, Stream, Subscription, Target
+from cfgplan.planners.fleet.candidates import Candidates, Host
 from cfgplan.planners.fleet.model import Model
 from cfgplan.planners.fleet.survivors import can_do_without
-from cfgplan.planning import Problem, fresh_units
+from cfgplan.planning import Notion, Problem, fresh_units
+
+MAY_RUN_FOR_NOBODY = {Notion.SURVIVAL, Notion.INSTANCES}
 
 
-def solution(model: Model, holds: Callable[[IntVar], bool]) -> list[ComputationUnit]:
-    """The units of a solution as they stand."""
-    return [unit for i, there in model.is_there.items() if holds(there) for unit in [_unit(model, i, holds)]]
+def decode(model: Model, true: Collection[int]) -> list[ComputationUnit] | None:
+    """The units of a solution that something may need, wired; None if one that is needed is not grounded.
+
+    `true` holds the indices of the true booleans. Units keep the streams they have wherever these are still there.
+    """
+    return _Decoding(model, true).units()
 
 
-def decode(model: Model, units: list[ComputationUnit]) -> list[ComputationUnit]:
-    """The lean configuration of a solution that survives what it has to; it costs no more than the solution says."""
-    return named(model.candidates, lean(model.candidates, units))
+class _Decoding:
+    def __init__(self, model: Model, true: Collection[int]) -> None:
+        self.model, self.true = model, true
+        self.candidates = model.candidates
+        self.rank = model.support.grounded(true)
+        self.host_of: dict[int, Host] = {
+            i: host for i, places in model.runs_on.items() for host, on in places.items() if on.index in self.rank
+        }
 
+    def units(self) -> list[ComputationUnit] | None:
+        model, all_of = self.model, self.candidates.all
+        topics: dict[int, list[Publication]] = defaultdict(list)
+        for target in model.environment.targets:
+            stream = self._published(target)
+            if stream is None:
+                return None
+            topics[model.unit_of(stream)].append(Publication(stream.port, target.topic))
+        ahead = sorted({*topics, *filter(self.candidates.is_pinned, model.runs)})
+        if MAY_RUN_FOR_NOBODY & model.problem.notions:
+            ahead += sorted(self.host_of.keys() - set(ahead))
+        found: dict[int, ComputationUnit] = {}
+        for i in ahead:
+            if i in found:
+                continue
+            streams = {port.name: self._fed(i, port) for port in all_of[i].transformation.inputs}
+            if i not in self.host_of or None in streams.values():
+                return None
+            subscriptions = tuple(Subscription(name, stream) for name, stream in streams.items() if stream is not None)
+            label = all_of[i].transformation.label
+            found[i] = ComputationUnit(all_of[i].id, label, subscriptions, tuple(topics[i]), self.host_of[i])
+            ahead += [model.unit_of(s.stream) for s in subscriptions]
+        if not self._are_enough(found):
+            return None
+        return [*found.values(), *self._spares()]
 
-def _unit(model: Model, index: int, holds: Callable[[IntVar], bool]) -> ComputationUnit:
-    candidate = model.candidates.all[index]
-    host = next(host for host, is_on in model.is_on[index].items() if holds(is_on))
-    if index not in model.runs or not holds(model.runs[index]):
-        return ComputationUnit(candidate.id, candidate.transformation.label, host=host, standby=True)
-    subscriptions = tuple(
-        Subscription(port.name, next(s for s, c in model.connects[index, port.name].items() if holds(c)))
-        for port in candidate.transformation.inputs
-    )
-    publications = tuple(
-        Publication(stream.port, topic)
-        for topic, choices in model.publishes.items()
-        for stream, publishes in choices.items()
-        if stream.unit == candidate.id and holds(publishes)
-    )
-    return ComputationUnit(candidate.id, candidate.transformation.label, subscriptions, publications, host)
+    def _spares(self) -> list[ComputationUnit]:
+        all_of = self.candidates.all
+        return [
+            ComputationUnit(all_of[i].id, all_of[i].transformation.label, host=host, standby=True)
+            for i, places in self.model.waits_on.items()
+            for host, waits in places.items()
+            if waits.index in self.true
+        ]
+
+    def _are_enough(self, units: Collection[int]) -> bool:
+        """Whether as many units are grounded of each transformation as it asks for."""
+        running = Counter(self.candidates.all[i].transformation.label for i in units)
+        return all(running[t.label] >= t.min_instances for t in self.model.environment.library)
+
+    def _published(self, target: Target) -> Stream | None:
+        model = self.model
+        choices = model.publishes[target.label]
+        taken = [stream for stream, publishes in choices.items() if publishes.index in self.true]
+        if taken:
+            return self._as_published(taken[0], target) if model.unit_of(taken[0]) in self.host_of else None
+        there = [s for s in model.choices(target.tag) if s not in choices and self._place(s, target.host) is not None]
+        return min(there, key=model.unit_of, default=None)
+
+    def _as_published(self, stream: Stream, target: Target) -> Stream:
+        """The stream of the unit that is on the topic already, if it matches and it does not matter which."""
+        running = self.candidates.all[self.model.unit_of(stream)].running
+        if running is None or self.model.tells_ports:
+            return stream
+        streams = self.candidates.streams(target.tag)
+        old = [Stream(running.id, p.port) for p in running.publications if p.topic == target.topic]
+        return next((one for one in old if one in streams), stream)
+
+    def _fed(self, unit: int, port: InputPort) -> Stream | None:
+        """The stream by which an input is fed; the one it has already if that is there."""
+        model, host = self.model, self.host_of.get(unit)
+        running = self.candidates.all[unit].running
+        old = None if running is None else running.feeds.get(port.name)
+        if (unit, port.name) in model.connects:
+            taken = [s for s, connected in model.connects[unit, port.name].items() if connected.index in self.true]
+            return self._same_unit(old, taken[0], port.tag) if taken else None
+        if unit in model.stays and model.stays[unit].index in self.true and old is not None:
+            return old if self._place(old, host) is not None else None
+        limit = len(self.rank) if port.feedback else self._wired_at(unit)
+        there = [s for s in model.choices(port.tag) if (place := self._place(s, host)) is not None and place < limit]
+        same = [s for s in there if old is not None and s.unit == old.unit]
+        if old in same or (same and not model.tells_ports and old in self.candidates.streams(port.tag)):
+            return old
+        return there[0] if there else None
+
+    def _wired_at(self, unit: int) -> int:
+        """The place in the order of derivation at which a unit is wired: what feeds it comes before."""
+        return max((self.rank.get(wired.index, 0) for wired in self.model.wired_on(unit).values()), default=0)
+
+    def _same_unit(self, old: Stream | None, taken: Stream, tag: str) -> Stream:
+        """The old stream if it is of the same unit, matches too and it does not matter which."""
+        is_old = old is not None and not self.model.tells_ports and old.unit == taken.unit
+        return old if is_old and old is not None and old in self.candidates.streams(tag) else taken
+
+    def _place(self, stream: Stream, host: Host) -> int | None:
+        """The place in the order of derivation at which a stream is there on a host."""
+        ways = [self.rank[way.index] for way in self.model.known_ways(stream, host) if way.index in self.rank]
+        return min(ways, default=None)
 
 
 def lean(candidates: Candidates, units: Collection[ComputationUnit]) -> list[ComputationUnit]:

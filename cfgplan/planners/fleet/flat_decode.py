@@ -43,7 +43,7 @@ def decoded(model: FlatModel, holds: Callable[[IntVar], bool]) -> list[Computati
 
 def true_of(model: FlatModel, holds: Callable[[IntVar], bool]) -> set[int]:
     """The indices of the booleans that hold, but for those that support nothing."""
-    literals = [*model.uses, *model.holds.values()]
+    literals = [*model.uses, *model.holds.values(), *model.units_anywhere]
     literals += [feeds for choices in model.feeds.values() for feeds in choices.values()]
     return {literal.index for literal in literals if holds(literal)}
 

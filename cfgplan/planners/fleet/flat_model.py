@@ -21,6 +21,9 @@ class FlatModel:
         self.environment = flat.candidates.environment
         self.cp = CpModel()
         self.support = Support()
+        self.anywhere = Support()
+        self.units_anywhere: list[IntVar] = []
+        """The same with hosts forgotten, filled by `anywhere`: cuts are fewer and stronger there."""
         self.uses = [self._boolean() for _ in flat.labels]
         self.holds = {fact: self._boolean() for fact in flat.facts}
         self.feeds: dict[Fact, dict[tuple[int, Stream], IntVar]] = {}

@@ -204,7 +204,10 @@ class FlatSearch:
     def _cut(self, holds: Callable[[IntVar], bool]) -> None:
         """Forbid a solution that is not grounded, and all others that fail for the same reason."""
         true, cp = true_of(self.model, holds), self.model.cp
-        unfounded, ways_in = self.model.support.cut(true, self.model.support.grounded(true))
+        anywhere, support = self.model.anywhere, self.model.support
+        unfounded, ways_in = anywhere.cut(true, anywhere.grounded(true))
+        if not unfounded:
+            unfounded, ways_in = support.cut(true, support.grounded(true))
         assert unfounded, "a solution without a plan has something that is not grounded"
         ways = [cp.get_bool_var_from_proto_index(way) for way in ways_in]
         for proposition in unfounded:

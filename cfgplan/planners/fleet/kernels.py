@@ -6,6 +6,7 @@ First come the units that a cheap plan may have, as far as landmarks say.
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -61,36 +62,64 @@ def _look_among(
         FlatSearch(flat, standing, hostless_us, SLICE_S, is_all=False, limit_us=limit_us).run()
 
 
-def look_among_few_explicitly(candidates: Candidates, standing: Standing, first: FirstPlans) -> None:
-    """Offer plans made of the best plan's transformations and of more and more others; raise the bound.
+@dataclass(frozen=True)
+class Left:
+    """The transformations that a plan no dearer than the best may have, and landmarks that every such plan hits.
 
-    Without hosts, quality and failures all costs less, so landmarks of the network hold here too.
+    `order` has those first that a cheaper plan is more likely to have.
     """
-    from cfgplan.planners.fleet.search import Search
 
+    labels: frozenset[str]
+    order: tuple[str, ...] = ()
+    landmarks: tuple[tuple[list[str], int], ...] = ()
+
+
+def left_by_bounds(candidates: Candidates, standing: Standing) -> Left:
+    """What landmarks leave; the proven bound is raised.
+
+    Hosts, transfers, failures, conflicts and numbers only add to the cost, and quality adds at least its least price.
+    """
     network = candidates.network
+    everything = frozenset(candidate.transformation.label for candidate in candidates.all)
     if len(network.targets) < len(candidates.environment.targets):
-        return
+        return Left(everything)
     cost = np.array([min(c.cost_us for c in candidates.of(label)) for label in network.labels], np.int64)
-    most = int(cost.sum())
+    prices_us = sum(least_prices_us(candidates).values())
+    most = int(cost.sum()) if standing.best is None else standing.best[0][1] - prices_us
     bound = tightened(Bound(network.core, cost), most, most, standing.clock)
-    standing.raise_bound(bound.value)
+    standing.raise_bound(bound.value + prices_us)
+    names = [network.labels[i] for i in bound.core.labels.tolist()]
+    landmarks = tuple(([names[i] for i in one.counted.tolist()], one.least) for one in bound.short())
     _, before = cheapest_way(bound.core, bound.residual)
     least = (before[:-1] + bound.residual).tolist()
-    order = [network.labels[n] for _, n in sorted(zip(least, bound.core.labels.tolist(), strict=True))]
+    order = tuple(name for _, name in sorted(zip(least, names, strict=True)))
+    standing.counts["landmarks"] = len(landmarks)
+    if standing.best is None or any(t.required for t in network.transformations):
+        return Left(everything, order, landmarks)
+    left = {name for name, may in zip(names, bound.may_be_used(most).tolist(), strict=True) if may}
+    left |= {network.labels[i] for i in network.pinned}
+    left |= {c.transformation.label for c in candidates.all if c.may_wait and bound.value + c.waiting_cost_us <= most}
+    standing.counts["left by bounds"] = len(left)
+    return Left(frozenset(left), order, landmarks)
+
+
+def look_among_few_of(candidates: Candidates, standing: Standing, first: FirstPlans) -> None:
+    """Offer plans made of the best plan's transformations and of more and more others; raise the bound."""
+    from cfgplan.planners.fleet.search import Search
+
+    order = left_by_bounds(candidates, standing).order
+    sizes = [size for size in SIZES if 2 * size <= len(order)]
 
     def among(size: int) -> Candidates:
         best = set() if standing.best is None else {unit.transformation for unit in standing.best[1]}
-        return Candidates(candidates.problem, best.union(order[:size]), candidates.watch, candidates)
+        return candidates.among(best.union(order[:size]))
 
-    sizes = [size for size in SIZES if 2 * size <= len(order)]
     if sizes:
         FirstPlans(among(sizes[0]), standing).look(ATTEMPTS)
     first.look(ATTEMPTS)
     for size in sizes:
         standing.clock.check()
-        few = among(size)
-        Search(few, standing, FirstPlans(few, standing), SLICE_S, is_all=False).run()
+        Search(among(size), standing, is_all=False).run(SLICE_S)
 
 
 def well_below_best_us(standing: Standing) -> int | None:

@@ -43,6 +43,8 @@ class Survival:
 
     def missed(self, units: Collection[ComputationUnit]) -> list[Missed]:
         """The landmarks of which a configuration has too few units, one for each failure and target."""
+        if self.candidates.problem.survive is None:
+            return []
         found = [
             Missed(self._landmark(target, failure.left), failure.host)
             for failure in failures(self.candidates, units)
@@ -60,7 +62,8 @@ class Survival:
             if each.host is None:
                 model.cp.add(LinearExpr.sum([model.is_there[i] for i in units]) >= 2)
             else:
-                model.cp.add_bool_or([on for i in units for host, on in model.is_on[i].items() if host != each.host])
+                places = [places for i in units for places in (model.runs_on[i], model.waits_on[i])]
+                model.cp.add_bool_or([there for on in places for host, there in on.items() if host != each.host])
 
     def _landmark(self, target: Target, left: Collection[str]) -> frozenset[str]:
         """What a largest set of transformations that does not meet the target lacks; the dear ones are in the set."""
