@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from functools import partial
 from threading import Event
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
@@ -16,6 +16,7 @@ from cfgplan.reasons import pinned_reasons
 
 if TYPE_CHECKING:
     from cfgplan.explaining import Alternatives, BestEffort, Front, Sensitivity, Unreachable, Why, WhyNot
+    from cfgplan.matching import Nearest
 
 
 def why_not(
@@ -25,23 +26,38 @@ def why_not(
     planner: str = "cpsat",
     time_limit_s: float | None = None,
     reasoner: str = "auto",
+    reasoner_limit_s: float | None = None,
     decider: Decider | None = None,
 ) -> WhyNot:
     """Why a problem of this world has no plan, or why its plan leaves required transformations unused.
 
-    The time limit is for each call of the planner, of which it takes several.
+    The time limit is for each call of the planner, of which it takes several; that of the reasoner is for all that it
+    is asked about what comes nearest.
     """
     from cfgplan import explaining
 
-    nearest = partial(nearest_offers, world, reasoner=reasoner)
+    nearest = _nearest(world, reasoner, reasoner_limit_s)
     return explaining.why_not(problem, _Judged(planner, time_limit_s, decider), nearest)
 
 
-def unfed_pinned(world: World, problem: Problem, *, reasoner: str = "auto") -> dict[str, Unreachable]:
+def _nearest(world: World, reasoner: str, limit_s: float | None) -> Callable[[str], tuple[Nearest, ...]]:
+    """What comes nearest to a demanded tag; all answers together take the time limit."""
+    start = time.monotonic()
+
+    def nearest(demanded: str) -> tuple[Nearest, ...]:
+        left_s = None if limit_s is None else max(0.0, start + limit_s - time.monotonic())
+        return nearest_offers(world, demanded, reasoner=reasoner, time_limit_s=left_s)
+
+    return nearest
+
+
+def unfed_pinned(
+    world: World, problem: Problem, *, reasoner: str = "auto", reasoner_limit_s: float | None = None
+) -> dict[str, Unreachable]:
     """Why each pinned unit that can't be fed can't, by its id, with the outputs that come nearest."""
     from cfgplan import explaining
 
-    nearest = partial(nearest_offers, world, reasoner=reasoner)
+    nearest = _nearest(world, reasoner, reasoner_limit_s)
     found = {}
     for unit in pinned_reasons(problem):
         label = problem.environment.unit[unit].transformation

@@ -181,19 +181,23 @@ def _tags(environment: Environment) -> tuple[frozenset[str], frozenset[str]]:
     return frozenset(offered), frozenset(demanded | {target.tag for target in environment.targets})
 
 
-def explain_match(world: World, offered: str, demanded: str, *, reasoner: str = "auto") -> MatchExplanation:
+def explain_match(
+    world: World, offered: str, demanded: str, *, reasoner: str = "auto", time_limit_s: float | None = None
+) -> MatchExplanation:
     """Why an output tagged `offered` may or may not feed an input or target tagged `demanded`."""
     from cfgplan.matching import explain_match as explain
 
-    return explain(offered, demanded, world.ontology, reasoner=reasoner)
+    return explain(offered, demanded, world.ontology, reasoner=reasoner, time_limit_s=time_limit_s)
 
 
-def nearest_offers(world: World, demanded: str, *, reasoner: str = "auto") -> tuple[Nearest, ...]:
+def nearest_offers(
+    world: World, demanded: str, *, reasoner: str = "auto", time_limit_s: float | None = None
+) -> tuple[Nearest, ...]:
     """The offered tags of the library that come nearest to a demanded tag, and what each lacks."""
     from cfgplan.matching import nearest_offers as nearest
 
     offered = {port.tag for transformation in world.environment.library for port in transformation.outputs}
-    return nearest(demanded, offered, world.ontology, reasoner=reasoner)
+    return nearest(demanded, offered, world.ontology, reasoner=reasoner, time_limit_s=time_limit_s)
 
 
 def problem(

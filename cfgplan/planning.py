@@ -231,6 +231,11 @@ class Decider(Protocol):
         """What is known by now."""
         ...
 
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """Figures for `Plan.counts`: how many pairs were asked about by now, and decided by whom."""
+        ...
+
     def decide(self, pairs: Sequence[Pair]) -> int:
         """Ask about pairs, the most wanted first. Returns how many were asked; `similarity` has the answers."""
         ...

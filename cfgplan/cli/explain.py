@@ -49,18 +49,17 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     problem = shared.problem(options, screen, world, matches)
     with screen.phase("plan"):
         problem, plan = api.solved(problem, matches, planner=options.planner, time_limit_s=options.timeout)
+    reasoning = {"reasoner": options.reasoner, "reasoner_limit_s": options.reasoner_timeout}
     chosen = {"planner": options.planner, "time_limit_s": options.timeout, "decider": matches}
     if plan.change_set is None:
         with screen.phase("explain"):
-            why = answers.why_not(world, problem, reasoner=options.reasoner, **chosen)
+            why = answers.why_not(world, problem, **reasoning, **chosen)
         _show_why_not(problem, why, screen)
         return OF_STATUS[plan.status]
     with screen.phase("explain"):
         whys = [answers.why(problem, plan, kind, name, **chosen) for kind, name in _subjects(options, problem, plan)]
-        unused = (
-            answers.why_not(world, problem, reasoner=options.reasoner, **chosen).unused if plan.unused_required else ()
-        )
-    pinned = answers.unfed_pinned(world, problem, reasoner=options.reasoner)
+        unused = answers.why_not(world, problem, **reasoning, **chosen).unused if plan.unused_required else ()
+    pinned = answers.unfed_pinned(world, problem, **reasoning)
     asked = {unit: reason for unit, reason in pinned.items() if options.unit == unit or not _names_one(options)}
     if screen.json:
         from cfgplan.explaining import plain
@@ -89,9 +88,11 @@ def _show_why_not(problem: Problem, why: WhyNot, screen: Screen) -> None:
         screen.show_json(plain(why))
         return
     from cfgplan.cli.explain_text import why_not_text
-    from cfgplan.cli.update_text import verdict
+    from cfgplan.cli.update_text import undecided_lines, verdict
 
     screen.show(verdict(problem, why.plan))
+    for line in undecided_lines(problem, why.plan):
+        screen.show(line)
     text = why_not_text(problem.environment, why)
     if text:
         screen.show(text)

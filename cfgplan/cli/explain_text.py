@@ -180,6 +180,8 @@ def _blocked(environment: Environment, blocked: Blocked) -> Iterator[str]:
 def _demand(environment: Environment, unfed: Unfed, opening: str) -> Iterator[str]:
     if unfed.givers:
         yield f"{opening} {unfed.tag}, but what would give it can't run"
+        if unfed.undecided:
+            yield f"    nobody has decided yet whether what {_some(unfed.undecided)} gives matches"
         return
     yield f"{opening} {unfed.tag}, but no output matches"
     fewest = min((len(offer.missing) for offer in unfed.nearest), default=0)

@@ -56,8 +56,9 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan import api
 
     with screen.phase("explain"):
-        explanation = api.explain_match(world, offered, demanded, reasoner=options.reasoner)
-        nearest = () if explanation.matches else api.nearest_offers(world, demanded, reasoner=options.reasoner)
+        reasoning = {"reasoner": options.reasoner, "time_limit_s": options.reasoner_timeout}
+        explanation = api.explain_match(world, offered, demanded, **reasoning)
+        nearest = () if explanation.matches else api.nearest_offers(world, demanded, **reasoning)
     if screen.json:
         document = {"output": options.output, "input": options.input, **asdict(explanation)}
         screen.show_json({**document, "nearest": [asdict(offer) for offer in nearest]})

@@ -32,12 +32,13 @@ def headline(found: Sensitivity) -> str:
     if found.here is None:
         return f"The present value is beyond {value_text(Fraction(found.last), found)}, where costs end to be exact."
     value = value_text(Fraction(found.value), found)
-    return f"The plan {_given(found)} of {value} is optimal {_reach(found, found.here)}."
+    best = "optimal" if found.exact else "the best that was found"
+    return f"The plan {_given(found)} of {value} is {best} {_reach(found, found.here)}."
 
 
 def _lines(found: Sensitivity) -> Iterator[Text]:
     if not found.spans:
-        proven = "" if found.exact else ", as far as the planner could find out in time"
+        proven = "" if found.exact else ", as far as is known"
         yield Text(f"There is no plan for any value of {what_varies(found)}{proven}.", style="bold red")
         return
     here = found.here
@@ -49,7 +50,9 @@ def _lines(found: Sensitivity) -> Iterator[Text]:
     if found.spans[-1].end is not None:
         yield Text(f"Beyond {value_text(Fraction(found.last), found)} costs can't be computed exactly.", style="dim")
     if not found.exact:
-        yield Text("Not all plans were proven optimal in time: there may be other break points.", style="yellow")
+        yield Text(
+            "Not all plans were proven optimal: there may be cheaper ones and other break points.", style="yellow"
+        )
 
 
 def _given(found: Sensitivity) -> str:

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import OF_STATUS, Exit
 from cfgplan.cli.front import add_front, show_front
-from cfgplan.cli.screen import Screen
+from cfgplan.cli.screen import Screen, counted
 from cfgplan.errors import InputError
 from cfgplan.planning import PlannerFaultError, Status
 
 if TYPE_CHECKING:
     from cfgplan.api import World
-    from cfgplan.planning import Decider, Problem
+    from cfgplan.planning import Decider, Pair, Problem
 
 
 def add_to(verbs: shared.Subparsers) -> None:
@@ -87,10 +87,11 @@ def _solve(options: argparse.Namespace, screen: Screen, world: World, problem: P
     from cfgplan.cli.update_text import update_text
 
     is_proven = True
+    undecided: tuple[Pair, ...] = ()
     with screen.phase("plan"):
         if options.best_effort:
             found = answers.best_effort(problem, planner=options.planner, time_limit_s=options.timeout, decider=matches)
-            problem, plan, is_proven = found.problem, found.plan, found.exact
+            problem, plan, is_proven, undecided = found.problem, found.plan, found.exact, found.undecided
         else:
             report = shared.progress_report(screen) if options.progress else None
             problem, plan = api.solved(
@@ -108,10 +109,13 @@ def _solve(options: argparse.Namespace, screen: Screen, world: World, problem: P
     if options.out:
         api.write_file(Path(options.out), document.encode())
     if not screen.json:
-        unfed = answers.unfed_pinned(world, problem, reasoner=options.reasoner) if plan.change_set is not None else {}
+        reasoning = {"reasoner": options.reasoner, "reasoner_limit_s": options.reasoner_timeout}
+        unfed = answers.unfed_pinned(world, problem, **reasoning) if plan.change_set is not None else {}
         for unit, why in unfed.items():
             screen.warn("\n".join(pinned_lines(problem.environment, unit, why)))
-        if not is_proven:
+        if not is_proven and undecided:
+            screen.warn(f"whether more can be met hangs on {counted(len(undecided), 'pair')} of tags not decided")
+        elif not is_proven:
             screen.warn("time ran out before it was proven that no better set of targets can be met")
         if options.verbose:
             screen.note("\n".join(f"  {name:32} {count}" for name, count in plan.counts.items()))

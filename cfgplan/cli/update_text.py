@@ -17,6 +17,7 @@ from cfgplan.planning import Plan, Problem, Status
 _STYLE = {"+": "green", "~": "yellow", "-": "red", "=": "dim"}
 MOST_PAIRS, MOST_NAMES = 10, 3
 """More open pairs, and more ports of one tag, are left to `--json`."""
+_DECIDED = "pairs decided by "
 _VERB = {"+": "start", "~": "rewire", "-": "stop", "=": "keep"}
 
 
@@ -169,7 +170,12 @@ def undecided_lines(problem: Problem, plan: Plan) -> Iterator[Text]:
     if plan.undecided:
         yield Text(f"If so, an update for {cpu(plan.bound_us)} may exist.", style="yellow")
     if asked := plan.counts.get("pairs asked"):
-        yield Text(f"The reasoner was asked about {counted(asked, 'pair')} of tags.", style="dim")
+        decided = [
+            f"{plan.counts[figure]} by {who}" for figure in plan.counts if (who := figure.partition(_DECIDED)[2])
+        ]
+        yield Text(
+            f"HermiT was asked about {counted(asked, 'pair')} of tags. Decided: {', '.join(decided)}.", style="dim"
+        )
 
 
 def why_unused(plan: Plan) -> str:

@@ -29,8 +29,9 @@ class Alternatives:
     """The best `plans` of a problem, no two of which run the same set of transformations, in the order of optimality.
 
     The first is the optimal one; each of the others is the best of all that run the same transformations. It is
-    `complete` if it was not stopped by the clock, nor by a configuration of which it can't be decided whether something
-    required serves a target in it or only what runs anyway, and `has_more` if there are further configurations.
+    `complete` if it was not stopped by the clock, by an open pair of tags, nor by a configuration of which it can't be
+    decided whether something required serves a target in it or only what runs anyway, and `has_more` if there are
+    further configurations.
     """
 
     plans: tuple[Plan, ...]
@@ -108,8 +109,8 @@ class _Ranking:
                 continue
             if cheapest.status is not Status.OPTIMAL:
                 bound = max(least, (least[0], cheapest.bound_us, 0, 0))
-                longer = replace(entry, limit_s=2 * entry.limit_s)
-                heapq.heappush(heap, (bound, kind, is_other, within, without, longer))
+                later = None if cheapest.undecided else replace(entry, limit_s=2 * entry.limit_s)
+                heapq.heappush(heap, (bound, kind, is_other, within, without, later))
                 continue
             runs = self._runs(cheapest)
             plan = self._best_that_runs(runs)

@@ -20,13 +20,15 @@ class Unfed:
     """A demand for `tag` that can't be fed: an input `port` of a transformation, or without one a target's.
 
     The `givers` are the transformations that would match, all of them blocked but for those that are too few for
-    a distinct group. If there are none, `nearest` are the offered tags that come nearest.
+    a distinct group; of the `undecided` ones of them nobody has decided yet whether they match. If there are no givers,
+    `nearest` are the offered tags that come nearest.
     """
 
     tag: str
     port: str | None = None
     givers: tuple[str, ...] = ()
     nearest: tuple[Nearest, ...] = ()
+    undecided: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,7 @@ def unreachable(problem: Problem, nearest: NearestOffers | None = None) -> tuple
     """A minimal reason for each target that no wiring can reach, whatever it costs."""
     environment = problem.environment
     givers = Givers(environment.library, problem.similarity.optimistic)
-    dead = DeadEnds(environment, givers, nearest)
+    dead = DeadEnds(environment, givers, Givers(environment.library, problem.similarity), nearest)
     return tuple(
         dead.reason(target.label, target.tag)
         for target in environment.targets
@@ -92,10 +94,13 @@ class DeadEnds:
     end is told as circular.
     """
 
-    def __init__(self, environment: Environment, givers: Givers, nearest: NearestOffers | None) -> None:
+    def __init__(
+        self, environment: Environment, givers: Givers, decided: Givers, nearest: NearestOffers | None
+    ) -> None:
         self.possible = startable(environment, givers)
         self._environment = environment
         self._givers = givers
+        self._decided = decided
         self._nearest = nearest
         self._cause: dict[str, tuple[InputPort, ...]] = {}
         self._find_dead_ends()
@@ -193,4 +198,6 @@ class DeadEnds:
 
     def _unfed(self, tag: str, port: str | None) -> Unfed:
         givers = self._givers.of(tag)
-        return Unfed(tag, port, givers, () if givers or self._nearest is None else self._nearest(tag))
+        nearest = () if givers or self._nearest is None else self._nearest(tag)
+        undecided = (giver for giver in givers if giver not in self._decided.of(tag))
+        return Unfed(tag, port, givers, nearest, tuple(undecided))

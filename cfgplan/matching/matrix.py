@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Sequence
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import TypeVar
@@ -55,14 +56,15 @@ class Matches:
         self._left_s = time_limit_s
         self._key = key_of(ontology, reasoner, offered, demanded) if cache is not None else ""
         known = load(cache, self._key, offered, demanded) if cache is not None else None
-        self._matcher = Matcher(ontology, reasoner=reasoner)
+        self._matcher: Matcher | None = None
         if known is not None:
             self.matching = known
             return
-        self._matcher.add(offered=sorted({*offered}), demanded=sorted({*demanded}))
-        found = None if most is None else self._undecided()
+        self._matcher = matcher = Matcher(ontology, reasoner=reasoner)
+        matcher.add(offered=sorted({*offered}), demanded=sorted({*demanded}))
+        found = None if most is None else self._undecided(matcher)
         if found is None or most is None or len([*islice(found.similarity.open_pairs(), most + 1)]) <= most:
-            found = self._within_limit(lambda left_s: self._matcher.matching(time_limit_s=left_s))
+            found = self._within_limit(lambda left_s: matcher.matching(time_limit_s=left_s))
         self.matching = found
         self._store()
 
@@ -71,20 +73,28 @@ class Matches:
         """What is known by now."""
         return self.matching.similarity
 
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many pairs were asked about by now, and how many each reasoner has decided."""
+        return self.matching.counts
+
     def decide(self, pairs: Sequence[Pair]) -> int:
         """Ask about open pairs within what is left of the time limit; returns how many were asked."""
-        if self._left_s is not None and self._left_s <= 0:
+        matcher = self._matcher
+        if matcher is None or (self._left_s is not None and self._left_s <= 0):
             return 0
-        asked = self._within_limit(lambda left_s: self._matcher.decide(pairs, time_limit_s=left_s))
-        found = self._undecided()
-        if found.similarity != self.matching.similarity:
+        asked = self._within_limit(lambda left_s: matcher.decide(pairs, time_limit_s=left_s))
+        found = self._undecided(matcher)
+        if found.similarity == self.matching.similarity:
+            self.matching = replace(found, similarity=self.matching.similarity)
+        else:
             self.matching = found
             self._store()
         return asked
 
-    def _undecided(self) -> Matching:
+    def _undecided(self, matcher: Matcher) -> Matching:
         """What is known without asking."""
-        return self._within_limit(lambda left_s: self._matcher.matching(time_limit_s=left_s, decide=False))
+        return self._within_limit(lambda left_s: matcher.matching(time_limit_s=left_s, decide=False))
 
     def _within_limit(self, question: Callable[[float | None], T]) -> T:
         start = time.monotonic()

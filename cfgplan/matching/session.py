@@ -28,11 +28,21 @@ REFUTING: Final = 0.25
 
 @dataclass(frozen=True)
 class Matching:
-    """The similarity of tags, what is odd about them, and how many pairs of distinct tags each reasoner decided."""
+    """The similarity of tags, what is odd about them, and how many pairs of distinct tags each reasoner decided.
+
+    About `asked` pairs the reference was asked by now, whether it answered or not.
+    """
 
     similarity: Similarity
     warnings: tuple[str, ...] = ()
     answered_by: Mapping[str, int] = field(default_factory=dict, hash=False)
+    asked: int = 0
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """The figures of a plan that was made by it (`planning.Decider`)."""
+        decided = {f"pairs decided by {name}": pairs for name, pairs in self.answered_by.items()}
+        return {**decided, "pairs asked": self.asked} if self.asked else decided
 
 
 class Matcher:
@@ -51,6 +61,7 @@ class Matcher:
         self._uses_engine = reasoner in ("auto", "el")
         self._offered = TagRegistry()
         self._demanded = TagRegistry()
+        self._asked = 0
         self._start(ontology)
 
     def _start(self, ontology: Ontology) -> None:
@@ -171,9 +182,11 @@ class Matcher:
 
     def _ask(self, pairs: Iterable[Asked], time_limit_s: float | None) -> int:
         try:
-            return self._verdicts.ask(pairs, time_limit_s)
+            asked = self._verdicts.ask(pairs, time_limit_s)
         except MatchingError as error:
             raise self._input_error(error) from error
+        self._asked += asked
+        return asked
 
     def _check(self, rows: Rows | None, time_limit_s: float | None) -> None:
         """Have the reference look for contradictions in offers, and in the ontology, as far as nobody has."""
@@ -246,7 +259,7 @@ class Matcher:
         similarity = Similarity(offers, undecided)
         if is_asked or self._reference is None:
             warnings.extend(self._about_open(sum(map(len, undecided.values())), time_limit_s))
-        return Matching(similarity, tuple(warnings), self._answered_by(rows, open_rows))
+        return Matching(similarity, tuple(warnings), self._answered_by(rows, open_rows), self._asked)
 
     def _names(self, offered: Iterable[Concept]) -> frozenset[str]:
         return frozenset(self._offered.name_of(concept) for concept in offered if concept in self._offered)

@@ -23,7 +23,9 @@ from cfgplan.planning import Decider, Pair, Plan, Planner, Problem, Progress, St
 from cfgplan.reasons import Givers, startable
 
 FIRST_BATCH: Final = 16
-"""So many pairs are asked in the first round, twice as many in each next one: that keeps the rounds few."""
+GROWTH: Final = 8
+"""So many pairs are asked in the first round, so many times more in each next one: a round costs seconds, a pair few
+milliseconds (experiments/matching/deciding.py)."""
 LEAST_S: Final = 0.01
 """Even where time is over a planner may look so long for a plan."""
 _REFUSED: Final = (Status.INFEASIBLE, Status.TOO_EXPENSIVE)
@@ -63,40 +65,43 @@ class Deciding:
     ) -> Plan:
         """The answer to `known(problem)`; see `planning.Planner`."""
         budget = _Budget(self._planner, time_limit_s)
-        asked, batch = 0, FIRST_BATCH
+        batch = FIRST_BATCH
         while True:
             problem = self.known(problem)
             if not problem.similarity.open:
-                return _counted(budget.plan(problem, 1.0, report), budget, asked)
+                return self._counted(budget.plan(problem, 1.0, report), budget)
             best = budget.plan(_hopeful(problem), 0.5, _bounds_only(problem, report))
             uses, holds = _hangs_on(problem, best, budget)
             if holds and best.status is not Status.FEASIBLE:
                 best = best if best.change_set is not None else replace(best, cost_us=None)  # known of hopes alone
                 if report is not None:
                     report(Progress(budget.elapsed_s, best.cost_us, best.bound_us))
-                return _counted(best, budget, asked)
+                return self._counted(best, budget)
             certain = None
             if not self.asks_early:
                 certain = budget.plan(replace(problem, similarity=problem.similarity.decided), 1.0)
             if not uses or self._is_stopped() or (certain is not None and certain.change_set is not None):
                 break
-            told = self._ask(problem, uses, batch)
-            if not told:
+            if not self._learns(problem, uses, batch):
                 break
-            asked, batch = asked + told, 2 * batch
+            batch *= GROWTH
         certain = certain or budget.plan(replace(problem, similarity=problem.similarity.decided), 1.0)
-        return _counted(_answer(problem, best, uses, certain, budget), budget, asked)
+        return self._counted(_answer(problem, best, uses, certain, budget), budget)
 
-    def _ask(self, problem: Problem, uses: tuple[Pair, ...], batch: int) -> int:
-        """Have some pairs decided; returns how many were asked, 0 if nothing new came of it."""
+    def _learns(self, problem: Problem, uses: tuple[Pair, ...], batch: int) -> bool:
+        """Have some pairs decided, and tell whether any was."""
         if self._decider is None:
-            return 0
+            return False
         before = self._decider.similarity
         try:
-            asked = self._decider.decide([*_most_wanted(problem, uses, batch)])
+            self._decider.decide([*_most_wanted(problem, uses, batch)])
         except KeyboardInterrupt:  # the best plan so far is wanted now
-            return 0
-        return asked if self._decider.similarity is not before else 0
+            return False
+        return self._decider.similarity is not before
+
+    def _counted(self, plan: Plan, budget: _Budget) -> Plan:
+        counts = {} if self._decider is None else self._decider.counts
+        return replace(plan, seconds=dict(budget.seconds), counts={**plan.counts, **counts})
 
 
 class _Budget:
@@ -266,8 +271,3 @@ def _relaxed(problem: Problem) -> Problem:
         replace(t, required=False, pinned=t.pinned and t.label not in doubtful) for t in environment.library
     )
     return replace(_hopeful(problem), environment=replace(environment, library=library))
-
-
-def _counted(plan: Plan, budget: _Budget, asked: int) -> Plan:
-    counts = {**plan.counts, "pairs asked": asked} if asked else plan.counts
-    return replace(plan, seconds=dict(budget.seconds), counts=counts)

@@ -79,15 +79,16 @@ def main() -> None:
     options = parser.parse_args()
     world = tagged(KINDS[options.kind](), options.tags)
     matcher = Matcher(world.ontology)
-    started, spent = time.perf_counter(), _cpu_s()
+    started, spent = time.perf_counter(), cpu_s()
     matcher.add(offered=world.offered, demanded=world.demanded)
     matching = matcher.matching(time_limit_s=options.limit)
-    took = f"{time.perf_counter() - started:.1f} s, {_cpu_s() - spent:.1f} CPU seconds"
+    took = f"{time.perf_counter() - started:.1f} s, {cpu_s() - spent:.1f} CPU seconds"
     print(f"{options.kind}: {took}, {len(list(matching.similarity.open_pairs()))} pairs open")
     print(dict(matching.answered_by))
 
 
-def _cpu_s() -> float:
+def cpu_s() -> float:
+    """CPU seconds of this process and of those that it started and that have ended."""
     children = resource.getrusage(resource.RUSAGE_CHILDREN)
     return time.process_time() + children.ru_utime + children.ru_stime
 

@@ -26,6 +26,10 @@ class Truthful:
     most: int = 1
     asked: int = 0
 
+    @property
+    def counts(self) -> dict[str, int]:
+        return {"pairs asked": self.asked}
+
     def decide(self, pairs: Sequence[Pair]) -> int:
         told = pairs[: self.most]
         still: dict[str, frozenset[str]] = dict(self.similarity.open)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from cfgplan.api import World
 from cfgplan.domain import Similarity
@@ -16,7 +16,7 @@ class WarmMatching:
     """The similarity of the tags of one world after the other; reviews ask about open pairs (`planning.Decider`).
 
     The same object is given again as long as nothing has changed, which is what keeps a planner's session warm.
-    Questions that leave something open may take the time limit together, anew for each world.
+    Questions that leave something open may take the time limit together, anew when tags or the ontology change.
     """
 
     def __init__(self, reasoner: str, time_limit_s: float | None) -> None:
@@ -28,6 +28,7 @@ class WarmMatching:
         self._last: World | None = None
         self.similarity = Similarity({})
         self.warnings: tuple[str, ...] = ()
+        self.counts: Mapping[str, int] = {}
 
     def take(self, world: World) -> None:
         """Match a world from now on, without asking. Raises InputError; then the last world is matched as before."""
@@ -74,6 +75,6 @@ class WarmMatching:
         self._note(matcher.matching(time_limit_s=self._time_limit_s, decide=False))
 
     def _note(self, found: Matching) -> None:
-        self.warnings = found.warnings
+        self.warnings, self.counts = found.warnings, found.counts
         if found.similarity != self.similarity:
             self.similarity = found.similarity
