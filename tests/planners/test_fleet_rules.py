@@ -71,6 +71,14 @@ def test_a_stream_is_carried_to_where_it_is_wanted(model: type[Fixed]) -> None:
 
 
 @every_model
+def test_a_stream_is_carried_to_a_unit_that_stays(model: type[Fixed]) -> None:
+    library = (kind("s", gives="A", labor_us=500, output=STREAM), kind("f", "A", "B", labor_us=500))
+    units = (unit("s", host="h0"), unit("f", "s.1/x0", host="h1", topic="B"))
+    fixed = model(world("B", *library, units=units, hosts=TWO, transfer_us=100))
+    assert fixed.least_us(on("s.1", "h0"), on("f.1", "h1")) == 100
+
+
+@every_model
 def test_a_stream_is_carried_to_the_target_s_host(model: type[Fixed]) -> None:
     fixed = model(placed(*TWO, wanted=(Target("B", "B", "/B", host="h1"),)))
     assert fixed.least_us(on("s.1", "h1"), on("f.1", "h1")) == 2
@@ -83,6 +91,17 @@ def test_a_stream_is_carried_once_to_each_host(model: type[Fixed]) -> None:
     fixed = model(world("BCD", *library, hosts=(*TWO, Host("h2")), transfer_us=100))
     assert fixed.least_us(on("s.1", "h0"), on("f.1", "h1"), on("g.1", "h1"), on("h.1", "h1")) == 4 + 100
     assert fixed.least_us(on("s.1", "h0"), on("f.1", "h1"), on("g.1", "h1"), on("h.1", "h2")) == 4 + 200
+
+
+@every_model
+def test_what_does_not_run_is_not_carried(model: type[Fixed]) -> None:
+    light = OutputPort("x", "", (), 1_000_000, 100_000)
+    library = (
+        kind("s", gives="A", output=STREAM, host="h0"),
+        kind("t", gives="A", labor_us=500, output=light, host="h0"),
+    )
+    fixed = model(world("B", *library, kind("f", "A", "B", host="h1"), hosts=TWO, transfer_us=100))
+    assert fixed.least_us() == 2 + 100
 
 
 @every_model

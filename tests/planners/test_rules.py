@@ -3,13 +3,28 @@
 from __future__ import annotations
 
 import pytest
-from fixed import Fixed, Flat, Fleet, Plain, WithoutTwins, feeds, kind, publishes, rewired, runs, unit, uses, world
+from fixed import (
+    Fixed,
+    Flat,
+    Fleet,
+    Hubs,
+    Plain,
+    WithoutTwins,
+    feeds,
+    kind,
+    publishes,
+    rewired,
+    runs,
+    unit,
+    uses,
+    world,
+)
 
 from cfgplan.domain import ComputationUnit, Transformation
 from cfgplan.planning import Problem
 
-every_model = pytest.mark.parametrize("model", [Plain, Fleet, Flat])
-who_is_wired_how = pytest.mark.parametrize("model", [Plain, Fleet])
+every_model = pytest.mark.parametrize("model", [Plain, Fleet, Hubs, Flat])
+who_is_wired_how = pytest.mark.parametrize("model", [Plain, Fleet, Hubs])
 
 SOURCE, OTHER, FILTER = kind("s", gives="A"), kind("t", gives="A"), kind("f", "A", "B")
 
