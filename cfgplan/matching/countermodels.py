@@ -476,7 +476,7 @@ class Countermodels:
         self._batches: list[_Batch] = []
         self._tried: set[Concept] = set()
         self._excluded: set[Concept] = set()
-        self._none = bool(ontology.dropped)
+        self._none = False
         self._some = False
         self._builds_left = 0
 
@@ -486,7 +486,7 @@ class Countermodels:
         return {concept for batch in self._batches for concept in batch.things}
 
     def refuted(self, demanded: Concept) -> frozenset[Concept]:
-        """The offered concepts that are certainly not below a demanded one."""
+        """The offered concepts that are not below a demanded one by all that reasoners are told."""
         return frozenset().union(*(batch.refuted(demanded) for batch in self._batches))
 
     def build(self, offered: Iterable[Concept], demanded: Collection[Concept], time_limit_s: float | None) -> None:

@@ -14,6 +14,8 @@ from cfgplan.matching.functional import Tree, parse
 from cfgplan.matching.names import short_name
 from cfgplan.matching.statements import Translation, include
 
+LOST_LITERALS: Final = "what "
+"""How the description of literals that are lost begins; the data property and the individual follow."""
 _LITERAL: Final = "http://www.w3.org/2000/01/rdf-schema#Literal"
 _TYPED: Final = re.compile(r'("(?:[^"\\]|\\.)*)"\^\^<([^>]*)>')
 _ASSERTION: Final = re.compile(r"DataPropertyAssertion\(<([^>]*)> (<[^>]*>|_:\w+) ")
@@ -47,7 +49,7 @@ def told(axioms: Collection[str]) -> tuple[frozenset[str], dict[str, str]]:
         limits = [other for other in used.limits({*used.reached(name)}) if other not in untold or other in lost]
         if limits:
             result.add(f"ClassAssertion(DataSomeValuesFrom(<{name}> <{_LITERAL}>) {individual})")
-            text = f"what <{name}> is of {individual}"
+            text = f"{LOST_LITERALS}<{name}> is of {individual}"
             lost[text] = f"{_why(foreign[axiom])}, and it is restricted: {min(limits)}"
         else:
             result.add(_TYPED.sub(_as_text, axiom))

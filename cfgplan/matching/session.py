@@ -14,6 +14,7 @@ from cfgplan.matching.countermodels import Countermodels
 from cfgplan.matching.engine import Engine, roles_in
 from cfgplan.matching.faults import InconsistentOntologyError, MatchingError
 from cfgplan.matching.functional import parse
+from cfgplan.matching.losses import Losses
 from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.reasoners import reference_named
 from cfgplan.matching.registry import TagRegistry
@@ -70,6 +71,7 @@ class Matcher:
         self._rows: Rows | None = None
         self._verdicts = Verdicts(ontology, self._reference)
         self._countermodels: Countermodels | None = None
+        self._losses = Losses(ontology)
 
     @property
     def ontology(self) -> Ontology:
@@ -146,7 +148,7 @@ class Matcher:
         rows = self._current_rows()
         left_s = countdown(time_limit_s)
         self._refute(rows, time_limit_s)
-        open_rows = self._open(rows)
+        open_rows = {demand: row - self._refuted(demand) for demand, row in self._open(rows).items()}
         named = ((self._offered.concept(offered), self._demanded.concept(demanded)) for offered, demanded in pairs)
         return self._ask([pair for pair in named if pair[0] in open_rows.get(pair[1], ())], left_s())
 
@@ -172,12 +174,12 @@ class Matcher:
         return self._rows
 
     def _in_order(self, rows: Rows | None) -> Iterable[Asked]:
-        """The open pairs, in the order in which tags were registered."""
+        """The open pairs that an answer may close, in the order in which tags were registered."""
         rank = {concept: number for number, concept in enumerate(self._offered.names.values())}
         return (
             (offered, demand)
             for demand, row in self._open(rows).items()
-            for offered in sorted(row, key=rank.__getitem__)
+            for offered in sorted(row - self._refuted(demand), key=rank.__getitem__)
         )
 
     def _ask(self, pairs: Iterable[Asked], time_limit_s: float | None) -> int:
@@ -226,14 +228,24 @@ class Matcher:
 
     def _open(self, rows: Rows | None) -> dict[Concept, frozenset[Concept]]:
         """For each demand the offers for which it is not decided whether they meet it."""
+        verdicts = self._verdicts
         found = {
-            demand: offers - self._verdicts.decided(demand) - self._refuted(demand)
+            demand: offers
+            - verdicts.accepted(demand)
+            - verdicts.unsatisfiable
+            - self._for_certain(demand, verdicts.denied(demand) | self._refuted(demand))
             for demand, offers in self._beyond_engine(rows)
         }
         return {demand: offers for demand, offers in found.items() if offers}
 
     def _refuted(self, demand: Concept) -> frozenset[Concept]:
         return frozenset() if self._countermodels is None else self._countermodels.refuted(demand)
+
+    def _for_certain(self, demand: Concept, denied: frozenset[Concept]) -> frozenset[Concept]:
+        """Those of the offers denied by what reasoners are told that nothing else in the ontology can make match."""
+        if not self._ontology.dropped:
+            return denied
+        return frozenset(offered for offered in denied if not self._losses.concern(offered, demand))
 
     def _told(self, rows: Rows | None, time_limit_s: float | None, *, is_asked: bool) -> Matching:
         warnings = [*self._ontology.warnings]
@@ -284,7 +296,7 @@ class Matcher:
         beyond = {demand: offers for demand, offers in self._beyond_engine(rows) if offers}
         counts = Counter({"el": pairs - sum(map(len, beyond.values()))})
         for demand, offers in beyond.items():
-            refuted = len(offers & self._refuted(demand))
+            refuted = len(self._for_certain(demand, offers & self._refuted(demand)))
             counts["countermodel"] += refuted
             counts[self._name] += len(offers) - refuted - len(open_rows.get(demand, ()))
         return {name: count for name, count in counts.items() if count}

@@ -50,13 +50,9 @@ class Verdicts:
         """The offered concepts that were found to be below a demanded one."""
         return self._accepted.get(demanded, frozenset())
 
-    def decided(self, demanded: Concept) -> frozenset[Concept]:
-        """The offered concepts for which it is known whether they are below a demanded one, or that nothing can have.
-
-        Where the reasoner was not told all that the ontology says, what it denied is not known.
-        """
-        known = self._accepted if self._ontology.dropped else self._answered
-        return known.get(demanded, frozenset()).union(self.unsatisfiable)
+    def denied(self, demanded: Concept) -> frozenset[Concept]:
+        """The offered concepts that were found not to be below a demanded one by what the reasoner was told."""
+        return self._answered.get(demanded, frozenset()) - self.accepted(demanded)
 
     def check(self, concepts: Collection[Concept], time_limit_s: float | None) -> None:
         """Ask which concepts something can have; about ⊤ only as long as nothing is known to have any of them.

@@ -1,0 +1,75 @@
+"""Which pairs of tags may depend on what an ontology says and no reasoner is told.
+
+An ontology is *open to newcomers* if things that have no class and no link break none of its axioms: then its models
+have any size. Two parts of it without a common name do not bear on each other, as a model of one can be laid over a
+model of the other. So what was dropped concerns only names that axioms with common names join to it, and only if it is
+not known which names these are, or the ontology is not open to newcomers, all names. That the ontology with all that
+was dropped does not contradict itself is taken for granted.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from functools import cached_property
+from typing import Final
+
+from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI, Concept, in_functional_syntax
+from cfgplan.matching.functional import Tree, parse
+from cfgplan.matching.literals import LOST_LITERALS
+from cfgplan.matching.ontology import Ontology
+from cfgplan.matching.structures import Structure
+
+_BRACKETED: Final = re.compile(r"<([^<>\s]+)>")
+_XSD: Final = "http://www.w3.org/2001/XMLSchema#"
+
+
+class Losses:
+    """What was dropped from one ontology."""
+
+    def __init__(self, ontology: Ontology) -> None:
+        self._ontology = ontology
+
+    def concern(self, offered: Concept, demanded: Concept) -> bool:
+        """Whether what was dropped may make an offered concept fall below a demanded one."""
+        if not self._ontology.dropped:
+            return False
+        concerned = self._names
+        if concerned is None:
+            return True
+        return any(not concerned.isdisjoint(_names(parse(in_functional_syntax(each)))) for each in (offered, demanded))
+
+    @cached_property
+    def _names(self) -> set[str] | None:
+        """The names that may be concerned; None for all."""
+        axioms = self._ontology.axioms
+        named = [
+            set(_BRACKETED.findall(text)) if text in axioms or text.startswith(LOST_LITERALS) else set()
+            for text in self._ontology.dropped
+        ]
+        trees = [tree for tree in self._ontology.trees.values() if isinstance(tree, tuple) and tree[0] != "Declaration"]
+        if not all(named) or not _is_open_to_newcomers(trees):
+            return None
+        reached: set[str] = set().union(*named)
+        groups = [frozenset(_names(tree)) for tree in trees]
+        while True:
+            more = set().union(*(group for group in groups if not group.isdisjoint(reached))) - reached
+            if not more:
+                return reached
+            reached |= more
+
+
+def _is_open_to_newcomers(trees: list[tuple[Tree, ...]]) -> bool:
+    structure = Structure()
+    newcomer, everybody = structure.add_thing(), structure.add_thing()
+    structure.individuals = {name: everybody for tree in trees for name in _names(tree)}
+    return not any(newcomer in structure.broken(tree) for tree in trees)
+
+
+def _names(tree: Tree) -> Iterator[str]:
+    """The names in an axiom or expression, but those of OWL and XML Schema."""
+    if isinstance(tree, tuple):
+        for part in tree[1:]:
+            yield from _names(part)
+    elif not tree.startswith(('"', _XSD)) and not tree.isdigit() and tree not in (THING_IRI, NOTHING_IRI):
+        yield tree
