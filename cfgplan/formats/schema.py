@@ -18,6 +18,7 @@ from cfgplan.formats.schema_values import (
     PositiveMicro,
     Rate,
     Seconds,
+    Silence,
     Span,
     TagText,
     form_of,
@@ -102,8 +103,8 @@ class RunPart(_Part):
     when_full: Literal["drop_oldest", "block"] = Field(
         default="drop_oldest", description="drop the oldest element, or let the producer wait"
     )
-    hang: Seconds | None = Field(
-        default=None, description="kill a unit that is silent for so many seconds; 0: never; 10 if absent"
+    hang: Silence | None = Field(
+        default=None, description="kill a unit that is silent for so many seconds, at least 2; 0: never; 10 if absent"
     )
     memory: int | None = Field(
         default=None, ge=1, le=LONGEST_QUEUE, description="the most memory that a unit may take, in megabytes"

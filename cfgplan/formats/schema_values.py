@@ -16,6 +16,8 @@ from cfgplan.errors import InvalidValueError
 from cfgplan.qualities import micro_units
 
 LARGEST_RATE_HZ = 100_000
+LEAST_SILENCE_S = 2
+"""Signs of life come once a second; a unit can't be judged by less."""
 NAME = r"^[^\s\x00-\x1f\x7f]([^\x00-\x1f\x7f]*[^\s\x00-\x1f\x7f])?$"
 PORT = r"^[^\s\x00-\x1f\x7f/]([^\x00-\x1f\x7f/]*[^\s\x00-\x1f\x7f/])?$"
 
@@ -51,6 +53,16 @@ def _seconds(value: object) -> int:
     if type(value) is int or type(value) is Decimal:
         return _microseconds(value)
     raise PydanticCustomError("number_type", "a time is a number of seconds")
+
+
+def _silence(value: object) -> int:
+    """How long a unit may give no sign of life, in microseconds; 0 for ever."""
+    silence_us = _seconds(value)
+    if 0 < silence_us < LEAST_SILENCE_S * 1_000_000:
+        message = f"signs of life come once a second, and {value} s is too short to miss one"
+        mend = f"write {LEAST_SILENCE_S} or more, or 0 for never"
+        raise PydanticCustomError("silence", "{text}", {"text": message, "mend": mend})
+    return silence_us
 
 
 def _span(value: object) -> int:
@@ -134,6 +146,11 @@ TagText = Annotated[
 ]
 Cost = Annotated[int, PlainValidator(_cost), WithJsonSchema({"type": "number", "minimum": 0})]
 Seconds = Annotated[int, PlainValidator(_seconds), WithJsonSchema({"type": "number", "minimum": 0})]
+Silence = Annotated[
+    int,
+    PlainValidator(_silence),
+    WithJsonSchema({"anyOf": [{"const": 0}, {"type": "number", "minimum": LEAST_SILENCE_S}]}),
+]
 Span = Annotated[
     int,
     PlainValidator(_span),

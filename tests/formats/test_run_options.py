@@ -32,6 +32,11 @@ def test_everything_can_be_said(tmp_path: Path) -> None:
     assert options(tmp_path, run) == RunOptions("aligned", 10_000, 30.0, 5, True, 2_500_000, 100, True)
 
 
+@pytest.mark.parametrize(("hang", "hang_us"), [("0", 0), ("2", 2_000_000), ("2.5", 2_500_000)])
+def test_a_unit_may_be_silent_for_two_seconds_or_more_or_for_ever(tmp_path: Path, hang: str, hang_us: int) -> None:
+    assert options(tmp_path, f"{{hang: {hang}}}").hang_us == hang_us
+
+
 def test_a_step_can_start_on_a_named_input(tmp_path: Path) -> None:
     assert options(tmp_path, "{start: left}").start == "left"
 
@@ -46,6 +51,9 @@ def test_a_step_can_start_on_a_named_input(tmp_path: Path) -> None:
         ("{queue: 0}", "at least 1"),
         ("{when_full: explode}", "when_full"),
         ("{memory: 0.5}", "whole number"),
+        ("{hang: 0.5}", "write 2 or more, or 0 for never"),
+        ("{hang: 1.999}", "write 2 or more, or 0 for never"),
+        ("{hang: soon}", "this must be a number"),
         ("{color: red}", "unknown key `color`"),
         ("fast", "mapping"),
     ],

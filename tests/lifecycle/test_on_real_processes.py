@@ -94,7 +94,7 @@ def test_an_impossible_target_and_a_broken_file_leave_the_others_alone(run_for_r
 def test_a_hung_unit_a_failing_one_and_one_that_cannot_start_give_way_to_others(run_for_real: RealRun) -> None:
     impatient = Policy(failing_s=0.5, failing_steps=3, back_off=BackOffRules(first_s=600))
     bad = [
-        worker("hanging", deed="hang", upkeep=0.001, run={"hang": 0.5}),
+        worker("hanging", deed="hang", upkeep=0.001, run={"hang": 2}),
         worker("raising", deed="raise", upkeep=0.002),
         worker("dying", deed="die at start", upkeep=0.003),
     ]
