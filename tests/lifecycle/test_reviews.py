@@ -30,6 +30,7 @@ from cfgplan_runtime.lifecycle.perturbations import (
     WorldChanged,
 )
 from cfgplan_runtime.lifecycle.reports import PHASES, Decision
+from cfgplan_runtime.operating.records import review_record
 from cfgplan_runtime.supervision.events import UnitStatus, UnitStopped
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
 from living import HORIZON_S, RESULT, Life, source, started, worker
@@ -386,3 +387,12 @@ class Meddling:
         if deed is not None:
             deed()
         return PLANNERS["cpsat"](problem, **more)
+
+
+def test_a_review_says_why_a_pinned_unit_was_stopped() -> None:
+    other = Target("other", "W", "/other")
+    life = started(source(), worker("sim", pinned=True), source("give", tag="W"), targets=(RESULT, other))
+    review = life.reviewed(RemoveTransformations(("count",)))
+    assert life.units == {"give.1"}
+    assert review.warnings == ("pinned unit sim.1 can't be fed: its input x wants N, but no output matches",)
+    assert review_record(review)["warnings"] == [*review.warnings]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -139,6 +141,20 @@ def test_a_run_of_another_process_is_asked_through_its_control_socket(
             with connect() as control:
                 remote = RemoteSubscriptions(control)
                 assert set(remote.declared().features) == {"robot"}
+
+
+def test_what_a_query_has_added_ends_with_its_process_even_if_that_is_killed(runs: Path) -> None:
+    with running() as (manager, runtime):
+        methods = Methods(manager).by_name()
+        with ControlServer(runs / "cfgplan" / runtime.id, methods, {"environment": str(WORLD), "pid": 1}):
+            code = "import sys; from cfgplan.cli import main; sys.exit(main())"
+            features = ("--features", str(PITCH / "features.yaml"))
+            line = [sys.executable, "-c", code, "query", "always eventually[0,1h] ball.x > 99", *features]
+            with subprocess.Popen(line) as process:
+                wait_for(lambda: units(manager) == {"camera", "robot", "localizer"})
+                process.kill()
+            wait_for(lambda: units(manager) == {"camera", "robot"})
+            assert {view.label for view in manager.snapshot().targets} == {"robot"}
 
 
 def test_a_query_whose_run_ends_is_left_open() -> None:
