@@ -25,7 +25,7 @@ from cfgplan.domain import (
 from cfgplan.planners.bounding.bounds import cheapest_way
 from cfgplan.planners.cpsat import plan
 from cfgplan.planners.networks import wiring
-from cfgplan.planners.networks.greedy import plan_at
+from cfgplan.planners.networks.greedy import first_plan, plan_at
 from cfgplan.planners.networks.network import Network
 from cfgplan.planning import Problem, Status
 from cfgplan.qualities import Better, Contribution, QualityAttribute, Rule, Wish
@@ -147,3 +147,22 @@ def test_what_falls_through_feedback_falls_in_few_closures() -> None:
     with patch("cfgplan.reasons.forward_closure", wraps=forward_closure) as closures:
         assert startable(Environment((), library), Givers(library, similarity)) == frozenset()
     assert closures.call_count <= 3
+
+
+def test_a_deep_row_of_pairs_has_a_first_plan() -> None:
+    """Each of 1,200 layers needs two of the layer before: added up, that is 2 to the power of 1,200."""
+    pair = (InputPort("a", "", "both"), InputPort("b", "", "both"))
+    library = tuple(
+        Transformation(
+            f"s{layer}_{k}",
+            tuple(replace(port, tag=f"T{layer - 1}") for port in pair) if layer else (),
+            (OutputPort("o", f"T{layer}"),),
+            labor_us=5 + k,
+        )
+        for layer in range(1_200)
+        for k in range(2)
+    )
+    similarity = Similarity({f"T{i}": frozenset({f"T{i}"}) for i in range(1_200)})
+    givers = Givers(library, similarity)
+    network = Network(library, ["T1199"], [], givers)
+    assert first_plan(network, np.full(len(library), 5, np.int64), 0, lambda: False) == set(range(2_399))

@@ -15,6 +15,8 @@ from cfgplan.planners.networks.core import MOST_PASSES, Floats, Ints
 from cfgplan.planners.networks.network import Graph
 from cfgplan.reasons import assign_different, distinct_groups
 
+DEAREST = 1e200
+"""No support counts as dearer than that: its sums stay finite."""
 FREE = 1e-3
 """The price of a label that is there already: of two such supports the smaller one is better."""
 
@@ -108,10 +110,15 @@ def _total(network: Graph, price: Floats) -> list[float] | None:
             break
         facts = better
     else:
-        found = core.facts_one_by_one(price.tolist(), sum)
+        found = core.facts_one_by_one(price.tolist(), _added)
         facts = np.array([found.get(fact, np.inf) for fact in range(len(core.givers))])
     labels = core.sum_of_needs(facts)
     return (labels[:-1] + price).tolist() if np.isfinite(labels[core.goal]) else None
+
+
+def _added(values: list[float]) -> float:
+    """The sum, but at most DEAREST if all are finite: what is needed twice in each of many layers would overflow."""
+    return min(sum(values), DEAREST) if max(values) < np.inf else np.inf
 
 
 def _below(network: Graph, labels: list[int], total: list[float]) -> set[int]:
