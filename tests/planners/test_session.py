@@ -36,6 +36,28 @@ from cfgplan.validity import plan_violations
 EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "400"))
 
 
+@pytest.mark.parametrize("planner", ["cpsat", "exhaustive"])
+def test_a_unit_that_costs_nothing_is_stopped_rather_than_rewired(planner: str) -> None:
+    """What runs is the first plan and costs as little as any, but one of its units can be done without."""
+    library = (
+        Transformation("t0", (), (OutputPort("x", "A"), OutputPort("y", "B")), labor_us=1),
+        Transformation(
+            "t1", (InputPort("a", "A"), InputPort("b", "B", feedback=True)), (OutputPort("x", "A"),), labor_us=1
+        ),
+    )
+    feeds = (Subscription("a", Stream("t1.1", "x")), Subscription("b", Stream("t0.2", "y")))
+    units = (
+        ComputationUnit("t0.2", "t0", (), (Publication("x", "/stale"),)),
+        ComputationUnit("t1.1", "t1", feeds, (Publication("x", "/0"),)),
+    )
+    similarity = Similarity({tag: frozenset({tag}) for tag in "AB"})
+    problem = Problem(Environment(units, library, (Target("q0", "A", "/0"),)), similarity, 0)
+    found = PLANNERS[planner](problem)
+    assert found.change_set is not None
+    assert ([u.id for u in found.change_set.rewired], found.change_set.stopped) == (["t0.2"], ("t1.1",))
+    assert (found.status, found.ties_proven) == (Status.OPTIMAL, True)
+
+
 def test_a_unit_that_became_free_to_start_is_replaced_rather_than_rewired() -> None:
     def library(labor_us: int) -> tuple[Transformation, ...]:
         return (

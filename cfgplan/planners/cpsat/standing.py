@@ -88,7 +88,8 @@ class Standing:
     def is_proven(self, chosen: set[int]) -> bool:
         """Whether the incumbent can't be beaten in changes, or is the only choice of units at its cost.
 
-        No more must be rewired then than has to be.
+        No more must be rewired then than has to be. It is the only choice if it has all candidates and each costs
+        something, or has to run: one that costs nothing might be done without.
         """
         if self.best is None:
             return False
@@ -98,6 +99,7 @@ class Standing:
             self.is_complete
             and self.best.key[:2] == (0, self.bound_us)
             and len(chosen) == len(self.site.candidates) == len(self.best.units)
+            and all(c.cost_us or self.site.is_kept_pinned(i) for i, c in enumerate(self.site.candidates))
             and self.best.key[2] == forced_changes(self.site, chosen)
         )
 
