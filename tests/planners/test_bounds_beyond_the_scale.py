@@ -4,7 +4,17 @@ from __future__ import annotations
 
 import pytest
 
-from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Target, Transformation
+from cfgplan.domain import (
+    ComputationUnit,
+    Environment,
+    InputPort,
+    OutputPort,
+    Similarity,
+    Stream,
+    Subscription,
+    Target,
+    Transformation,
+)
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import Problem, Status
 from cfgplan.qualities import Better, Contribution, Over, QualityAttribute, Rule, Wish, worst_allowed
@@ -62,6 +72,26 @@ def test_what_every_value_keeps_leaves_out_nothing(planner: str, problem: Proble
     plan = PLANNERS[planner](problem)
     assert plan_violations(problem, plan) == []
     assert (plan.status, plan.cost_us, plan.ties_proven) == (Status.OPTIMAL, cost_us, True)
+
+
+@pytest.mark.parametrize("planner", ["cpsat", "exhaustive"])
+def test_what_runs_is_kept_where_a_bound_asks_for_nothing(planner: str) -> None:
+    """The detector's five seconds count as the worst of the scale, 3.3; the target bears 4."""
+    latency = QualityAttribute("latency", Better.LOWER, worst=3_300_000, best=0)
+    image, map_ = (
+        OutputPort("image", "Image", (Contribution("latency", Rule.LIMIT, 500_000),)),
+        OutputPort("map", "Map", (Contribution("latency", Rule.LIMIT, 5_000_000),)),
+    )
+    library = (
+        Transformation("camera", (), (image,), upkeep_us=100_000),
+        Transformation("detector", (InputPort("image", "Image"),), (map_,), upkeep_us=100_000),
+    )
+    feed = Subscription("image", Stream("camera.1", "image"))
+    units = (ComputationUnit("camera.1", "camera"), ComputationUnit("detector.1", "detector", (feed,)))
+    target = Target("t", "Map", "/t", quality=(Wish("latency", 4_000_000, 1_000_000),))
+    similarity = Similarity({tag: frozenset({tag}) for tag in ("Image", "Map")})
+    plan = PLANNERS[planner](Problem(Environment(units, library, (target,), qualities=(latency,)), similarity, 60))
+    assert (plan.status, plan.cost_us, plan.ties_proven) == (Status.OPTIMAL, 15_300_000, True)
 
 
 @pytest.mark.parametrize(("attribute", "bound"), [(LOW, 99_999), (HIGH, 3_300_001)])
