@@ -39,10 +39,11 @@ def at_least(model: CpModel, least: int, literals: Sequence[IntVar]) -> None:
 def solve(solver: CpSolver, model: CpModel, callback: CpSolverSolutionCallback, clock: Clock) -> CpSolverStatus:
     """Solve in a thread, so that `stop` and Ctrl-C end it with the best solution so far.
 
-    Raises KeyboardInterrupt if Ctrl-C comes before the thread is there. None is left behind that solves: at the end
-    of the process it would make it abort.
+    Raises KeyboardInterrupt if Ctrl-C comes before the thread is there, and what the callback raises. None is left
+    behind that solves: at the end of the process it would make it abort.
     """
     status: list[CpSolverStatus] = []
+    raised: list[BaseException] = []
     begun, done, is_given_up = Event(), Event(), Event()
 
     def work() -> None:
@@ -50,6 +51,8 @@ def solve(solver: CpSolver, model: CpModel, callback: CpSolverSolutionCallback, 
         try:
             if not is_given_up.is_set():
                 status.append(solver.solve(model, callback))
+        except BaseException as error:  # told where it can be caught
+            raised.append(error)
         finally:
             done.set()
 
@@ -68,6 +71,8 @@ def solve(solver: CpSolver, model: CpModel, callback: CpSolverSolutionCallback, 
             break
         except KeyboardInterrupt:
             clock.stop.set()
+    if raised:
+        raise raised[0]
     if is_given_up.is_set() and not status:
         raise KeyboardInterrupt
     return status[0]
