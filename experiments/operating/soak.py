@@ -1,115 +1,446 @@
-"""A run under constant requests through its control socket: what leaks, what is lost, what is refused and why.
+"""A run in operation under everything that real machines do, with a consumer that checks every element.
 
-`python experiments/operating/soak.py [--seconds 60] [--seed 1]` prints threads, descriptors and memory as it goes on.
+python experiments/operating/soak.py [--minutes 30] [--seed 1]
+
+Each round does every deed once, in a random order: units, outlets and nursery are killed and stopped, the whole run is
+stalled, forks fail, a dead unit leaves a process behind that holds its sockets open, a unit loads slowly, the disk is
+full, the file is edited (well and badly), requests come through the control socket. There is at least one round.
+
+Checks: elements are lost only while something was killed or stopped, never by an edit, a request, a stall, a slow
+start, a failing fork or a full disk; none comes out of order; every target is met in the end, at exactly the cost that
+`cfgplan solve` finds for the file as it is then; no process, descriptor or thread is left over; memory stays flat.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
+import os
 import random
+import resource
+import signal
+import subprocess
+import sys
 import tempfile
 import threading
 import time
+from array import array
 from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
+from unittest.mock import patch
 
 import psutil
-from cfgplan_runtime.operating.control_client import Control, connect
+from cfgplan_runtime import subscribe
+from cfgplan_runtime.lifecycle.back_off import BackOffRules
+from cfgplan_runtime.lifecycle.policy import Policy
+from cfgplan_runtime.lifecycle.seams import DeclaredCosts
+from cfgplan_runtime.operating.control_client import connect
 from cfgplan_runtime.operating.operation import Operation, Settings
-from cfgplan_runtime.operating.protocol import RefusedError
 
 from cfgplan import api
 
-ONTOLOGY = """
-@prefix : <https://example.org/field#> .
-@prefix owl: <http://www.w3.org/2002/07/owl#> .
-:Robot a owl:Class . :Image a owl:Class . :of a owl:ObjectProperty . :piff a owl:NamedIndividual , :Robot .
-"""
+RUNTIME = Path(__file__).parents[1] / "runtime"
+"""Where what is preloaded into the nursery is."""
+
 UNITS = """
-def camera():
+import os, time
+
+def count():
     number = 0
     while True:
         yield number
         number += 1
+
+class Work:
+    def __init__(self, load=0, seed=0):
+        time.sleep(load)
+
+    def __call__(self, x):
+        wish = os.environ["CFGPLAN_SOAK_HEIR"]
+        if os.path.exists(wish):
+            try:
+                os.unlink(wish)
+            except FileNotFoundError:
+                return x
+            if os.fork() == 0:
+                os.setsid()
+                time.sleep(5)
+                os._exit(0)
+        return x
 """
-ENVIRONMENT = """
-format: cfgplan/1
-ontology: field.ttl
-transformations:
-  - label: camera(${Robot})
-    source: units.py:camera
-    run: {rate: 100}
-    outputs: {image: "Image and of value ${Robot}"}
-targets:
-  - {label: image, topic: /image, tag: Image and of value piff}
-"""
-ROBOT = """
-individuals: {paff: Robot}
-targets: [{label: paffs image, topic: /paff, tag: Image and of value paff}]
-"""
-TOLD_EVERY = 250
+WORKERS = {"first_a": ("N", "M"), "first_b": ("N", "M"), "second_a": ("M", "Y"), "second_b": ("M", "Y")}
+GUEST = "targets: [{label: guest, topic: /guest, tag: M}]"
+PATIENCE_S = 120.0
+SLACK_NS = 100_000_000
+"""How far an element that a kill has cost may be from that in time: it was on its way, or waited for its turn."""
+
+REST_S = 0.4
+"""How long nothing is done after a kill, so that it excuses nothing that follows."""
+
+STALL_S = 7.0
+"""Longer than the least silence for which a unit is killed."""
+
+MOST_BACK_OFF_S = 5.0
+"""So short that in the end nothing waits for long that failed before."""
+
+MOST_GROWTH_KB = 30_000
+
+
+@dataclass
+class Soak:
+    """A run of count -> first -> second -> /result under attack."""
+
+    operation: Operation
+    path: Path
+    randoms: random.Random
+    times_ns: array[int] = field(default_factory=lambda: array("q"))
+    values: array[int] = field(default_factory=lambda: array("q"))
+    kills_ns: list[tuple[int, int]] = field(default_factory=list)
+    upkeep_us: dict[str, int] = field(default_factory=lambda: dict.fromkeys(WORKERS, 500))
+    params: dict[str, dict[str, float]] = field(default_factory=lambda: {label: {} for label in WORKERS})
+
+    def deeds(self) -> list[Callable[[], None]]:
+        return [
+            self.kill_unit,
+            self.kill_units,
+            self.kill_outlets,
+            self.kill_nursery,
+            self.stop_unit,
+            self.stop_outlets,
+            self.stop_nursery,
+            self.stall,
+            self.failing_fork,
+            self.kill_with_heir,
+            self.slow_start,
+            self.full_disk,
+            self.other_prices,
+            self.other_params,
+            self.bad_edit,
+            self.requests,
+        ]
+
+    def listen(self) -> None:
+        for received in subscribe("/result", run=self.operation.id):
+            self.times_ns.append(received.time_ns)
+            self.values.append(received.value)
+
+    def kill_unit(self) -> None:
+        self._signal([self.randoms.choice(self._unit_pids())], signal.SIGKILL)
+
+    def kill_units(self) -> None:
+        self._signal(self._unit_pids(), signal.SIGKILL)
+
+    def kill_outlets(self) -> None:
+        self._signal([self._outlets()], signal.SIGKILL)
+
+    def kill_nursery(self) -> None:
+        self._signal([psutil.Process(self._outlets()).ppid()], signal.SIGKILL)
+
+    def stop_unit(self) -> None:
+        self._signal([self.randoms.choice(self._unit_pids())], signal.SIGSTOP)
+
+    def stop_outlets(self) -> None:
+        self._signal([self._outlets()], signal.SIGSTOP)
+
+    def stop_nursery(self) -> None:
+        self._signal([psutil.Process(self._outlets()).ppid()], signal.SIGSTOP)
+
+    def stall(self) -> None:
+        """Stop this process, supervisor, consumer and all: nobody is taken for hung."""
+        me, before = os.getpid(), self.faults_told()
+        subprocess.run(["sh", "-c", f"(kill -STOP {me}; sleep {STALL_S}; kill -CONT {me}) &"], check=True)
+        time.sleep(1.0)
+        self._await_result()
+        time.sleep(0.5)
+        assert self.faults_told() == before, self.faults_told()
+
+    def failing_fork(self) -> None:
+        """What is to be started can't be: what runs goes on until it can."""
+        full = Path(os.environ["CFGPLAN_SOAK_FULL"])
+        full.touch()
+        self._edit_params()
+        time.sleep(0.5)
+        full.unlink()
+
+    def kill_with_heir(self) -> None:
+        wish = Path(os.environ["CFGPLAN_SOAK_HEIR"])
+        wish.touch()
+        _await(lambda: not wish.exists(), "no unit leaves an heir")
+        self.kill_units()
+
+    def slow_start(self) -> None:
+        """What is the cheapest now takes long to load; it does not hold up the repair of what dies meanwhile."""
+        label = self.randoms.choice(list(WORKERS))
+        self.upkeep_us[label] = min(self.upkeep_us.values()) - 1
+        self.params[label] = {"load": self.randoms.uniform(0.5, 3.0)}
+        self.write()
+        time.sleep(0.3)
+        self.await_review(
+            lambda: any(unit.startswith(f"{label}.") for unit in self._units()), f"{label} does not start"
+        )
+
+    def full_disk(self) -> None:
+        """For a moment no file of this process may grow: the log takes no more, the run goes on."""
+        soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1, hard))
+        self._call("review")
+        time.sleep(0.3)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        log = self.operation.log
+        assert log is not None
+        assert log.failure is not None, "the disk was not full"
+
+    def other_prices(self) -> None:
+        for label in self.upkeep_us:
+            self.upkeep_us[label] = self.randoms.randrange(200, 1000)
+        self.write()
+
+    def other_params(self) -> None:
+        self._edit_params()
+
+    def bad_edit(self) -> None:
+        """A file that can't be read changes nothing."""
+        self.path.write_text("format: cfgplan/1\ntransformations: [{")
+        time.sleep(0.5)
+        self.write()
+
+    def requests(self) -> None:
+        """A guest comes through the control socket, one target goes and comes back, and the guest leaves."""
+        self._call("add", name="guest", text=GUEST)
+        self._call("remove_target", label="other")
+        self._call("state")
+        self._call("restore", name="other")
+        self._call("withdraw", name="guest")
+
+    def settle(self) -> None:
+        """Wait until elements come again, nothing is to be reviewed and every target is met."""
+        self._await_result()
+        _await(lambda: self.operation.manager.settle(1.0) and not self.unmet(), f"unmet: {self.unmet()}")
+
+    def faults_told(self) -> dict[str, int]:
+        """How often the log tells of something that died or was taken for hung."""
+        assert self.operation.log is not None
+        told = Counter(json.loads(line)["event"] for line in self.operation.log.path.read_text().splitlines())
+        return {kind: told[kind] for kind in ("UnitDied", "UnitHung", "HelperHung", "OutletsLost")}
+
+    def await_review(self, what: Callable[[], bool], else_say: str) -> None:
+        """Have it reviewed until something is so: what has failed before is left out for a while."""
+
+        def reviewed() -> bool:
+            self._call("review")
+            time.sleep(0.5)
+            return what()
+
+        _await(reviewed, else_say)
+
+    def unmet(self) -> list[str]:
+        return [view.label for view in self.operation.manager.snapshot().targets if not view.is_met]
+
+    def write(self) -> None:
+        """Write the file as an editor does: beside it, then in its place."""
+        known: list[dict[str, object]] = [
+            {
+                "label": "count",
+                "source": "units.py:count",
+                "labor": 0,
+                "upkeep": 0.001,
+                "run": {"rate": 30, "hang": 5},
+                "outputs": {"y": "N"},
+            }
+        ]
+        for label, (needs, gives) in WORKERS.items():
+            known.append(
+                {
+                    "label": label,
+                    "source": "units.py:Work",
+                    "labor": 0,
+                    "upkeep": self.upkeep_us[label] / 1e6,
+                    "run": {"hang": 5},
+                    "params": self.params[label],
+                    "inputs": {"x": needs},
+                    "outputs": {"y": gives},
+                }
+            )
+        targets = [
+            {"label": "result", "topic": "/result", "tag": "Y"},
+            {"label": "other", "topic": "/other", "tag": "M"},
+        ]
+        beside = self.path.with_suffix(".new")
+        beside.write_text(json.dumps({"format": "cfgplan/1", "transformations": known, "targets": targets}))
+        beside.rename(self.path)
+
+    def _edit_params(self) -> None:
+        label = self.randoms.choice(self._units()).partition(".")[0]
+        self.params[label if label in WORKERS else "first_a"] = {"seed": self.randoms.random()}
+        self.write()
+
+    def _units(self) -> list[str]:
+        return sorted(self.operation.runtime.environment.unit)
+
+    def _unit_pids(self) -> list[int]:
+        """The processes of units, but for those that are just being replaced."""
+        pids = [self.operation.runtime.pid(unit) for unit in self._units()]
+        return [pid for pid in pids if pid is not None]
+
+    def _outlets(self) -> int:
+        pid = self.operation.runtime.pid("")
+        assert pid is not None, "there are no outlets"
+        return pid
+
+    def _call(self, method: str, **parameters: object) -> None:
+        with connect(self.operation.id) as control:
+            control.call(method, **parameters)
+
+    def _signal(self, pids: list[int], number: signal.Signals) -> None:
+        """Kill or stop processes, and wait until they are gone and elements come again."""
+        begin = time.time_ns()
+        for pid in pids:
+            with suppress(ProcessLookupError):
+                os.kill(pid, number)
+        _await(lambda: not any(_is_alive(pid) for pid in pids), f"{pids} are not gone")
+        self.settle()
+        self.kills_ns.append((begin, time.time_ns()))
+        time.sleep(REST_S)
+
+    def _await_result(self) -> None:
+        now = time.time_ns()
+        _await(lambda: bool(self.times_ns) and self.times_ns[-1] > now, "nothing comes on /result")
+
+
+def _is_alive(pid: int) -> bool:
+    try:
+        return bool(psutil.Process(pid).status() != psutil.STATUS_ZOMBIE)
+    except psutil.NoSuchProcess:
+        return False
+
+
+def _await(what: Callable[[], bool], else_say: str) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while not what():
+        assert time.monotonic() < deadline, else_say
+        time.sleep(0.01)
+
+
+def anomalies(soak: Soak) -> list[str]:
+    """Whatever a consumer must not see."""
+    found = []
+    for (before_ns, before), (after_ns, after) in pairwise(zip(soak.times_ns, soak.values, strict=True)):
+        if after_ns <= before_ns:
+            found.append(f"{after} at {after_ns} came after {before} at {before_ns}")
+        excused = any(before_ns <= end + SLACK_NS and begin - SLACK_NS <= after_ns for begin, end in soak.kills_ns)
+        if after != before + 1 and not excused:
+            found.append(f"{after} came after {before} though nothing was killed or stopped")
+    return found
+
+
+def fresh_cost_us(path: Path) -> int:
+    """What `cfgplan solve` finds for the file, which says of no unit that it runs."""
+    code = "import sys; from cfgplan.cli import main; sys.exit(main())"
+    line = [sys.executable, "-c", code, "solve", str(path), "--json"]
+    solved = subprocess.run(line, capture_output=True, text=True, check=True)
+    plan = json.loads(solved.stdout)
+    assert plan["status"] == "optimal", plan
+    return int(plan["cost_us"])
+
+
+def running_cost_us(operation: Operation) -> int:
+    """What the units that run cost over the horizon; they were free to start."""
+    world = operation.manager.world
+    upkeep = sum(
+        world.environment.transformation[u.transformation].upkeep_us for u in operation.runtime.environment.units
+    )
+    return upkeep * world.horizon_s
+
+
+def of_run(run: str) -> list[psutil.Process]:
+    """The processes of a run, by their titles."""
+    found = psutil.process_iter(["cmdline"])
+    return [process for process in found if " ".join(process.info["cmdline"] or ()).startswith(f"cfgplan {run} ")]
+
+
+@contextmanager
+def operated(folder: Path, seed: int) -> Iterator[Soak]:
+    """A run of the soak's world, with log and recording, and a consumer."""
+    path = folder / "env.json"
+    (folder / "units.py").write_text(UNITS)
+    written = Soak(None, path, random.Random(seed))  # type: ignore[arg-type]
+    written.write()
+    policy = Policy(back_off=BackOffRules(most_s=MOST_BACK_OFF_S))
+    settings = Settings(policy=policy, preload=["preloaded"], log=folder / "log.jsonl", record=folder / "run.mcap")
+    costs = DeclaredCosts(failure_us=0)  # what crashed is to be as good as before in the end
+    with (
+        patch("cfgplan_runtime.operating.operation.make_estimator", lambda *_: costs),
+        Operation(api.load(path), path, settings) as operation,
+    ):
+        written.operation = operation
+        operation.begun.wait(PATIENCE_S)
+        listener = threading.Thread(target=written.listen)
+        listener.start()
+        written.settle()
+        yield written
+    listener.join(PATIENCE_S)
+
+
+def soak(minutes: float, seed: int) -> dict[str, object]:
+    """Run it; raises AssertionError for anything that must not be."""
+    me, done, sizes, descriptors = psutil.Process(), Counter[str](), list[int](), list[int]()
+    before, threads = me.num_fds(), threading.active_count()
+    end = time.monotonic() + 60 * minutes
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        os.environ["PYTHONPATH"] = os.pathsep.join([str(RUNTIME), *sys.path])
+        os.environ |= {"CFGPLAN_SOAK_FULL": f"{folder}/full", "CFGPLAN_SOAK_HEIR": f"{folder}/heir"}
+        with operated(folder, seed) as run:
+            while not sizes or time.monotonic() < end:
+                deeds = run.deeds()
+                run.randoms.shuffle(deeds)
+                for deed in deeds:
+                    print(f"{time.strftime('%X')} {deed.__name__}", flush=True)
+                    deed()
+                    run.settle()
+                    done[deed.__name__] += 1
+                sizes.append(me.memory_info().rss >> 10)
+                descriptors.append(me.num_fds())
+                print(f"{len(run.values)} elements, {sizes[-1]} kB, {descriptors[-1]} descriptors", flush=True)
+            time.sleep(1.0)
+            run.settle()
+            fresh_us = fresh_cost_us(run.path)
+            run.await_review(
+                lambda: running_cost_us(run.operation) == fresh_us, f"a fresh plan costs {fresh_us} us, not what runs"
+            )
+        found = anomalies(run)
+        log, recorder = run.operation.log, run.operation.recorder
+        assert log is not None
+        assert recorder is not None
+        assert (folder / "run.mcap").stat().st_size > 0
+    assert not found, found[:10]
+    _await(lambda: not of_run(run.operation.id), f"left over: {of_run(run.operation.id)}")
+    assert me.num_fds() <= before, f"{me.num_fds()} descriptors, {before} before"
+    assert threading.active_count() <= threads, threading.enumerate()
+    assert max(descriptors) <= descriptors[0] + 5, descriptors
+    assert sizes[-1] - sizes[len(sizes) // 4] <= MOST_GROWTH_KB, sizes
+    return {
+        "deeds": dict(done),
+        "elements": len(run.values),
+        "log": f"{log.written} lines, {log.lost} lost",
+        "recording": f"{recorder.recording.written} messages, {recorder.lost} lost",
+        "memory_growth_kB": sizes[-1] - sizes[len(sizes) // 4],
+        "descriptors": (min(descriptors), max(descriptors)),
+        "cost_us": f"{fresh_us}, as a fresh plan",
+    }
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=60.0)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--minutes", type=float, default=30.0)
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
-    chance, refused = random.Random(options.seed), Counter[str]()
-    with tempfile.TemporaryDirectory() as name:
-        env = written(Path(name))
-        with Operation(api.load(env), env, Settings(record=env.with_name("run.mcap"))) as operation:
-            operation.begun.wait()
-            end, requests = time.monotonic() + options.seconds, 0
-            while time.monotonic() < end:
-                if requests % TOLD_EVERY == 0:
-                    tell(requests)
-                with connect(operation.id) as control:
-                    try:
-                        disturb(control, operation, chance)
-                    except RefusedError as error:
-                        refused[error.message.partition("'")[0]] += 1
-                requests += 1
-            tell(requests)
-    recorder = operation.recorder
-    assert recorder is not None
-    print(f"recorded {recorder.recording.written}, lost {recorder.lost + operation.dropped}; refused {dict(refused)}")
-    print(f"threads afterwards: {threading.active_count()}")
-
-
-def written(folder: Path) -> Path:
-    (folder / "field.ttl").write_text(ONTOLOGY)
-    (folder / "units.py").write_text(UNITS)
-    (folder / "env.yaml").write_text(ENVIRONMENT)
-    return folder / "env.yaml"
-
-
-def disturb(control: Control, operation: Operation, chance: random.Random) -> None:
-    units = [unit.id for unit in operation.runtime.environment.units]
-    match chance.choice(["register", "leave", "kill", "look", "remove", "review"]):
-        case "register":
-            control.call("add", name="paff", text=ROBOT)
-        case "leave":
-            control.call("withdraw", name="paff")
-        case "kill" if units:
-            control.call("kill", unit=chance.choice(units))
-        case "remove":
-            control.call("remove_target", label="image")
-            control.call("restore", name="image")
-        case "review":
-            control.subscribe()
-            control.call("review")
-        case _:
-            control.call("state")
-
-
-def tell(requests: int) -> None:
-    me = psutil.Process()
-    memory = me.memory_info().rss >> 20
-    print(
-        f"{requests:6} requests: {threading.active_count()} threads, {me.num_fds()} descriptors, {memory} MB",
-        flush=True,
-    )
+    for name, value in soak(options.minutes, options.seed).items():
+        print(f"{name}: {value}")
 
 
 if __name__ == "__main__":
