@@ -5,8 +5,11 @@ from __future__ import annotations
 import os
 import random
 import signal
+import subprocess
+import sys
 import threading
 from dataclasses import replace
+from pathlib import Path
 from threading import Event
 
 import pytest
@@ -160,6 +163,13 @@ def test_a_stop_event_ends_with_the_best_plan_so_far_and_an_honest_bound() -> No
 
 @pytest.mark.skipif(os.name != "posix", reason="sends itself an interrupt as Ctrl-C does")
 def test_ctrl_c_during_the_solving_ends_with_the_best_plan_so_far() -> None:
+    """In a process of its own, since the signal is one for the whole process."""
+    code = "import test_session; test_session.interrupted_while_it_solves()"
+    done = subprocess.run([sys.executable, "-c", code], cwd=Path(__file__).parent, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def interrupted_while_it_solves() -> None:
     problem = hard_problem()
     bounds: list[int] = []
 
