@@ -154,6 +154,7 @@ def test_what_happens_can_be_followed(run: subprocess.Popen[str], capsys: pytest
         # Both have subscribed when they have heard of something.
         while not select.select([people.stdout], [], [], 0)[0] or not select.select([program.stdout], [], [], 0)[0]:
             assert ctl(capsys, "review")
+        assert ctl(capsys, "review")  # What they heard may have been the end of the last one.
         ctl(capsys, "stop")
         told = [json.loads(line) for line in program.stdout]
         assert any(" Review " in line for line in people.stdout)
