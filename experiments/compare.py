@@ -15,17 +15,17 @@ from pathlib import Path
 from rich.console import Console
 
 from cfgplan.comparing import REGISTERED, Limits, Row, read_rows, run
-from cfgplan.comparing.bar import progress_bar
 from cfgplan.comparing.invariants import breaches
 from cfgplan.comparing.report import write_report
-from cfgplan.comparing.runner import everyone
-from cfgplan.comparing.suites import SCALE_SEEDS, SUITES
-from cfgplan.comparing.wsc import wsc_sets
+from cfgplan.comparing.runner import everyone, progress_bar
+from cfgplan.comparing.suites import SUITES, wsc_sets
 from cfgplan.errors import CfgplanError
 from experiments.peers import PEERS
 from experiments.planning import VARIANTS, takes_part
+from experiments.planning.scale_suite import SCALE_SEEDS, scale
 from experiments.planning.scaling import measure_loads, write_scale
 
+INSTANCES = {**SUITES, "scale": scale}
 ENTRANTS = {**REGISTERED, **VARIANTS, **PEERS}
 STUDY = (*REGISTERED, *PEERS)
 AT_SCALE = ("cpsat", *VARIANTS, *PEERS)
@@ -53,7 +53,7 @@ def main() -> int:
 
 def _rows(options: argparse.Namespace, folder: Path) -> list[Row]:
     console = Console(stderr=True)
-    instances = list(SUITES[options.suite]())
+    instances = list(INSTANCES[options.suite]())
     if options.wsc:
         instances += wsc_sets(options.wsc)
     elif options.suite != "scale":

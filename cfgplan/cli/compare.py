@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from cfgplan.comparing import Instance, Row
-    from cfgplan.comparing.tables import Table
+    from cfgplan.comparing.report import Table
 
 
 def add_to(verbs: shared.Subparsers) -> None:
@@ -55,8 +55,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from rich.console import Console
 
     from cfgplan import comparing
-    from cfgplan.comparing.bar import progress_bar
     from cfgplan.comparing.invariants import breaches
+    from cfgplan.comparing.runner import progress_bar
 
     entrants = [comparing.entrant(name) for name in options.planner or comparing.REGISTERED]
     limits = comparing.Limits(time_limit_s=options.timeout, memory_mb=options.memory)
@@ -81,8 +81,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
 def _instances(options: argparse.Namespace, screen: Screen) -> list[Instance]:
     from cfgplan import api, comparing
-    from cfgplan.comparing.suites import SUITES
-    from cfgplan.comparing.wsc import wsc_sets
+    from cfgplan.comparing.suites import SUITES, wsc_sets
 
     instances = []
     for env in options.envs:
@@ -104,7 +103,7 @@ def _instances(options: argparse.Namespace, screen: Screen) -> list[Instance]:
 def _show(rows: list[Row], found: list[str], screen: Screen) -> None:
     from rich.text import Text
 
-    from cfgplan.comparing.tables import detail, overview
+    from cfgplan.comparing.report import detail, overview
 
     for table in (detail(rows), overview(rows)):
         if sys.stdout.isatty():

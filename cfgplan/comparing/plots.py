@@ -9,8 +9,8 @@ from statistics import median
 from typing import TYPE_CHECKING, NamedTuple
 
 from cfgplan.comparing.invariants import by_instance, gap, references
+from cfgplan.comparing.report import LEAST_S, planners
 from cfgplan.comparing.rows import Failure, Row
-from cfgplan.comparing.tables import LEAST_S, planners
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, asdict, dataclass, field, fields, replace
+from dataclasses import MISSING, asdict, dataclass, field, fields
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
@@ -82,15 +82,6 @@ class Row:
     @property
     def has_plan(self) -> bool:
         return self.outcome in (Status.OPTIMAL, Status.FEASIBLE)
-
-    def after(self, seconds: float) -> Row:
-        """What was known so many seconds after the start."""
-        if self.time_limit_s <= seconds or (self.proof_s is not None and self.proof_s <= seconds):
-            return self
-        known = [point for point in self.trace if point[0] <= seconds]
-        _, cost_us, bound_us = known[-1] if known else (0.0, None, 0)
-        outcome = Status.UNKNOWN if cost_us is None else Status.FEASIBLE
-        return replace(self, outcome=outcome, cost_us=cost_us, bound_us=bound_us, proof_s=None)
 
 
 def read_rows(path: Path) -> list[Row]:

@@ -8,20 +8,21 @@ import platform
 import signal
 import subprocess
 import sys
-from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
-from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cfgplan.comparing.entrants import Entrant
 from cfgplan.comparing.instances import Instance
 from cfgplan.comparing.rows import PROVEN, Failure, Key, Point, Row, append_row, read_rows, thinned
 from cfgplan.errors import InputError, InvalidValueError
 from cfgplan.planning import Status
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 
 @dataclass(frozen=True)
@@ -42,13 +43,11 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class Standing:
-    """How far a comparison is: runs done out of all, those left over from before among them, seconds left (about)."""
+class Advance:
+    """How far a comparison is: runs done (also before) out of all, and the planner and instance that come next."""
 
     done: int
     total: int
-    left_s: float | None
-    row: Row | None
     ahead: str
 
 
@@ -64,30 +63,51 @@ def run(
     results: Path,
     *,
     takes_part: Callable[[Instance, Entrant], bool] = everyone,
-    watch: Callable[[Standing], None] | None = None,
+    watch: Callable[[Advance], None] | None = None,
 ) -> list[Row]:
     """Run every entrant on every instance that it takes part in and append a row for each to the file `results`.
 
     A run whose row is there already is not repeated, unless a package was missing then. Returns the
-    rows of exactly these runs. `watch` is told the standing before the first run and after each.
+    rows of exactly these runs. `watch` is told of each run before it starts, and of the end.
     """
     known = {row.key: row for row in read_rows(results) if row.outcome != Failure.UNAVAILABLE}
     tasks = [(instance, entrant) for instance in instances for entrant in entrants if takes_part(instance, entrant)]
     left = [(i, e) for i, e in tasks if _key(i, e, limits) not in known]
-    seconds: dict[str, list[float]] = defaultdict(list)
-    if watch is not None:
-        watch(Standing(len(tasks) - len(left), len(tasks), None, None, _names(left)))
-    for number, (instance, entrant) in enumerate(left, 1):
-        began = perf_counter()
+    for number, (instance, entrant) in enumerate(left):
+        if watch is not None:
+            watch(Advance(len(tasks) - len(left) + number, len(tasks), f"{entrant.name} on {instance.name}"))
         row = run_one(instance, entrant, limits)
         append_row(results, row)
         known[row.key] = row
-        seconds[entrant.name].append(perf_counter() - began)
-        if watch is not None:
-            ahead = left[number:]
-            done = len(tasks) - len(ahead)
-            watch(Standing(done, len(tasks), _seconds_left(ahead, seconds), row, _names(ahead)))
+    if watch is not None:
+        watch(Advance(len(tasks), len(tasks), ""))
     return [known[_key(instance, entrant, limits)] for instance, entrant in tasks]
+
+
+@contextmanager
+def progress_bar(console: Console) -> Iterator[Callable[[Advance], None]]:
+    """A function to `watch` a run with; the bar is shown on a terminal only."""
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        BarColumn(bar_width=30),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("about"),
+        TimeRemainingColumn(),
+        TextColumn("left"),
+        TextColumn("{task.description}", style="dim"),
+    )
+    with Progress(*columns, console=console, disable=not console.is_terminal, speed_estimate_period=1e6) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda s: bar.update(task, total=s.total, completed=s.done, description=s.ahead, refresh=True)
 
 
 def run_one(instance: Instance, entrant: Entrant, limits: Limits) -> Row:
@@ -159,20 +179,6 @@ def machine() -> dict[str, object]:
 
 def _key(instance: Instance, entrant: Entrant, limits: Limits) -> Key:
     return (instance.name, instance.digest, entrant.name, limits.time_limit_s, limits.memory_mb)
-
-
-def _names(ahead: Sequence[tuple[Instance, Entrant]]) -> str:
-    return f"{ahead[0][1].name} on {ahead[0][0].name}" if ahead else ""
-
-
-def _seconds_left(ahead: Sequence[tuple[Instance, Entrant]], seconds: dict[str, list[float]]) -> float:
-    """Each run ahead takes as long as the same planner's runs did so far, on average."""
-    all_of_them = [s for values in seconds.values() for s in values]
-    return sum(_mean(seconds[entrant.name] or all_of_them) for _, entrant in ahead)
-
-
-def _mean(values: Sequence[float]) -> float:
-    return sum(values) / len(values)
 
 
 def _run_process(task: str, limit_s: float) -> tuple[str, str, int | None]:

@@ -1,11 +1,15 @@
-"""Named sets of instances, from seconds to an hour of planning."""
+"""Sets of instances: generated ones by name, and the Web Service Challenge 2008 from wherever a copy of it lies."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from types import MappingProxyType
+from typing import Literal
 
 from cfgplan.comparing.instances import Instance, generated
+from cfgplan.errors import InputError
+from cfgplan.planning import Problem
 
 
 def tiny() -> Iterator[Instance]:
@@ -82,36 +86,28 @@ def full() -> Iterator[Instance]:
             yield generated("adversarial", kind=kind, size=int(size))
 
 
-SCALE: Mapping[str, Mapping[str, float]] = MappingProxyType(
-    {
-        "50": {"transformations": 50, "targets": 3},
-        "500": {"transformations": 500, "targets": 1},
-        "500, branching 2": {"transformations": 500, "targets": 1, "branching": 2},
-        "500, branching 50": {"transformations": 500, "targets": 1, "branching": 50},
-        "500, 8 targets": {"transformations": 500, "targets": 8},
-        "500, 2 outputs, 8 targets": {"transformations": 500, "targets": 8, "outputs": 2},
-        "500, a third running, 8 targets": {"transformations": 500, "targets": 8, "running": 0.3},
-        "500, arity 3, back .4": {"transformations": 500, "targets": 3, "arity": 3, "back": 0.4},
-        "1,000, 5 targets": {"transformations": 1000, "targets": 5},
-        "1,000, 60 targets": {"transformations": 1000, "targets": 60},
-        "2,000, 3 targets": {"transformations": 2000, "targets": 3},
-        "5,000": {"transformations": 5000, "targets": 1},
-        "5,000, branching 20": {"transformations": 5000, "targets": 1, "branching": 20},
-        "50,000, branching 20": {"transformations": 50000, "targets": 1, "branching": 20},
-    }
-)
-"""Families of random libraries by name: sizes, branching, cycles, outputs, running units."""
-SCALE_SEEDS = (10, 11, 12)
-"""Other ones than those that the planner's constants were chosen on."""
+SUITES: Mapping[str, Callable[[], Iterator[Instance]]] = MappingProxyType({"tiny": tiny, "short": short, "full": full})
+
+Objective = Literal["services", "length"]
+OBJECTIVES: tuple[Objective, ...] = ("services", "length")
 
 
-def scale() -> Iterator[Instance]:
-    """Random libraries of 50 to 50,000 transformations, three of each family of `SCALE`."""
-    for parameters in SCALE.values():
-        for seed in SCALE_SEEDS:
-            yield generated("random_library", seed, **parameters)
+def wsc_sets(folder: Path) -> list[Instance]:
+    """Two instances for each set in a folder of sets: fewest services at all, and at the shortest length.
+
+    Raises InputError if there is no set.
+    """
+    sets = sorted(path.parent for path in folder.glob("*/services.xml"))
+    if not sets:
+        raise InputError.of("there is no set of the Web Service Challenge", file=str(folder), mend="name their folder")
+    return [_instance(path, objective) for path in sets for objective in OBJECTIVES]
 
 
-SUITES: Mapping[str, Callable[[], Iterator[Instance]]] = MappingProxyType(
-    {"tiny": tiny, "short": short, "full": full, "scale": scale}
-)
+def _instance(folder: Path, objective: Objective) -> Instance:
+    def make() -> Problem:
+        from cfgplan.formats.wsc import read_wsc
+
+        world, similarity = read_wsc(folder, objective)
+        return Problem(world.environment, similarity, world.horizon_s, world.max_cost_us)
+
+    return Instance(f"wsc({folder.name}, {objective})", "wsc", {"set": folder.name, "kind": objective}, None, make)

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from cfgplan.comparing import REGISTERED, Entrant, Instance
-from cfgplan.comparing.scale import PARTS
-from cfgplan.comparing.suites import SCALE_SEEDS
+from experiments.planning.scale_suite import SCALE_SEEDS
+from experiments.planning.scale_tables import PARTS
 
 
 def _variant(name: str, function: str) -> Entrant:

@@ -24,9 +24,9 @@ from random import Random
 sys.path.insert(0, str(Path(__file__).parents[1] / "fleet"))
 
 import instances
+from scale_suite import SCALE
 
 from cfgplan.comparing.families.random_library import random_library
-from cfgplan.comparing.suites import SCALE
 from cfgplan.domain import ChangeSet
 from cfgplan.planning import Problem, Status
 

@@ -12,9 +12,9 @@ from time import perf_counter
 
 from cfgplan.comparing import Instance, Row
 from cfgplan.comparing.plots import performance_profile
-from cfgplan.comparing.scale import scale_text
 from cfgplan.formats.dump import dump_environment
 from experiments.planning import ONE_SEED
+from experiments.planning.scale_tables import scale_text
 
 
 def measure_loads(instances: Iterable[Instance], folder: Path) -> None:

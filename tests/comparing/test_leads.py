@@ -6,7 +6,7 @@ import pytest
 from made_rows import row
 
 from cfgplan.comparing import Failure, Row
-from cfgplan.comparing.leads import lead, matched
+from experiments.planning.leads import lead, matched
 
 
 def test_a_lead_is_the_mean_ratio_of_times_to_proof() -> None:

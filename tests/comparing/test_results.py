@@ -8,11 +8,10 @@ import pytest
 from made_rows import row
 
 from cfgplan.comparing import REGISTERED, Failure, Limits, Row, run
-from cfgplan.comparing.bar import duration
 from cfgplan.comparing.invariants import breaches, gap, references
+from cfgplan.comparing.report import by_family, detail, effort, overview, ratio_to, write_report
 from cfgplan.comparing.rows import thinned
 from cfgplan.comparing.suites import SUITES
-from cfgplan.comparing.tables import by_family, detail, effort, overview, ratio_to
 from cfgplan.planning import Status
 
 
@@ -84,10 +83,6 @@ def test_a_thinned_trace_keeps_its_ends() -> None:
     assert thinned(trace[:5]) == tuple(trace[:5])
 
 
-def test_durations_are_read_at_a_glance() -> None:
-    assert [duration(s) for s in (0.4, 59.4, 61, 3700)] == ["0 s", "59 s", "1:01 min", "1:01 h"]
-
-
 @pytest.fixture(scope="module")
 def tiny_rows(tmp_path_factory: pytest.TempPathFactory) -> list[Row]:
     results = tmp_path_factory.mktemp("tiny") / "results.jsonl"
@@ -107,8 +102,6 @@ def test_every_registered_planner_keeps_the_invariants_on_the_tiny_suite(tiny_ro
 @pytest.mark.xdist_group("tiny")
 def test_a_report_has_tables_and_plots(tiny_rows: list[Row], tmp_path: Path) -> None:
     pytest.importorskip("matplotlib", reason="the plots need the extra `plots`")
-    from cfgplan.comparing.report import write_report
-
     files = write_report(tiny_rows, tmp_path / "report")
     assert {file.name for file in files} == {"tables.md", "gaps.png", "performance.png", "anytime.png", "bounds.png"}
     assert all(file.stat().st_size > 1000 for file in files)

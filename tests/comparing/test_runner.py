@@ -14,10 +14,10 @@ from pathlib import Path
 import pytest
 
 from cfgplan.comparing import (
+    Advance,
     Entrant,
     Failure,
     Limits,
-    Standing,
     entrant,
     generated,
     given,
@@ -164,13 +164,12 @@ def test_the_judge_convicts_a_planner_that_lies() -> None:
 
 
 def test_a_row_that_is_there_is_not_run_again(tmp_path: Path) -> None:
-    results, seen = tmp_path / "new" / "results.jsonl", list[Standing]()
+    results, seen = tmp_path / "new" / "results.jsonl", list[Advance]()
     planners = [entrant("cpsat"), entrant("branch-and-bound")]
     first = run([SMALL], planners, LIMITS, results, watch=seen.append)
     assert [(s.done, s.total) for s in seen] == [(0, 2), (1, 2), (2, 2)]
     assert seen[0].ahead == f"cpsat on {SMALL.name}"
-    assert seen[1].left_s is not None
-    assert seen[1].left_s > 0
+    assert seen[1].ahead == f"branch-and-bound on {SMALL.name}"
     seen.clear()
     assert run([SMALL], planners, LIMITS, results, watch=seen.append) == first == read_rows(results)
     assert [(s.done, s.total) for s in seen] == [(2, 2)]

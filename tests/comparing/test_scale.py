@@ -11,12 +11,21 @@ from made_rows import row
 from cfgplan.comparing import Failure, Row, generated, read_rows
 from cfgplan.comparing.families.random_library import random_library
 from cfgplan.comparing.invariants import breaches
-from cfgplan.comparing.scale import behind, building, everyone, families, peer_by_peer, scale_text, summary
-from cfgplan.comparing.suites import SCALE, SCALE_SEEDS, SUITES
 from cfgplan.domain import Similarity
 from cfgplan.planning import Status
 from experiments.compare import AT_SCALE, ENTRANTS, in_order
 from experiments.planning import ONE_SEED, VARIANTS, takes_part
+from experiments.planning.scale_suite import SCALE, SCALE_SEEDS, scale
+from experiments.planning.scale_tables import (
+    behind,
+    building,
+    everyone,
+    families,
+    known_after,
+    peer_by_peer,
+    scale_text,
+    summary,
+)
 from experiments.planning.scaling import load_s, read_loads
 
 REPORT = Path(__file__).parents[2] / "experiments" / "planning" / "scale"
@@ -69,8 +78,8 @@ def test_gaps_are_those_after_ten_seconds_also_of_what_is_proven_later() -> None
     trace = ((1.0, 20, 0), (9.0, 12, 8), (11.0, 10, 9))
     late = row("highs", 10, 12.0, instance="s#0", parameters=SMALL, time_limit_s=30.0, trace=trace)
     assert everyone([ROWS[0], late]).lines[1][2:6] == ("1 of 1", "12", "-20.0%", "+20.0%")
-    assert late.after(12.0) is late
-    assert late.after(0.5).outcome is Status.UNKNOWN
+    assert known_after(late, 12.0) is late
+    assert known_after(late, 0.5).outcome is Status.UNKNOWN
 
 
 @pytest.mark.parametrize("name", VARIANTS)
@@ -95,7 +104,7 @@ def test_one_planner_alone_has_tables_too() -> None:
 
 
 def test_everyone_takes_part_in_the_first_seed_of_each_family() -> None:
-    for instance in SUITES["scale"]():
+    for instance in scale():
         names = {name for name in AT_SCALE if takes_part(instance, ENTRANTS[name])}
         assert names >= {"cpsat", "clingo-usc", "highs", "fast-downward"}
         assert (names == set(AT_SCALE)) == (instance.seed == SCALE_SEEDS[0])
@@ -121,5 +130,5 @@ def test_the_tables_at_scale_are_those_of_the_results(rows: list[Row]) -> None:
 
 def test_every_planner_ran_on_every_instance_that_it_takes_part_in(rows: list[Row]) -> None:
     assert set(AT_SCALE) <= set(ENTRANTS)
-    due = {(i.name, name) for i in SUITES["scale"]() for name in AT_SCALE if takes_part(i, ENTRANTS[name])}
+    due = {(i.name, name) for i in scale() for name in AT_SCALE if takes_part(i, ENTRANTS[name])}
     assert {(row.instance, row.planner) for row in rows} == due

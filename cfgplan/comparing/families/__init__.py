@@ -10,8 +10,7 @@ from types import MappingProxyType
 
 from cfgplan.comparing.families.adversarial import adversarial
 from cfgplan.comparing.families.nao import nao
-from cfgplan.comparing.families.random_library import random_library
-from cfgplan.comparing.families.replanning import replanning
+from cfgplan.comparing.families.random_library import random_library, replanning
 from cfgplan.planning import Problem
 
 FAMILIES: Mapping[str, Callable[..., Problem]] = MappingProxyType(

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from math import exp, log
 
 from cfgplan.comparing.invariants import gap, references
-from cfgplan.comparing.leads import Lead, lead, matched, seconds
-from cfgplan.comparing.report import head
+from cfgplan.comparing.report import Table, head, planners
 from cfgplan.comparing.rows import Failure, Row
-from cfgplan.comparing.suites import SCALE
-from cfgplan.comparing.tables import Table, planners
+from cfgplan.planning import Status
+from experiments.planning.leads import Lead, lead, matched, seconds
+from experiments.planning.scale_suite import SCALE
 
 BASE = "cpsat"
 PARTS = ("levels-prepared", "cuts-alone")
@@ -122,7 +123,7 @@ def everyone(rows: Sequence[Row]) -> Table:
     for name, group in families(rows).items():
         for planner in planners(group):
             own = [row for row in group if row.planner == planner]
-            left = [row for row in (run.after(GAPS_S) for run in own) if not row.proven]
+            left = [row for row in (known_after(run, GAPS_S) for run in own) if not row.proven]
             known = [(row, best.cost_us) for row in left if (best := reference.get((row.instance, row.digest)))]
             below = [1 - row.bound_us / cost_us for row, cost_us in known if cost_us]
             above = [found for row in left if (found := gap(row, reference)) is not None]
@@ -146,6 +147,16 @@ def everyone(rows: Sequence[Row]) -> Table:
     heads = ("family", "planner", "proven", "s to proof", *gaps, "peak MB", f"lead of {BASE}")
     title = "Every planner: geometric mean of its times to proof, worst gaps of bound and plan where it had none yet"
     return Table(title, heads, tuple(lines))
+
+
+def known_after(row: Row, seconds: float) -> Row:
+    """The row as it would have been if the run had ended so many seconds after its start."""
+    if row.time_limit_s <= seconds or (row.proof_s is not None and row.proof_s <= seconds):
+        return row
+    known = [point for point in row.trace if point[0] <= seconds]
+    _, cost_us, bound_us = known[-1] if known else (0.0, None, 0)
+    outcome = Status.UNKNOWN if cost_us is None else Status.FEASIBLE
+    return replace(row, outcome=outcome, cost_us=cost_us, bound_us=bound_us, proof_s=None)
 
 
 def _peers(rows: Sequence[Row]) -> list[str]:

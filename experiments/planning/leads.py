@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from math import exp, log
 
 from cfgplan.comparing.invariants import by_instance
+from cfgplan.comparing.report import LEAST_S
 from cfgplan.comparing.rows import Failure, Row
-from cfgplan.comparing.tables import LEAST_S
 
 
 @dataclass(frozen=True)

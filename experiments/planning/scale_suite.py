@@ -1,0 +1,37 @@
+"""The instances of the comparison at scale."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
+
+from cfgplan.comparing.instances import Instance, generated
+
+SCALE: Mapping[str, Mapping[str, float]] = MappingProxyType(
+    {
+        "50": {"transformations": 50, "targets": 3},
+        "500": {"transformations": 500, "targets": 1},
+        "500, branching 2": {"transformations": 500, "targets": 1, "branching": 2},
+        "500, branching 50": {"transformations": 500, "targets": 1, "branching": 50},
+        "500, 8 targets": {"transformations": 500, "targets": 8},
+        "500, 2 outputs, 8 targets": {"transformations": 500, "targets": 8, "outputs": 2},
+        "500, a third running, 8 targets": {"transformations": 500, "targets": 8, "running": 0.3},
+        "500, arity 3, back .4": {"transformations": 500, "targets": 3, "arity": 3, "back": 0.4},
+        "1,000, 5 targets": {"transformations": 1000, "targets": 5},
+        "1,000, 60 targets": {"transformations": 1000, "targets": 60},
+        "2,000, 3 targets": {"transformations": 2000, "targets": 3},
+        "5,000": {"transformations": 5000, "targets": 1},
+        "5,000, branching 20": {"transformations": 5000, "targets": 1, "branching": 20},
+        "50,000, branching 20": {"transformations": 50000, "targets": 1, "branching": 20},
+    }
+)
+"""Families of random libraries by name: sizes, branching, cycles, outputs, running units."""
+SCALE_SEEDS = (10, 11, 12)
+"""Other ones than those that the planner's constants were chosen on."""
+
+
+def scale() -> Iterator[Instance]:
+    """Random libraries of 50 to 50,000 transformations, three of each family of `SCALE`."""
+    for parameters in SCALE.values():
+        for seed in SCALE_SEEDS:
+            yield generated("random_library", seed, **parameters)
