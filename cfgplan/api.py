@@ -32,7 +32,7 @@ from cfgplan.matching import (
 from cfgplan.planners import PLANNERS
 from cfgplan.planners.undecided import Deciding
 from cfgplan.planning import Decider, Failures, Plan, Planner, PlannerFaultError, Problem, Progress
-from cfgplan.reasons import pinned_reasons
+from cfgplan.reasons import with_pinned_reasons
 from cfgplan.validity import Violation
 
 if TYPE_CHECKING:
@@ -303,7 +303,7 @@ def accepted(problem: Problem, answer: Plan) -> Plan:
     Raises UntruthfulPlanError if not, and PlannerFaultError if the judge fails; both have the plan.
     """
     if answer.change_set is not None:
-        answer = replace(answer, stopped_pinned=pinned_reasons(problem))
+        answer = replace(answer, reasons=with_pinned_reasons({}, problem))
     try:
         found = plan_violations(problem, answer) or validity.silent_stops(problem, answer)
     except Exception as error:

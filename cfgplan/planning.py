@@ -145,8 +145,8 @@ class Plan:
 
     `change_set` is there exactly when the status is optimal or feasible. `cost_us` is the cost of
     the update (Definition 8) or, when too expensive, that of the cheapest update if it is known;
-    `bound_us` is proven: no update is cheaper. `reasons` says for each target that can't be met, by its
-    label, why; `stopped_pinned` for each pinned unit that can't be fed and is stopped, by its id. `unused_required`
+    `bound_us` is proven: no update is cheaper. `reasons` says why: for each target that can't be met, by its
+    label, and for each pinned unit that can't be fed and is stopped, by its id. `unused_required`
     names the required transformations that could not be used. `seconds` is the wall time of each
     phase; `counts` are the planner's own figures (nodes, conflicts, rounds).
 
@@ -166,7 +166,6 @@ class Plan:
     ties_proven: bool = False
     required_proven: bool = False
     undecided: tuple[Pair, ...] = ()
-    stopped_pinned: Mapping[str, str] = field(default_factory=dict, hash=False)
     seconds: Mapping[str, float] = field(default_factory=dict, compare=False)
     counts: Mapping[str, int] = field(default_factory=dict, compare=False)
 

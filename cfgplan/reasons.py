@@ -50,6 +50,16 @@ def pinned_reasons(problem: Problem) -> dict[str, str]:
     return found
 
 
+def with_pinned_reasons(given_up: Mapping[str, str], problem: Problem) -> dict[str, str]:
+    """The reasons of a plan: those of targets, by label, and of pinned units, by id; `unit ID` if that is a label."""
+    reasons = dict(given_up)
+    for name, why in sorted(pinned_reasons(problem).items()):
+        while name in reasons:
+            name = f"unit {name}"
+        reasons[name] = why
+    return reasons
+
+
 class Givers:
     """Which transformations have an output that may feed a demanded tag: the validity matrix by rows."""
 

@@ -53,4 +53,4 @@ def show(found: BestEffort, digest: str, screen: Screen) -> None:
     else:
         from cfgplan.cli.update_text import update_text
 
-        screen.show(update_text(found.problem, found.plan))
+        screen.show(update_text(found.problem, found.plan, found.given_up))

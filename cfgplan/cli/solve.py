@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -88,10 +89,12 @@ def _solve(options: argparse.Namespace, screen: Screen, world: World, problem: P
 
     is_proven = True
     undecided: tuple[Pair, ...] = ()
+    given_up: Collection[str] = ()
     with screen.phase("plan"):
         if options.best_effort:
             found = answers.best_effort(problem, planner=options.planner, time_limit_s=options.timeout, decider=matches)
             problem, plan, is_proven, undecided = found.problem, found.plan, found.exact, found.undecided
+            given_up = found.given_up
         else:
             report = shared.progress_report(screen) if options.progress else None
             problem, plan = api.solved(
@@ -99,7 +102,7 @@ def _solve(options: argparse.Namespace, screen: Screen, world: World, problem: P
             )
     try:
         document = api.plan_text(world, problem, plan)
-        shown = None if screen.json else update_text(problem, plan)
+        shown = None if screen.json else update_text(problem, plan, given_up)
     except Exception as error:
         raise PlannerFaultError(f"it can't be told: {type(error).__name__}: {error}", plan) from error
     if shown is None:
@@ -126,7 +129,7 @@ def _solve(options: argparse.Namespace, screen: Screen, world: World, problem: P
             screen.note(f"`cfgplan explain {options.env}` tells more about why.")
     if plan.status is Status.OPTIMAL and not is_proven:
         return Exit.NOT_PROVEN
-    if plan.status is Status.OPTIMAL and plan.reasons:
+    if plan.status is Status.OPTIMAL and given_up:
         return Exit.UNMET
     if options.detailed_exitcode and plan.status is Status.OPTIMAL and plan.change_set:
         return Exit.CHANGES

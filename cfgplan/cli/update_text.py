@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
 from rich.text import Text
 
@@ -21,9 +21,9 @@ _DECIDED = "pairs decided by "
 _VERB = {"+": "start", "~": "rewire", "-": "stop", "=": "keep"}
 
 
-def update_text(problem: Problem, plan: Plan) -> Text:
-    """The whole report of `solve`; ends without a newline."""
-    lines = [*_changes(problem, plan), *_summary(problem, plan)]
+def update_text(problem: Problem, plan: Plan, given_up: Collection[str] = ()) -> Text:
+    """The whole report of `solve`; ends without a newline. `given_up` are labels of targets that `problem` lacks."""
+    lines = [*_changes(problem, plan), *_summary(problem, plan, given_up)]
     return Text("\n").join(lines)
 
 
@@ -114,7 +114,7 @@ def _differences(was: ComputationUnit, now: ComputationUnit) -> Iterator[Text]:
             yield Text(f"              {publication.port} -> topic {publication.topic}", style="yellow")
 
 
-def _summary(problem: Problem, plan: Plan) -> Iterator[Text]:
+def _summary(problem: Problem, plan: Plan, given_up: Collection[str]) -> Iterator[Text]:
     before, horizon_s = problem.environment, problem.horizon_s
     if plan.change_set is not None:
         changes = plan.change_set
@@ -142,13 +142,13 @@ def _summary(problem: Problem, plan: Plan) -> Iterator[Text]:
         yield from fleet_lines(problem, before.update(changes))
     yield verdict(problem, plan)
     yield from undecided_lines(problem, plan)
-    lost = plan.reasons
-    if plan.change_set is not None and lost:
-        yield Text(f"Given up: {len(lost)} of {len(before.targets) + len(lost)} targets.", style="bold yellow")
-    for reason in lost.values():
-        yield Text(f"  {reason}")
-    for reason in (why for _, why in sorted(plan.stopped_pinned.items())):
-        yield Text(f"Stopped, though pinned: {reason}.", style="bold yellow")
+    if plan.change_set is not None and given_up:
+        yield Text(f"Given up: {len(given_up)} of {len(before.targets) + len(given_up)} targets.", style="bold yellow")
+    for name, reason in plan.reasons.items():
+        if plan.change_set is None or name in given_up:
+            yield Text(f"  {reason}")
+        else:
+            yield Text(f"Stopped, though pinned: {reason}.", style="bold yellow")
     for label in plan.unused_required:
         yield Text(f"Required {label} is not used: {why_unused(plan)}.", style="yellow")
 

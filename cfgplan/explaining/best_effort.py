@@ -12,15 +12,15 @@ from cfgplan.costs import seconds
 from cfgplan.domain import Target
 from cfgplan.explaining.together import REFUSED, only_targets
 from cfgplan.planning import Pair, Plan, Planner, Problem, Status
-from cfgplan.reasons import pinned_reasons, unmet_reasons
+from cfgplan.reasons import unmet_reasons, with_pinned_reasons
 
 
 @dataclass(frozen=True)
 class BestEffort:
     """The best update that some of the targets allow.
 
-    `problem` is the problem that was asked with only the targets that are met, and `plan` its plan, whose
-    `reasons` say why each of the other targets is given up. `exact` tells whether
+    `problem` is the problem that was asked with only the targets that are met, and `plan` its plan. `given_up` says why
+    each of the other targets is given up, by label; the plan's `reasons` have it too. `exact` tells whether
     it is proven that no better set of targets can be met; `undecided` are the open pairs of tags that this, or the
     bound of the plan, hangs on. The plan has no change set only if it was stopped too early, or if not even the pinned
     units can be kept at the largest cost.
@@ -28,6 +28,7 @@ class BestEffort:
 
     plan: Plan
     problem: Problem
+    given_up: Mapping[str, str]
     exact: bool = True
     undecided: tuple[Pair, ...] = ()
 
@@ -35,11 +36,6 @@ class BestEffort:
     def unmet(self) -> tuple[str, ...]:
         """The labels of the targets that are given up."""
         return tuple(sorted(self.given_up))
-
-    @property
-    def given_up(self) -> Mapping[str, str]:
-        """Why each of the targets is given up that are, by label."""
-        return self.plan.reasons
 
 
 def best_effort(
@@ -67,11 +63,10 @@ def best_effort(
     search.run()
     if search.is_over:
         search.look_at_what_runs()
-    plan = replace(
-        search.best_plan(), reasons=impossible | search.why_given_up(), stopped_pinned=pinned_reasons(problem)
-    )
+    plan, given_up = search.best_plan(), impossible | search.why_given_up()
+    reasons = given_up if plan.change_set is None else with_pinned_reasons(given_up, problem)
     met = only_targets(problem, {target.label for target in search.best})
-    return BestEffort(plan, met, search.is_exact, tuple(sorted(search.undecided)))
+    return BestEffort(replace(plan, reasons=reasons), met, given_up, search.is_exact, tuple(sorted(search.undecided)))
 
 
 class _Search:

@@ -71,15 +71,14 @@ class PlanPart(_Part):
     bound_s: Any = Field(default=None, description="bound_us in CPU seconds")
     gap: Any = Field(default=None, description="how far the cost may be above the optimum, as a share of the cost")
     change_set: ChangeSetPart | None = Field(default=None, description="there if the status is optimal or feasible")
-    reasons: dict[str, str] = Field(default={}, description="why a target can't be met, by its label")
+    reasons: dict[str, str] = Field(
+        default={}, description="why a target can't be met, by its label, or a pinned unit can't be fed, by its id"
+    )
     unused_required: list[str] = []
     ties_proven: bool = Field(default=False, description="no plan of this cost rewires, or then starts, fewer units")
     required_proven: bool = Field(default=False, description="no configuration uses more required transformations")
     undecided: list[tuple[str, str]] = Field(
         default=[], description="pairs of tags (offered, demanded) that nobody has decided and the bound hangs on"
-    )
-    stopped_pinned: dict[str, str] = Field(
-        default={}, description="why a pinned unit can't be fed and is stopped, by its id"
     )
     seconds: dict[str, Any] = Field(default={}, description="wall time of each phase")
     counts: dict[str, int] = Field(default={}, description="the planner's own figures")
@@ -120,7 +119,6 @@ def plain_plan(plan: Plan, problem: Problem, digest: str) -> dict[str, Any]:
         "ties_proven": plan.ties_proven,
         "required_proven": plan.required_proven,
         "undecided": [list(pair) for pair in plan.undecided],
-        "stopped_pinned": dict(plan.stopped_pinned),
         "seconds": dict(plan.seconds),
         "counts": dict(plan.counts),
         **_beyond_the_paper(plan, problem),
@@ -223,7 +221,6 @@ def _plan(part: PlanPart) -> Plan:
         part.ties_proven,
         part.required_proven,
         tuple(part.undecided),
-        part.stopped_pinned,
         _floats(part.seconds),
         part.counts,
     )

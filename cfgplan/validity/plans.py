@@ -91,7 +91,7 @@ def silent_stops(problem: Problem, plan: Plan) -> list[Violation]:
     return [
         Violation(Rule.PINNED, f"unit {unit.id} is pinned, and it is not said why it is stopped", unit.id)
         for unit, _ in dropped
-        if unit.id not in plan.stopped_pinned
+        if unit.id not in plan.reasons
     ]
 
 

@@ -46,7 +46,7 @@ def test_every_planner_says_why_a_pinned_unit_is_stopped_and_what_comes_nearest(
     assert "warning: pinned unit sim.1 is stopped, since it can't be fed" in result.err
     assert "input cmd wants CmdVel" in result.err
     assert "nearest: sim/clock gives Clock" in result.err
-    assert run("solve", write(text), *options, "--json").document["stopped_pinned"] == {"sim.1": WHY}
+    assert run("solve", write(text), *options, "--json").document["reasons"] == {"sim.1": WHY}
 
 
 def test_explain_tells_why_a_pinned_unit_can_not_be_fed(run: Run, write: Callable[[str], Path]) -> None:
@@ -71,9 +71,9 @@ def test_a_plan_file_that_stops_a_pinned_unit_without_a_word_is_refused(
     assert run("solve", env, "--out", out).code == 0
     world = cfgplan.load(env)
     problem = cfgplan.problem(world, cfgplan.match(world).similarity)
-    assert cfgplan.load_plan(world, problem, out).stopped_pinned == {"sim.1": WHY}
+    assert cfgplan.load_plan(world, problem, out).reasons == {"sim.1": WHY}
     data = json.loads(out.read_text())
-    out.write_text(json.dumps({**data, "stopped_pinned": {}}))
+    out.write_text(json.dumps({**data, "reasons": {}}))
     with pytest.raises(InputError, match=r"sim\.1 is pinned, and it is not said why"):
         cfgplan.load_plan(world, problem, out)
 
@@ -84,4 +84,7 @@ def test_a_pinned_unit_and_a_target_of_one_name_have_their_own_reasons(run: Run,
     assert result.code == 12
     assert f"Stopped, though pinned: {WHY}." in result.out
     assert "Given up: 1 of 2 targets." in result.out
-    assert "target sim.1 wants Nothing, but no output matches" in result.out
+    unmet = "target sim.1 wants Nothing, but no output matches"
+    assert f"  {unmet}\n" in result.out
+    reasons = run("solve", write(text), "--best-effort", "--json").document["reasons"]
+    assert reasons == {"sim.1": unmet, "unit sim.1": WHY}

@@ -154,7 +154,7 @@ class Deliberation:
         # The planner does not know of what is left out, which may be all that is missing.
         left_out = f" (left out for now: {', '.join(sorted(thought.avoided))})" if thought.avoided else ""
         given_up = {label: f"{reason}{left_out}" for label, reason in found.given_up.items()}
-        thought.warnings = tuple(why for _, why in sorted(plan.stopped_pinned.items()))
+        thought.warnings = tuple(why for name, why in plan.reasons.items() if name not in found.given_up)
         violations = validity.violations(thought.planned, found.problem.similarity)
         unmet_now = {violation.target for violation in violations if violation.rule is Rule.MET}
         thought.unmet = {label: why for label, why in given_up.items() if label in unmet_now}
