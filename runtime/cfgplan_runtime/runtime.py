@@ -76,6 +76,10 @@ class Runtime:
         """Carry out a change set as a whole or not at all; see `Supervisor.apply`."""
         return self._call(lambda: self._supervisor.apply(change_set, id=id, basis=basis, patience=patience))
 
+    def attempt(self, change_set: ChangeSet, *, basis: Environment | None = None) -> Applied:
+        """As `apply`, but new units that have not failed stay when the update is undone, unconnected."""
+        return self._call(lambda: self._supervisor.apply(change_set, basis=basis, keeps_new=True))
+
     def observe(self) -> tuple[Observation, ...]:
         """Every running unit as it is now; upkeep is over the time since the last call."""
         return self._call(self._supervisor.observe)

@@ -120,6 +120,21 @@ def _undoes(bench: Bench) -> None:
         assert "/broken" not in set(bench.topics()), "a topic of an update that failed is there"
 
 
+def _keeps_what_has_not_failed(bench: Bench) -> None:
+    attempt = getattr(bench.middleware, "attempt", None)
+    if attempt is None:
+        return
+    before = bench.begin()
+    worker, broken = bench.unit(2, bench.worker, topic=TOPIC), bench.unit(1, bench.broken)
+    try:
+        attempt(ChangeSet((worker, broken), stopped=(f"{bench.worker.label}.1",)), basis=before)
+    except ApplyError:
+        left = replace(worker, subscriptions=(), publications=())
+        bench.expect(replace(before, units=(*before.units, left)), "after an attempt that failed")
+    else:
+        raise AssertionError("an attempt of which a unit can't be started raises no ApplyError")
+
+
 def _refuses_what_is_stale(bench: Bench) -> None:
     before = bench.begin()
     for change_set, basis in (
@@ -169,6 +184,7 @@ def _stops(bench: Bench) -> None:
 CHECKS: tuple[Callable[[Bench], None], ...] = (
     _applies,
     _undoes,
+    _keeps_what_has_not_failed,
     _refuses_what_is_stale,
     _unpublishes,
     _tells_of_deaths,

@@ -75,6 +75,25 @@ def test_units_that_only_wait_for_what_may_start_again_stay() -> None:
     assert life.starts("work") == 1
 
 
+def test_what_loads_while_another_can_not_start_is_loaded_once() -> None:
+    behaviours = {"work": Behaviour(start_s=5.0), "count": Behaviour(dies_at_start="no camera")}
+    life = Life(behaviours=behaviours)
+    life.pass_time(2.0)
+    assert (life.units, life.met, life.starts("count") > 1) == ({"work.1"}, set(), True)
+    life.runtime.backend.behaviours.pop("count")
+    life.pass_time(3.2)
+    assert life.met == {"result"}
+    assert life.starts("work") == 1
+
+
+def test_what_was_loaded_is_stopped_where_another_takes_the_place_of_what_can_not_start() -> None:
+    other = source("other", tag="Y", upkeep_us=10_000)
+    behaviours = {"work": Behaviour(start_s=5.0), "count": Behaviour(dies_at_start="no camera")}
+    life = started(source(), worker(), other, behaviours=behaviours)
+    assert (life.units, life.met) == ({"other.1"}, {"result"})
+    assert life.now < 1
+
+
 def test_what_waits_gives_topics_and_feeders_up_to_others() -> None:
     feeds, topic = (Subscription("x", Stream("a.1", "n")),), (Publication("y", "/1"),)
     running = Environment((ComputationUnit("a.1", "a"), ComputationUnit("w.1", "w", feeds, topic)))

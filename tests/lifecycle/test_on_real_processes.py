@@ -20,6 +20,7 @@ from cfgplan_runtime.lifecycle.reports import Decision, Review
 from cfgplan_runtime.processes import process_backend
 from real_run import RealRun, eventually, source, worker
 
+RESULT, SLOW, DYING = {"/result": "Y"}, {"/slow": "S"}, {"/dying": "D"}
 CHAIN = (source(), worker("first", gives="Z"), worker("last", needs="Z"))
 
 
@@ -128,6 +129,19 @@ def test_what_only_waits_for_a_source_that_died_twice_is_not_loaded_again(run_fo
         eventually(lambda number=number: len(run_for_real.seen(UnitGone)) == number)  # type: ignore[misc]
     run_for_real.await_result("work")
     assert run_for_real.runtime.pid("work.1") == pid
+
+
+def test_what_loads_while_another_can_not_start_is_loaded_once(run_for_real: RealRun) -> None:
+    slow = worker("slow", gives="S", deed="start slowly")
+    run_for_real.start(source(), worker())
+    run_for_real.write(
+        source(), worker(), slow, worker("dying", gives="D", deed="die at start"), targets={**RESULT, **SLOW, **DYING}
+    )
+    eventually(lambda: "slow.1" in run_for_real.runtime.environment.unit)
+    pid = run_for_real.runtime.pid("slow.1")
+    run_for_real.await_result("slow", topic="/slow")
+    assert any("no such device" in review.cause for review in run_for_real.reviews)
+    assert run_for_real.runtime.pid("slow.1") == pid
 
 
 def test_a_stopped_nursery_makes_few_reviews_and_the_stream_goes_on(

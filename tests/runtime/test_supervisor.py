@@ -153,6 +153,54 @@ def test_an_update_that_is_undone_leaves_no_outlet_and_no_unit_of_its_own() -> N
     assert set(simulation.backend.units) == {"count.1", "work.1"}
 
 
+def test_new_units_that_have_not_failed_stay_unconnected_where_that_is_wanted() -> None:
+    bad = Behaviour(quiet=True, dies_s=1.0)
+    simulation = Simulation(source(), worker(), worker("bad"), worker("slow"), bad=bad, slow=Behaviour(start_s=0.8))
+    other = Target("other", "Y", "/other")
+    simulation.apply(ChangeSet(started=(*ONE, unit("work.9", topic="/other", x="count.1/n")), added_targets=(other,)))
+    before = simulation.supervisor.environment
+    started = unit("slow.1", topic="/result", x="count.1/n"), unit("bad.1", topic="/other", x="count.1/n")
+    with pytest.raises(ApplyError, match=r"bad\.1"):
+        simulation.apply(ChangeSet(started, stopped=("work.1", "work.9")), keeps_new=True)
+    after = simulation.supervisor.environment
+    assert set(after.units) == {*before.units, unit("slow.1")}
+    assert simulation.backend.feeding(TOPIC) == Stream("work.1", "y")
+    assert simulation.backend.feeding(Inlet("slow.1", "x")) is None
+    simulation.check()
+    simulation.apply(ChangeSet(rewired=(started[0],), stopped=("work.1",)), basis=after)
+    assert simulation.backend.feeding(TOPIC) == Stream("slow.1", "y")
+    simulation.check()
+
+
+def test_what_still_loads_when_another_could_not_start_is_waited_for_only_where_it_is_connected() -> None:
+    behaviours = {"bad": Behaviour(dies_at_start="no camera"), "slow": Behaviour(start_s=5.0)}
+    simulation = Simulation(source(), worker(), worker("bad"), worker("slow"), **behaviours)
+    slow = unit("slow.1", x="count.1/n")
+    with pytest.raises(ApplyError, match=r"bad\.1"):
+        simulation.apply(start(unit("count.1"), slow, unit("bad.1", x="count.1/n")), keeps_new=True)
+    assert set(simulation.supervisor.environment.unit) == {"count.1", "slow.1"}
+    simulation.apply(start(ONE[1]))
+    assert simulation.backend.now() < 1.0
+    simulation.apply(ChangeSet(rewired=(slow,)))
+    assert simulation.backend.now() == pytest.approx(5.0)
+    simulation.check()
+
+
+def test_what_loads_for_too_long_is_given_up_though_it_stayed_before() -> None:
+    behaviours = {"bad": Behaviour(dies_at_start="no camera"), "slow": Behaviour(start_s=1000.0)}
+    simulation = Simulation(source(), worker(), worker("bad"), worker("slow"), **behaviours)
+    simulation.apply(start(*ONE))
+    before = simulation.supervisor.environment
+    slow = unit("slow.1", x="count.1/n")
+    with pytest.raises(ApplyError, match=r"bad\.1"):
+        simulation.apply(start(slow, unit("bad.1", x="count.1/n")), keeps_new=True)
+    with pytest.raises(ApplyError, match=r"slow\.1 was not ready") as caught:
+        simulation.apply(ChangeSet(rewired=(slow,)), keeps_new=True)
+    assert caught.value.units == ("slow.1",)
+    assert simulation.supervisor.environment == before
+    simulation.check()
+
+
 @pytest.mark.parametrize(
     ("run", "starves_with_a_gap_at"),
     [
@@ -363,7 +411,7 @@ def test_any_history_of_swaps_and_deaths_leaves_what_is_believed() -> None:
         if rng.random() < 0.4:
             simulation.backend.fail(rng.choice([*workers, "count.1"]))
         with suppress(ApplyError, StaleChangeSetError):
-            simulation.apply(change)
+            simulation.apply(change, keeps_new=rng.random() < 0.5)
         simulation.pass_time(0.05)
         simulation.check()
 

@@ -39,8 +39,10 @@ class Acting:
         for unit in change_set.started:
             units[unit.id] = Running(library[unit.transformation], self._clock.now())
         self._intake.starting = started
+        attempt = getattr(self._middleware, "attempt", self._middleware.apply)
+        slow: tuple[str, ...] = ()
         try:
-            self._middleware.apply(change_set, basis=basis)
+            attempt(change_set, basis=basis)
         except StaleChangeSetError as error:
             failed = UpdateFailed(str(error), is_stale=True)
         except NoSourceError as error:
@@ -49,9 +51,9 @@ class Acting:
                 self._intake.situation.back_offs.refuse(label, error.cause)
                 self._intake.tell_back_off(label)
         except AbandonedError as error:
-            failed = UpdateFailed(str(error), self._postponed(error))
+            failed, slow = UpdateFailed(str(error), self._postponed(error)), error.units
         except ApplyError as error:
-            failed = UpdateFailed(str(error), self._blamed(error))
+            failed, slow = UpdateFailed(str(error), self._blamed(error)), error.units
         except RuntimeFaultError:
             raise  # nothing runs any more
         except Exception as error:
@@ -62,7 +64,7 @@ class Acting:
             return None
         finally:
             self._intake.starting = frozenset()
-        for unit_id in started:
+        for unit_id in started.union(slow).difference(self._middleware.environment.unit):
             self._intake.situation.forget(unit_id)
         return failed
 

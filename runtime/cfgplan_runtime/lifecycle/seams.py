@@ -16,7 +16,9 @@ class Middleware(Protocol):
     """Whatever runs units: `cfgplan_runtime.Runtime`, a simulation, or a robot's own middleware.
 
     All methods but `listen` may be called from the manager's thread only. One that has a method `abandon()`, which
-    gives up the update under way and is called from any thread, lets no slow start hold up a repair.
+    gives up the update under way and is called from any thread, lets no slow start hold up a repair. One that has a
+    method `attempt`, which is `apply` but leaves new units that have not failed in the environment when the rest is
+    undone, unconnected, loads nothing twice because something else could not start.
     """
 
     @property

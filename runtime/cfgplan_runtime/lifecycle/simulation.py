@@ -39,6 +39,10 @@ class SimulatedRuntime:
         """See `Supervisor.apply`."""
         return self.supervisor.apply(change_set, basis=basis, patience=self._patience)
 
+    def attempt(self, change_set: ChangeSet, *, basis: Environment | None = None) -> Applied:
+        """As `apply`, but new units that have not failed stay when the update is undone, unconnected."""
+        return self.supervisor.apply(change_set, basis=basis, patience=self._patience, keeps_new=True)
+
     def observe(self) -> tuple[Observation, ...]:
         """See `Supervisor.observe`."""
         return self.supervisor.observe()

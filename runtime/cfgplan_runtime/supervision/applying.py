@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from cfgplan.domain import ChangeSet, Environment
@@ -50,6 +50,8 @@ class Applying:
     change_set: ChangeSet
     id: str
     patience: Patience
+    keeps_new: bool = False
+    """Whether new units that have not failed run on, unconnected, when the update is undone."""
     after: Environment = field(init=False)
     wires: list[Wire] = field(default_factory=list)
     opened: list[str] = field(default_factory=list)
@@ -81,7 +83,7 @@ class Applying:
             self._timed("start", self._start)
             self._timed("rewire", self._rewire)
         except _StepFailedError as error:
-            self._undo()
+            self._undo(failed=error.units)
             kind = AbandonedError if error.is_abandoned else ApplyError
             raise kind(f"the update was undone: {error}", error.units) from None
         late = self._unswitched()
@@ -122,12 +124,13 @@ class Applying:
             supervisor.backend.open_outlet(topic)
         for unit in self.change_set.started:
             supervisor.start(unit, self.after.transformation[unit.transformation])
+        awaited = set(started).union(self._wired() & supervisor.alive - supervisor.ready)
         self._wait(
-            lambda: self._dead(started) is not None or supervisor.ready.issuperset(started) or supervisor.is_abandoned,
+            lambda: self._dead(started) is not None or not self._loading(awaited) or supervisor.is_abandoned,
             self.patience.start_s,
         )
         self._fail_if_dead(started)
-        slow = [unit for unit in started if unit not in supervisor.ready]
+        slow = self._loading(awaited)
         if slow and supervisor.is_abandoned:
             raise _StepFailedError(f"it was given up while {', '.join(slow)} was starting", slow, is_abandoned=True)
         if slow:
@@ -164,17 +167,22 @@ class Applying:
             supervisor.backend.kill(unit)
         self._wait(lambda: supervisor.alive.isdisjoint(units), self.patience.kill_s)
 
-    def _undo(self) -> None:
+    def _undo(self, failed: list[str]) -> None:
         """Let the inputs that are to stay go back, and only then take the new units away: until then they are fed."""
-        supervisor, environment = self.supervisor, self.supervisor.environment
-        started = tuple(unit.id for unit in self.change_set.started)
+        supervisor, started = self.supervisor, tuple(unit.id for unit in self.change_set.started)
+        kept = supervisor.alive.intersection(started).difference(failed) if self.keeps_new else set()
+        environment = supervisor.environment = self._with_unconnected(kept)
         staying = [wire for wire in reversed(self.wires) if wire.inlet.unit not in started]
         back = [supervisor.wiring.take_back(wire, environment, supervisor.alive) for wire in staying]
         self.wires = [wire for wire in back if wire is not None]
         self._wait(lambda: not self._unswitched(), self.patience.switch_s)
         for wire in self._unswitched():
             supervisor.backend.switch_now(wire.inlet)
-        self._stop(started)
+        for inlet in [inlet for inlet in supervisor.wiring.feeds if inlet.unit in kept]:
+            supervisor.wiring.disconnect(inlet)
+        self._stop(tuple(sorted({*started, *failed}.difference(kept))))
+        for unit in failed:
+            supervisor.environment = without_unit(supervisor.environment, unit)
         self._close_outlets(set(self.opened))
         supervisor.wiring.settle()
 
@@ -192,6 +200,25 @@ class Applying:
             and self.supervisor.wiring.feeds.get(wire.inlet) is wire
             and (wire.inlet.is_outlet or wire.inlet.unit in alive)
         ]
+
+    def _with_unconnected(self, kept: set[str]) -> Environment:
+        """The environment that was, with some of the new units, which neither feed anything nor are fed."""
+        before = self.supervisor.environment
+        new = tuple(
+            replace(unit, subscriptions=(), publications=()) for unit in self.change_set.started if unit.id in kept
+        )
+        labels = {unit.transformation for unit in new}.difference(before.transformation)
+        library = tuple(self.after.transformation[label] for label in sorted(labels))
+        return replace(before, units=(*before.units, *new), library=(*before.library, *library))
+
+    def _wired(self) -> set[str]:
+        """The units that feed something afterwards, or are fed."""
+        wanted = wanted_feeds(self.after)
+        return {stream.unit for stream in wanted.values()}.union(inlet.unit for inlet in wanted)
+
+    def _loading(self, units: set[str]) -> list[str]:
+        """Those of these units that are not ready yet."""
+        return sorted(units & self.supervisor.alive - self.supervisor.ready)
 
     def _as_it_lives(self) -> Environment:
         """The environment that was wanted, less what has died or been lost meanwhile."""

@@ -81,18 +81,20 @@ class Supervisor:
         id: str | None = None,  # noqa: A002
         basis: Environment | None = None,
         patience: Patience | None = None,
+        keeps_new: bool = False,
     ) -> Applied:
         """Carry out a change set as a whole or not at all; the same `id` is carried out once.
 
         `basis` is the environment that it was planned for. Raises StaleChangeSetError if that, or what the
         change set names, is not what runs; ApplyError if a step failed, or `abandon` was called, and all was undone.
+        With `keeps_new`, new units that have not failed then stay in the environment, unconnected.
         """
         if id is not None and id in self._applied:
             return self._applied[id]
         if basis is not None and basis.units != self.environment.units:
             raise StaleChangeSetError("the change set was planned for other running units than there are now")
         self.cause_of_death.clear()
-        applying = Applying(self, change_set, id or uuid.uuid4().hex[:12], patience or Patience())
+        applying = Applying(self, change_set, id or uuid.uuid4().hex[:12], patience or Patience(), keeps_new)
         applying.check()
         self.is_abandoned = False
         try:
