@@ -11,8 +11,9 @@ from collections.abc import Mapping
 from typing import Any
 
 import pipelines
-from cfgplan_runtime.demo.rehearsing import Robot
 from football import scenario
+from nao_demo.rehearsing import Robot
+from units import FuseBallPos
 
 
 def main() -> None:
@@ -21,8 +22,8 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=3, help="take each Nth frame of 15 per second")
     options = parser.parse_args()
     timed = pipelines.Timed()
-    robots = [Robot(pipelines.STAGE, name, timed) for name in pipelines.ROBOTS]
-    fuse = pipelines.STAGE.code("units.py:FuseBallPos")()
+    robots = [Robot(name, timed) for name in pipelines.ROBOTS]
+    fuse = FuseBallPos()
     errors: dict[str, list[tuple[float, float]]] = defaultdict(list)
     surprises: dict[str, list[float]] = defaultdict(list)
     by_distance: dict[float, list[tuple[float, float]]] = defaultdict(list)

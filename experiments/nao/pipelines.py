@@ -14,13 +14,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "models" / "nao"))
 
-from cfgplan_runtime.demo.stage import open_stage
 from football import scenario
 
 ROBOTS = ("piff", "puff")
-
-
-STAGE = open_stage("nao")
 
 
 class Timed:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import importlib.util
 import json
 import math
+import os
 import signal
 import subprocess
 import sys
+import zipfile
 from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
@@ -16,9 +18,10 @@ from typing import Any
 import psutil
 import pytest
 from cfgplan_runtime import subscribe
-from cfgplan_runtime.demo import stage as stages
+from football import scenario
+from nao_demo.story import WORLD, declared_by
 
-from cfgplan.cli import main
+from cfgplan.cli import demo, main
 from cfgplan.cli.exits import Exit
 
 PATIENCE_S = 60
@@ -93,7 +96,7 @@ def test_the_story_of_section_five_happens_and_is_put_on_a_page(
     assert page.tags.count("section") == 6
     assert page.tags.count("svg") >= 3 + 8
     assert page.tags.count("img") == 2
-    assert all(link.startswith("data:") for link in page.links)
+    assert all(link.startswith(("data:", "#")) for link in page.links)
     for said in ("Two robots, one ball", "The segmenter is killed", "39.90 s, 21.30 s more", "killed by SIGKILL"):
         assert said in page.text
 
@@ -120,7 +123,7 @@ def test_an_interrupted_play_leaves_no_process(tmp_path: Path, end: signal.Signa
 
 def test_without_opencv_the_extra_is_named(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     found = importlib.util.find_spec
-    monkeypatch.setattr(stages, "find_spec", lambda name: None if name == "cv2" else found(name))
+    monkeypatch.setattr(demo, "find_spec", lambda name: None if name == "cv2" else found(name))
     assert main(["demo", "nao"]) == 30
     err = capsys.readouterr().err
     assert "the demo needs OpenCV" in err
@@ -130,7 +133,7 @@ def test_without_opencv_the_extra_is_named(monkeypatch: pytest.MonkeyPatch, caps
 def test_an_installation_without_the_world_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(stages, "_PLACES", (tmp_path,))
+    monkeypatch.setattr(demo, "_PLACES", (tmp_path,))
     assert main(["demo", "nao"]) == 30
     assert "the world 'nao' is neither in the installed package" in capsys.readouterr().err
 
@@ -143,7 +146,7 @@ def test_a_page_that_can_not_be_written_is_refused_before_anything_starts(
 
 
 def test_what_a_robot_declares_is_the_pipeline_in_its_name() -> None:
-    declared = stages.open_stage("nao").robot("piff")
+    declared = declared_by("piff")
     assert [one.name for one in declared.individuals] == ["piff"]
     transformations: Any = declared.document["transformations"]
     assert len(transformations) == 6
@@ -152,14 +155,30 @@ def test_what_a_robot_declares_is_the_pipeline_in_its_name() -> None:
 
 @pytest.mark.usefixtures("nothing_is_left_behind")
 def test_a_stage_of_the_case_study_runs_and_tells_where_the_ball_is(capsys: pytest.CaptureFixture[str]) -> None:
-    stage = stages.open_stage("nao")
     command = [sys.executable, "-c", "import sys; from cfgplan.cli import main; sys.exit(main())"]
-    arguments = ["run", str(stage.folder / "1-piff-registered.yaml")]
+    arguments = ["run", str(WORLD / "1-piff-registered.yaml")]
     with subprocess.Popen([*command, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
         assert main(["listen", "/result", "--json", "--count", "3", "--wait", f"{PATIENCE_S}s"]) == 0
         running.send_signal(signal.SIGINT)
         _, err = running.communicate(timeout=PATIENCE_S)
     assert running.returncode == 0, err
-    truth = stage.code("football.scenario:ball")
     for line in map(json.loads, capsys.readouterr().out.splitlines()):
-        assert math.dist((line["value"]["x"], line["value"]["y"]), truth(line["time_ns"])) < 0.5
+        assert math.dist((line["value"]["x"], line["value"]["y"]), scenario.ball(line["time_ns"])) < 0.5
+
+
+def test_the_wheel_holds_the_case_study_and_its_play(tmp_path: Path) -> None:
+    checkout = Path(demo.__file__).parents[2]
+    build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)]
+    subprocess.run(build, cwd=checkout, check=True, capture_output=True)
+    (wheel,) = tmp_path.glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(tmp_path / "installed")
+    code = "from cfgplan.cli import demo; print(demo._folder('nao'))"
+    setting = {**os.environ, "PYTHONPATH": str(tmp_path / "installed")}
+    found = subprocess.run(
+        [sys.executable, "-c", code], env=setting, cwd=tmp_path, check=True, capture_output=True, text=True
+    )
+    world = Path(found.stdout.strip())
+    assert world == tmp_path / "installed" / "cfgplan" / "worlds" / "nao"
+    files = {path.relative_to(WORLD) for path in WORLD.rglob("*") if path.suffix in (".py", ".yaml", ".ttl", ".j2")}
+    assert files <= {path.relative_to(world) for path in world.rglob("*")}

@@ -7,12 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
-from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Subscription
-from cfgplan_runtime.demo.listening import Sample
-from cfgplan_runtime.demo.story import Step
 from cfgplan_runtime.lifecycle.perturbations import UnitGone
 from cfgplan_runtime.lifecycle.reports import Review
 from cfgplan_runtime.supervision.observation import Observation
+
+from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Subscription
+from nao_demo.listening import Sample
+from nao_demo.story import Step
 
 TOPIC = "/result"
 FRAME_NS = 1_000_000_000 / 15

@@ -6,16 +6,20 @@ import re
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
+
+from football import scenario
+from jinja2 import Environment as Templates
+from jinja2 import FileSystemLoader, select_autoescape
+from markupsafe import Markup
 
 from cfgplan.domain import ChangeSet, Environment
 from cfgplan.drawing import picture
-from cfgplan_runtime.demo import charts, telling
-from cfgplan_runtime.demo.pictures import view
-from cfgplan_runtime.demo.played import Played
-from cfgplan_runtime.demo.rehearsing import Comparison, Robot, compare
-from cfgplan_runtime.demo.stage import Stage
-from cfgplan_runtime.demo.story import Kill
+from nao_demo import charts, telling
+from nao_demo.played import Played
+from nao_demo.rehearsing import Comparison, Robot, compare, view
+from nao_demo.story import Kill
 
 _COMPARED_NS = 600_000_000_000
 _MOMENTS = 100
@@ -36,14 +40,10 @@ class Bar:
         return not self.more
 
 
-def page(stage: Stage, played: Sequence[Played], version: str) -> str:
+def page(played: Sequence[Played], version: str) -> str:
     """The page as HTML."""
-    from jinja2 import Environment as Templates
-    from jinja2 import PackageLoader, select_autoescape
-    from markupsafe import Markup
-
     templates = Templates(
-        loader=PackageLoader("cfgplan_runtime.demo", "."),
+        loader=FileSystemLoader(Path(__file__).parent),
         autoescape=select_autoescape(),
         trim_blocks=True,
         lstrip_blocks=True,
@@ -51,38 +51,38 @@ def page(stage: Stage, played: Sequence[Played], version: str) -> str:
     failure = next((step for step in played if isinstance(step.step.act, Kill)), None)
     samples = [sample for step in played for sample in step.samples]
     hosts = sorted({t.host for t in played[-1].after.library if t.host is not None})
-    robots = [Robot(stage, host) for host in hosts]
-    comparison = _comparison(stage, robots, played)
+    robots = [Robot(host) for host in hosts]
+    comparison = _comparison(robots, played)
     values: dict[str, Any] = {
         "version": version,
         "date": time.strftime("%d %B %Y, %H:%M", time.localtime(played[0].began_ns / 1e9)),
         "seconds": round((played[-1].ended_ns - played[0].began_ns) / 1e9),
         "sources": list(charts.by_source(played)),
-        "field": Markup(charts.field_map(played, [_stands(stage, robot, played) for robot in robots])),
+        "field": Markup(charts.field_map(played, [_stands(robot, played) for robot in robots])),
         "errors": Markup(charts.error_chart(played)),
         "failure": None if failure is None else Markup(charts.failure_chart(failure, samples)),
         "figures": _figures(played, failure, comparison),
         "comparison": comparison,
         "is_proven": _is_proven(played),
-        "steps": [_section(number, step, played, Markup) for number, step in enumerate(played)],
+        "steps": [_section(number, step, played) for number, step in enumerate(played)],
         "units": _units(played),
         "views": [view(robot, samples[-1].time_ns) for robot in robots] if samples else [],
     }
     return templates.get_template("report.html.j2").render(values)
 
 
-def _stands(stage: Stage, robot: Robot, played: Sequence[Played]) -> charts.Place:
+def _stands(robot: Robot, played: Sequence[Played]) -> charts.Place:
     """Where a robot stood at the end."""
-    pose = stage.code("football.scenario:pose")(robot.name, played[-1].ended_ns)
+    pose = scenario.pose(robot.name, played[-1].ended_ns)
     return charts.Place(robot.name, pose.x, pose.y, pose.heading)
 
 
-def _comparison(stage: Stage, robots: Sequence[Robot], played: Sequence[Played]) -> Comparison | None:
+def _comparison(robots: Sequence[Robot], played: Sequence[Played]) -> Comparison | None:
     """Robots and fusion at the same moments, spread over ten minutes: a play is too short to compare its steps."""
     if len(robots) != 2:
         return None
     begin_ns = played[0].began_ns
-    return compare(stage, robots, range(begin_ns, begin_ns + _COMPARED_NS, _COMPARED_NS // _MOMENTS))
+    return compare(robots, range(begin_ns, begin_ns + _COMPARED_NS, _COMPARED_NS // _MOMENTS))
 
 
 def _figures(played: Sequence[Played], failure: Played | None, comparison: Comparison | None) -> list[tuple[str, str]]:
@@ -108,7 +108,7 @@ def _is_proven(played: Sequence[Played]) -> bool:
     return all(step.review.is_proven for step in played if step.review.met)
 
 
-def _section(number: int, played: Played, every: Sequence[Played], markup: Any) -> dict[str, Any]:
+def _section(number: int, played: Played, every: Sequence[Played]) -> dict[str, Any]:
     largest_us = max(
         [1, *(step.review.cost_us or 0 for step in every), *(o.cost_us for step in every for o in step.others)]
     )
@@ -131,8 +131,8 @@ def _section(number: int, played: Played, every: Sequence[Played], markup: Any) 
         "bars": bars,
         "times": [(word, telling.span(took), took) for word, took in times],
         "total": telling.span(sum(took for _, took in times)),
-        "before": markup(before) if before else None,
-        "after": markup(after),
+        "before": Markup(before) if before else None,
+        "after": Markup(after),
         "is_changed": bool(played.changes),
     }
 

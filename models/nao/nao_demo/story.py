@@ -1,9 +1,16 @@
-"""The steps of section V of the paper: what happens in each, and what else could have been done."""
+"""Section V of the paper in steps: what happens in each, what else could be done, and what robots declare in them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TypeAlias
+
+import yaml
+from cfgplan_runtime.lifecycle.changes import Declare, Individual
+
+WORLD = Path(__file__).parents[1]
+"""The folder of the environment files and of the unit code."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,3 +89,18 @@ SECTION_V = (
         Offer("fusion", "5-fusion-required"),
     ),
 )
+
+
+def declared_by(robot: str) -> Declare:
+    """What a robot declares when it registers: itself, and the pipeline that it can run."""
+    text = (WORLD / "pipeline.yaml").read_text(encoding="utf-8").replace("${NAO}", robot)
+    return Declare(robot, _transformations(text), (Individual(robot, ("NAO",)),))
+
+
+def offered(name: str, stage: str) -> Declare:
+    """The transformations of a stage's file, which belong to no robot."""
+    return Declare(name, _transformations((WORLD / f"{stage}.yaml").read_text(encoding="utf-8")))
+
+
+def _transformations(text: str) -> dict[str, object]:
+    return {"transformations": yaml.safe_load(text)["transformations"]}

@@ -10,13 +10,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Protocol
 
-from cfgplan import api
-from cfgplan.explaining.why_not import requiring
-from cfgplan.planning import Problem, Status
-from cfgplan_runtime.demo.listening import Listener, Sample
-from cfgplan_runtime.demo.played import TOPIC, Alternative, Played, silence
-from cfgplan_runtime.demo.stage import Stage
-from cfgplan_runtime.demo.story import Begin, Kill, Offer, Register, Step
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.lifecycle.changes import Declare
 from cfgplan_runtime.lifecycle.manager import Manager
@@ -24,6 +17,13 @@ from cfgplan_runtime.lifecycle.perturbations import UnitGone
 from cfgplan_runtime.lifecycle.reports import Decision, Report, Review, Reviewed
 from cfgplan_runtime.lifecycle.seams import DeclaredCosts
 from cfgplan_runtime.runtime import Runtime
+
+from cfgplan import api
+from cfgplan.explaining.why_not import requiring
+from cfgplan.planning import Problem, Status
+from nao_demo.listening import Listener, Sample
+from nao_demo.played import TOPIC, Alternative, Played, silence
+from nao_demo.story import WORLD, Begin, Kill, Offer, Register, Step, declared_by, offered
 
 PRELOADED = ("numpy", "cv2")
 """What all units import: the nursery imports it once, so that a unit is there in milliseconds."""
@@ -52,17 +52,17 @@ class Audience(Protocol):
         """A step has ended."""
 
 
-def play(stage: Stage, story: Sequence[Step], step_s: float, audience: Audience) -> tuple[Played, ...]:
+def play(story: Sequence[Step], step_s: float, audience: Audience) -> tuple[Played, ...]:
     """Play the story; each step is watched for `step_s` seconds.
 
     Raises RuntimeFaultError if a step does not come to its end.
     """
     played: list[Played] = []
-    world = api.load(stage.environment_file)
-    with Runtime(folder=stage.folder, preload=PRELOADED) as runtime:
-        listener = Listener(TOPIC, runtime.id, stage.code("football.scenario:ball"))
+    world = api.load(WORLD / "0-target-only.yaml")
+    with Runtime(folder=WORLD, preload=PRELOADED) as runtime:
+        listener = Listener(TOPIC, runtime.id)
         try:
-            player = _Player(stage, runtime, listener, step_s)
+            player = _Player(runtime, listener, step_s)
             audience.begins(story[0])
             with Manager(world, runtime, estimator=DeclaredCosts(failure_us=0), report=player.hear) as manager:
                 for step in story:
@@ -88,8 +88,8 @@ def _without_gaps(played: Sequence[Played], listener: Listener) -> tuple[Played,
 
 
 class _Player:
-    def __init__(self, stage: Stage, runtime: Runtime, listener: Listener, step_s: float) -> None:
-        self._stage, self._runtime, self._listener = stage, runtime, listener
+    def __init__(self, runtime: Runtime, listener: Listener, step_s: float) -> None:
+        self._runtime, self._listener = runtime, listener
         self._step_s = step_s
         self._reviews: queue.SimpleQueue[Review] = queue.SimpleQueue()
 
@@ -134,9 +134,9 @@ class _Player:
             case Begin():
                 return self._review()
             case Register(robot):
-                return _declared(self._stage.robot(robot), manager)
+                return _declared(declared_by(robot), manager)
             case Offer(name, stage):
-                return _declared(self._stage.offer(name, stage), manager)
+                return _declared(offered(name, stage), manager)
             case Kill(transformation):
                 return self._kill(transformation, manager)
 

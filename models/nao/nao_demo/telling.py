@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from decimal import Decimal
 
-from cfgplan.costs import keep_cost_us
-from cfgplan_runtime.demo.played import Played
 from cfgplan_runtime.lifecycle.perturbations import Perturbation, SubscriptionLost, UnitGone, WorldChanged
 from cfgplan_runtime.lifecycle.reports import PHASES, Decision
+
+from cfgplan.costs import keep_cost_us
+from nao_demo.played import Played
 
 _PHASE_WORDS = {
     "detect": "noticed",

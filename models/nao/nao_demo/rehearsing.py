@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import base64
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from cfgplan_runtime.demo.stage import Stage
+import cv2
+import numpy as np
+from football import scenario
+from units import BallDetector, BallLocalization, BottomCam, FuseBallPos, Segmenter, SelfLocalization, Subsampler
+
+_HULL, _BALL = (90, 220, 255), (60, 90, 255)
+_QUALITY = 82
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,7 +24,7 @@ class Seen:
     sizes: Mapping[str, Any]
     hull: Any
     ball: Mapping[str, float] | None
-    position: Mapping[str, Any] | None
+    position: Any
 
 
 Call = Callable[..., Any]
@@ -31,15 +38,15 @@ def _plainly(_unit: str, code: Callable[..., Any], **values: object) -> Any:
 class Robot:
     """The units of one robot, called by `call`."""
 
-    def __init__(self, stage: Stage, name: str, call: Call = _plainly) -> None:
+    def __init__(self, name: str, call: Call = _plainly) -> None:
         self.name = name
         self._call = call
-        self._camera: Any = stage.code("units.py:BottomCam")(name)
-        self._self_localization: Any = stage.code("units.py:SelfLocalization")(name)
-        self._subsampler = stage.code("units.py:Subsampler")()
-        self._segmenter = stage.code("units.py:Segmenter")()
-        self._detector = stage.code("units.py:BallDetector")()
-        self._localization = stage.code("units.py:BallLocalization")()
+        self._camera: Any = BottomCam(name)
+        self._self_localization: Any = SelfLocalization(name)
+        self._subsampler = Subsampler()
+        self._segmenter = Segmenter()
+        self._detector = BallDetector()
+        self._localization = BallLocalization()
 
     def see(self, time_ns: int) -> Seen:
         """Take the picture of a moment and look for the ball in it."""
@@ -56,6 +63,30 @@ class Robot:
 
 
 @dataclass(frozen=True, slots=True)
+class View:
+    """A picture as a data URI, and whether the ball was found in it."""
+
+    robot: str
+    uri: str
+    has_ball: bool
+
+
+def view(robot: Robot, time_ns: int) -> View:
+    """Take the picture of a moment again and mark the field's hull and the ball."""
+    seen = robot.see(time_ns)
+    channels = np.dstack([seen.sizes[name] for name in ("y640", "v640", "u640")])
+    shown = cv2.cvtColor(channels, cv2.COLOR_YCrCb2BGR)
+    if seen.hull is not None:
+        cv2.polylines(shown, [seen.hull.round().astype(np.int32)], True, _HULL, 2, cv2.LINE_AA)
+    if seen.ball is not None:
+        centre = round(seen.ball["u"] * 16), round(seen.ball["v"] * 16)
+        cv2.circle(shown, centre, round((seen.ball["radius"] + 4) * 16), _BALL, 2, cv2.LINE_AA, 4)
+    _, data = cv2.imencode(".jpg", shown, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    uri = f"data:image/jpeg;base64,{base64.b64encode(data.tobytes()).decode()}"
+    return View(robot.name, uri, seen.ball is not None)
+
+
+@dataclass(frozen=True, slots=True)
 class Comparison:
     """Root mean squares of the errors at the same moments, in metres: of each robot alone, and of both fused."""
 
@@ -64,16 +95,16 @@ class Comparison:
     fused_m: float
 
 
-def compare(stage: Stage, robots: Sequence[Robot], times_ns: Iterable[int]) -> Comparison | None:
+def compare(robots: Sequence[Robot], times_ns: Iterable[int]) -> Comparison | None:
     """Hold two robots and their fusion against the truth, where both see the ball; None if that is nowhere."""
-    truth, fuse = stage.code("football.scenario:ball"), stage.code("units.py:FuseBallPos")()
+    fuse = FuseBallPos()
     first, second = robots
     errors: list[tuple[float, float, float]] = []
     for time_ns in times_ns:
         one, other = first.see(time_ns).position, second.see(time_ns).position
         if one is not None and other is not None:
             found = (one, other, fuse(first=one, second=other))
-            here = truth(time_ns)
+            here = scenario.ball(time_ns)
             errors.append(tuple(math.dist((p["x"], p["y"]), here) for p in found))  # type: ignore[arg-type]
     if not errors:
         return None

@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 from cfgplan_runtime.errors import NoSuchTopicError
 from cfgplan_runtime.streams.subscription import subscribe
+from football import scenario
 
-Truth = Callable[[int], tuple[float, float]]
 _PATIENCE_S = 0.05
 
 
@@ -39,8 +38,8 @@ class Sample:
 class Listener:
     """Collects what comes on a topic of a run, in a thread, until the run ends."""
 
-    def __init__(self, topic: str, run: str, truth: Truth) -> None:
-        self._topic, self._run, self._truth = topic, run, truth
+    def __init__(self, topic: str, run: str) -> None:
+        self._topic, self._run = topic, run
         self._samples: list[Sample] = []
         self._news = threading.Condition()
         self._is_over = False
@@ -78,7 +77,7 @@ class Listener:
                 continue
 
     def _note(self, value: Any, time_ns: int) -> None:
-        true_x, true_y = self._truth(time_ns)
+        true_x, true_y = scenario.ball(time_ns)
         xx, _, yy = value["covariance"]
         expected_m = math.sqrt(xx + yy)
         sample = Sample(time_ns, time.time_ns(), value["x"], value["y"], true_x, true_y, expected_m)
