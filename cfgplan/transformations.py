@@ -55,6 +55,7 @@ class OutputPort:
 
 
 START_MODES = ("all", "any", "aligned")
+LEAST_HANG_S = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +66,7 @@ class RunOptions:
     `tolerance_us`, or a port's name. `rate_hz` is a source's. `queue` elements wait at each input; when full,
     the oldest is dropped, or the producer waits if it `blocks`. A unit that is silent for `hang_us` (0: it
     may be silent) or takes more than `memory_mb` megabytes is killed. With `state`, a new unit goes on with the
-    state of the last.
+    state of the last. Raises InvalidValueError for a `hang_us` of less than 2 s.
     """
 
     start: str = "all"
@@ -76,6 +77,13 @@ class RunOptions:
     hang_us: int | None = None
     memory_mb: int | None = None
     state: bool = False
+
+    def __post_init__(self) -> None:
+        if self.hang_us is not None and self.hang_us != 0 and self.hang_us < LEAST_HANG_S * 1_000_000:
+            raise InvalidValueError(
+                f"signs of life come once a second, and {self.hang_us / 1e6:g} s is too short to miss one: "
+                f"allow {LEAST_HANG_S} s or more, or 0 for never"
+            )
 
 
 @dataclass(frozen=True)

@@ -14,10 +14,9 @@ from cfgplan.canonical import normal
 from cfgplan.costs import microseconds
 from cfgplan.errors import InvalidValueError
 from cfgplan.qualities import micro_units
+from cfgplan.transformations import LEAST_HANG_S, RunOptions
 
 LARGEST_RATE_HZ = 100_000
-LEAST_SILENCE_S = 2
-"""Signs of life come once a second; a unit can't be judged by less."""
 NAME = r"^[^\s\x00-\x1f\x7f]([^\x00-\x1f\x7f]*[^\s\x00-\x1f\x7f])?$"
 PORT = r"^[^\s\x00-\x1f\x7f/]([^\x00-\x1f\x7f/]*[^\s\x00-\x1f\x7f/])?$"
 
@@ -58,10 +57,11 @@ def _seconds(value: object) -> int:
 def _silence(value: object) -> int:
     """How long a unit may give no sign of life, in microseconds; 0 for ever."""
     silence_us = _seconds(value)
-    if 0 < silence_us < LEAST_SILENCE_S * 1_000_000:
-        message = f"signs of life come once a second, and {value} s is too short to miss one"
-        mend = f"write {LEAST_SILENCE_S} or more, or 0 for never"
-        raise PydanticCustomError("silence", "{text}", {"text": message, "mend": mend})
+    try:
+        RunOptions(hang_us=silence_us)
+    except InvalidValueError as error:
+        message, _, mend = str(error).partition(": ")
+        raise PydanticCustomError("silence", "{text}", {"text": message, "mend": mend}) from None
     return silence_us
 
 
@@ -149,7 +149,7 @@ Seconds = Annotated[int, PlainValidator(_seconds), WithJsonSchema({"type": "numb
 Silence = Annotated[
     int,
     PlainValidator(_silence),
-    WithJsonSchema({"anyOf": [{"const": 0}, {"type": "number", "minimum": LEAST_SILENCE_S}]}),
+    WithJsonSchema({"anyOf": [{"const": 0}, {"type": "number", "minimum": LEAST_HANG_S}]}),
 ]
 Span = Annotated[
     int,

@@ -8,7 +8,7 @@ import pytest
 from loading import load_text
 
 from cfgplan.domain import RunOptions
-from cfgplan.errors import InputError
+from cfgplan.errors import InputError, InvalidValueError
 
 TRANSFORMATION = """format: cfgplan/1
 transformations:
@@ -37,6 +37,12 @@ def test_a_unit_may_be_silent_for_two_seconds_or_more_or_for_ever(tmp_path: Path
     assert options(tmp_path, f"{{hang: {hang}}}").hang_us == hang_us
 
 
+@pytest.mark.parametrize("hang_us", [-1, 1, 1_999_999])
+def test_in_python_a_unit_may_not_be_silent_for_a_shorter_time_either(hang_us: int) -> None:
+    with pytest.raises(InvalidValueError, match="too short to miss one: allow 2 s or more, or 0 for never"):
+        RunOptions(hang_us=hang_us)
+
+
 def test_a_step_can_start_on_a_named_input(tmp_path: Path) -> None:
     assert options(tmp_path, "{start: left}").start == "left"
 
@@ -51,8 +57,8 @@ def test_a_step_can_start_on_a_named_input(tmp_path: Path) -> None:
         ("{queue: 0}", "at least 1"),
         ("{when_full: explode}", "when_full"),
         ("{memory: 0.5}", "whole number"),
-        ("{hang: 0.5}", "write 2 or more, or 0 for never"),
-        ("{hang: 1.999}", "write 2 or more, or 0 for never"),
+        ("{hang: 0.5}", "0.5 s is too short to miss one (allow 2 s or more, or 0 for never"),
+        ("{hang: 1.999}", "allow 2 s or more, or 0 for never"),
         ("{hang: soon}", "this must be a number"),
         ("{color: red}", "unknown key `color`"),
         ("fast", "mapping"),

@@ -11,6 +11,7 @@ from cfgplan_runtime.lifecycle.configuration import Situation
 from cfgplan_runtime.lifecycle.noticing import Noticing
 from cfgplan_runtime.lifecycle.perturbations import MayStartAgain, SubscriptionLost, UpdateFailed
 from cfgplan_runtime.lifecycle.reports import BackedOff, Decision, Phase
+from cfgplan_runtime.lifecycle.seams import DeclaredCosts
 from cfgplan_runtime.lifecycle.waiting import without_stopping
 from cfgplan_runtime.supervision.events import UnitReady
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
@@ -37,6 +38,17 @@ def test_a_unit_that_had_lived_well_fails_as_if_for_the_first_time() -> None:
     assert back_offs.ended(100.0) == ("work",)
     back_offs.failed("work", 61.0, 161.0, "crash")
     assert back_offs.avoided == frozenset()
+
+
+def test_what_became_cheaper_while_it_was_left_alone_is_used_when_it_may_start_again() -> None:
+    life = started(source(), worker(), SPARE, estimator=DeclaredCosts(failure_us=0), horizon_s=600)
+    for _ in range(2):
+        life.fail("work.1")
+    life.ask(AddTransformations((worker(upkeep_us=1),)))
+    assert life.units == {"count.1", "spare.1"}
+    life.pass_time(1.1)
+    assert life.units == {"count.1", "work.1"}
+    assert life.reviews[-1].perturbations == (MayStartAgain(("work",)),)
 
 
 def test_what_can_not_start_waits_from_the_first_time_on_and_is_counted_once_each_time() -> None:

@@ -27,7 +27,8 @@ UNIT = {"unit": "detector.1", "transformation": "detector", "host": "nao1"}
 class Scraped:
     def __init__(self) -> None:
         self.snapshot = replace(SNAPSHOT, units=(UnitView(DETECTOR, "nao1", SEEN),))
-        self.metrics = Metrics(self._look, lambda: {"/result": Flow(rate_hz=29.5, latency_ms=12.0, elements=300)})
+        self.flows = {"/result": Flow(rate_hz=29.5, latency_ms=12.0, elements=300)}
+        self.metrics = Metrics(self._look, lambda: self.flows)
         self.server: MetricsServer = serve(0, self.metrics)
 
     def _look(self) -> Snapshot:
@@ -99,6 +100,15 @@ def test_a_target_shows_whether_it_is_met_its_rate_and_latency(scrape: Scraped) 
     assert scrape("target_latency_seconds", target="ball", topic="/result") == 0.012
     assert scrape("target_elements_total", target="ball", topic="/result") == 300
     assert scrape("target_rate_hertz", target="goal", topic="/goal") is None
+
+
+def test_a_met_target_on_which_nothing_comes_is_shown_at_no_hertz(scrape: Scraped) -> None:
+    scrape.flows = {"/result": Flow()}
+    assert scrape("target_met", target="ball", topic="/result") == 1
+    assert scrape("target_rate_hertz", target="ball", topic="/result") == 0
+    assert scrape("target_silent_seconds", target="ball", topic="/result") is None
+    scrape.flows = {"/result": Flow(silent_s=75.0)}
+    assert scrape("target_silent_seconds", target="ball", topic="/result") == 75
 
 
 def test_the_configuration_shows_its_cost_and_horizon(scrape: Scraped) -> None:

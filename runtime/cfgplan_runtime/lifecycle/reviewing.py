@@ -16,7 +16,13 @@ from cfgplan_runtime.lifecycle.deliberation import Deliberation, Thought
 from cfgplan_runtime.lifecycle.inbox import Outcome
 from cfgplan_runtime.lifecycle.intake import Intake
 from cfgplan_runtime.lifecycle.pending import Entry
-from cfgplan_runtime.lifecycle.perturbations import HorizonReached, ReviewRequested, Started, UpdateFailed
+from cfgplan_runtime.lifecycle.perturbations import (
+    HorizonReached,
+    MayStartAgain,
+    ReviewRequested,
+    Started,
+    UpdateFailed,
+)
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Decision, Report, Review, ReviewBegan, Reviewed
 from cfgplan_runtime.lifecycle.seams import Clock, Estimator, Middleware
@@ -25,7 +31,7 @@ from cfgplan_runtime.lifecycle.waiting import without_stopping
 from cfgplan_runtime.supervision.delays import doubling_s
 
 _MOST_NAMED = 4
-_OPTIMISING = (Started, HorizonReached, ReviewRequested)
+_OPTIMISING = (Started, HorizonReached, ReviewRequested, MayStartAgain)
 
 
 class WarmPlanner:
