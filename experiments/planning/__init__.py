@@ -19,14 +19,13 @@ VARIANTS: Mapping[str, Entrant] = MappingProxyType(
     {
         entrant.name: entrant
         for entrant in (
-            _variant("levels-prepared", "levels_prepared"),
             _variant("cuts-alone", "cuts_alone"),
             _variant("levels-alone", "levels_alone"),
             _variant("cpsat-defaults", "defaults_alone"),
         )
     }
 )
-"""`cpsat` with level variables for its lazy cuts; each of the two models alone; levels with CP-SAT's defaults."""
+"""The model with lazy cuts alone, with level variables in place of these, and that with CP-SAT's defaults."""
 
 ONE_SEED = frozenset({*PARTS, "clingo-bb"})
 MODELS, LARGE = frozenset({"levels-alone", "cpsat-defaults"}), 5_000

@@ -7,19 +7,26 @@ from contextlib import suppress
 
 from ortools.sat.python.cp_model import CpSolver
 
-from cfgplan.planners.cpsat.grounding import Grounding
 from cfgplan.planners.cpsat.prepared import Prepared
 from cfgplan.planners.cpsat.search import Search
-from cfgplan.planners.cpsat.session import PlannerSession
 from cfgplan.planners.cpsat.standing import Standing
 from cfgplan.planners.networks.site import Site, relevant
 from cfgplan.planners.solving.clock import Clock, OutOfTimeError
 from cfgplan.planning import Plan, Problem, Progress, Status
 from cfgplan.reasons import Givers, startable, unmet_reasons
+from experiments.planning.levels import everything_rests_on_something_lower
 
 
-class Defaults(Search):
-    """The search with the solver's default parameters but one worker."""
+class Levels(Search):
+    """The search with level variables: there is nothing to cut."""
+
+    def begin(self) -> None:
+        super().begin()
+        everything_rests_on_something_lower(self.model)
+
+
+class Defaults(Levels):
+    """The same with the solver's default parameters but one worker."""
 
     def solver(self) -> CpSolver:
         solver = CpSolver()
@@ -30,9 +37,7 @@ class Defaults(Search):
         return solver
 
 
-def _unprepared(
-    search: type[Search], grounding: Grounding, problem: Problem, limit_s: float | None, report: Report
-) -> Plan:
+def _unprepared(search: type[Search], problem: Problem, limit_s: float | None, report: Report) -> Plan:
     clock = Clock(limit_s)
     givers = Givers(problem.environment.library, problem.similarity)
     possible = startable(problem.environment, givers)
@@ -43,7 +48,7 @@ def _unprepared(
     prepared = Prepared(sorted(labels))
     standing = Standing(Site(problem, givers, labels), prepared, clock, report)
     with suppress(OutOfTimeError):
-        search(standing, prepared, grounding).run()
+        search(standing, prepared).run()
     clock.end("search")
     return standing.plan()
 
@@ -53,19 +58,14 @@ Report = Callable[[Progress], None] | None
 
 def cuts_alone(problem: Problem, *, time_limit_s: float | None = None, report: Report = None) -> Plan:
     """Hub model with lazy cuts and the planner's parameters, without preprocessing, bounds or a first plan."""
-    return _unprepared(Search, Grounding.CUTS, problem, time_limit_s, report)
+    return _unprepared(Search, problem, time_limit_s, report)
 
 
 def levels_alone(problem: Problem, *, time_limit_s: float | None = None, report: Report = None) -> Plan:
     """Hub model with level variables and the planner's parameters, without preprocessing."""
-    return _unprepared(Search, Grounding.LEVELS, problem, time_limit_s, report)
+    return _unprepared(Levels, problem, time_limit_s, report)
 
 
 def defaults_alone(problem: Problem, *, time_limit_s: float | None = None, report: Report = None) -> Plan:
     """Hub model with level variables and CP-SAT's default parameters on one worker."""
-    return _unprepared(Defaults, Grounding.LEVELS, problem, time_limit_s, report)
-
-
-def levels_prepared(problem: Problem, *, time_limit_s: float | None = None, report: Report = None) -> Plan:
-    """The whole planner, but with level variables in place of the cuts."""
-    return PlannerSession(Grounding.LEVELS).plan(problem, time_limit_s=time_limit_s, report=report)
+    return _unprepared(Defaults, problem, time_limit_s, report)

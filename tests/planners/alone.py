@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from math import inf
 
-from cfgplan.planners.cpsat.grounding import Grounding
 from cfgplan.planners.cpsat.prepared import Prepared
 from cfgplan.planners.cpsat.search import Search as PlainSearch
 from cfgplan.planners.cpsat.standing import Standing as PlainStanding
@@ -28,7 +27,7 @@ def plain_search(problem: Problem) -> PlainSearch:
     prepared = Prepared(sorted(labels))
     standing = PlainStanding(Site(problem, givers, labels), prepared, Clock(), None)
     standing.counts = {"rounds": 0, "cuts": 0, "conflicts": 0}
-    return PlainSearch(standing, prepared, Grounding.CUTS)
+    return PlainSearch(standing, prepared)
 
 
 def fleet_search(problem: Problem, *, is_apart: bool = False) -> FleetSearch:

@@ -15,7 +15,7 @@ from worlds import histories, problems, reordered
 
 from cfgplan.comparing.families.random_library import random_library
 from cfgplan.planners import PLANNERS
-from cfgplan.planners.cpsat import Grounding, PlannerSession
+from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planning import Plan, Problem, Status
 from cfgplan.validity import plan_violations
 
@@ -77,15 +77,6 @@ def test_cpsat_equals_the_oracle_after_something_happened_to_an_optimal_configur
 @pytest.mark.parametrize("seed", range(30))
 def test_cpsat_equals_the_oracle_where_all_inputs_are_distinct(seed: int) -> None:
     agree(random_library(seed, transformations=9, depth=3, branching=3, targets=1, distinct=1.0))
-
-
-@fewer
-@given(problems(most=7, special=False))
-def test_level_variables_and_lazy_cuts_agree(problem: Problem) -> None:
-    levels = PlannerSession(Grounding.LEVELS).plan(problem)
-    assert plan_violations(problem, levels) == []
-    assert levels.counts.get("cuts", 0) == 0
-    assert quality(levels) == quality(PLANNERS["cpsat"](problem))
 
 
 @fewer

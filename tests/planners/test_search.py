@@ -14,7 +14,6 @@ from ortools.sat.python.cp_model import FEASIBLE, INFEASIBLE, MODEL_INVALID, OPT
 
 from cfgplan.comparing.families.random_library import random_library
 from cfgplan.planners.cpsat import PlannerSession, search
-from cfgplan.planners.cpsat.grounding import Grounding
 from cfgplan.planners.cpsat.prepared import Prepared
 from cfgplan.planners.cpsat.standing import Standing
 from cfgplan.planners.fleet import flat_search
@@ -44,7 +43,7 @@ def test_a_solution_that_is_not_grounded_is_forbidden_before_anything_is_proven_
         return statuses[-1]
 
     with mock.patch.object(search, "solve", watched):
-        search.Search(standing, prepared, Grounding.CUTS).run()
+        search.Search(standing, prepared).run()
     assert statuses[0] == FEASIBLE
     assert statuses[-1] == OPTIMAL
     found, other = standing.plan(), PlannerSession().plan(problem)

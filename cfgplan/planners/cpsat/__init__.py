@@ -10,11 +10,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from threading import Event
 
-from cfgplan.planners.cpsat.grounding import Grounding
 from cfgplan.planners.cpsat.session import PlannerSession
 from cfgplan.planning import Plan, Problem, Progress
 
-__all__ = ["Grounding", "PlannerSession", "plan"]
+__all__ = ["PlannerSession", "plan"]
 
 
 def plan(

@@ -12,7 +12,6 @@ import numpy as np
 
 from cfgplan.planners.bounding.bounds import Bound
 from cfgplan.planners.bounding.tightening import tightened
-from cfgplan.planners.cpsat.grounding import Grounding
 from cfgplan.planners.cpsat.prepared import Prepared
 from cfgplan.planners.cpsat.rest import Left
 from cfgplan.planners.cpsat.standing import Incumbent, Standing
@@ -40,7 +39,7 @@ def offer_any_plan(standing: Standing, structure: Structure) -> None:
         standing.offer(units)
 
 
-def prepared_with_all(standing: Standing, structure: Structure, grounding: Grounding, attempts: int) -> Prepared:
+def prepared_with_all(standing: Standing, structure: Structure, attempts: int) -> Prepared:
     """What may be in a plan that uses all required transformations; if such a plan is found it is offered."""
     problem, clock = standing.site.problem, standing.clock
     required = frozenset(t.label for t in structure.network.transformations if t.required)
@@ -49,7 +48,7 @@ def prepared_with_all(standing: Standing, structure: Structure, grounding: Groun
     shunned: set[int] = set()
     for _ in range(WAYS):
         few = _few(problem, structure, required, shunned, attempts, clock)
-        found = None if few is None else _among(few, problem, structure, grounding, clock)
+        found = None if few is None else _among(few, problem, structure, clock)
         if found is not None:
             standing.offer(found.units)
         if few is None or found is not None or clock.is_over():
@@ -125,13 +124,11 @@ def _way_to_a_target(network: Network, cost: Ints, label: int, shunned: set[int]
     return []
 
 
-def _among(
-    few: list[str], problem: Problem, structure: Structure, grounding: Grounding, clock: Clock
-) -> Incumbent | None:
+def _among(few: list[str], problem: Problem, structure: Structure, clock: Clock) -> Incumbent | None:
     """The best plan among a few labels that uses all required ones."""
     from cfgplan.planners.cpsat.search import Search
 
     prepared = Prepared(few)
     standing = Standing(Site(problem, structure.givers, few), prepared, clock, None)
-    Search(standing, prepared, grounding).run_with_all_required()
+    Search(standing, prepared).run_with_all_required()
     return standing.best if standing.best is not None and standing.best.key[0] == structure.hopeless_required else None

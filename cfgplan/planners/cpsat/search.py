@@ -18,7 +18,6 @@ from ortools.sat.python.cp_model import (
 )
 
 from cfgplan.planners.cpsat.decode import decode
-from cfgplan.planners.cpsat.grounding import Grounding
 from cfgplan.planners.cpsat.model import Model
 from cfgplan.planners.cpsat.prepared import Prepared
 from cfgplan.planners.cpsat.standing import Stage, Standing
@@ -50,7 +49,6 @@ class Search:
         self,
         standing: Standing,
         prepared: Prepared,
-        grounding: Grounding,
         slice_s: float | None = None,
         missed: Callable[[Collection[str], Clock], Iterable[tuple[Collection[str], int]]] = lambda *_: (),
     ) -> None:
@@ -63,13 +61,12 @@ class Search:
         self.standing = standing
         self.site = standing.site
         self.prepared = prepared
-        self.grounding = grounding
         self.model = Model(standing.site, standing.clock.check)
 
     def run(self) -> None:
         """Go through the stages until the clock stops one."""
         model = self.model
-        self._begin()
+        self.begin()
         scale = self.changes_scale()
         if scale is not None:
             self.standing.stage = Stage.COST_AND_CHANGES
@@ -88,7 +85,7 @@ class Search:
 
     def run_with_all_required(self) -> bool:
         """Go through the stages for plans that use all required transformations; False if there are none."""
-        self._begin()
+        self.begin()
         for used in self.model.uses_required.values():
             self.model.cp.add(used == 1)
         try:
@@ -97,17 +94,14 @@ class Search:
             return False
         return True
 
-    def _begin(self) -> None:
+    def begin(self) -> None:
+        """Add what is known before the first round."""
         model = self.model
         for name in ("rounds", "cuts", "conflicts"):
             self.standing.counts.setdefault(name, 0)
         self.standing.counts["booleans"] = len(model.literals)
         one_of_those_alike_is_enough(model)
         model.enough_of_each_run(self.prepared.landmarks())
-        if self.grounding is Grounding.LEVELS:
-            from cfgplan.planners.cpsat.levels import everything_rests_on_something_lower  # networkx takes long too
-
-            everything_rests_on_something_lower(model)
         if self.prepared.cost_us is not None:
             model.cp.add(model.cost() <= self.prepared.cost_us)
 

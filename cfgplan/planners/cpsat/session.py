@@ -17,7 +17,6 @@ from cfgplan.planners.bounding.bounds import Bound
 from cfgplan.planners.bounding.chains import chained_bound
 from cfgplan.planners.bounding.tightening import begun, tightened
 from cfgplan.planners.cpsat.deciding import STEPS, decide
-from cfgplan.planners.cpsat.grounding import Grounding
 from cfgplan.planners.cpsat.prepared import Prepared
 from cfgplan.planners.cpsat.preparing import Preparation
 from cfgplan.planners.cpsat.rest import Left, Rest
@@ -49,9 +48,8 @@ seconds bounds are raised then, by labels in the same way.
 class PlannerSession:
     """A planner that remembers; `plan` is a `planning.Planner` with a way to stop it."""
 
-    def __init__(self, grounding: Grounding = Grounding.CUTS, steps: int = STEPS) -> None:
+    def __init__(self, steps: int = STEPS) -> None:
         """Small problems are searched for so many steps before they are prepared for the solver."""
-        self._grounding = grounding
         self._steps = steps
         self._structure: Structure | None = None
         self._last: frozenset[str] = frozenset()
@@ -71,7 +69,7 @@ class PlannerSession:
         if problem.notions:
             from cfgplan.planners import fleet
 
-            without_hosts = PlannerSession(self._grounding, self._steps).plan
+            without_hosts = PlannerSession(self._steps).plan
             return fleet.plan(problem, without_hosts, time_limit_s=time_limit_s, report=report, stop=stop)
         clock = Clock(time_limit_s, stop)
         standing = Standing(Site(problem, Givers((), problem.similarity), ()), Prepared([]), clock, report)
@@ -158,7 +156,7 @@ class PlannerSession:
         from cfgplan.planners.cpsat.search import Search  # the solver takes long to import
 
         missed = (lambda *_: ()) if preparation is None else preparation.missed
-        Search(standing, prepared, self._grounding, slice_s, missed).run()
+        Search(standing, prepared, slice_s, missed).run()
         standing.clock.end("search")
 
     def _prepare(self, problem: Problem, structure: Structure, clock: Clock, *, is_first: bool) -> Preparation:
@@ -185,14 +183,14 @@ class PlannerSession:
         from cfgplan.planners.cpsat.search import Search
 
         offer_any_plan(standing, structure)
-        prepared = prepared_with_all(standing, structure, self._grounding, ATTEMPTS)
+        prepared = prepared_with_all(standing, structure, ATTEMPTS)
         standing.clock.end("bounds")
         standing.clock.check()
         standing.go_on_with(prepared)
-        if not Search(standing, prepared, self._grounding).run_with_all_required():
+        if not Search(standing, prepared).run_with_all_required():
             prepared = Prepared(structure.network.labels)
             standing.go_on_with(prepared)
-            Search(standing, prepared, self._grounding).run()
+            Search(standing, prepared).run()
 
     def _first_plan(
         self, problem: Problem, structure: Structure, weighing: Weighing, quick: int, clock: Clock, *, is_first: bool

@@ -1,6 +1,6 @@
 """Groundedness in one shot: integer levels inside the strongly connected parts of what rests on what.
 
-The alternative to lazy cuts: several times slower on large instances, and a check on them.
+The alternative to lazy cuts: several times slower on large instances.
 """
 
 from __future__ import annotations
