@@ -15,6 +15,7 @@ from itertools import combinations
 from cfgplan.domain import ComputationUnit, Environment, Publication, Stream, Subscription
 from cfgplan.errors import InputError
 from cfgplan.planners import exhaustive_fleet
+from cfgplan.planners.exhaustive_judging import Steps
 from cfgplan.planning import Plan, Problem, Progress, Status, fresh_unit_ids
 
 MOST_UNITS = 16
@@ -30,7 +31,10 @@ def plan(
     time_limit_s: float | None = None,
     report: Callable[[Progress], None] | None = None,
 ) -> Plan:
-    """The optimal plan by enumeration. Raises InputError for more than `MOST_UNITS` candidate units."""
+    """The optimal plan by enumeration.
+
+    Raises InputError for more than `MOST_UNITS` candidate units, and after `MOST_STEPS`.
+    """
     if problem.notions:
         return exhaustive_fleet.plan(problem, time_limit_s=time_limit_s, report=report)
     began = time.monotonic()
@@ -43,13 +47,13 @@ def plan(
     runnable = _runnable(problem, problem.environment.transformation)
     kept = {unit.id for unit in candidates if _is_pinned(problem, unit) and unit.transformation in runnable}
     best: tuple[Key, list[ComputationUnit]] | None = None
-    tried = 0
+    tried, steps = 0, Steps()
     for least, chosen in _sets_by_promise(problem, candidates):
         if best is not None and least >= best[0]:
             break
         if not kept.issubset(unit.id for unit in chosen):
             continue
-        for units in _wirings(problem, chosen, partial(_is_worth_it, best, least)):
+        for units in _wirings(problem, chosen, steps, partial(_is_worth_it, best, least)):
             if time_limit_s is not None and time.monotonic() - began > time_limit_s:
                 return _answer(problem, best, began, tried, stopped=True)
             tried += 1
@@ -173,7 +177,7 @@ def _demands(problem: Problem, chosen: tuple[ComputationUnit, ...]) -> list[_Dem
 
 
 def _wirings(
-    problem: Problem, chosen: tuple[ComputationUnit, ...], worth_it: Callable[[int], bool]
+    problem: Problem, chosen: tuple[ComputationUnit, ...], steps: Steps, worth_it: Callable[[int], bool]
 ) -> Iterator[list[ComputationUnit]]:
     """Every wiring of the chosen units that meets the targets, is grounded and distinct; not all are lean.
 
@@ -195,6 +199,7 @@ def _wirings(
         return demand.feedback or not _leads_to(edges, demand.unit, stream.unit)
 
     def extend() -> Iterator[list[ComputationUnit]]:
+        steps.take()
         wired = _wired(chosen, choice)
         unfinished = {demand.unit for demand in demands[len(choice) :]}
         rewired = [u for u in wired if u.id in running and u.id not in unfinished and u != running[u.id]]

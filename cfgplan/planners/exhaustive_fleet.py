@@ -15,6 +15,7 @@ from cfgplan.domain import ComputationUnit, Environment, Publication, Stream, Su
 from cfgplan.errors import InputError
 from cfgplan.planners.exhaustive_judging import (
     Key,
+    Steps,
     Units,
     cost_of_units,
     is_borne,
@@ -39,16 +40,19 @@ def plan(
     time_limit_s: float | None = None,
     report: Callable[[Progress], None] | None = None,
 ) -> Plan:
-    """The optimal plan by enumeration. Raises InputError for more than `MOST_SETS` sets of units."""
+    """The optimal plan by enumeration.
+
+    Raises InputError for more than `MOST_SETS` sets of units, and after `MOST_STEPS`.
+    """
     began = time.monotonic()
     best: tuple[Key, Units] | None = None
-    tried = 0
+    tried, steps = 0, Steps()
     for least, units in sorted(_sets(problem), key=lambda entry: (entry[0], [unit.id for unit in entry[1]])):
         if best is not None and least >= best[0]:
             break
         if not is_borne(problem, units):
             continue
-        for wired in _wirings(problem, units):
+        for wired in _wirings(problem, units, steps):
             if time_limit_s is not None and time.monotonic() - began > time_limit_s:
                 return _answer(problem, best, began, tried, stopped=True)
             tried += 1
@@ -175,7 +179,7 @@ def _least(problem: Problem, units: Units) -> Key:
     return unused, cost_of_units(problem, units), 0, started
 
 
-def _wirings(problem: Problem, units: Units) -> Iterator[Units]:
+def _wirings(problem: Problem, units: Units, steps: Steps) -> Iterator[Units]:
     """Every wiring of the running units that meets the targets, is grounded and distinct."""
     environment = problem.environment
     hot = [unit for unit in units if not unit.standby]
@@ -200,6 +204,7 @@ def _wirings(problem: Problem, units: Units) -> Iterator[Units]:
     ]
 
     def extend(choice: tuple[Stream, ...]) -> Iterator[tuple[Stream, ...]]:
+        steps.take()
         if len(choice) == len(demands):
             yield choice
             return

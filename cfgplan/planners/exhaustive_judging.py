@@ -7,11 +7,31 @@ from collections.abc import Sequence
 from itertools import combinations, product
 
 from cfgplan.domain import ComputationUnit, Stream, Target
+from cfgplan.errors import InputError
 from cfgplan.planning import Failures, Problem
 from cfgplan.qualities import is_met, price_us, propagated
 
 Key = tuple[int, int, int, int]
 Units = tuple[ComputationUnit, ...]
+
+MOST_STEPS = 100_000
+"""More steps, each of which feeds one input or topic of one set of units, are refused."""
+
+
+class Steps:
+    """Counts the steps of one enumeration."""
+
+    def __init__(self) -> None:
+        self.number = 0
+
+    def take(self) -> None:
+        """Raises InputError after `MOST_STEPS`."""
+        self.number += 1
+        if self.number > MOST_STEPS:
+            raise InputError.of(
+                f"the exhaustive planner tries every wiring and {MOST_STEPS:,} steps were too few for it",
+                mend="use the planner cpsat",
+            )
 
 
 def cost_of_units(problem: Problem, units: Units) -> int:

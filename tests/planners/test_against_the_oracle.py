@@ -11,7 +11,7 @@ import pytest
 from alone import plan_alone
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from worlds import histories, problems, reordered
+from worlds import histories, oracle_of, problems, reordered
 
 from cfgplan.comparing.families.random_library import random_library
 from cfgplan.planners import PLANNERS
@@ -45,7 +45,7 @@ def quality(plan: Plan) -> tuple[object, ...]:
 
 def agree(problem: Problem) -> None:
     """The planner, without a search of its own, and the solver alone are as good as the oracle."""
-    oracle = PLANNERS["exhaustive"](problem)
+    oracle = oracle_of(problem)
     assert plan_violations(problem, oracle) == []
     alone = plan_alone(problem)
     for exact in (PLANNERS["cpsat"](problem), PlannerSession(steps=0).plan(problem), alone):

@@ -6,7 +6,7 @@ import os
 
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
-from worlds import problems
+from worlds import oracle_of, problems
 
 from cfgplan.domain import Environment, OutputPort, Similarity, Target, Transformation
 from cfgplan.errors import InputError
@@ -26,7 +26,7 @@ search = PLANNERS["branch-and-bound-shared"]
 @given(problems(most=6))
 def test_it_proves_the_cost_that_the_oracle_finds(problem: Problem) -> None:
     assume(not any(transformation.required for transformation in problem.environment.library))
-    found, oracle = search(problem), PLANNERS["exhaustive"](problem)
+    found, oracle = search(problem), oracle_of(problem)
     assert plan_violations(problem, found) == []
     if oracle.status is Status.OPTIMAL:
         assert (found.status, found.cost_us, found.ties_proven) == (Status.OPTIMAL, oracle.cost_us, False)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from hypothesis import strategies as st
-from worlds import TAGS
+from worlds import TAGS, oracle_of
 
 from cfgplan.domain import Similarity
 from cfgplan.planners import PLANNERS
@@ -60,7 +60,7 @@ def differences(problem: Problem, truth: Similarity, planner: str = "cpsat") -> 
     deciding = Deciding(PLANNERS[planner], Truthful(problem.similarity, truth))
     asked = deciding(problem)
     found = [f"asked: {each}" for each in plan_violations(deciding.known(problem), asked)]
-    true = PLANNERS["exhaustive"](replace(problem, similarity=truth))
+    true = oracle_of(replace(problem, similarity=truth))
     if _key(asked) != _key(true) and not (asked.status is Status.TOO_EXPENSIVE and true.status is Status.INFEASIBLE):
         found.append(f"asked: {_key(asked)}, but the truth is {_key(true)}")
     silent = PLANNERS[planner](problem)
