@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import errno
 import io
 import os
 import sys
@@ -31,11 +30,10 @@ from cfgplan.cli.chatter import Chatter
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.interrupts import Ending, ended_cleanly
 from cfgplan.cli.overwriting import refuse_overwriting
-from cfgplan.cli.screen import Screen
+from cfgplan.cli.screen import FULL_DISK, Screen
 from cfgplan.errors import CfgplanError, Fault, InputError
 from cfgplan.planning import PlannerFaultError
 
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 _EXTRA_OF = {"cv2": "demo", "jinja2": "demo", "matplotlib": "plots", "prometheus_client": "metrics"}
 VERBS = (check, match, solve, explain, sensitivity, graph, run, ctl, listen, query, demo, compare, importing, exporting)
 
@@ -84,7 +82,7 @@ def _main(arguments: Sequence[str], ending: Ending) -> int:
             return _interrupted(ending)
         if os.environ.get("CFGPLAN_TRACEBACK"):
             raise
-        if isinstance(error, OSError) and error.errno in _FULL and not error.filename:
+        if isinstance(error, OSError) and error.errno in FULL_DISK and not error.filename:
             _say_no_more()
             fault = Fault(f"what was found can't be written: {error.strerror}", file="standard output")
             Screen(json=False).faults([fault])

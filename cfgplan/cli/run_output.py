@@ -96,8 +96,7 @@ class Lines:
         show_files(self._operation, self._screen)
 
     def _say(self, text: str) -> None:
-        self._screen.show(text)
-        self._screen.flush()
+        self._screen.tell(text)
 
 
 class JsonLines:
@@ -147,5 +146,4 @@ class JsonLines:
             self._say("Recorded", file=str(recording.path), failure=recording.failure, **counts)
 
     def _say(self, event: str, **facts: Any) -> None:
-        self._screen.write(json.dumps({"format_version": FORMAT_VERSION, "event": event, **facts}) + "\n")
-        self._screen.flush()
+        self._screen.tell(json.dumps({"format_version": FORMAT_VERSION, "event": event, **facts}))

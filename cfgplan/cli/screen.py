@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import sys
 from collections.abc import Iterable, Iterator
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from rich.console import Console, RenderableType
 
 FORMAT_VERSION = 1
+FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 _WIDTH_OF_A_FILE = 1000
 
 
@@ -30,6 +32,7 @@ class Screen:
     def __init__(self, *, json: bool) -> None:
         self.json = json
         self.seconds: dict[str, float] = {}
+        self._is_full = False
 
     @contextmanager
     def phase(self, name: str) -> Iterator[None]:
@@ -56,6 +59,18 @@ class Screen:
     def flush(self) -> None:
         """Let a reader see at once what was written."""
         sys.stdout.flush()
+
+    def tell(self, line: str) -> None:
+        """Print a line at once; a full disk, which is told of once, may lose it: the work goes on."""
+        try:
+            self.write(f"{line}\n")
+            self.flush()
+        except OSError as error:
+            if error.errno not in FULL_DISK:
+                raise
+            if not self._is_full:
+                self._is_full = True
+                self.warn(f"standard output takes no more: {error.strerror}")
 
     def write_bytes(self, data: bytes) -> None:
         """Write a file's bytes to stdout as they are."""

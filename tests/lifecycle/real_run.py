@@ -162,7 +162,7 @@ class RealRun:
         ]
 
 
-def eventually(is_so: Callable[[], bool]) -> None:
+def eventually(is_so: Callable[[], object]) -> None:
     """Wait until something is so; fails if it never is."""
     deadline = time.monotonic() + PATIENCE_S
     while not is_so():

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
+from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
@@ -16,8 +19,10 @@ from cfgplan_runtime.lifecycle.perturbations import (
     UnitKeepsFailing,
     WorldChanged,
 )
-from cfgplan_runtime.lifecycle.reports import Decision, Review
+from cfgplan_runtime.lifecycle.reports import Decision, Review, UnitEvent
 from cfgplan_runtime.processes import process_backend
+from cfgplan_runtime.processes.process_backend import OUTLETS
+from cfgplan_runtime.supervision.events import OutOfDescriptors
 from real_run import RealRun, eventually, source, worker
 
 RESULT, SLOW, DYING = {"/result": "Y"}, {"/slow": "S"}, {"/dying": "D"}
@@ -158,6 +163,33 @@ def test_a_stopped_nursery_makes_few_reviews_and_the_stream_goes_on(
     eventually(lambda: len(run_for_real.seen(UnitGone)) > gone)
     assert len(run_for_real.reviews) < 30
     run_for_real.await_result("work")
+
+
+def test_a_full_disk_for_a_topics_address_costs_no_unit_and_the_topic_comes_once_there_is_room(
+    run_for_real: RealRun, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run_for_real.start(source(), worker())
+    pids = [run_for_real.runtime.pid(unit) for unit in ("count.1", "work.1", OUTLETS)]
+
+    write_text = Path.write_text
+
+    def full(path: Path, *text: Any, **more: Any) -> int:
+        if path.suffix == ".topic":
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return write_text(path, *text, **more)
+
+    def told() -> list[str]:
+        events = [report.event for report in list(run_for_real.reports) if isinstance(report, UnitEvent)]
+        return [event.cause for event in events if isinstance(event, OutOfDescriptors)]
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "write_text", full)
+        run_for_real.write(source(), worker(), worker("slow", gives="S"), targets={**RESULT, **SLOW})
+        eventually(told)
+        run_for_real.await_result("work")
+    run_for_real.await_result("slow", topic="/slow")
+    assert told() == ["topic /slow can't be opened: No space left on device"]
+    assert [run_for_real.runtime.pid(unit) for unit in ("count.1", "work.1", OUTLETS)] == pids
 
 
 @pytest.mark.parametrize(

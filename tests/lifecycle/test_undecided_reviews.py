@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NoReturn
 
 import pytest
 from cfgplan_runtime import Policy
@@ -108,3 +111,16 @@ def test_questions_without_an_answer_take_no_more_than_the_limit_for_each_world(
         assert 1 <= sum(asked) <= 3
         assert matching.similarity.is_open("C", "W")
     assert 2 <= len(limits) <= 6
+
+
+def test_on_a_full_disk_what_is_open_stays_open_with_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object, **__: object) -> NoReturn:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patched:
+        patched.setattr(hermit, "satisfiable", full)
+        matching = WarmMatching("auto", None)
+        matching.take(world(DEAR, CHEAP))
+        assert matching.decide([("C", "W")]) == 0
+        assert matching.similarity.is_open("C", "W")
+        assert matching.warnings == ("the reasoner can't be asked: No space left on device",)

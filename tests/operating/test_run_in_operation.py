@@ -322,6 +322,19 @@ def test_a_log_that_takes_no_more_is_told_once_and_counted(env: Path, tmp_path: 
     assert logged["written"] == len((tmp_path / "log").read_text().splitlines())
 
 
+@pytest.mark.skipif(not Path("/dev/full").is_char_device(), reason="this system has no /dev/full")
+@pytest.mark.parametrize("form", ["--json", "--plain"])
+def test_a_full_disk_for_what_it_prints_does_not_end_a_run(env: Path, tmp_path: Path, form: str) -> None:
+    line = command("run", env, form, "--no-estimates", "--log", tmp_path / "log", "--for", "2s")
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(line, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert done.stderr.count("warning: standard output takes no more: No space left on device") == 1
+    logged = [json.loads(told) for told in (tmp_path / "log").read_text().splitlines()]
+    (applied,) = [told["time"] for told in logged if told["event"] == "Reviewed"]
+    assert logged[-1]["event"] == "Ended"
+    assert logged[-1]["time"] - applied > 1.9
+
+
 @pytest.mark.skipif(not hasattr(resource, "prlimit"), reason="only Linux limits another process")
 def test_a_recording_that_takes_no_more_is_told_while_it_runs(env: Path, tmp_path: Path) -> None:
     with running(env, "--record", tmp_path / "run.mcap") as process:

@@ -51,11 +51,18 @@ class WarmMatching:
         self._last, self._left_s = world, self._time_limit_s
 
     def decide(self, pairs: Sequence[Pair]) -> int:
-        """Ask about open pairs; returns how many were asked. Raises InputError for a contradictory ontology."""
+        """Ask about open pairs; returns how many were asked. Raises InputError for a contradictory ontology.
+
+        Where the disk has no room for the questions, what is open stays so, with a warning.
+        """
         if self._matcher is None or (self._left_s is not None and self._left_s <= 0):
             return 0
         start = time.monotonic()
-        asked = self._matcher.decide(pairs, time_limit_s=self._left_s)
+        try:
+            asked = self._matcher.decide(pairs, time_limit_s=self._left_s)
+        except OSError as error:
+            self.warnings = (f"the reasoner can't be asked: {error.strerror}",)
+            return 0
         self._note(self._matcher.matching(time_limit_s=self._left_s, decide=False))
         if self._left_s is not None and any(self.similarity.is_open(*pair) for pair in pairs):
             self._left_s -= time.monotonic() - start

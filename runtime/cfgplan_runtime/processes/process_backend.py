@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import resource
 import selectors
 import socket
@@ -66,6 +67,7 @@ from cfgplan_runtime.supervision.events import (
 )
 
 OUTLETS = ""
+_NO_DESCRIPTOR = (errno.EMFILE, errno.ENFILE)
 OUTLETS_HELPER, NURSERY_HELPER = "outlets", "nursery"
 HELPER_S = 10.0
 """How long a helper may be silent."""
@@ -93,6 +95,8 @@ class ProcessBackend:
         self._children: dict[int, ChildProcess] = {}
         self._by_name: dict[str, ChildProcess] = {}
         self._topics: list[str] = []
+        self._unopened: set[str] = set()
+        """Topics whose address could not be made; that is tried again when they are to be fed."""
         self._serial = 0
         self._clock_offset_ns = time.time_ns() - time.monotonic_ns()
         self._nursery = NurseryLink(self.run_folder.id, ("numpy", "numpy.random", *preload))
@@ -143,13 +147,15 @@ class ProcessBackend:
             self._nursery.kill(child.serial, dump=dump)
 
     def connect(self, wire: int, stream: Stream, inlet: Inlet, *, queue: int, blocks: bool) -> None:
+        if inlet.is_outlet and inlet.port in self._unopened and OUTLETS in self._by_name:
+            self._open(self._by_name[OUTLETS], inlet.port)
         try:
             sender, receiver = socket_pair()
         except OSError as error:
             self._events.append(InputLost(inlet.unit or None, inlet.port, wire))
-            self._run_short(f"{stream} can't be connected to {inlet}: {error.strerror}")
+            self._run_short(f"{stream} can't be connected to {inlet}", error)
             return
-        self._is_short = False
+        self._is_short = bool(self._unopened)
         producer, consumer = self._by_name.get(stream.unit), self._by_name.get(inlet.unit)
         if consumer is None:
             receiver.close()
@@ -186,6 +192,7 @@ class ProcessBackend:
 
     def close_outlet(self, topic: str) -> None:
         self._topics.remove(topic)
+        self._unopened.discard(topic)
         self.run_folder.forget(topic)
         if OUTLETS in self._by_name:
             self._tell(self._by_name[OUTLETS], CloseOutlet(topic))
@@ -230,13 +237,16 @@ class ProcessBackend:
     def _open(self, outlets: ChildProcess, topic: str) -> None:
         try:
             self._tell(outlets, OpenOutlet(topic), [self.run_folder.listen(topic)])
+            self._unopened.discard(topic)
         except OSError as error:
-            self._run_short(f"topic {topic} can't be opened: {error.strerror}")
+            self._unopened.add(topic)
+            self._run_short(f"topic {topic} can't be opened", error)
 
-    def _run_short(self, cause: str) -> None:
+    def _run_short(self, what: str, error: OSError) -> None:
         if not self._is_short:
             self._is_short = True
-            self._events.append(OutOfDescriptors(f"{cause}; raise the limit of open files (ulimit -n)"))
+            mend = "; raise the limit of open files (ulimit -n)" if error.errno in _NO_DESCRIPTOR else ""
+            self._events.append(OutOfDescriptors(f"{what}: {error.strerror}{mend}"))
 
     def _lose_outlets(self, cause: str) -> None:
         """Tell it; they are made anew at once the first time, later if they are lost again and again."""

@@ -35,20 +35,28 @@ class RunFolder:
         self.base = base_folder() if base is None else base
         self.id = secrets.token_hex(4)
         self.path = self.base / self.id
-        with _alone(self.base):  # else one that is being made might be taken for a dead one
-            remove_dead_runs(self.base)
-            self.path.mkdir(mode=0o700)
-            self._lock = os.open(self.path / "lock", os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600)
-            fcntl.flock(self._lock, fcntl.LOCK_EX)
+        try:
+            with _alone(self.base):  # else one that is being made might be taken for a dead one
+                remove_dead_runs(self.base)
+                self.path.mkdir(mode=0o700)
+                self._lock = os.open(self.path / "lock", os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600)
+                fcntl.flock(self._lock, fcntl.LOCK_EX)
+        except OSError as error:
+            raise RuntimeFaultError(f"{self.path}: can't hold the run's sockets: {error.strerror}") from None
 
     def listen(self, topic: str) -> socket.socket:
-        """A listening socket at the topic's address."""
+        """A listening socket at the topic's address. Raises OSError, and leaves none."""
         path = address(self.path, topic)
         path.unlink(missing_ok=True)
         listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        listener.bind(str(path))
-        listener.listen(_BACKLOG)
-        path.with_suffix(".topic").write_text(topic, encoding="utf-8")
+        try:
+            listener.bind(str(path))
+            listener.listen(_BACKLOG)
+            path.with_suffix(".topic").write_text(topic, encoding="utf-8")
+        except OSError:
+            listener.close()
+            self.forget(topic)
+            raise
         return listener
 
     def forget(self, topic: str) -> None:

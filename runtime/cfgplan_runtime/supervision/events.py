@@ -144,7 +144,10 @@ class HelperHung:
 
 @dataclass(frozen=True, slots=True)
 class OutOfDescriptors:
-    """A process of the run has no file descriptor left; `cause` says what it can't do. Told once until it can again."""
+    """A process of the run has no file descriptor left, or no room on the disk for a topic's address.
+
+    `cause` says what it can't do. Told once until it can again.
+    """
 
     cause: str
 
