@@ -149,7 +149,7 @@ def test_an_update_that_is_undone_leaves_no_outlet_and_no_unit_of_its_own() -> N
     started = (unit("work.2", topic="/other", x="count.1/n"), unit("bad.1", x="count.1/n"))
     with pytest.raises(ApplyError):
         simulation.apply(ChangeSet(started=started, added_targets=(Target("other", "Y", "/other"),)))
-    assert simulation.backend.topics == simulation.supervisor.outlets == {"/result"}
+    assert simulation.backend.topics == simulation.supervisor.topics == {"/result"}
     assert set(simulation.backend.units) == {"count.1", "work.1"}
 
 

@@ -1,21 +1,18 @@
-"""Carrying out one change set, as a whole or not at all: start, rewire, then stop; or undo it in reverse."""
+"""Carrying out one change set, as a whole or not at all: start, rewire, then stop; or undo it in reverse.
+
+A generator gives commands and conditions to wait for; whoever drives it carries them out before the next one.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Iterable, Mapping, Set
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import Protocol, TypeAlias
 
-from cfgplan.domain import ChangeSet, Environment
+from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Stream, Transformation
 from cfgplan.errors import InvalidValueError
-from cfgplan_runtime.errors import (
-    AbandonedError,
-    ApplyError,
-    NoSourceError,
-    RuntimeFaultError,
-    StaleChangeSetError,
-)
-from cfgplan_runtime.supervision.events import Applied
+from cfgplan_runtime.errors import AbandonedError, ApplyError, NoSourceError, StaleChangeSetError
+from cfgplan_runtime.supervision.backend import Inlet
 from cfgplan_runtime.supervision.wiring import (
     Wire,
     starved_units,
@@ -24,9 +21,6 @@ from cfgplan_runtime.supervision.wiring import (
     without_feed,
     without_unit,
 )
-
-if TYPE_CHECKING:
-    from cfgplan_runtime.supervision.supervisor import Supervisor
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,168 +36,318 @@ class Patience:
     kill_s: float = 10.0
 
 
-@dataclass
-class Applying:
-    """One change set on its way."""
+class Actual(Protocol):
+    """What runs, at the moment of asking. `feeds` are the wires of inlets, of which some may not have switched yet."""
 
-    supervisor: Supervisor
-    change_set: ChangeSet
-    id: str
-    patience: Patience
-    keeps_new: bool = False
-    """Whether new units that have not failed run on, unconnected, when the update is undone."""
-    after: Environment = field(init=False)
-    wires: list[Wire] = field(default_factory=list)
-    opened: list[str] = field(default_factory=list)
-    seconds: dict[str, float] = field(default_factory=dict)
+    @property
+    def environment(self) -> Environment: ...
+    @property
+    def alive(self) -> Set[str]: ...
+    @property
+    def ready(self) -> Set[str]: ...
+    @property
+    def topics(self) -> Set[str]: ...
+    @property
+    def feeds(self) -> Mapping[Inlet, Wire]: ...
+    @property
+    def cause_of_death(self) -> Mapping[str, str]: ...
+    @property
+    def is_abandoned(self) -> bool: ...
+    def dry_units(self) -> Set[str]:
+        """Units that give nothing though they could."""
 
-    def check(self) -> None:
-        """Raises StaleChangeSetError if the change set does not fit what runs, NoSourceError if there is no code."""
-        try:
-            after = self.after = self.supervisor.environment.update(self.change_set)
-        except InvalidValueError as error:
-            raise StaleChangeSetError(f"the change set does not fit what runs now: {error}") from None
-        labels = sorted({unit.transformation for unit in self.change_set.started})
-        without = [
-            label for label in labels if label in after.transformation and not after.transformation[label].source
-        ]
-        if without:
-            mend = "add `source: package.module:Class` or `source: units.py:Class`"
-            raise NoSourceError(
-                f"{', '.join(map(repr, without))} can't be started without unit code: {mend}",
-                without,
-                f"it has no unit code: {mend}",
-            )
-        for fault in self._faults():
-            raise StaleChangeSetError(f"the change set does not fit what runs now: {fault}")
+    def now(self) -> float:
+        """Seconds on a clock that only rises."""
 
-    def carry_out(self) -> Applied:
-        """Raises ApplyError when a step failed and all was undone."""
-        try:
-            self._timed("start", self._start)
-            self._timed("rewire", self._rewire)
-        except _StepFailedError as error:
-            self._undo(failed=error.units)
-            kind = AbandonedError if error.is_abandoned else ApplyError
-            raise kind(f"the update was undone: {error}", error.units) from None
-        late = self._unswitched()
-        for wire in late:
-            if wire.replaces is not None and wire.replaces.stream.unit not in self.change_set.stopped:
-                self.supervisor.backend.switch_now(wire.inlet)
-        self._timed("stop", lambda: self._stop(self.change_set.stopped))
-        self._wait(lambda: not self._unswitched(), self.patience.stop_s)
-        self._close_outlets(self.supervisor.outlets - wanted_topics(self.after))
-        self.supervisor.wiring.settle()
-        self.supervisor.environment = self._as_it_lives()
-        return Applied(self.id, self.seconds, len(late))
 
-    def _faults(self) -> list[str]:
-        after, faults = self.after, []
-        for unit in (*self.change_set.started, *self.change_set.rewired):
-            transformation = after.transformation.get(unit.transformation)
-            if transformation is None:
-                faults.append(f"unit {unit.id!r} has no transformation {unit.transformation!r} in the library")
-                continue
-            faults += [
-                f"{transformation.label!r} has no input {s.port!r}"
-                for s in unit.subscriptions
-                if s.port not in transformation.input
-            ]
-        for inlet, stream in wanted_feeds(after).items():
-            unit_of_stream = after.unit.get(stream.unit)
-            producer = after.transformation.get(unit_of_stream.transformation) if unit_of_stream else None
-            if producer is None or stream.port not in producer.output:
-                faults.append(f"{inlet} needs the stream {stream}, which nothing gives afterwards")
-        return faults
+@dataclass(frozen=True, slots=True)
+class OpenTopic:
+    """Give a topic its address."""
 
-    def _start(self) -> None:
-        supervisor, started = self.supervisor, [unit.id for unit in self.change_set.started]
-        for topic in sorted(wanted_topics(self.after) - supervisor.outlets):
-            self.opened.append(topic)
-            supervisor.outlets.add(topic)
-            supervisor.backend.open_outlet(topic)
-        for unit in self.change_set.started:
-            supervisor.start(unit, self.after.transformation[unit.transformation])
-        awaited = set(started).union(self._wired() & supervisor.alive - supervisor.ready)
-        self._wait(
-            lambda: self._dead(started) is not None or not self._loading(awaited) or supervisor.is_abandoned,
-            self.patience.start_s,
+    topic: str
+
+
+@dataclass(frozen=True, slots=True)
+class CloseTopic:
+    """Take a topic's address away."""
+
+    topic: str
+
+
+@dataclass(frozen=True, slots=True)
+class StartUnit:
+    """Start a unit without any wire."""
+
+    unit: ComputationUnit
+    transformation: Transformation
+
+
+@dataclass(frozen=True, slots=True)
+class StopUnit:
+    """Ask a unit to end."""
+
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class EndUnit:
+    """End a unit at once."""
+
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class Connect:
+    """Let a stream feed an inlet, after what feeds it now if anything does."""
+
+    stream: Stream
+    inlet: Inlet
+
+
+@dataclass(frozen=True, slots=True)
+class Disconnect:
+    """Leave an inlet without a source."""
+
+    inlet: Inlet
+
+
+@dataclass(frozen=True, slots=True)
+class GoOver:
+    """Let an inlet go over to its new source without waiting for the old one."""
+
+    inlet: Inlet
+
+
+@dataclass(frozen=True, slots=True)
+class Believe:
+    """What runs now is this environment."""
+
+    environment: Environment
+
+
+@dataclass(frozen=True, slots=True)
+class WaitUntil:
+    """Wait until a condition on what runs holds, at most for so long."""
+
+    holds: Callable[[], bool]
+    patience_s: float
+
+
+Command: TypeAlias = (
+    OpenTopic | CloseTopic | StartUnit | StopUnit | EndUnit | Connect | Disconnect | GoOver | Believe | WaitUntil
+)
+Commands: TypeAlias = Generator[Command, None, None]
+
+
+@dataclass(frozen=True, slots=True)
+class CarriedOut:
+    """An update that was carried out: what runs after it, the seconds of each phase, inputs that went over late."""
+
+    environment: Environment
+    seconds: Mapping[str, float]
+    unswitched: int
+
+
+def environment_after(environment: Environment, change_set: ChangeSet) -> Environment:
+    """What is to run after an update.
+
+    Raises StaleChangeSetError if the change set does not fit what runs, NoSourceError if there is no code.
+    """
+    try:
+        after = environment.update(change_set)
+    except InvalidValueError as error:
+        raise StaleChangeSetError(f"the change set does not fit what runs now: {error}") from None
+    labels = sorted({unit.transformation for unit in change_set.started})
+    without = [label for label in labels if label in after.transformation and not after.transformation[label].source]
+    if without:
+        mend = "add `source: package.module:Class` or `source: units.py:Class`"
+        raise NoSourceError(
+            f"{', '.join(map(repr, without))} can't be started without unit code: {mend}",
+            without,
+            f"it has no unit code: {mend}",
         )
-        self._fail_if_dead(started)
-        slow = self._loading(awaited)
-        if slow and supervisor.is_abandoned:
+    for fault in _faults(after, change_set):
+        raise StaleChangeSetError(f"the change set does not fit what runs now: {fault}")
+    return after
+
+
+def carry_out(
+    actual: Actual, change_set: ChangeSet, after: Environment, patience: Patience, *, keeps_new: bool = False
+) -> Generator[Command, None, CarriedOut]:
+    """The commands that lead to `after`. Raises ApplyError when a step failed and all was undone.
+
+    With `keeps_new`, new units that have not failed then run on, unconnected.
+    """
+    update, seconds = _Update(actual, change_set, after, patience), dict[str, float]()
+    try:
+        yield from _timed("start", update.start(), actual, seconds)
+        yield from _timed("rewire", update.rewire(), actual, seconds)
+    except _StepFailedError as error:
+        yield from update.undo(error.units, keeps_new=keeps_new)
+        kind = AbandonedError if error.is_abandoned else ApplyError
+        raise kind(f"the update was undone: {error}", error.units) from None
+    unswitched = len(update.switching())
+    yield from _timed("stop", update.stop(), actual, seconds)
+    yield WaitUntil(lambda: not update.switching(), patience.stop_s)
+    yield from update.close_topics(actual.topics - wanted_topics(after))
+    return CarriedOut(_as_it_lives(after, actual), seconds, unswitched)
+
+
+def _timed(phase: str, commands: Commands, actual: Actual, seconds: dict[str, float]) -> Commands:
+    began_s = actual.now()
+    yield from commands
+    seconds[phase] = actual.now() - began_s
+
+
+def _faults(after: Environment, change_set: ChangeSet) -> Iterable[str]:
+    for unit in (*change_set.started, *change_set.rewired):
+        transformation = after.transformation.get(unit.transformation)
+        if transformation is None:
+            yield f"unit {unit.id!r} has no transformation {unit.transformation!r} in the library"
+            continue
+        for subscription in unit.subscriptions:
+            if subscription.port not in transformation.input:
+                yield f"{transformation.label!r} has no input {subscription.port!r}"
+    for inlet, stream in wanted_feeds(after).items():
+        unit_of_stream = after.unit.get(stream.unit)
+        producer = after.transformation.get(unit_of_stream.transformation) if unit_of_stream else None
+        if producer is None or stream.port not in producer.output:
+            yield f"{inlet} needs the stream {stream}, which nothing gives afterwards"
+
+
+def _as_it_lives(after: Environment, actual: Actual) -> Environment:
+    """The environment that was wanted, less what has died or been lost meanwhile."""
+    environment = after
+    for unit in after.units:
+        if unit.id not in actual.alive:
+            environment = without_unit(environment, unit.id)
+    for inlet in wanted_feeds(environment):
+        if inlet not in actual.feeds:
+            environment = without_feed(environment, inlet)
+    return environment
+
+
+@dataclass(frozen=True, slots=True)
+class _Update:
+    """One change set on its way: the topics it has opened, and what each inlet that it has rewired had before."""
+
+    actual: Actual
+    change_set: ChangeSet
+    after: Environment
+    patience: Patience
+    opened: list[str] = field(default_factory=list)
+    rewired: dict[Inlet, Stream | None] = field(default_factory=dict)
+
+    @property
+    def started(self) -> list[str]:
+        return [unit.id for unit in self.change_set.started]
+
+    def start(self) -> Commands:
+        actual = self.actual
+        for topic in sorted(wanted_topics(self.after) - actual.topics):
+            self.opened.append(topic)
+            yield OpenTopic(topic)
+        for unit in self.change_set.started:
+            yield StartUnit(unit, self.after.transformation[unit.transformation])
+        awaited = {*self.started, *(self.wired() & actual.alive - actual.ready)}
+        yield WaitUntil(
+            lambda: bool(self.dead()) or not self.loading(awaited) or actual.is_abandoned, self.patience.start_s
+        )
+        self.fail_if_dead()
+        slow = self.loading(awaited)
+        if slow and actual.is_abandoned:
             raise _StepFailedError(f"it was given up while {', '.join(slow)} was starting", slow, is_abandoned=True)
         if slow:
             raise _StepFailedError(f"{', '.join(slow)} was not ready within {self.patience.start_s:g} s", slow)
 
-    def _rewire(self) -> None:
-        wiring, started = self.supervisor.wiring, [unit.id for unit in self.change_set.started]
-        wanted = wanted_feeds(self.after)
+    def rewire(self) -> Commands:
+        actual, wanted = self.actual, wanted_feeds(self.after)
         for inlet, stream in wanted.items():
-            if not inlet.is_outlet and inlet.unit not in self.supervisor.alive:
-                continue  # it has died meanwhile
-            fed = wiring.feeds.get(inlet)
+            if not self.lives(inlet):
+                continue  # its unit has died meanwhile
+            fed = actual.feeds.get(inlet)
             if fed is None or fed.stream != stream:
-                self.wires.append(wiring.connect(stream, inlet, self.after))
-        idle = starved_units(self.supervisor.environment) | self.supervisor.dry_units()
+                self.rewired[inlet] = None if fed is None else fed.stream
+                yield Connect(stream, inlet)
+        idle = starved_units(actual.environment) | actual.dry_units()
         starved = idle.intersection(self.change_set.stopped)
-        self._wait(
-            lambda: self._dead(started) is not None or all(_waits_for(wire, starved) for wire in self._unswitched()),
+        yield WaitUntil(
+            lambda: bool(self.dead()) or all(self.replaces_one_of(starved, inlet) for inlet in self.switching()),
             self.patience.switch_s,
         )
-        self._fail_if_dead(started)
-        for inlet in [inlet for inlet in wiring.feeds if inlet not in wanted]:
+        self.fail_if_dead()
+        for inlet in [inlet for inlet in actual.feeds if inlet not in wanted]:
             if inlet.unit not in self.change_set.stopped:
-                wiring.disconnect(inlet)
+                yield Disconnect(inlet)
 
-    def _stop(self, units: tuple[str, ...]) -> None:
-        supervisor = self.supervisor
-        for unit in units:
-            supervisor.stop(unit)
-            if unit not in supervisor.ready:
-                supervisor.backend.kill(unit)  # it does not listen yet
-        self._wait(lambda: supervisor.alive.isdisjoint(units), self.patience.stop_s)
-        for unit in sorted(supervisor.alive.intersection(units)):
-            supervisor.backend.kill(unit)
-        self._wait(lambda: supervisor.alive.isdisjoint(units), self.patience.kill_s)
+    def stop(self) -> Commands:
+        stopped = set(self.change_set.stopped)
+        for inlet in self.switching():
+            if self.rewired[inlet] is not None and not self.replaces_one_of(stopped, inlet):
+                yield GoOver(inlet)
+        yield from self.stop_units(self.change_set.stopped)
 
-    def _undo(self, failed: list[str]) -> None:
-        """Let the inputs that are to stay go back, and only then take the new units away: until then they are fed."""
-        supervisor, started = self.supervisor, tuple(unit.id for unit in self.change_set.started)
-        kept = supervisor.alive.intersection(started).difference(failed) if self.keeps_new else set()
-        environment = supervisor.environment = self._with_unconnected(kept)
-        staying = [wire for wire in reversed(self.wires) if wire.inlet.unit not in started]
-        back = [supervisor.wiring.take_back(wire, environment, supervisor.alive) for wire in staying]
-        self.wires = [wire for wire in back if wire is not None]
-        self._wait(lambda: not self._unswitched(), self.patience.switch_s)
-        for wire in self._unswitched():
-            supervisor.backend.switch_now(wire.inlet)
-        for inlet in [inlet for inlet in supervisor.wiring.feeds if inlet.unit in kept]:
-            supervisor.wiring.disconnect(inlet)
-        self._stop(tuple(sorted({*started, *failed}.difference(kept))))
+    def undo(self, failed: list[str], *, keeps_new: bool) -> Commands:
+        """Let the inputs that are to stay go back, and only then take the new units away: until then they are fed.
+
+        The old source is connected anew even if the inlet is not known to have left it: it may have done so
+        just now, and what came in between would be lost.
+        """
+        actual, wanted = self.actual, wanted_feeds(self.after)
+        kept = actual.alive & set(self.started) - set(failed) if keeps_new else set[str]()
+        yield Believe(self.with_unconnected(kept))
+        back = {inlet: old for inlet, old in reversed(self.rewired.items()) if inlet.unit not in self.started}
+        self.rewired.clear()
+        for inlet, old in back.items():
+            fed = actual.feeds.get(inlet)
+            if old is not None and old.unit in actual.alive and self.lives(inlet):
+                self.rewired[inlet] = None if fed is None else fed.stream
+                yield Connect(old, inlet)
+            elif fed is not None and fed.stream == wanted[inlet]:
+                yield Disconnect(inlet)
+        yield WaitUntil(lambda: not self.switching(), self.patience.switch_s)
+        for inlet in self.switching():
+            yield GoOver(inlet)
+        for inlet in [inlet for inlet in actual.feeds if inlet.unit in kept]:
+            yield Disconnect(inlet)
+        yield from self.stop_units(sorted({*self.started, *failed} - kept))
         for unit in failed:
-            supervisor.environment = without_unit(supervisor.environment, unit)
-        self._close_outlets(set(self.opened))
-        supervisor.wiring.settle()
+            yield Believe(without_unit(actual.environment, unit))
+        yield from self.close_topics(self.opened)
 
-    def _close_outlets(self, topics: set[str]) -> None:
+    def stop_units(self, units: Iterable[str]) -> Commands:
+        actual, stopped = self.actual, tuple(units)
+        for unit in stopped:
+            yield StopUnit(unit)
+            if unit not in actual.ready:
+                yield EndUnit(unit)  # it does not listen yet
+        yield WaitUntil(lambda: actual.alive.isdisjoint(stopped), self.patience.stop_s)
+        for unit in sorted(actual.alive & set(stopped)):
+            yield EndUnit(unit)
+        yield WaitUntil(lambda: actual.alive.isdisjoint(stopped), self.patience.kill_s)
+
+    def close_topics(self, topics: Iterable[str]) -> Commands:
         for topic in sorted(topics):
-            self.supervisor.outlets.discard(topic)
-            self.supervisor.backend.close_outlet(topic)
+            yield CloseTopic(topic)
 
-    def _unswitched(self) -> list[Wire]:
-        alive = self.supervisor.alive
+    def switching(self) -> list[Inlet]:
+        """The rewired inlets that have not gone over yet."""
+        feeds = self.actual.feeds
         return [
-            wire
-            for wire in self.wires
-            if not wire.has_switched
-            and self.supervisor.wiring.feeds.get(wire.inlet) is wire
-            and (wire.inlet.is_outlet or wire.inlet.unit in alive)
+            inlet for inlet in self.rewired if inlet in feeds and not feeds[inlet].has_switched and self.lives(inlet)
         ]
 
-    def _with_unconnected(self, kept: set[str]) -> Environment:
+    def lives(self, inlet: Inlet) -> bool:
+        return inlet.is_outlet or inlet.unit in self.actual.alive
+
+    def replaces_one_of(self, units: Set[str], inlet: Inlet) -> bool:
+        """Whether an inlet has had its elements from one of these units."""
+        old = self.rewired[inlet]
+        return old is not None and old.unit in units
+
+    def with_unconnected(self, kept: Set[str]) -> Environment:
         """The environment that was, with some of the new units, which neither feed anything nor are fed."""
-        before = self.supervisor.environment
+        before = self.actual.environment
         new = tuple(
             replace(unit, subscriptions=(), publications=()) for unit in self.change_set.started if unit.id in kept
         )
@@ -211,51 +355,22 @@ class Applying:
         library = tuple(self.after.transformation[label] for label in sorted(labels))
         return replace(before, units=(*before.units, *new), library=(*before.library, *library))
 
-    def _wired(self) -> set[str]:
+    def wired(self) -> Set[str]:
         """The units that feed something afterwards, or are fed."""
         wanted = wanted_feeds(self.after)
-        return {stream.unit for stream in wanted.values()}.union(inlet.unit for inlet in wanted)
+        return {stream.unit for stream in wanted.values()} | {inlet.unit for inlet in wanted}
 
-    def _loading(self, units: set[str]) -> list[str]:
+    def loading(self, units: Set[str]) -> list[str]:
         """Those of these units that are not ready yet."""
-        return sorted(units & self.supervisor.alive - self.supervisor.ready)
+        return sorted(units & self.actual.alive - self.actual.ready)
 
-    def _as_it_lives(self) -> Environment:
-        """The environment that was wanted, less what has died or been lost meanwhile."""
-        environment = self.after
-        for unit in self.after.units:
-            if unit.id not in self.supervisor.alive:
-                environment = without_unit(environment, unit.id)
-        for inlet in wanted_feeds(environment):
-            if inlet not in self.supervisor.wiring.feeds:
-                environment = without_feed(environment, inlet)
-        return environment
+    def dead(self) -> list[str]:
+        return [unit for unit in self.started if unit not in self.actual.alive]
 
-    def _dead(self, units: list[str]) -> str | None:
-        return next((unit for unit in units if unit not in self.supervisor.alive), None)
-
-    def _fail_if_dead(self, units: list[str]) -> None:
-        dead = self._dead(units)
-        if dead is not None:
-            all_dead = [unit for unit in units if unit not in self.supervisor.alive]
-            raise _StepFailedError(f"{dead} {self.supervisor.cause_of_death.get(dead, 'died')}", all_dead)
-
-    def _wait(self, is_done: Callable[[], bool], patience_s: float) -> None:
-        deadline = self.supervisor.now() + patience_s
-        while not is_done() and self.supervisor.now() < deadline:
-            if self.supervisor.is_ending:
-                raise RuntimeFaultError("the runtime is closed")
-            self.supervisor.pump(deadline - self.supervisor.now())
-
-    def _timed(self, phase: str, work: Callable[[], None]) -> None:
-        start = self.supervisor.backend.now()
-        work()
-        self.seconds[phase] = self.supervisor.backend.now() - start
-
-
-def _waits_for(wire: Wire, units: set[str]) -> bool:
-    """Whether a wire has to wait for the end of what one of these units has to give."""
-    return wire.replaces is not None and wire.replaces.stream.unit in units
+    def fail_if_dead(self) -> None:
+        dead = self.dead()
+        if dead:
+            raise _StepFailedError(f"{dead[0]} {self.actual.cause_of_death.get(dead[0], 'died')}", dead)
 
 
 class _StepFailedError(Exception):

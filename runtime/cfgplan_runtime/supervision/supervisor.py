@@ -6,11 +6,27 @@ Everything happens in the thread that calls it; the backend's events are its onl
 from __future__ import annotations
 
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Mapping
 
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Transformation
-from cfgplan_runtime.errors import ApplyError, StaleChangeSetError
-from cfgplan_runtime.supervision.applying import Applying, Patience
+from cfgplan_runtime.errors import ApplyError, RuntimeFaultError, StaleChangeSetError
+from cfgplan_runtime.supervision.applying import (
+    Believe,
+    CarriedOut,
+    CloseTopic,
+    Command,
+    Connect,
+    Disconnect,
+    EndUnit,
+    GoOver,
+    OpenTopic,
+    Patience,
+    StartUnit,
+    StopUnit,
+    WaitUntil,
+    carry_out,
+    environment_after,
+)
 from cfgplan_runtime.supervision.backend import Backend, Inlet
 from cfgplan_runtime.supervision.events import (
     Applied,
@@ -30,7 +46,7 @@ from cfgplan_runtime.supervision.events import (
     WireSwitched,
 )
 from cfgplan_runtime.supervision.observation import Observation, UnitRecord
-from cfgplan_runtime.supervision.wiring import Wiring, without_feed, without_unit
+from cfgplan_runtime.supervision.wiring import Wire, Wiring, without_feed, without_unit
 
 HANG_S = 10.0
 """How long a unit may be silent if its transformation does not say; a source without a rate may be so for ever."""
@@ -46,7 +62,10 @@ _MOST_REMEMBERED = 1000
 
 
 class Supervisor:
-    """Holds the actual configuration in `environment`; `report` gets every event, in order."""
+    """Holds the actual configuration in `environment`; `report` gets every event, in order.
+
+    It is `applying.Actual` for the update under way, and the only one that changes what that sees.
+    """
 
     def __init__(self, backend: Backend, environment: Environment, report: Callable[[Event], None]) -> None:
         self.backend = backend
@@ -54,7 +73,7 @@ class Supervisor:
         self.wiring = Wiring(backend)
         self.alive: set[str] = set()
         self.ready: set[str] = set()
-        self.outlets: set[str] = set()
+        self.topics: set[str] = set()
         self.cause_of_death: dict[str, str] = {}
         self.is_ending = False
         """Set from any thread: nothing is waited for any more."""
@@ -93,16 +112,19 @@ class Supervisor:
             return self._applied[id]
         if basis is not None and basis.units != self.environment.units:
             raise StaleChangeSetError("the change set was planned for other running units than there are now")
+        after, name = environment_after(self.environment, change_set), id or uuid.uuid4().hex[:12]
         self.cause_of_death.clear()
-        applying = Applying(self, change_set, id or uuid.uuid4().hex[:12], patience or Patience(), keeps_new)
-        applying.check()
         self.is_abandoned = False
         try:
-            applied = applying.carry_out()
+            commands = carry_out(self, change_set, after, patience or Patience(), keeps_new=keeps_new)
+            carried = self._drive(commands)
         except ApplyError as error:
-            self._report(RolledBack(applying.id, str(error)))
+            self._report(RolledBack(name, str(error)))
             raise
-        self._applied[applied.id] = applied
+        finally:
+            self.wiring.settle()
+        self.environment = carried.environment
+        applied = self._applied[name] = Applied(name, dict(carried.seconds), carried.unswitched)
         if len(self._applied) > _MOST_REMEMBERED:
             del self._applied[next(iter(self._applied))]
         self._report(applied)
@@ -137,14 +159,10 @@ class Supervisor:
         self.environment = without_feed(self.environment, inlet)
         self._report(InputLost(unit, port, wire.id))
 
-    def start(self, unit: ComputationUnit, transformation: Transformation) -> None:
-        """Start a unit without any wire, for an update."""
-        self.alive.add(unit.id)
-        self.ready.discard(unit.id)
-        self.cause_of_death.pop(unit.id, None)
-        self._library[unit.id] = transformation
-        self._records[unit.id] = UnitRecord(transformation.label, self.now())
-        self.backend.start(unit.id, transformation, self._states.get(transformation.label))
+    @property
+    def feeds(self) -> Mapping[Inlet, Wire]:
+        """The wires of inlets, by inlet."""
+        return self.wiring.feeds
 
     def dry_units(self) -> set[str]:
         """Units that have given nothing for a while, though they have outputs: nothing is to be waited for there."""
@@ -155,10 +173,55 @@ class Supervisor:
             if record.status is not None and record.status.outputs and now - record.gave_s >= _DRY_S
         }
 
-    def stop(self, unit: str) -> None:
-        """Ask a unit to end, for an update."""
-        self.wiring.forget_inputs(unit)
-        self.backend.stop(unit)
+    def _drive(self, commands: Generator[Command, None, CarriedOut]) -> CarriedOut:
+        while True:
+            try:
+                command = next(commands)
+            except StopIteration as end:
+                carried: CarriedOut = end.value
+                return carried
+            self._obey(command)
+
+    def _obey(self, command: Command) -> None:
+        match command:
+            case OpenTopic(topic):
+                self.topics.add(topic)
+                self.backend.open_outlet(topic)
+            case CloseTopic(topic):
+                self.topics.discard(topic)
+                self.backend.close_outlet(topic)
+            case StartUnit(unit, transformation):
+                self._start(unit, transformation)
+            case StopUnit(unit_id):
+                self.wiring.forget_inputs(unit_id)
+                self.backend.stop(unit_id)
+            case EndUnit(unit_id):
+                self.backend.kill(unit_id)
+            case Connect(stream, inlet):
+                self.wiring.connect(stream, inlet, self._library.get(inlet.unit))
+            case Disconnect(inlet):
+                self.wiring.disconnect(inlet)
+            case GoOver(inlet):
+                self.backend.switch_now(inlet)
+            case Believe(environment):
+                self.environment = environment
+            case WaitUntil():
+                self._wait(command)
+
+    def _wait(self, until: WaitUntil) -> None:
+        deadline = self.now() + until.patience_s
+        while not until.holds() and self.now() < deadline:
+            if self.is_ending:
+                raise RuntimeFaultError("the runtime is closed")
+            self.pump(deadline - self.now())
+
+    def _start(self, unit: ComputationUnit, transformation: Transformation) -> None:
+        self.alive.add(unit.id)
+        self.ready.discard(unit.id)
+        self.cause_of_death.pop(unit.id, None)
+        self._library[unit.id] = transformation
+        self._records[unit.id] = UnitRecord(transformation.label, self.now())
+        self.backend.start(unit.id, transformation, self._states.get(transformation.label))
 
     def _hear(self, timeout_s: float) -> None:
         events = self.backend.wait(timeout_s)
@@ -223,7 +286,7 @@ class Supervisor:
         for inlet, wire in list(self.wiring.feeds.items()):
             if inlet.is_outlet:
                 del self.wiring.feeds[inlet]
-                self.wiring.connect(wire.stream, inlet, self.environment)
+                self.wiring.connect(wire.stream, inlet, None)
 
     def _watch(self) -> None:
         """Kill what hangs or has grown too large."""

@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from cfgplan.domain import ComputationUnit, Environment, Stream, Subscription
+from cfgplan.domain import ComputationUnit, Environment, Stream, Subscription, Transformation
 from cfgplan_runtime.supervision.backend import Backend, Inlet
+
+OUTLET_QUEUE = 1024
+"""How many elements may wait on their way to a topic's outlet."""
 
 
 @dataclass(slots=True, eq=False)
 class Wire:
-    """A stream's way into an inlet. `replaces` is what the inlet goes back to if the wire is taken back."""
+    """A stream's way into an inlet. `replaces` is what fed the inlet before, while an update is under way."""
 
     id: int
     stream: Stream
@@ -29,33 +32,20 @@ class Wiring:
         self._wires: dict[int, Wire] = {}
         self.feeds: dict[Inlet, Wire] = {}
 
-    def connect(self, stream: Stream, inlet: Inlet, environment: Environment) -> Wire:
-        """Let a stream feed an inlet, after what feeds it now if anything does."""
+    def connect(self, stream: Stream, inlet: Inlet, receiver: Transformation | None) -> None:
+        """Let a stream feed an inlet, of a unit of `receiver` or a topic, after what feeds it now if anything does."""
         self._last_id += 1
         wire = Wire(self._last_id, stream, inlet, self.feeds.get(inlet))
         self._wires[wire.id] = self.feeds[inlet] = wire
-        queue, blocks = _room(inlet, environment)
+        # Nobody outside may make a unit wait.
+        queue, blocks = (OUTLET_QUEUE, False) if receiver is None else (receiver.run.queue, receiver.run.blocks)
         self._backend.connect(wire.id, stream, inlet, queue=queue, blocks=blocks)
-        return wire
 
     def disconnect(self, inlet: Inlet) -> None:
         """Leave an inlet without a source."""
         wire = self.feeds.pop(inlet)
         self._wires.pop(wire.id, None)
         self._backend.disconnect(wire.id, wire.inlet)
-
-    def take_back(self, wire: Wire, environment: Environment, alive: set[str]) -> Wire | None:
-        """Undo `connect`; the wire that has to switch before the inlet has its old source again, if any.
-
-        The old source is connected anew even if the inlet is not known to have left it: it may have done so
-        just now, and what came in between would be lost.
-        """
-        old = wire.replaces
-        if old is not None and old.stream.unit in alive:
-            return self.connect(old.stream, wire.inlet, environment)
-        if self.feeds.get(wire.inlet) is wire:
-            self.disconnect(wire.inlet)
-        return None
 
     def note_switch(self, wire_id: int) -> None:
         """An inlet has gone over to a wire."""
@@ -159,16 +149,3 @@ def _with_gap(unit: ComputationUnit, inlet: Inlet) -> ComputationUnit:
     elif unit.id == inlet.unit:
         subscriptions = tuple(s for s in subscriptions if s.port != inlet.port)
     return replace(unit, subscriptions=subscriptions, publications=publications)
-
-
-def _room(inlet: Inlet, environment: Environment) -> tuple[int, bool]:
-    """The queue's length and policy at an inlet; nobody outside may make a unit wait."""
-    unit = environment.unit.get(inlet.unit)
-    transformation = None if unit is None else environment.transformation.get(unit.transformation)
-    if transformation is None:
-        return OUTLET_QUEUE, False
-    return transformation.run.queue, transformation.run.blocks
-
-
-OUTLET_QUEUE = 1024
-"""How many elements may wait on their way to a topic's outlet."""

@@ -1,0 +1,217 @@
+"""The commands of an update, one after the other, for what happens meanwhile. No supervisor and no backend."""
+
+from __future__ import annotations
+
+from collections.abc import Set
+from dataclasses import dataclass, field, replace
+
+import pytest
+from cfgplan_runtime import ApplyError, Patience
+from cfgplan_runtime.errors import AbandonedError
+from cfgplan_runtime.supervision.applying import (
+    CarriedOut,
+    CloseTopic,
+    Command,
+    Connect,
+    Disconnect,
+    EndUnit,
+    GoOver,
+    OpenTopic,
+    StartUnit,
+    StopUnit,
+    WaitUntil,
+    carry_out,
+    environment_after,
+)
+from cfgplan_runtime.supervision.backend import Inlet
+from cfgplan_runtime.supervision.wiring import Wire, wanted_feeds, wanted_topics
+from world import RESULT, source, start, unit, worker
+
+from cfgplan.domain import ChangeSet, Environment
+
+COUNT, WORK = unit("count.1"), unit("work.1", topic="/result", x="count.1/n")
+NEW = unit("work.2", topic="/result", x="count.1/n")
+SWAP = ChangeSet(started=(NEW,), stopped=("work.1",))
+WIRED = "count.1/n > work.1/x, work.1/y > /result"
+BESIDE = "start work.2, wait, count.1/n > work.2/x, work.2/y > /result"
+RUNNING = Environment((COUNT, WORK), (source(), worker()), (RESULT,))
+
+
+@dataclass
+class Scene:
+    """What runs, and how it answers commands: by units that die at the start, are never ready, or give nothing, and by
+    those that live on when asked to end."""
+
+    environment: Environment = RUNNING
+    dying: Set[str] = frozenset()
+    slow: Set[str] = frozenset()
+    quiet: Set[str] = frozenset()
+    stubborn: Set[str] = frozenset()
+    dry: Set[str] = frozenset()
+    is_abandoned: bool = False
+    cause_of_death: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.alive = set(self.environment.unit)
+        self.ready = set(self.environment.unit)
+        self.topics = set(wanted_topics(self.environment)) if self.environment.units else set()
+        wanted = wanted_feeds(self.environment)
+        self.feeds = {inlet: Wire(0, stream, inlet, has_switched=True) for inlet, stream in wanted.items()}
+        self.said: list[str] = []
+
+    def dry_units(self) -> Set[str]:
+        return self.dry
+
+    def now(self) -> float:
+        return float(len(self.said))
+
+    def obey(self, command: Command) -> None:
+        match command:
+            case OpenTopic(topic):
+                self.topics.add(topic)
+                self.said.append(f"open {topic}")
+            case CloseTopic(topic):
+                self.topics.discard(topic)
+                self.said.append(f"close {topic}")
+            case StartUnit(started):
+                self.said.append(f"start {started.id}")
+                if started.id not in self.dying:
+                    self.alive.add(started.id)
+                if started.id not in self.dying | self.slow:
+                    self.ready.add(started.id)
+            case StopUnit(name):
+                self.said.append(f"stop {name}")
+                if name not in self.stubborn:
+                    self._end(name)
+            case EndUnit(name):
+                self.said.append(f"end {name}")
+                self._end(name)
+            case Connect(stream, inlet):
+                self.said.append(f"{stream} > {inlet}")
+                self.feeds[inlet] = Wire(0, stream, inlet, has_switched=stream.unit not in self.quiet)
+            case Disconnect(inlet):
+                self.said.append(f"cut {inlet}")
+                del self.feeds[inlet]
+            case GoOver(inlet):
+                self.said.append(f"go over {inlet}")
+            case WaitUntil(holds):
+                self.said.append("wait" if holds() else "wait in vain")
+
+    def _end(self, name: str) -> None:
+        self.alive.discard(name)
+        for inlet in [inlet for inlet in self.feeds if inlet.unit == name]:
+            del self.feeds[inlet]
+        for wire in self.feeds.values():
+            wire.has_switched = True  # the end of a source is what its standby waits for
+
+    def carry_out(self, change_set: ChangeSet) -> CarriedOut:
+        commands = carry_out(self, change_set, environment_after(self.environment, change_set), Patience())
+        while True:
+            try:
+                self.obey(next(commands))
+            except StopIteration as end:
+                assert isinstance(end.value, CarriedOut)
+                return end.value
+
+
+@pytest.mark.parametrize(
+    ("scene", "change_set", "said", "unswitched"),
+    [
+        (
+            Scene(replace(RUNNING, units=())),
+            start(COUNT, WORK),
+            f"open /result, start count.1, start work.1, wait, {WIRED}, wait, wait, wait, wait",
+            0,
+        ),
+        (Scene(), SWAP, f"{BESIDE}, wait, stop work.1, wait, wait, wait", 0),
+        (Scene(quiet={"work.2"}), SWAP, f"{BESIDE}, wait in vain, stop work.1, wait, wait, wait", 1),
+        (Scene(quiet={"work.2"}, dry={"work.1"}), SWAP, f"{BESIDE}, wait, stop work.1, wait, wait, wait", 1),
+        (
+            Scene(stubborn={"work.1"}),
+            ChangeSet(stopped=("work.1",)),
+            "wait, wait, cut /result, stop work.1, wait in vain, end work.1, wait, wait",
+            0,
+        ),
+        (
+            Scene(),
+            ChangeSet(removed_targets=("result",), rewired=(replace(WORK, publications=()),)),
+            "wait, wait, cut /result, wait, wait, wait, close /result",
+            0,
+        ),
+        (
+            Scene(replace(RUNNING, library=(*RUNNING.library, source("quiet"))), quiet={"quiet.1"}),
+            ChangeSet(started=(unit("quiet.1"),), rewired=(unit("work.1", topic="/result", x="quiet.1/n"),)),
+            "start quiet.1, wait, quiet.1/n > work.1/x, wait in vain, go over work.1/x, wait, wait, wait in vain",
+            1,
+        ),
+    ],
+    ids=["a start", "a swap", "a quiet one", "none to wait for", "a stubborn one", "a topic less", "two that stay"],
+)
+def test_an_update_gives_its_commands_in_this_order(
+    scene: Scene, change_set: ChangeSet, said: str, unswitched: int
+) -> None:
+    carried = scene.carry_out(change_set)
+    assert (", ".join(scene.said), carried.unswitched) == (said, unswitched)
+    assert carried.environment == environment_after(scene.environment, change_set)
+    assert set(carried.seconds) == {"start", "rewire", "stop"}
+
+
+@pytest.mark.parametrize(
+    ("scene", "cause", "said"),
+    [
+        (Scene(dying={"work.2"}, cause_of_death={"work.2": "has no camera"}), r"work\.2 has no camera", ["wait"]),
+        (Scene(slow={"work.2"}), r"work\.2 was not ready within 30 s", ["wait in vain"]),
+        (Scene(slow={"work.2"}, is_abandoned=True), r"given up while work\.2 was starting", ["wait"]),
+    ],
+    ids=["dead", "slow", "abandoned"],
+)
+def test_an_update_whose_unit_does_not_start_is_undone(scene: Scene, cause: str, said: list[str]) -> None:
+    feeds = dict(scene.feeds)
+    with pytest.raises(ApplyError, match=cause) as caught:
+        scene.carry_out(SWAP)
+    assert caught.value.units == ("work.2",)
+    assert isinstance(caught.value, AbandonedError) is scene.is_abandoned
+    assert scene.said[: 1 + len(said)] == ["start work.2", *said]
+    assert [line for line in scene.said if " > " in line or line.startswith(("open", "close"))] == []
+    assert (scene.feeds, scene.alive) == (feeds, {"count.1", "work.1"})
+
+
+def test_what_was_rewired_goes_back_before_the_new_unit_ends() -> None:
+    scene = Scene(quiet={"work.2"})
+    commands = carry_out(scene, SWAP, environment_after(RUNNING, SWAP), Patience())
+    for command in commands:
+        if isinstance(command, WaitUntil) and "work.2/y > /result" in scene.said:
+            break
+        scene.obey(command)
+    scene.alive.discard("work.2")
+    scene.said.clear()
+    with pytest.raises(ApplyError, match=r"work\.2 died"):
+        for command in commands:
+            scene.obey(command)
+    assert scene.said == ["work.1/y > /result", "wait", "stop work.2", "wait", "wait"]
+    assert str(scene.feeds[Inlet("", "/result")].stream) == "work.1/y"
+
+
+def test_a_topic_that_an_undone_update_has_opened_is_closed() -> None:
+    scene = Scene(dying={"work.2"})
+    with pytest.raises(ApplyError):
+        scene.carry_out(start(replace(NEW, publications=unit("work.2", topic="/other").publications)))
+    assert (scene.said[0], scene.said[-1], scene.topics) == ("open /other", "close /other", {"/result"})
+
+
+def test_what_died_meanwhile_is_not_rewired_and_missing_afterwards() -> None:
+    scene = Scene(replace(RUNNING, library=(*RUNNING.library, source("other"))))
+    commands = carry_out(
+        scene,
+        change := ChangeSet((unit("other.1"),), (unit("work.1", topic="/result", x="other.1/n"),)),
+        environment_after(scene.environment, change),
+        Patience(),
+    )
+    scene.obey(next(commands))
+    scene.obey(EndUnit("work.1"))
+    del scene.feeds[Inlet("", "/result")]
+    with pytest.raises(StopIteration) as caught:
+        while True:
+            scene.obey(next(commands))
+    assert set(caught.value.value.environment.unit) == {"count.1", "other.1"}
+    assert "other.1/n > work.1/x" not in scene.said
