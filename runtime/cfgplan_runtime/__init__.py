@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from cfgplan_runtime.errors import StaleChangeSetError as StaleChangeSetError
     from cfgplan_runtime.lifecycle.manager import Manager as Manager
     from cfgplan_runtime.lifecycle.policy import Policy as Policy
-    from cfgplan_runtime.lifecycle.simulation import SimulatedRuntime as SimulatedRuntime
     from cfgplan_runtime.lifecycle.watching import watch_file as watch_file
     from cfgplan_runtime.runtime import Runtime as Runtime
+    from cfgplan_runtime.runtime import SimulatedRuntime as SimulatedRuntime
     from cfgplan_runtime.streams.subscription import Received as Received
     from cfgplan_runtime.streams.subscription import subscribe as subscribe
     from cfgplan_runtime.supervision.applying import Patience as Patience
@@ -42,9 +42,8 @@ _HOMES = {
     "errors": "ApplyError NoSuchTopicError RuntimeFaultError StaleChangeSetError",
     "lifecycle.manager": "Manager",
     "lifecycle.policy": "Policy",
-    "lifecycle.simulation": "SimulatedRuntime",
     "lifecycle.watching": "watch_file",
-    "runtime": "Runtime",
+    "runtime": "Runtime SimulatedRuntime",
     "supervision.simulated_backend": "SimulatedBackend",
     "streams.subscription": "Received subscribe",
     "supervision.supervisor": "Supervisor",

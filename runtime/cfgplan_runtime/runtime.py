@@ -1,23 +1,24 @@
-"""The runtime as its users see it: a supervisor of processes in a thread of its own."""
+"""The runtime as its users see it: a supervisor with a backend, and where it works."""
 
 from __future__ import annotations
 
 import contextlib
 import queue
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future
 from pathlib import Path
 from types import TracebackType
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 from cfgplan.domain import ChangeSet, Environment, Target, Transformation
 from cfgplan_runtime.errors import RuntimeFaultError
-from cfgplan_runtime.processes.process_backend import ProcessBackend
 from cfgplan_runtime.supervision.applying import Patience
+from cfgplan_runtime.supervision.backend import Backend
 from cfgplan_runtime.supervision.events import SIGNS, Applied, Event
 from cfgplan_runtime.supervision.observation import Observation
 from cfgplan_runtime.supervision.run_log import RunLog
+from cfgplan_runtime.supervision.simulated_backend import Behaviour, SimulatedBackend
 from cfgplan_runtime.supervision.supervisor import Supervisor
 
 T = TypeVar("T")
@@ -25,135 +26,37 @@ T = TypeVar("T")
 _MOST_EVENTS = 10_000
 
 
-class Runtime:
-    """Runs units of a library and changes them by change sets; a context manager that leaves nothing behind.
+class Executor(Protocol):
+    """Where a supervisor works."""
 
-    `folder` is what `units.py:Class` is relative to; `preload` names modules that units import, so that
-    they start faster. Every event but signs of life goes to the log, if any, and to `events`, which is bounded:
-    what nobody fetches is thrown away, oldest first.
-    """
+    def begin(self, make: Callable[[], Supervisor]) -> Supervisor:
+        """Have the supervisor made, and let it work from then on."""
 
-    def __init__(
-        self,
-        library: Iterable[Transformation] = (),
-        targets: Iterable[Target] = (),
-        *,
-        folder: str | Path | None = None,
-        preload: Sequence[str] = (),
-        log: str | Path | None = None,
-    ) -> None:
-        self.events: queue.Queue[Event] = queue.Queue(_MOST_EVENTS)
-        self._environment = Environment(library=tuple(library), targets=tuple(targets))
-        self._folder = None if folder is None else Path(folder)
-        self._preload = tuple(preload)
-        self._log = None if log is None else RunLog(Path(log))
-        self._work: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
-        self._listeners: tuple[Callable[[Event], None], ...] = ()
-        self._is_closing = False
-        self._started: Future[None] = Future()
-        self._thread = threading.Thread(target=self._run, name="cfgplan-supervisor", daemon=True)
-        self._thread.start()
-        self._started.result()
-
-    @property
-    def id(self) -> str:
-        """The run's id, which tells its topics from those of other runs."""
-        return self._backend.run_folder.id
-
-    @property
-    def environment(self) -> Environment:
-        """What runs now."""
-        return self._supervisor.environment
-
-    def apply(
-        self,
-        change_set: ChangeSet,
-        *,
-        id: str | None = None,  # noqa: A002
-        basis: Environment | None = None,
-        patience: Patience | None = None,
-    ) -> Applied:
-        """Carry out a change set as a whole or not at all; see `Supervisor.apply`."""
-        return self._call(lambda: self._supervisor.apply(change_set, id=id, basis=basis, patience=patience))
-
-    def attempt(self, change_set: ChangeSet, *, basis: Environment | None = None) -> Applied:
-        """As `apply`, but new units that have not failed stay when the update is undone, unconnected."""
-        return self._call(lambda: self._supervisor.apply(change_set, basis=basis, keeps_new=True))
-
-    def observe(self) -> tuple[Observation, ...]:
-        """Every running unit as it is now; upkeep is over the time since the last call."""
-        return self._call(self._supervisor.observe)
-
-    def listen(self, listener: Callable[[Event], None]) -> None:
-        """Have every event told, signs of life too, in order, from the supervisor's thread; it returns at once."""
-        self._listeners = (*self._listeners, listener)
-
-    def abandon(self) -> None:
-        """Give up the update under way if it still waits for new units: it is undone. For any thread."""
-        self._supervisor.abandon()
-        self._backend.wake()
-
-    def kill(self, unit: str) -> None:
-        """End a unit at once; UnitDied follows. Does nothing if it does not run."""
-        self._call(lambda: self._backend.kill(unit))
-
-    def cut(self, unit: str | None, port: str) -> None:
-        """Take away what feeds an input, or a topic (`unit` is None), as if it had been lost. Raises KeyError."""
-        self._call(lambda: self._supervisor.cut(unit, port))
-
-    def pid(self, unit: str) -> int | None:
-        """The process id of a unit."""
-        return self._call(lambda: self._backend.pid(unit))
-
-    def stop(self) -> None:
-        """Stop every unit, letting each give what it has taken in."""
-        stopped = tuple(unit.id for unit in self.environment.units)
-        if stopped:
-            self.apply(ChangeSet(stopped=stopped))
+    def call(self, work: Callable[[], T]) -> T:
+        """Do something where the supervisor works; raises what that raises, RuntimeFaultError after the end."""
 
     def close(self) -> None:
-        """End every process of the run, and remove its folder, whatever is under way. Does nothing the second time."""
-        self._is_closing = self._supervisor.is_ending = True
-        self._backend.wake()
-        self._thread.join()
-        if self._log is not None:
-            self._log.close()
+        """End the supervisor's work and its backend, whatever is under way. Does nothing the second time."""
 
-    def __enter__(self) -> Runtime:
-        return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
+class OwnThread:
+    """A thread that makes the supervisor, and works as long as there is one."""
 
-    def _run(self) -> None:
-        try:
-            self._backend = ProcessBackend(folder=self._folder, preload=self._preload)
-            self._supervisor = Supervisor(self._backend, self._environment, self._report)
-        except BaseException as error:
-            self._started.set_exception(error)
-            return
-        self._started.set_result(None)
-        try:
-            while not self._is_closing:
-                self._supervisor.pump(1.0)
-                with contextlib.suppress(queue.Empty):
-                    while True:
-                        self._work.get_nowait()()
-        finally:
-            self._backend.close()
-            self._is_closing = True
-            with contextlib.suppress(queue.Empty):
-                while True:
-                    self._work.get_nowait()()
+    def __init__(self) -> None:
+        self._work: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._made: Future[Supervisor] = Future()
 
-    def _call(self, work: Callable[[], T]) -> T:
-        """Have the supervisor's thread do something, and give back what it returns or raises."""
+    def begin(self, make: Callable[[], Supervisor]) -> Supervisor:
+        self._thread = threading.Thread(target=self._run, args=(make,), name="cfgplan-supervisor", daemon=True)
+        self._thread.start()
+        self._supervisor = self._made.result()
+        return self._supervisor
+
+    def call(self, work: Callable[[], T]) -> T:
         future: Future[T] = Future()
 
         def do() -> None:
-            if self._is_closing:
+            if self._supervisor.is_ending:
                 future.set_exception(RuntimeFaultError("the runtime is closed"))
                 return
             try:
@@ -164,8 +67,157 @@ class Runtime:
         if not self._thread.is_alive():
             raise RuntimeFaultError("the runtime is closed")
         self._work.put(do)
-        self._backend.wake()
+        self._supervisor.backend.wake()
         return future.result()
+
+    def close(self) -> None:
+        self._supervisor.end()
+        self._thread.join()
+
+    def _run(self, make: Callable[[], Supervisor]) -> None:
+        try:
+            supervisor = make()
+        except BaseException as error:
+            self._made.set_exception(error)
+            return
+        self._made.set_result(supervisor)
+        try:
+            while not supervisor.is_ending:
+                supervisor.pump(1.0)
+                self._do_what_waits()
+        finally:
+            supervisor.is_ending = True
+            supervisor.backend.close()
+            self._do_what_waits()
+
+    def _do_what_waits(self) -> None:
+        with contextlib.suppress(queue.Empty):
+            while True:
+                self._work.get_nowait()()
+
+
+class Inline:
+    """The calling thread, which is the clock too: time passes only while somebody waits."""
+
+    def begin(self, make: Callable[[], Supervisor]) -> Supervisor:
+        self._supervisor = make()
+        return self._supervisor
+
+    def call(self, work: Callable[[], T]) -> T:
+        if self._supervisor.is_ending:
+            raise RuntimeFaultError("the runtime is closed")
+        return work()
+
+    def close(self) -> None:
+        self._supervisor.end()
+        self._supervisor.backend.close()
+
+    def now(self) -> float:
+        """Seconds on the backend's clock."""
+        return self._supervisor.backend.now()
+
+    def wait(self, bell: threading.Event, timeout_s: float) -> None:
+        """Let what is due happen until the bell rings, or so much time is over."""
+        end = self.now() + timeout_s
+        while not bell.is_set() and self.now() < end:
+            self._supervisor.pump(end - self.now())
+
+
+class Runtime:
+    """Runs units of a library and changes them by change sets; a context manager that leaves nothing behind.
+
+    `backend` makes what runs the units where `executor` works: by default processes of this machine and a thread of
+    its own. For processes, `folder` is what `units.py:Class` is relative to, and `preload` names modules that units
+    import, so that they start faster. Every event but signs of life goes to the log, if any, and to `events`, which is
+    bounded: what nobody fetches is thrown away, oldest first.
+    """
+
+    def __init__(
+        self,
+        library: Iterable[Transformation] = (),
+        targets: Iterable[Target] = (),
+        *,
+        folder: str | Path | None = None,
+        preload: Sequence[str] = (),
+        log: str | Path | None = None,
+        backend: Callable[[], Backend] | None = None,
+        executor: Executor | None = None,
+    ) -> None:
+        self.events: queue.Queue[Event] = queue.Queue(_MOST_EVENTS)
+        self._log = None if log is None else RunLog(Path(log))
+        self._listeners: tuple[Callable[[Event], None], ...] = ()
+        self._executor = executor or OwnThread()
+        environment = Environment(library=tuple(library), targets=tuple(targets))
+        make = backend or (lambda: _processes(None if folder is None else Path(folder), tuple(preload)))
+        self.supervisor = self._executor.begin(lambda: Supervisor(make(), environment, self._report))
+
+    @property
+    def id(self) -> str:
+        """The run's id, which tells its topics from those of other runs."""
+        return self.supervisor.backend.id
+
+    @property
+    def environment(self) -> Environment:
+        """What runs now."""
+        return self.supervisor.environment
+
+    def apply(
+        self,
+        change_set: ChangeSet,
+        *,
+        id: str | None = None,  # noqa: A002
+        basis: Environment | None = None,
+        patience: Patience | None = None,
+        keeps_new: bool = False,
+    ) -> Applied:
+        """Carry out a change set as a whole or not at all; see `Supervisor.apply`."""
+        return self._executor.call(
+            lambda: self.supervisor.apply(change_set, id=id, basis=basis, patience=patience, keeps_new=keeps_new)
+        )
+
+    def observe(self) -> tuple[Observation, ...]:
+        """Every running unit as it is now; upkeep is over the time since the last call."""
+        return self._executor.call(self.supervisor.observe)
+
+    def listen(self, listener: Callable[[Event], None]) -> None:
+        """Have every event told, signs of life too, in order, from the supervisor's thread; it returns at once."""
+        self._listeners = (*self._listeners, listener)
+
+    def abandon(self) -> None:
+        """Give up the update under way if it still waits for new units: it is undone. For any thread."""
+        self.supervisor.abandon()
+
+    def kill(self, unit: str) -> None:
+        """End a unit at once; UnitDied follows. Does nothing if it does not run."""
+        self._executor.call(lambda: self.supervisor.backend.kill(unit))
+
+    def cut(self, unit: str | None, port: str) -> None:
+        """Take away what feeds an input, or a topic (`unit` is None), as if it had been lost. Raises KeyError."""
+        self._executor.call(lambda: self.supervisor.cut(unit, port))
+
+    def pid(self, unit: str) -> int | None:
+        """The process id of a unit."""
+        return self._executor.call(lambda: self.supervisor.backend.pid(unit))
+
+    def stop(self) -> None:
+        """Stop every unit, letting each give what it has taken in."""
+        stopped = tuple(unit.id for unit in self.environment.units)
+        if stopped:
+            self.apply(ChangeSet(stopped=stopped))
+
+    def close(self) -> None:
+        """End every process of the run, and remove its folder, whatever is under way. Does nothing the second time."""
+        self._executor.close()
+        if self._log is not None:
+            self._log.close()
+
+    def __enter__(self) -> Runtime:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
 
     def _report(self, event: Event) -> None:
         for listener in self._listeners:
@@ -179,3 +231,27 @@ class Runtime:
             except queue.Full:
                 with contextlib.suppress(queue.Empty):
                     self.events.get_nowait()
+
+
+class SimulatedRuntime(Runtime):
+    """A runtime whose units run only in thought. Give its `clock` to the manager, without a thread.
+
+    `behaviours` are by transformation.
+    """
+
+    def __init__(
+        self,
+        library: Iterable[Transformation] = (),
+        targets: Iterable[Target] = (),
+        *,
+        behaviours: Mapping[str, Behaviour] | None = None,
+    ) -> None:
+        self.backend = SimulatedBackend(dict(behaviours or {}))
+        self.clock = Inline()
+        super().__init__(library, targets, backend=lambda: self.backend, executor=self.clock)
+
+
+def _processes(folder: Path | None, preload: Sequence[str]) -> Backend:
+    from cfgplan_runtime.processes.process_backend import ProcessBackend  # not to be had on Windows
+
+    return ProcessBackend(folder=folder, preload=preload)

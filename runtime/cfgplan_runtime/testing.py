@@ -120,19 +120,18 @@ def _undoes(bench: Bench) -> None:
         assert "/broken" not in set(bench.topics()), "a topic of an update that failed is there"
 
 
-def _keeps_what_has_not_failed(bench: Bench) -> None:
-    attempt = getattr(bench.middleware, "attempt", None)
-    if attempt is None:
-        return
+def _keeps_only_what_has_not_failed(bench: Bench) -> None:
     before = bench.begin()
     worker, broken = bench.unit(2, bench.worker, topic=TOPIC), bench.unit(1, bench.broken)
     try:
-        attempt(ChangeSet((worker, broken), stopped=(f"{bench.worker.label}.1",)), basis=before)
+        change_set = ChangeSet((worker, broken), stopped=(f"{bench.worker.label}.1",))
+        bench.middleware.apply(change_set, basis=before, keeps_new=True)
     except ApplyError:
         left = replace(worker, subscriptions=(), publications=())
-        bench.expect(replace(before, units=(*before.units, left)), "after an attempt that failed")
+        kept = (left,) if worker.id in bench.middleware.environment.unit else ()
+        bench.expect(replace(before, units=(*before.units, *kept)), "after an update that failed and keeps new units")
     else:
-        raise AssertionError("an attempt of which a unit can't be started raises no ApplyError")
+        raise AssertionError("an update of which a unit can't be started raises no ApplyError")
 
 
 def _refuses_what_is_stale(bench: Bench) -> None:
@@ -174,6 +173,13 @@ def _tells_of_deaths(bench: Bench) -> None:
         bench.expect(bench.middleware.environment, "after a repair")
 
 
+def _goes_on_where_nothing_is_waited_for(bench: Bench) -> None:
+    bench.middleware.abandon()
+    environment = bench.begin()
+    bench.middleware.abandon()
+    bench.expect(environment, "after abandon() without an update")
+
+
 def _stops(bench: Bench) -> None:
     bench.begin()
     bench.middleware.stop()
@@ -184,9 +190,10 @@ def _stops(bench: Bench) -> None:
 CHECKS: tuple[Callable[[Bench], None], ...] = (
     _applies,
     _undoes,
-    _keeps_what_has_not_failed,
+    _keeps_only_what_has_not_failed,
     _refuses_what_is_stale,
     _unpublishes,
     _tells_of_deaths,
+    _goes_on_where_nothing_is_waited_for,
     _stops,
 )

@@ -9,6 +9,7 @@ import pytest
 from cfgplan_runtime import ApplyError, Patience
 from cfgplan_runtime.errors import AbandonedError
 from cfgplan_runtime.supervision.applying import (
+    Believe,
     CarriedOut,
     CloseTopic,
     Command,
@@ -94,6 +95,8 @@ class Scene:
                 del self.feeds[inlet]
             case GoOver(inlet):
                 self.said.append(f"go over {inlet}")
+            case Believe(environment):
+                self.environment = environment
             case WaitUntil(holds):
                 self.said.append("wait" if holds() else "wait in vain")
 
@@ -174,6 +177,20 @@ def test_an_update_whose_unit_does_not_start_is_undone(scene: Scene, cause: str,
     assert scene.said[: 1 + len(said)] == ["start work.2", *said]
     assert [line for line in scene.said if " > " in line or line.startswith(("open", "close"))] == []
     assert (scene.feeds, scene.alive) == (feeds, {"count.1", "work.1"})
+
+
+def test_what_has_not_failed_may_stay_unconnected() -> None:
+    scene = Scene(replace(RUNNING, library=(*RUNNING.library, worker("bad"))), dying={"bad.1"})
+    change_set = start(NEW, unit("bad.1", x="work.2/y"))
+    commands = carry_out(
+        scene, change_set, environment_after(scene.environment, change_set), Patience(), keeps_new=True
+    )
+    with pytest.raises(ApplyError, match=r"bad\.1 died"):
+        for command in commands:
+            scene.obey(command)
+    assert scene.said == ["start work.2", "start bad.1", "wait", "wait", "stop bad.1", "end bad.1", "wait", "wait"]
+    assert scene.environment.unit["work.2"] == unit("work.2")
+    assert set(scene.environment.unit) == {"count.1", "work.1", "work.2"}
 
 
 def test_what_was_rewired_goes_back_before_the_new_unit_ends() -> None:

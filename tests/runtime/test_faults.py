@@ -7,14 +7,16 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import psutil
 import pytest
-from cfgplan_runtime import ApplyError, Patience, StaleChangeSetError, subscribe
+from cfgplan_runtime import ApplyError, Patience, SimulatedRuntime, StaleChangeSetError, subscribe
 from cfgplan_runtime.errors import NoSuchTopicError, RuntimeFaultError, UnsupportedPlatformError
+from cfgplan_runtime.runtime import Inline
 from cfgplan_runtime.supervision.events import (
     OutletsLost,
     RolledBack,
@@ -26,7 +28,7 @@ from cfgplan_runtime.supervision.events import (
     UnitTooLarge,
 )
 from watching import Listener, StartRuntime, seen
-from world import eventually, source, start, unit, worker
+from world import PATIENCE_S, eventually, source, start, unit, worker
 
 from cfgplan.domain import ChangeSet, RunOptions
 
@@ -410,3 +412,20 @@ def test_no_process_of_a_run_uses_shared_memory_that_a_kill_could_leave_behind(r
     family = [nursery, *nursery.children()]
     assert len(family) == 4
     assert not [p for p in family if "/dev/shm/" in Path(f"/proc/{p.pid}/maps").read_text()]
+
+
+def test_a_runtime_of_processes_works_in_the_calling_thread_too(run_units: StartRuntime) -> None:
+    here = Inline()
+    runtime = run_units(source(), worker(), executor=here)
+    runtime.apply(start(unit("count.1"), unit("work.1", topic="/result", x="count.1/n")))
+    os.kill(runtime.pid("count.1") or 0, signal.SIGKILL)
+    while "count.1" in runtime.environment.unit:
+        here.wait(threading.Event(), PATIENCE_S)
+    assert [died.unit for died in seen(runtime, UnitDied)] == ["count.1"]
+
+
+def test_a_closed_runtime_in_thought_says_so_too() -> None:
+    with SimulatedRuntime([source()]) as runtime:
+        runtime.apply(start(unit("count.1")))
+    with pytest.raises(RuntimeFaultError, match="the runtime is closed"):
+        runtime.apply(ChangeSet(stopped=("count.1",)))

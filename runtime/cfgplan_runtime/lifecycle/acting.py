@@ -39,10 +39,9 @@ class Acting:
         for unit in change_set.started:
             units[unit.id] = Running(library[unit.transformation], self._clock.now())
         self._intake.starting = started
-        attempt = getattr(self._middleware, "attempt", self._middleware.apply)
         slow: tuple[str, ...] = ()
         try:
-            attempt(change_set, basis=basis)
+            self._middleware.apply(change_set, basis=basis, keeps_new=True)
         except StaleChangeSetError as error:
             failed = UpdateFailed(str(error), is_stale=True)
         except NoSourceError as error:

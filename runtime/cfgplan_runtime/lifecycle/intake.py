@@ -235,11 +235,9 @@ class Intake:
             self.perturb(TargetSilent(silence.target, silence.topic, silent_s, silence.units), at_s)
 
     def _abandon(self) -> None:
-        """Don't let an update that waits for slow units hold up what is more urgent, where the middleware can."""
+        """Don't let an update that waits for slow units hold up what is more urgent."""
         if self.starting:
-            abandon = getattr(self._middleware, "abandon", None)
-            if abandon is not None:
-                abandon()
+            self._middleware.abandon()
 
     def _answer(self, outcomes: Iterable[Outcome]) -> None:
         """Tell those who asked that no review will follow."""

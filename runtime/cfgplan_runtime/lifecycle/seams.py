@@ -15,21 +15,26 @@ from cfgplan_runtime.supervision.observation import Observation
 class Middleware(Protocol):
     """Whatever runs units: `cfgplan_runtime.Runtime`, a simulation, or a robot's own middleware.
 
-    All methods but `listen` may be called from the manager's thread only. One that has a method `abandon()`, which
-    gives up the update under way and is called from any thread, lets no slow start hold up a repair. One that has a
-    method `attempt`, which is `apply` but leaves new units that have not failed in the environment when the rest is
-    undone, unconnected, loads nothing twice because something else could not start.
+    All methods but `listen` and `abandon` are called from the manager's thread only.
     """
 
     @property
     def environment(self) -> Environment:
         """What runs now, with gaps where something is missing; its library and targets are those last applied."""
 
-    def apply(self, change_set: ChangeSet, *, basis: Environment | None = None) -> Applied:
+    def apply(self, change_set: ChangeSet, *, basis: Environment | None = None, keeps_new: bool = False) -> Applied:
         """Carry out a change set as a whole or not at all; it holds the changes of library and targets too.
 
         Raises StaleChangeSetError if what runs is not `basis` any more, ApplyError if a step failed and all was
-        undone, NoSourceError for a transformation that can't be started at all.
+        undone, NoSourceError for a transformation that can't be started at all. With `keeps_new`, new units that have
+        not failed may stay in the environment when the rest is undone, unconnected: they are not loaded again then.
+        """
+
+    def abandon(self) -> None:
+        """Give up the update under way, if it still waits for new units: `apply` then raises AbandonedError.
+
+        Called from any thread, so that no slow start holds up a repair; an update that waits for nothing goes on, and
+        so does the next one.
         """
 
     def observe(self) -> Sequence[Observation]:

@@ -109,11 +109,14 @@ class ProcessBackend:
         self._is_short = False
         """Whether there was no descriptor for the last wire."""
 
+    @property
+    def id(self) -> str:
+        return self.run_folder.id
+
     def now(self) -> float:
         return time.monotonic()
 
     def wake(self) -> None:
-        """Let `wait` return; the one method for other threads."""
         with suppress(OSError):
             self._bell_rope.send(b"!")
 
@@ -211,7 +214,6 @@ class ProcessBackend:
         return None if cpu is None or memory is None else Usage(cpu, memory, child.pid)
 
     def pid(self, unit: str) -> int | None:
-        """The process id of a unit."""
         child = self._by_name.get(unit)
         return None if child is None else child.pid
 

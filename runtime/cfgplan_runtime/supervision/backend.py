@@ -35,13 +35,23 @@ class Usage:
 
 
 class Backend(Protocol):
-    """Runs units and connects them. No method waits for its effect: that comes as an event from `wait`."""
+    """Runs units and connects them. No method waits for its effect: that comes as an event from `wait`.
+
+    All methods but `wake` are called from the thread that has made it.
+    """
+
+    @property
+    def id(self) -> str:
+        """What tells its topics from those of others."""
 
     def now(self) -> float:
         """Seconds on a clock that only rises."""
 
     def wait(self, timeout_s: float | None) -> Sequence[Event]:
         """What has happened since the last call; waits up to `timeout_s` for the first of it."""
+
+    def wake(self) -> None:
+        """Let `wait` return; for any thread."""
 
     def start(self, unit: str, transformation: Transformation, state: bytes | None) -> None:
         """Start a unit: UnitReady or UnitDied follows."""
@@ -78,6 +88,9 @@ class Backend(Protocol):
 
     def usage(self, unit: str) -> Usage | None:
         """What a unit has used so far; None if it does not run."""
+
+    def pid(self, unit: str) -> int | None:
+        """The process of a unit, where it has one."""
 
     def close(self) -> None:
         """Stop everything at once and leave nothing behind."""

@@ -101,6 +101,8 @@ class SimulatedBackend:
     _gave_s: dict[str, float | None] = field(default_factory=dict)
     """By topic: when an element was last seen there."""
 
+    id = "simulated"
+
     def now(self) -> float:
         return self._now
 
@@ -116,6 +118,9 @@ class SimulatedBackend:
         if end is not None:
             self._now = end
         return []
+
+    def wake(self) -> None:
+        """Nobody waits in another thread."""
 
     def stall(self, seconds: float) -> None:
         """Let time pass in which nobody waits: what happens in it is told afterwards."""
@@ -213,6 +218,9 @@ class SimulatedBackend:
             return None
         labor_us = found.behaviour.labor_of(found.transformation)
         return Usage(labor_us + round(found.use(self._now)), found.behaviour.memory_bytes)
+
+    def pid(self, unit: str) -> int | None:  # noqa: ARG002
+        return None
 
     def close(self) -> None:
         self.units.clear()

@@ -76,7 +76,6 @@ class Supervisor:
         self.topics: set[str] = set()
         self.cause_of_death: dict[str, str] = {}
         self.is_ending = False
-        """Set from any thread: nothing is waited for any more."""
         self.is_abandoned = False
         self._report = report
         self._applied: dict[str, Applied] = {}
@@ -150,6 +149,12 @@ class Supervisor:
     def abandon(self) -> None:
         """Give up the update under way if it still waits for new units; for any thread."""
         self.is_abandoned = True
+        self.backend.wake()
+
+    def end(self) -> None:
+        """Wait for nothing any more; for any thread."""
+        self.is_ending = True
+        self.backend.wake()
 
     def cut(self, unit: str | None, port: str) -> None:
         """Take away what feeds an input, or a topic (`unit` is None), as if it had been lost. Raises KeyError."""
