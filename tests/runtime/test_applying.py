@@ -188,7 +188,7 @@ def test_what_has_not_failed_may_stay_unconnected() -> None:
     with pytest.raises(ApplyError, match=r"bad\.1 died"):
         for command in commands:
             scene.obey(command)
-    assert scene.said == ["start work.2", "start bad.1", "wait", "wait", "stop bad.1", "end bad.1", "wait", "wait"]
+    assert scene.said == ["start bad.1", "start work.2", "wait", "wait", "stop bad.1", "end bad.1", "wait", "wait"]
     assert scene.environment.unit["work.2"] == unit("work.2")
     assert set(scene.environment.unit) == {"count.1", "work.1", "work.2"}
 
