@@ -1,0 +1,87 @@
+"""The bytes of schemas, digests and dumps: what was written by an earlier cfgplan means the same to this one.
+
+`python tests/formats/test_golden.py` writes them anew, for a change of the format that is meant.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import cfgplan
+from cfgplan.errors import InputError, InvalidValueError
+from cfgplan.formats import (
+    as_yaml,
+    dump_xml,
+    environment_schema,
+    plain_environment,
+    plan_schema,
+    read_document,
+)
+from cfgplan.formats.conversion import plain_document
+from cfgplan.formats.dump import dump_yaml
+
+HERE = Path(__file__).parent
+MODELS = HERE.parent.parent / "models"
+RECORD = HERE / "golden.json"
+RICH = [HERE / "every_key.yaml", HERE / "every_key_of_xml.yaml"]
+"""Worlds that say everything that an environment file can say."""
+
+
+def worlds() -> dict[str, Path]:
+    paths = [path for path in sorted(MODELS.glob("*/*.yaml")) if "format: cfgplan/1" in path.read_text()]
+    return {str(path.relative_to(MODELS)): path for path in paths} | {path.name: path for path in RICH}
+
+
+def hashed(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def xml_of(plain: Mapping[str, Any]) -> str:
+    try:
+        return hashed(dump_xml(plain))
+    except InvalidValueError as error:
+        return str(error)
+
+
+def bytes_of(path: Path) -> dict[str, str]:
+    """What a file is as YAML and XML; and its world, unless it is a library for others to include."""
+    document = read_document(path)
+    found = {"document as YAML": hashed(as_yaml(document)), "document as XML": xml_of(plain_document(document))}
+    try:
+        world = cfgplan.load(path)
+    except InputError:
+        return found
+    plain = plain_environment(
+        world.environment, horizon_s=world.horizon_s, max_cost_us=world.max_cost_us, survive=world.survive
+    )
+    return {
+        **found,
+        "digest": world.digest,
+        "JSON": hashed(json.dumps(plain, default=str)),
+        "YAML": hashed(dump_yaml(plain)),
+        "XML": xml_of(plain),
+    }
+
+
+def schemas() -> dict[str, str]:
+    return {"environment": hashed(json.dumps(environment_schema())), "plan": hashed(json.dumps(plan_schema()))}
+
+
+@pytest.mark.parametrize("name", worlds())
+def test_a_world_has_the_digest_and_the_dumps_that_it_had(name: str) -> None:
+    assert bytes_of(worlds()[name]) == json.loads(RECORD.read_text())["worlds"][name]
+
+
+def test_the_schemas_are_what_they_were() -> None:
+    assert schemas() == json.loads(RECORD.read_text())["schemas"]
+
+
+if __name__ == "__main__":
+    record = {"schemas": schemas(), "worlds": {name: bytes_of(path) for name, path in worlds().items()}}
+    RECORD.write_text(json.dumps(record, indent=1, ensure_ascii=False) + "\n")
