@@ -89,9 +89,7 @@ def _targets(
                 wishes = fleet.wishes(file.source, path, part)
                 if part.host is not None:
                     fleet.check_host(file.source, (*path, "host"), part.host, is_choice=True)
-                targets[part.label] = Target(
-                    part.label, part.tag, part.topic, part.priority, wishes, part.host, part.silent
-                )
+                targets[part.label] = Target(**{**part.values(), "quality": wishes})
     return targets
 
 

@@ -7,7 +7,7 @@ from typing import Any
 from cfgplan.errors import InputError
 from cfgplan.formats.document import Document
 from cfgplan.formats.dump import dump_yaml
-from cfgplan.formats.schema import FORMAT
+from cfgplan.formats.fields import FORMAT
 from cfgplan.formats.xml_dump import dump_xml
 
 _LISTS = ("transformations", "units", "targets")

@@ -12,10 +12,7 @@ from pydantic import BaseModel, ValidationError
 
 from cfgplan.errors import Fault, InputError
 from cfgplan.formats.environment_file import ANY_IMPORT, Imports
-from cfgplan.formats.files import is_folder, read_source
-from cfgplan.formats.garbage import no_garbage_collection
-from cfgplan.formats.places import Path, Source, Spot
-from cfgplan.formats.schema import (
+from cfgplan.formats.fields import (
     DEFAULT_HORIZON_S,
     IGNORE,
     AttributePart,
@@ -27,6 +24,9 @@ from cfgplan.formats.schema import (
     TransformationPart,
     UnitPart,
 )
+from cfgplan.formats.files import is_folder, read_source
+from cfgplan.formats.garbage import no_garbage_collection
+from cfgplan.formats.places import Path, Source, Spot
 from cfgplan.formats.schema_faults import schema_faults
 
 _BEGINS = "a file is a mapping that begins with `format: cfgplan/1`"

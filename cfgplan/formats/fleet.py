@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from cfgplan.domain import Host
 from cfgplan.errors import Fault, InvalidValueError
 from cfgplan.formats.document import Document
+from cfgplan.formats.fields import ContributionPart, TargetPart, UnitPart, WishPart
 from cfgplan.formats.left_out import LeftOut
 from cfgplan.formats.places import Path, Source
-from cfgplan.formats.schema import ContributionPart, TargetPart, UnitPart, WishPart
 from cfgplan.formats.suggestions import did_you_mean
 from cfgplan.planning import Failures
 from cfgplan.qualities import Better, Contribution, Over, QualityAttribute, Rule, Wish
@@ -28,18 +28,11 @@ class Fleet:
         main = document.files[0].source if document.files else None
         for index, host in enumerate(document.hosts):
             if main is not None and self._is_new(main, ("hosts", index), host.name, self.hosts):
-                self.hosts[host.name] = Host(host.name, host.cpu, host.memory)
+                self.hosts[host.name] = Host(**host.values())
         for index, part in enumerate(document.qualities):
             if main is not None and self._is_new(main, ("qualities", index), part.name, self.attributes):
                 try:
-                    self.attributes[part.name] = QualityAttribute(
-                        part.name,
-                        Better(part.better),
-                        Rule(part.rule),
-                        part.unit,
-                        -1 if part.worst is None else part.worst,
-                        -1 if part.best is None else part.best,
-                    )
+                    self.attributes[part.name] = QualityAttribute(**part.values())
                 except InvalidValueError as error:
                     self._faults.append(main.fault(("qualities", index), str(error), "exchange worst and best"))
                     left_out.add("qualities", part.name)
@@ -114,7 +107,7 @@ class Fleet:
             place = (*path, "quality", name)
             attribute = self._attribute(source, place, name)
             if attribute is not None and self._is_well_put(source, place, attribute, wish):
-                found.append(Wish(name, wish.at_most if wish.at_least is None else wish.at_least, wish.weight))
+                found.append(Wish(name, **wish.values()))
         return tuple(found)
 
     def _is_well_put(self, source: Source, place: Path, attribute: QualityAttribute, wish: WishPart) -> bool:

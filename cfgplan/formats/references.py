@@ -9,10 +9,10 @@ from graphlib import CycleError, TopologicalSorter
 from cfgplan.domain import ComputationUnit, Publication, Stream, Subscription, Target, Transformation
 from cfgplan.errors import Fault, InvalidValueError
 from cfgplan.formats.document import Document
+from cfgplan.formats.fields import UnitPart
 from cfgplan.formats.fleet import Fleet
 from cfgplan.formats.left_out import LeftOut
 from cfgplan.formats.places import Path, Source
-from cfgplan.formats.schema import UnitPart
 from cfgplan.formats.suggestions import did_you_mean
 
 MOST_CYCLES_SHOWN = 10
@@ -76,7 +76,8 @@ class UnitChecker:
             self._faults.append(source.fault((*path, "standby"), message, "remove them, or `standby`"))
             subscriptions = publications = ()
         host = self._host(source, path, part, transformation)
-        return ComputationUnit(part.id, part.transformation, subscriptions, publications, host, part.standby)
+        wiring = {"subscriptions": subscriptions, "publications": publications, "host": host}
+        return ComputationUnit(**{**part.values(), **wiring})
 
     def _host(self, source: Source, path: Path, part: UnitPart, transformation: Transformation | None) -> str | None:
         if transformation is None:

@@ -9,9 +9,9 @@ from typing import Any, get_args, get_origin
 from pydantic import BaseModel
 
 from cfgplan.errors import Fault
+from cfgplan.formats.fields import FORMAT, EnvironmentPart, IncludedPart
 from cfgplan.formats.places import Path, Source
 from cfgplan.formats.scalars import resolve
-from cfgplan.formats.schema import FORMAT, EnvironmentPart, IncludedPart
 from cfgplan.formats.schema_values import FULL_FORM, PORT, SHORT_FORM
 from cfgplan.formats.suggestions import did_you_mean
 

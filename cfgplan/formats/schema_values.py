@@ -1,19 +1,21 @@
-"""The values of the environment file: names, tags, costs, qualities, each with its validation and JSON Schema."""
+"""The values of the environment file: names, tags, costs, qualities, each with its validation, JSON Schema and dump."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
+from dataclasses import dataclass
 from decimal import Decimal, DecimalException
 from functools import lru_cache
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, Field, PlainValidator, WithJsonSchema
 from pydantic_core import PydanticCustomError
 
 from cfgplan.canonical import normal
-from cfgplan.costs import microseconds
+from cfgplan.costs import microseconds, seconds
 from cfgplan.errors import InvalidValueError
-from cfgplan.qualities import micro_units
+from cfgplan.qualities import Better, Rule, micro_units, units
 from cfgplan.transformations import LEAST_HANG_S, RunOptions
 
 LARGEST_RATE_HZ = 100_000
@@ -137,6 +139,27 @@ def form_of(value: object) -> str:
     return FULL_FORM if isinstance(value, dict | list | BaseModel) else SHORT_FORM
 
 
+@dataclass(frozen=True, slots=True)
+class Written:
+    """How a file says a value of the domain, where that is not the value itself."""
+
+    plain: Callable[[Any], object]
+
+
+def plain_cost(cost_us: int) -> Decimal | int:
+    """A cost in CPU seconds, or a time in seconds; whole where it is."""
+    return _whole_if_it_is(seconds(cost_us))
+
+
+def plain_quality(micro: int) -> Decimal | int:
+    """A value of a quality attribute, whole where it is."""
+    return _whole_if_it_is(units(micro))
+
+
+def _whole_if_it_is(value: Decimal) -> Decimal | int:
+    return int(value) if value == value.to_integral_value() else value
+
+
 FileName = Annotated[str, Field(pattern=NAME)]
 """The name of a file stays as it is written; all other names are spelled in one way."""
 Name = Annotated[FileName, AfterValidator(normal)]
@@ -144,21 +167,35 @@ PortName = Annotated[str, Field(pattern=PORT), AfterValidator(normal)]
 TagText = Annotated[
     str, Field(min_length=1, description="a concept in description logic, or the paper's P(a)"), AfterValidator(normal)
 ]
-Cost = Annotated[int, PlainValidator(_cost), WithJsonSchema({"type": "number", "minimum": 0})]
-Seconds = Annotated[int, PlainValidator(_seconds), WithJsonSchema({"type": "number", "minimum": 0})]
+_NUMBER = {"type": "number", "minimum": 0}
+Cost = Annotated[int, PlainValidator(_cost), WithJsonSchema(_NUMBER), Written(plain_cost)]
+Seconds = Annotated[int, PlainValidator(_seconds), WithJsonSchema(_NUMBER), Written(plain_cost)]
 Silence = Annotated[
     int,
     PlainValidator(_silence),
     WithJsonSchema({"anyOf": [{"const": 0}, {"type": "number", "minimum": LEAST_HANG_S}]}),
+    Written(plain_cost),
 ]
 Span = Annotated[
     int,
     PlainValidator(_span),
     WithJsonSchema({"anyOf": [{"type": "number", "exclusiveMinimum": 0}, {"type": "string", "pattern": SPAN}]}),
+    Written(plain_cost),
 ]
 Rate = Annotated[
-    float, PlainValidator(_rate), WithJsonSchema({"type": "number", "exclusiveMinimum": 0, "maximum": LARGEST_RATE_HZ})
+    float,
+    PlainValidator(_rate),
+    WithJsonSchema({"type": "number", "exclusiveMinimum": 0, "maximum": LARGEST_RATE_HZ}),
+    Written(lambda rate_hz: Decimal(repr(rate_hz))),
 ]
-Micro = Annotated[int, PlainValidator(_micro), WithJsonSchema({"type": "number"})]
-PositiveMicro = Annotated[int, PlainValidator(_positive_micro), WithJsonSchema({"type": "number", "minimum": 0})]
+Micro = Annotated[int, PlainValidator(_micro), WithJsonSchema({"type": "number"}), Written(plain_quality)]
+PositiveMicro = Annotated[int, PlainValidator(_positive_micro), WithJsonSchema(_NUMBER), Written(plain_quality)]
 Params = Annotated[dict[str, Any], PlainValidator(_params), WithJsonSchema({"type": ["object", "null"]})]
+BetterName = Annotated[Literal["lower", "higher"], AfterValidator(Better), Written(str)]
+RuleName = Annotated[Literal["add", "limit", "scale", "set"], AfterValidator(Rule), Written(str)]
+WhenFull = Annotated[
+    Literal["drop_oldest", "block"],
+    AfterValidator(lambda how: how == "block"),
+    Written(lambda blocks: "block" if blocks else "drop_oldest"),
+]
+"""Whether a producer waits (True) or the oldest element is dropped."""

@@ -5,8 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import product
+from typing import Any
+
+from pydantic import BaseModel
 
 from cfgplan.canonical import normal
+from cfgplan.formats.places import Path
 
 _MARK = re.compile(r"\$(\$\{)|\$\{([^\s${}:]+)(?::([^\s${}:]+))?\}|(\$\{)")
 MOST_EXPANSIONS = 1_000_000
@@ -44,20 +48,46 @@ def substitute(text: str, values: Mapping[Variable, str]) -> str:
     return _MARK.sub(lambda mark: _replacement(mark, values), text) if "$" in text else text
 
 
-def substitute_all(value: object, values: Mapping[Variable, str]) -> object:
-    """Plain data with every text in it, keys too, substituted."""
+def substitute_all(value: Any, values: Mapping[Variable, str]) -> Any:
+    """Parts and plain data with every text in them, keys too, substituted."""
     if isinstance(value, str):
         return substitute(value, values)
     if isinstance(value, dict):
         return {substitute(key, values): substitute_all(item, values) for key, item in value.items()}
     if isinstance(value, list):
         return [substitute_all(item, values) for item in value]
+    if isinstance(value, BaseModel):
+        update = {key: substitute_all(getattr(value, key), values) for key in value.model_fields_set}
+        return value.model_copy(update=update)
     return value
 
 
-def escape(text: str) -> str:
-    """The text that `substitute` turns into this one."""
-    return text.replace("${", "$${")
+def texts(value: object, path: Path) -> Iterator[tuple[Path, str]]:
+    """Every text in parts and plain data, keys too, with its place."""
+    if isinstance(value, str):
+        yield path, value
+    elif isinstance(value, dict):
+        for key, item in value.items():
+            yield (*path, key), key
+            yield from texts(item, (*path, key))
+    elif isinstance(value, list):
+        for index, item in enumerate(value):
+            yield from texts(item, (*path, index))
+    elif isinstance(value, BaseModel):
+        for key, item in value.__dict__.items():
+            if item is not None:
+                yield from texts(item, (*path, key))
+
+
+def escaped(value: Any) -> Any:
+    """The plain data that `substitute_all` turns into this one."""
+    if isinstance(value, str):
+        return value.replace("${", "$${")
+    if isinstance(value, Mapping):
+        return {escaped(key): escaped(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [escaped(item) for item in value]
+    return value
 
 
 def original_column(text: str, values: Mapping[Variable, str], column: int) -> int:

@@ -13,10 +13,10 @@ from typing import Any
 
 from cfgplan.canonical import normal
 from cfgplan.errors import Fault, InputError
+from cfgplan.formats.fields import FORMAT
 from cfgplan.formats.json_text import read_json
 from cfgplan.formats.places import Path, Source, Spot
 from cfgplan.formats.scalars import resolve
-from cfgplan.formats.schema import FORMAT
 from cfgplan.formats.suggestions import did_you_mean
 from cfgplan.formats.xml_elements import Element, parse_xml
 

@@ -20,8 +20,8 @@ from typing import TypeVar
 import yaml
 
 from cfgplan.formats import build, dump_xml, read_document
+from cfgplan.formats.fields import EnvironmentPart
 from cfgplan.formats.json_text import read_json
-from cfgplan.formats.schema import EnvironmentPart
 from cfgplan.formats.yaml_text import read_yaml
 
 T = TypeVar("T")

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from loading import faults_of, load_text, only_fault, place_of
 
-from cfgplan.formats.templates import escape, original_column, substitute
+from cfgplan.formats.templates import escaped, original_column, substitute
 
 HEAD = "format: cfgplan/1\ntransformations:\n"
 
@@ -123,7 +123,7 @@ def test_a_template_that_stands_for_too_many_is_refused(tmp_path: Path) -> None:
 
 @given(st.text(alphabet="${}a:"))
 def test_escaping_hides_every_template(text: str) -> None:
-    assert substitute(escape(text), {}) == text
+    assert substitute(escaped(text), {}) == text
 
 
 @given(

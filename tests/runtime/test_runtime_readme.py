@@ -29,7 +29,7 @@ def test_the_ten_lines_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caps
 
 
 def test_every_run_option_is_in_the_table() -> None:
-    from cfgplan.formats.schema import RunPart
+    from cfgplan.formats.fields import RunPart
 
     said = set(
         re.findall(r"`(\w+)`", "\n".join(line.split("|")[1] for line in README.splitlines() if line[:2] == "| "))

@@ -14,7 +14,7 @@ from cfgplan.api import World
 from cfgplan.domain import Environment, Target, Transformation
 from cfgplan.errors import Fault, InputError, InvalidValueError
 from cfgplan.formats import Document, read_declared, read_document
-from cfgplan.formats.schema import DefaultsPart
+from cfgplan.formats.fields import DefaultsPart
 from cfgplan.matching import Ontology, TagError, check_tag
 from cfgplan_runtime.lifecycle.changes import (
     AddIndividuals,

@@ -1,0 +1,357 @@
+"""The environment file's fields, a row each: from it are made what reads, checks and writes them, and the JSON Schema.
+
+A row says the key, its values, what they mean and what is so where the key is absent; `to`, where the domain's value
+has it (the key if absent); `use`, who looks at it; and `xml`, the attribute of the XML format (the key if absent).
+A value that is no text, number or flag is not said in XML, unless by an ELEMENT. Every text of a transformation may
+hold template variables.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from enum import Flag
+from functools import cache
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
+
+from cfgplan.formats.schema_values import (
+    FULL_FORM,
+    SHORT_FORM,
+    BetterName,
+    Cost,
+    FileName,
+    Micro,
+    Name,
+    Params,
+    PortName,
+    PositiveMicro,
+    Rate,
+    RuleName,
+    Seconds,
+    Silence,
+    Span,
+    TagText,
+    WhenFull,
+    Written,
+    form_of,
+)
+from cfgplan.planning import MOST_INSTANCES
+
+FORMAT = "cfgplan/1"
+LONGEST_HORIZON_S = 1_000_000_000
+LONGEST_QUEUE = 1_000_000
+
+DEFAULT_HORIZON_S = 600
+DEFAULT_LABOR_US = 1_000_000
+DEFAULT_UPKEEP_US = 0
+
+ELEMENT = "<>"
+IGNORE = "ignore"
+
+
+def as_it_is(value: Any) -> Any:
+    """The plain form of a text, number or flag; lists for tuples."""
+    return list(value) if isinstance(value, tuple) else dict(value) if isinstance(value, Mapping) else value
+
+
+class Use(Flag):
+    """Who looks at a field: a plan for another value is another plan, a unit with another value is started anew."""
+
+    NONE = 0
+    PLANNING = 1
+    RUNNING = 2
+    BOTH = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A field as the readers and writers need it; `plain` turns the domain's value into the file's."""
+
+    to: str = ""
+    use: Use = Use.PLANNING
+    xml: str | None = None
+    default: Any = None
+    is_text: bool = False
+    plain: Callable[[Any], Any] = as_it_is
+
+
+def row(
+    meaning: str | None,
+    default: Any = None,
+    to: str = "",
+    use: Use = Use.PLANNING,
+    xml: str | None = None,
+    **limits: Any,
+) -> Any:
+    """A field of a part; `...` as default if the key can't be absent."""
+    if meaning is not None:
+        limits["description"] = meaning
+    field = Field(default=default, **limits)
+    field.metadata.append(Row(to, use, xml))
+    return field
+
+
+class Part(BaseModel):
+    """A mapping in the file, and its fields."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    @classmethod
+    @cache
+    def rows(cls) -> Mapping[str, Row]:
+        """The rows by key, in the order in which they are written."""
+        hints = get_type_hints(cls, include_extras=True)
+        return {key: _row(key, [*_pieces(hints[key])], field) for key, field in cls.model_fields.items()}
+
+    def values(self) -> dict[str, Any]:
+        """What the file says, under the domain's names."""
+        rows = self.rows()
+        said = ((rows[key].to, getattr(self, key)) for key in self.model_fields_set)
+        return {to: _frozen(value) for to, value in said if value is not None}
+
+
+def _frozen(value: Any) -> Any:
+    return tuple(dict.fromkeys(value)) if isinstance(value, list) else value
+
+
+def _row(key: str, pieces: list[Any], field: Any) -> Row:
+    said = next((each for each in field.metadata if isinstance(each, Row)), Row())
+    holds_more = any(piece in (list, dict) or (isinstance(piece, type) and issubclass(piece, Part)) for piece in pieces)
+    is_text = any(piece is str or isinstance(piece, str) for piece in pieces) and 0 not in pieces
+    plain = next((piece.plain for piece in pieces if isinstance(piece, Written)), as_it_is)
+    return Row(said.to or key, said.use, said.xml or (None if holds_more else key), field.default, is_text, plain)
+
+
+def _pieces(hint: Any) -> Iterator[Any]:
+    """What a type is made of: its plain types, the values of its literals, and what is annotated."""
+    if get_origin(hint) in (list, dict):
+        yield get_origin(hint)
+    elif get_args(hint):
+        for piece in get_args(hint):
+            yield from _pieces(piece)
+    else:
+        yield hint
+
+
+class InputPart(Part):
+    """An input port that needs more than a tag."""
+
+    tag: TagText
+    distinct: Name | None = row("ports of one group are fed by different transformations")
+    feedback: bool = row("this input may close a cycle of the wiring", False)
+
+
+class ContributionPart(Part):
+    """What an output makes of a quality attribute: exactly one of `add`, `limit`, `scale` and `set`."""
+
+    add: Micro | None = row("added to the value of the inputs")
+    limit: PositiveMicro | None = row("the value is no better than this")
+    scale: PositiveMicro | None = row("a factor on the value of the inputs")
+    set: PositiveMicro | None = row("the value, whatever the inputs are")
+    of: Literal["worst", "best", "mean", "sum"] = row("how several inputs count", "worst")
+
+
+Quality = Annotated[
+    Annotated[Micro, Tag(SHORT_FORM)] | Annotated[ContributionPart, Tag(FULL_FORM)],
+    Discriminator(form_of),
+]
+
+
+class OutputPart(Part):
+    """An output port that says more than a tag."""
+
+    tag: TagText
+    quality: dict[Name, Quality] | None = row("attribute to what it makes of it")
+    rate: PositiveMicro = row("elements per second, for what it costs to change hosts", 0, "rate_uhz")
+    size: int = row("bytes of one element", 0, "size_bytes", ge=0, le=LONGEST_HORIZON_S)
+
+
+Input = Annotated[
+    Annotated[TagText, Tag(SHORT_FORM)] | Annotated[InputPart, Tag(FULL_FORM)],
+    Discriminator(form_of),
+]
+Output = Annotated[
+    Annotated[TagText, Tag(SHORT_FORM)] | Annotated[OutputPart, Tag(FULL_FORM)],
+    Discriminator(form_of),
+]
+Names = Annotated[
+    Annotated[Name, Tag(SHORT_FORM)] | Annotated[list[Name], Tag(FULL_FORM)],
+    Discriminator(form_of),
+]
+FileNames = Annotated[
+    Annotated[FileName, Tag(SHORT_FORM)] | Annotated[list[FileName], Tag(FULL_FORM)],
+    Discriminator(form_of),
+]
+Imports = Annotated[
+    Annotated[Literal["ignore"], Tag(SHORT_FORM)] | Annotated[dict[Name, FileName], Tag(FULL_FORM)],
+    Discriminator(form_of),
+]
+
+
+class RunPart(Part):
+    """How the units of a transformation run."""
+
+    start: PortName = row("what starts a step: all inputs fresh, any input, aligned in time, or a port's name", "all")
+    tolerance: Seconds = row("how far apart aligned inputs may be, in seconds", 0, "tolerance_us")
+    rate: Rate | None = row("how often a source gives an element, per second", to="rate_hz")
+    queue: int = row("how many elements may wait at an input", 256, ge=1, le=LONGEST_QUEUE)
+    when_full: WhenFull = row("drop the oldest element, or let the producer wait", "drop_oldest", "blocks")
+    hang: Silence | None = row(
+        "kill a unit that is silent for so many seconds, at least 2; 0: never; 10 if absent", to="hang_us"
+    )
+    memory: int | None = row(
+        "the most memory that a unit may take, in megabytes", None, "memory_mb", ge=1, le=LONGEST_QUEUE
+    )
+    state: bool = row("a new unit goes on with the state of the last", False)
+
+
+class TransformationPart(Part):
+    """A streaming function that can be instantiated; `${Class}` in it stands for each individual of a class."""
+
+    label: Name = row("unique; mentions every template variable of the transformation", ..., use=Use.BOTH, xml=ELEMENT)
+    source: Name | None = row(
+        "package.module:Class, or units.py:Class relative to this file", use=Use.RUNNING, xml=ELEMENT
+    )
+    kind: Name | None = row("free text, the paper's type attribute", use=Use.RUNNING, xml="type")
+    host: Names | None = row("where its units run: a host, or a list to choose from", use=Use.BOTH, xml="host")
+    params: Params = row("the configuration its units are started with", {}, use=Use.RUNNING, xml=ELEMENT)
+    labor: Cost | None = row("CPU seconds of one start", to="labor_us")
+    upkeep: Cost | None = row("CPU seconds that a running unit takes per second", to="upkeep_us")
+    pinned: bool = row("running units are kept even where no target needs them", False)
+    required: bool = row("must be used wherever that is possible at all", False)
+    memory: int | None = row(
+        "megabytes that a unit takes on its host; run.memory if absent", None, "memory_mb", ge=0, le=LONGEST_QUEUE
+    )
+    conflicts: list[Name] | None = row("transformations that may not be there beside it")
+    min_instances: int = row("at least so many of its units run", 0, ge=0, le=MOST_INSTANCES)
+    max_instances: int | None = row("at most so many of its units are there", ge=0)
+    standby: Cost | None = row("CPU seconds per second of a spare that does not run", to="standby_us")
+    run: RunPart | None = row("how its units run", use=Use.RUNNING, xml=ELEMENT)
+    inputs: dict[PortName, Input] | None = row("input ports: name to tag", xml=ELEMENT)
+    outputs: dict[PortName, Output] | None = row("output ports: name to tag", xml=ELEMENT)
+
+
+class UnitPart(Part):
+    """A running computation unit."""
+
+    id: Name
+    transformation: Name = row("the label of its transformation, templates expanded", ...)
+    inputs: dict[PortName, Name | None] | None = row(
+        "input port to stream (unit/port); null: a gap", to="subscriptions", xml=ELEMENT
+    )
+    topics: dict[PortName, list[Name]] | None = row(
+        "output port to the topics it is published on", to="publications", xml=ELEMENT
+    )
+    host: Name | None = row("where it runs, if hosts are declared")
+    standby: bool = row("it is a spare that does not run", False)
+
+
+class WishPart(Part):
+    """What a target asks of a quality attribute."""
+
+    at_least: PositiveMicro | None = row("where higher is better: a bound", to="bound")
+    at_most: PositiveMicro | None = row("where lower is better: a bound", to="bound")
+    weight: Cost = row("CPU seconds for each unit by which the best is missed", 0, "weight_us")
+
+
+class TargetPart(Part):
+    """Information that is wanted on a topic."""
+
+    label: Name = row(None, ..., xml=ELEMENT)
+    topic: Name = row(None, ..., xml=ELEMENT)
+    tag: TagText = row(None, ..., xml=ELEMENT)
+    priority: int = row("larger matters more", 0, ge=-LONGEST_HORIZON_S, le=LONGEST_HORIZON_S)
+    quality: dict[Name, WishPart] | None = row("attribute to what is asked of it")
+    host: Name | None = row("the host that the stream has to come to")
+    silent: Span | None = row(
+        "in a run it counts as unmet when nothing has come for so long: seconds, or 500ms, 5s",
+        to="silent_us",
+        use=Use.RUNNING,
+    )
+
+
+class HostPart(Part):
+    """A computer that units run on."""
+
+    name: Name
+    cpu: Cost | None = row("CPU seconds per second that units may take; no limit if absent", to="cpu_us")
+    memory: int | None = row("megabytes that units may take; no limit if absent", to="memory_mb", ge=0)
+
+
+class AttributePart(Part):
+    """A quality attribute of streams."""
+
+    name: Name
+    better: BetterName = row("which values are better", ...)
+    rule: RuleName = row("what an output that states a number does with it", "add", use=Use.NONE)
+    unit: Name | None = row("what it is measured in, free text", use=Use.NONE)
+    worst: PositiveMicro | None = row("the worst value, and that of sources that state none")
+    best: PositiveMicro | None = row("the best value, from which weights count")
+
+
+class DefaultsPart(Part):
+    """Costs of the transformations that do not say their own."""
+
+    labor: Cost | None = row("CPU seconds of one start; 1 if absent", to="labor_us")
+    upkeep: Cost | None = row("CPU seconds per second; 0 if absent", to="upkeep_us")
+
+
+class IncludedPart(Part):
+    """A file that an environment includes: transformations and targets only."""
+
+    format: Literal["cfgplan/1"] | None = None
+    transformations: list[TransformationPart] | None = row(None, xml=ELEMENT)
+    targets: list[TargetPart] | None = row(None, xml=ELEMENT)
+
+
+class EnvironmentPart(Part):
+    """An environment: the transformations there are, the units that run and the information that is wanted."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, title="cfgplan environment")
+
+    format: Literal["cfgplan/1"]
+    ontology: FileNames | None = row("ontology file or files, relative to this file", xml=ELEMENT)
+    imports: Imports | None = row(
+        "IRI that an ontology imports to a file, relative to this file, or to `ignore`; "
+        "`ignore` alone: all that can't be found"
+    )
+    horizon: int = row(
+        "how far ahead upkeep counts, in seconds", DEFAULT_HORIZON_S, "horizon_s", ge=0, le=LONGEST_HORIZON_S
+    )
+    max_cost: Cost | None = row("the most that an update may cost, in CPU seconds", to="max_cost_us")
+    defaults: DefaultsPart | None = row(None, xml=ELEMENT)
+    include: list[FileName] | None = row("files and folders with more transformations and targets", xml=ELEMENT)
+    hosts: list[HostPart] | None = row("where units run; if absent, nothing is placed")
+    transfer: Cost = row("CPU seconds for each megabyte that goes from host to host", 0, "transfer_us")
+    qualities: list[AttributePart] | None = row("the quality attributes of streams")
+    survive: Literal[0, 1, "units", "hosts"] = row(
+        "single failures to survive; 1: of hosts where hosts are declared, else of units", 0
+    )
+    transformations: list[TransformationPart] | None = row(None, xml=ELEMENT)
+    units: list[UnitPart] | None = row(None, xml=ELEMENT)
+    targets: list[TargetPart] | None = row(None, xml=ELEMENT)
+
+
+def environment_schema() -> dict[str, Any]:
+    """The JSON Schema (draft 2020-12) of the environment file, for editors and other tools."""
+    return json_schema(EnvironmentPart)
+
+
+def json_schema(part: type[BaseModel]) -> dict[str, Any]:
+    """The JSON Schema of a definition, strict about the names of ports too."""
+    schema = part.model_json_schema()
+    _bar_other_names(schema)
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
+
+
+def _bar_other_names(schema: Any) -> None:
+    if isinstance(schema, dict):
+        if "patternProperties" in schema:
+            schema["additionalProperties"] = False
+        for inner in schema.values():
+            _bar_other_names(inner)
+    elif isinstance(schema, list):
+        for inner in schema:
+            _bar_other_names(inner)
