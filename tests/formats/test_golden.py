@@ -1,4 +1,4 @@
-"""The bytes of schemas, digests and dumps: what was written by an earlier cfgplan means the same to this one.
+"""The bytes of the schema, of digests and dumps: what was written by an earlier cfgplan means the same to this one.
 
 `python tests/formats/test_golden.py` writes them anew, for a change of the format that is meant.
 """
@@ -20,7 +20,6 @@ from cfgplan.formats import (
     dump_xml,
     environment_schema,
     plain_environment,
-    plan_schema,
     read_document,
 )
 from cfgplan.formats.conversion import plain_document
@@ -69,8 +68,8 @@ def bytes_of(path: Path) -> dict[str, str]:
     }
 
 
-def schemas() -> dict[str, str]:
-    return {"environment": hashed(json.dumps(environment_schema())), "plan": hashed(json.dumps(plan_schema()))}
+def schema() -> str:
+    return hashed(json.dumps(environment_schema()))
 
 
 @pytest.mark.parametrize("name", worlds())
@@ -78,10 +77,10 @@ def test_a_world_has_the_digest_and_the_dumps_that_it_had(name: str) -> None:
     assert bytes_of(worlds()[name]) == json.loads(RECORD.read_text())["worlds"][name]
 
 
-def test_the_schemas_are_what_they_were() -> None:
-    assert schemas() == json.loads(RECORD.read_text())["schemas"]
+def test_the_schema_is_what_it_was() -> None:
+    assert schema() == json.loads(RECORD.read_text())["schema"]
 
 
 if __name__ == "__main__":
-    record = {"schemas": schemas(), "worlds": {name: bytes_of(path) for name, path in worlds().items()}}
+    record = {"schema": schema(), "worlds": {name: bytes_of(path) for name, path in worlds().items()}}
     RECORD.write_text(json.dumps(record, indent=1, ensure_ascii=False) + "\n")
