@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 from unittest.mock import patch
 
 import numpy as np
@@ -22,7 +23,9 @@ from cfgplan.domain import (
     Target,
     Transformation,
 )
-from cfgplan.planners.bounding.bounds import cheapest_way
+from cfgplan.planners.bounding.bounds import Bound, cheapest_way
+from cfgplan.planners.bounding.landmarks import ways_into
+from cfgplan.planners.bounding.tightening import begun
 from cfgplan.planners.cpsat import plan
 from cfgplan.planners.networks import wiring
 from cfgplan.planners.networks.greedy import first_plan, plan_at
@@ -149,8 +152,8 @@ def test_what_falls_through_feedback_falls_in_few_closures() -> None:
     assert closures.call_count <= 3
 
 
-def test_a_deep_row_of_pairs_has_a_first_plan() -> None:
-    """Each of 1,200 layers needs two of the layer before: added up, that is 2 to the power of 1,200."""
+def pairs(layers: int) -> Problem:
+    """Each layer has two units that need both of the layer before: added up, that is 2 to the power of the layers."""
     pair = (InputPort("a", "", "both"), InputPort("b", "", "both"))
     library = tuple(
         Transformation(
@@ -159,10 +162,35 @@ def test_a_deep_row_of_pairs_has_a_first_plan() -> None:
             (OutputPort("o", f"T{layer}"),),
             labor_us=5 + k,
         )
-        for layer in range(1_200)
+        for layer in range(layers)
         for k in range(2)
     )
-    similarity = Similarity({f"T{i}": frozenset({f"T{i}"}) for i in range(1_200)})
-    givers = Givers(library, similarity)
-    network = Network(library, ["T1199"], [], givers)
-    assert first_plan(network, np.full(len(library), 5, np.int64), 0, lambda: False) == set(range(2_399))
+    similarity = Similarity({f"T{i}": frozenset({f"T{i}"}) for i in range(layers)})
+    return Problem(Environment((), library, (Target("t", f"T{layers - 1}", "/t"),)), similarity, 1)
+
+
+def test_a_deep_row_of_pairs_has_a_first_plan() -> None:
+    problem = pairs(1_200)
+    library = problem.environment.library
+    network = Network(library, ["T1199"], [], Givers(library, problem.similarity))
+    found = first_plan(network, np.full(len(library), 5, np.int64), 0, lambda: False)
+    assert found is not None
+    assert {network.labels[i] for i in found} == {t.label for t in library} - {"s1199_1"}
+
+
+def test_no_more_landmarks_are_looked_for_than_pay_where_the_way_is_deep() -> None:
+    problem, offered = pairs(100), []
+    costs: list[int | None] = []
+
+    def first(*arguments: Any) -> Bound:
+        offered.append(costs[-1] if costs else None)
+        return begun(*arguments)
+
+    with (
+        patch("cfgplan.planners.bounding.bounds.ways_into", wraps=ways_into) as landmarks,
+        patch("cfgplan.planners.cpsat.session.begun", first),
+    ):
+        found = plan(problem, report=lambda progress: costs.append(progress.cost_us))
+    assert (found.status, found.cost_us) == (Status.OPTIMAL, 99 * 11 + 5)
+    assert offered == [found.cost_us]
+    assert landmarks.call_count <= 100

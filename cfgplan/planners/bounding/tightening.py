@@ -42,7 +42,7 @@ def tightened(bound: Bound, enough: int, limit: int, clock: Clock, *, greedily: 
         if keep.sum() < 0.8 * len(keep):
             bound = bound.restricted(keep)
         patience_s = (PATIENCE if greedily else LAST_PATIENCE) * bound.core.goal**1.5
-        step_s = CHUNK * (LANDMARK_S + NEED_S * len(bound.core.needs.items))
+        step_s = CHUNK * (LANDMARK_S + NEED_S * len(bound.core.needs.items) + bound.core.depth_s)
         bound.improve(enough, CHUNK, clock.is_over)
         if bound.value < enough and not _pays(bound.value - before, enough - before, step_s, patience_s):
             if greedily:

@@ -53,7 +53,7 @@ class Closing:
         self.bound = bound
         self._cost = cost
         self._step = step
-        self._attempt_s = ATTEMPT_S + NEED_S * len(network.core.needs.items)
+        self._attempt_s = ATTEMPT_S + NEED_S * len(network.core.needs.items) + network.core.depth_s
         self._repairs = Repairs(network, cost, set(plan.tolist()))
         self._kinds = alike(network, cost)
         self._rounds: _Rounds | None = None

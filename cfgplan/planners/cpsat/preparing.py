@@ -46,7 +46,7 @@ class Preparation:
         is_crowded = bound.core.crowds is not None
         greedily = plan is not None and not is_crowded
         bound = tightened(bound, limit - weighing.step + 1, limit, clock, greedily=greedily)
-        if plan is not None and bound.value <= limit - weighing.step and is_crowded:
+        if plan is not None and bound.value <= limit - weighing.step and is_crowded and not clock.is_over():
             self._plan = plan = self._at_what_is_left(bound, plan)
             limit = weighing.of_plan(plan)
         self._structure.remember(lambda: bound, weighing.scale)

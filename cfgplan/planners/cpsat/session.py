@@ -19,6 +19,7 @@ from cfgplan.planners.bounding.tightening import begun, tightened
 from cfgplan.planners.cpsat.deciding import STEPS, decide
 from cfgplan.planners.cpsat.prepared import Prepared
 from cfgplan.planners.cpsat.preparing import Preparation
+from cfgplan.planners.cpsat.required import offer_any_plan
 from cfgplan.planners.cpsat.rest import Left, Rest
 from cfgplan.planners.cpsat.standing import Standing
 from cfgplan.planners.cpsat.structure import Structure
@@ -110,6 +111,8 @@ class PlannerSession:
         if is_new and (self._try_to_decide(standing, structure) or (clock.is_over() and standing.best is not None)):
             return
         self._remember(standing)
+        if standing.best is None:
+            offer_any_plan(standing, structure)
         preparation = self._prepare(standing.site.problem, structure, clock, is_first=is_first)
         prepared = preparation.prepared(clock)
         standing.go_on_with(prepared)
@@ -179,7 +182,7 @@ class PlannerSession:
 
     def _with_required(self, standing: Standing, structure: Structure) -> None:
         """Try to use all required transformations; only if that is impossible, see how many can be used."""
-        from cfgplan.planners.cpsat.required import offer_any_plan, prepared_with_all
+        from cfgplan.planners.cpsat.required import prepared_with_all
         from cfgplan.planners.cpsat.search import Search
 
         offer_any_plan(standing, structure)
@@ -216,7 +219,7 @@ class PlannerSession:
             new = first_plan(network, cost, 0, clock.is_over)
             plan = min((one for one in (plan, new) if one is not None), key=partial(cost_of, cost), default=None)
             limit = 0 if plan is None else cost_of(cost, plan)
-            if plan is not None and limit > quick:
+            if plan is not None and limit > quick and not clock.is_over():
                 bound = begun(
                     _known_bound(structure, weighing.weight, weighing.scale), limit - weighing.step + 1, limit, clock
                 )

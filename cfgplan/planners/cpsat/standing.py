@@ -73,7 +73,8 @@ class Standing:
         if prepared.holds_for != self.holds_for:
             self.holds_for, self.bound_us = prepared.holds_for, 0
         self.raise_bound(prepared.bound_us)
-        if prepared.plan is not None:
+        is_known = self.best is not None and self.best.key[1] == prepared.cost_us
+        if prepared.plan is not None and not (is_known and self.clock.is_over()):
             self.begin_with(prepared.plan)
 
     def begin_with(self, labels: list[str]) -> None:

@@ -26,6 +26,8 @@ NEVER = np.int64(2**60)
 """A cost that no sum of real costs reaches."""
 MOST_PASSES = 60
 """After so many passes over a whole core the way is so deep that facts are better followed one by one."""
+LINK_S = 5e-6
+"""About how long it takes to follow one offer or need by itself (experiments/planning, rows of pairs)."""
 
 
 @dataclass(frozen=True)
@@ -105,6 +107,22 @@ class Core:
     def links(self) -> int:
         """How many offers and needs there are."""
         return len(self.givers.items) + len(self.needs.items)
+
+    @cached_property
+    def is_deep(self) -> bool:
+        """Whether some fact that can be had is behind more than `MOST_PASSES` others."""
+        facts = np.full(len(self.givers), NEVER)
+        for _ in range(MOST_PASSES):
+            better = self.least_of_givers(self.most_of_needs(facts)[:-1])
+            if (better == facts).all():
+                return False
+            facts = better
+        return True
+
+    @property
+    def depth_s(self) -> float:
+        """About how many seconds longer than otherwise it takes to follow all facts, since the core is deep."""
+        return LINK_S * self.links if self.is_deep else 0.0
 
     @cached_property
     def crowds(self) -> Crowds | None:

@@ -104,7 +104,7 @@ def _total(network: Graph, price: Floats) -> list[float] | None:
     """h_add of each label with its own price; None if the goal is out of reach."""
     core = network.core
     facts = np.full(len(core.givers), np.inf)
-    for _ in range(MOST_PASSES):
+    for _ in range(0 if core.is_deep else MOST_PASSES):
         better = core.least_sum_of_givers(core.sum_of_needs(facts)[:-1] + price)
         if (better == facts).all():
             break
