@@ -14,13 +14,8 @@ if TYPE_CHECKING:
     from cfgplan.validity import Violation
 
 
-def add_to(verbs: shared.Subparsers) -> None:
-    parser = shared.add_verb(
-        verbs,
-        "check",
-        "load and match an environment and judge its running configuration",
-        "  cfgplan check models/nao/2-segmenter-lost.yaml",
-    )
+def add_to(parser: argparse.ArgumentParser) -> None:
+    parser.epilog = "example:\n  cfgplan check models/nao/2-segmenter-lost.yaml"
     shared.add_environment(parser)
     shared.add_survive(parser)
     shared.add_matching(parser)

@@ -22,16 +22,14 @@ if TYPE_CHECKING:
     from cfgplan.comparing.report import Table
 
 
-def add_to(verbs: shared.Subparsers) -> None:
+def add_to(parser: argparse.ArgumentParser) -> None:
     from cfgplan.comparing.suites import SUITES
 
-    parser = shared.add_verb(
-        verbs,
-        "compare",
-        "run planners side by side, each run in a process of its own, and check them against each other",
+    parser.epilog = (
+        "example:\n"
         "  cfgplan compare models/nao/2-segmenter-lost.yaml models/building/office.yaml\n"
         "  cfgplan compare --instance 'random_library(transformations=50, depth=8)#7' --timeout 2\n"
-        "  cfgplan compare --suite short --planner cpsat --planner branch-and-bound --report build/compare",
+        "  cfgplan compare --suite short --planner cpsat --planner branch-and-bound --report build/compare"
     )
     parser.add_argument("envs", metavar="ENV", nargs="*", help="environment files to plan for")
     parser.add_argument("--suite", choices=SUITES, help="generated instances to plan for")

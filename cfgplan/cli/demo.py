@@ -8,7 +8,6 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from cfgplan.cli import options as shared
-from cfgplan.cli.durations import duration
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.screen import Screen
 from cfgplan.errors import InputError
@@ -19,15 +18,12 @@ _PLACES = (_HERE.parents[1] / "worlds", _HERE.parents[2] / "models")
 """In an installed package, and in a clone of the repository."""
 
 
-def add_to(verbs: shared.Subparsers) -> None:
-    parser = shared.add_verb(
-        verbs,
-        "demo",
-        "play the paper's case study: two robots, one ball, a failure and a fusion",
-        "  cfgplan demo nao\n  cfgplan demo nao --step 2s --report page.html",
-    )
+def add_to(parser: argparse.ArgumentParser) -> None:
+    parser.epilog = "example:\n  cfgplan demo nao\n  cfgplan demo nao --step 2s --report page.html"
     parser.add_argument("world", metavar="WORLD", nargs="?", choices=("nao",), default="nao", help="nao (the only one)")
-    parser.add_argument("--step", type=duration, default=6.0, metavar="TIME", help="watch each step so long (6s)")
+    parser.add_argument(
+        "--step", type=shared.duration, default=6.0, metavar="TIME", help="watch each step so long (6s)"
+    )
     page = "the page to write (nao.html)"
     parser.add_argument("--report", type=shared.out_file, metavar="FILE", default="nao.html", help=page)
     shared.add_json(parser)

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
+
+from rich.text import Text
 
 from cfgplan.canonical import normal
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import OF_STATUS, Exit
+from cfgplan.cli.plan_text import cpu
 from cfgplan.cli.screen import Screen
+from cfgplan.domain import Environment
+from cfgplan.explaining import Blocked, Choice, Clash, Unfed, Unreachable, Unused, Why, WhyNot
 
 if TYPE_CHECKING:
     from cfgplan.answers import Subject
@@ -16,13 +22,11 @@ if TYPE_CHECKING:
     from cfgplan.planning import Plan, Problem
 
 
-def add_to(verbs: shared.Subparsers) -> None:
-    parser = shared.add_verb(
-        verbs,
-        "explain",
-        "say why there is no plan, or why the plan uses what it uses and what doing without would cost",
+def add_to(parser: argparse.ArgumentParser) -> None:
+    parser.epilog = (
+        "example:\n"
         "  cfgplan explain models/nao/0-target-only.yaml\n"
-        "  cfgplan explain models/nao/4-fusion-available.yaml --transformation fuse_ball_pos",
+        "  cfgplan explain models/nao/4-fusion-available.yaml --transformation fuse_ball_pos"
     )
     shared.add_environment(parser)
     subject = parser.add_mutually_exclusive_group()
@@ -67,8 +71,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         unfed = {unit: plain(reason) for unit, reason in asked.items()}
         screen.show_json({"plan": plain(plan), "why": plain(tuple(whys)), "unused": plain(unused), "unfed": unfed})
         return OF_STATUS[plan.status]
-    from cfgplan.cli.explain_text import pinned_lines, table_lines, unused_lines, why_text
-    from cfgplan.cli.update_text import verdict
+    from cfgplan.cli.plan_text import verdict
 
     if _names_one(options):
         screen.show(why_text(whys[0]))
@@ -87,8 +90,7 @@ def _show_why_not(problem: Problem, why: WhyNot, screen: Screen) -> None:
 
         screen.show_json(plain(why))
         return
-    from cfgplan.cli.explain_text import why_not_text
-    from cfgplan.cli.update_text import undecided_lines, verdict
+    from cfgplan.cli.plan_text import undecided_lines, verdict
 
     screen.show(verdict(problem, why.plan))
     for line in undecided_lines(problem, why.plan):
@@ -114,7 +116,207 @@ def _subjects(options: argparse.Namespace, problem: Problem, plan: Plan) -> list
         unit, _, port = options.stream.rpartition("/")
         running = after.unit.get(unit)
         return [("stream", f"{running.transformation if running else unit}/{port}")]
-    from cfgplan.cli.update_text import with_the_stream
+    from cfgplan.cli.plan_text import with_the_stream
 
     used = dict.fromkeys(unit.transformation for unit in with_the_stream(after))
     return [("transformation", label) for label in used]
+
+
+MOST_LINES = 30
+"""More lines of one reason are left to `--json`."""
+
+
+def why_not_text(environment: Environment, why: WhyNot) -> Text:
+    """Why there is no plan, target by target; ends without a newline."""
+    lines: list[Text] = []
+    for reason in why.unreachable:
+        lines += [Text(line) for line in unreachable_lines(environment, reason, f"target {reason.target} wants")]
+    if why.clash is not None:
+        lines.append(Text(clash_line(why.clash)))
+        told = {reason.target for reason in why.unreachable}
+        lines += [Text(f"  {reason}") for label, reason in why.plan.reasons.items() if label not in told]
+    for unused in why.unused:
+        lines += [Text(line) for line in unused_lines(environment, unused)]
+    return Text("\n").join(lines)
+
+
+def unreachable_lines(environment: Environment, reason: Unreachable, opening: str) -> Iterator[str]:
+    """The tree of a reason, each transformation once."""
+    lines = list(_tree(environment, reason, opening))
+    yield from lines[:MOST_LINES]
+    if len(lines) > MOST_LINES:
+        yield f"  ... and {len(lines) - MOST_LINES} more lines, all in --json"
+
+
+def clash_line(clash: Clash) -> str:
+    demands = clash.demands
+    parts = [_named("target", demands.targets)] if demands.targets else []
+    parts += [_named("required", demands.required)] if demands.required else []
+    parts += [_named("pinned", demands.pinned)] if demands.pinned else []
+    number = len(demands.targets) + len(demands.required) + len(demands.pinned)
+    who = " with ".join(parts)
+    if clash.cost_us is None or clash.max_cost_us is None:
+        return f"{who}: no valid configuration meets {'them together' if number > 1 else 'it'}"
+    missing = " Without any one of them there is a plan." if number > 1 else ""
+    dear = f"costs at least {cpu(clash.cost_us)}, and {cpu(clash.max_cost_us)} is allowed"
+    return f"{who}: the cheapest plan for {'these alone' if number > 1 else 'it alone'} {dear}.{missing}"
+
+
+def unused_lines(environment: Environment, unused: Unused) -> Iterator[str]:
+    who = f"required {unused.transformation} is not used"
+    if unused.blocked is not None:
+        (first,) = unused.blocked.blocked[:1]
+        yield f"{who}: it can't run"
+        yield from ("  " + line for line in _below(environment, unused.blocked, first.transformation))
+    elif not unused.proven:
+        yield f"{who}: no plan that uses it was found, nor a proof that there is none"
+    elif unused.excluded_by:
+        yield f"{who}: no configuration uses it together with {' and '.join(unused.excluded_by)}"
+    else:
+        yield f"{who}: it can run, but no wiring leads from it to a target"
+
+
+def pinned_lines(environment: Environment, unit: str, why: Unreachable) -> Iterator[str]:
+    """Why a pinned unit can't be fed, down to the outputs that come nearest."""
+    yield f"pinned unit {unit} is stopped, since it can't be fed"
+    yield from ("  " + line for line in _below(environment, why, environment.unit[unit].transformation))
+
+
+def why_text(why: Why) -> Text:
+    """Why a plan uses something, or why not: what it serves, and what it would cost to do without."""
+    lines = []
+    if why.units:
+        named = [] if why.units == (why.subject,) else [f"runs as {_some(why.units)}"]
+        idle = "is a spare for when something fails" if why.is_spare else "serves no target"
+        served = f"serves {_named('target', why.targets)}" if why.targets else idle
+        through = [f"feeds {_some(why.consumers)}"] if why.consumers else []
+        lines.append(Text(f"{why.subject} {', '.join([*named, served, *through])}."))
+    lines.append(Text(choice_line(why), style="bold"))
+    for sign, labels, style in (("+", why.more, "green"), ("-", why.less, "red")):
+        if labels:
+            lines.append(Text(f"  {sign} {_some(labels)}", style=style))
+    if why.units and why.difference_us is not None and not why.more and not why.less:
+        lines.append(Text("  another unit of its transformation would take its place"))
+    if why.choice is Choice.FORCED:
+        lines += [Text(f"  {reason}") for reason in why.otherwise.reasons.values()]
+    return Text("\n").join(lines)
+
+
+def choice_line(why: Why) -> str:
+    """Forced, cheaper or a tie, as a sentence."""
+    how = "without it" if why.units else "with it"
+    more = why.difference_us or 0
+    match why.choice:
+        case Choice.FORCED:
+            return "Forced: there is no plan without it."
+        case Choice.CHEAPER:
+            return f"{'Used' if why.units else 'Not used'} because the next best plan, {how}, costs {cpu(more)} more."
+        case Choice.LESS_CHANGE:
+            return f"A tie in cost: the next best plan, {how}, costs the same, but rewires or starts more units."
+        case Choice.TIE:
+            return f"A tie: there is a plan {how} that is as good."
+        case Choice.DEMANDED if more < 0:
+            return f"Used because something is required or pinned: a plan {how} would cost {cpu(-more)} less."
+        case Choice.DEMANDED:
+            return f"Used because something is required or pinned: a plan {how} would be as cheap."
+        case Choice.IMPOSSIBLE:
+            return "Not used: no plan for these targets can use it."
+        case Choice.UNREAD:
+            return f"{why.subject} is read by nothing that the plan runs."
+        case Choice.UNDECIDED:
+            return "Not decided: the planner did not prove both plans."
+
+
+def table_lines(whys: Sequence[Why]) -> Iterator[str]:
+    """A line for each unit of a plan: what it serves, and what doing without its transformation would cost."""
+    width = max((len(unit) for why in whys for unit in why.units), default=0)
+    told = max((len(_some(why.targets)) for why in whys), default=0)
+    for why in whys:
+        for unit in why.units:
+            yield f"  {unit:{width}}  for {_some(why.targets) or '-':{told}}  {_briefly(why)}"
+
+
+def _briefly(why: Why) -> str:
+    match why.choice:
+        case Choice.FORCED:
+            return "forced"
+        case Choice.CHEAPER:
+            return f"without it {cpu(why.difference_us or 0)} more"
+        case Choice.LESS_CHANGE:
+            return "without it the same cost, more changes"
+        case Choice.TIE:
+            return "a tie"
+        case Choice.DEMANDED:
+            return f"required or pinned: without it {cpu(-(why.difference_us or 0))} less"
+    return "not decided"
+
+
+def _tree(environment: Environment, reason: Unreachable, opening: str) -> Iterator[str]:
+    yield from _demand(environment, reason.wanted, opening)
+    for giver in reason.wanted.givers:
+        yield from ("  " + line for line in _below(environment, reason, giver))
+
+
+def _below(environment: Environment, reason: Unreachable, root: str) -> Iterator[str]:
+    """What blocks a transformation, depth first, each one told once."""
+    blocked = {each.transformation: each for each in reason.blocked}
+    told: set[str] = set()
+    ahead: list[tuple[int, str, tuple[str, ...]]] = [(0, root, ())]
+    while ahead:
+        depth, label, above = ahead.pop()
+        indent = "  " * depth
+        if label not in blocked:
+            continue
+        if label in told:
+            again = "is fed only by itself, see above" if label in above else "see above"
+            yield f"{indent}{label}: {again}"
+            continue
+        told.add(label)
+        each = blocked[label]
+        for line in _blocked(environment, each):
+            yield indent + line
+        givers = [giver for unfed in each.inputs for giver in unfed.givers]
+        ahead += [(depth + 1, giver, (*above, label)) for giver in reversed(list(dict.fromkeys(givers)))]
+
+
+def _blocked(environment: Environment, blocked: Blocked) -> Iterator[str]:
+    if len(blocked.inputs) == 1:
+        (unfed,) = blocked.inputs
+        yield from _demand(environment, unfed, f"{blocked.transformation}: input {unfed.port} wants")
+        return
+    names = " and ".join(unfed.port or "" for unfed in blocked.inputs)
+    able = f"only {_some(blocked.available)} can feed them" if blocked.available else "nothing can feed them"
+    yield f"{blocked.transformation}: inputs {names} must be fed by different transformations, but {able}"
+
+
+def _demand(environment: Environment, unfed: Unfed, opening: str) -> Iterator[str]:
+    if unfed.givers:
+        yield f"{opening} {unfed.tag}, but what would give it can't run"
+        if unfed.undecided:
+            yield f"    nobody has decided yet whether what {_some(unfed.undecided)} gives matches"
+        return
+    yield f"{opening} {unfed.tag}, but no output matches"
+    fewest = min((len(offer.missing) for offer in unfed.nearest), default=0)
+    for offer in unfed.nearest:
+        if len(offer.missing) > fewest:
+            continue
+        givers = _some(_outputs(environment).get(offer.offered, ()))
+        yield f"    nearest: {givers} gives {offer.offered}: {offer.verdict}"
+
+
+def _outputs(environment: Environment) -> Mapping[str, tuple[str, ...]]:
+    found: dict[str, tuple[str, ...]] = {}
+    for transformation in environment.library:
+        for port in transformation.outputs:
+            found[port.tag] = (*found.get(port.tag, ()), f"{transformation.label}/{port.name}")
+    return found
+
+
+def _named(what: str, labels: frozenset[str] | tuple[str, ...]) -> str:
+    plural = "s" if what == "target" and len(labels) > 1 else ""
+    return f"{what}{plural} {_some(tuple(sorted(labels)))}"
+
+
+def _some(names: Sequence[str], most: int = 6) -> str:
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more

@@ -81,7 +81,7 @@ def _show(screen: Screen, problem: Problem, found: Front) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    from cfgplan.cli.fleet_text import cpu, quality
+    from cfgplan.cli.plan_text import cpu, quality
 
     table = Table("cost", found.attribute.name, "start", "rewire", "stop", "started units", box=None)
     for point in found.points:

@@ -15,13 +15,11 @@ from cfgplan.errors import InputError
 _ENDINGS = {".svg": "svg", ".png": "png", ".dot": "dot", ".gv": "dot", ".mmd": "mermaid", ".mermaid": "mermaid"}
 
 
-def add_to(verbs: shared.Subparsers) -> None:
-    parser = shared.add_verb(
-        verbs,
-        "graph",
-        "draw the configuration before and after the optimal update, the changes coloured",
+def add_to(parser: argparse.ArgumentParser) -> None:
+    parser.epilog = (
+        "example:\n"
         "  cfgplan graph models/nao/2-segmenter-lost.yaml --out update.svg\n"
-        "  cfgplan graph models/nao/2-segmenter-lost.yaml --format mermaid",
+        "  cfgplan graph models/nao/2-segmenter-lost.yaml --format mermaid"
     )
     shared.add_environment(parser)
     parser.add_argument(

@@ -9,26 +9,20 @@ from collections import deque
 
 from cfgplan.canonical import normal
 from cfgplan.cli import options as shared
-from cfgplan.cli.durations import duration
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.screen import Screen
 
 _RATE_OVER = 20
 
 
-def add_to(verbs: shared.Subparsers) -> None:
-    parser = shared.add_verb(
-        verbs,
-        "listen",
-        "print what comes on a topic of a running system",
-        "  cfgplan listen /result\n  cfgplan listen /result --json --count 10",
-    )
+def add_to(parser: argparse.ArgumentParser) -> None:
+    parser.epilog = "example:\n  cfgplan listen /result\n  cfgplan listen /result --json --count 10"
     parser.add_argument("topic", type=normal, metavar="TOPIC", help="the topic of a target, such as /result")
     parser.add_argument("--run", dest="run_id", metavar="ID", help="the run, if several have the topic")
     parser.add_argument("--count", type=shared.count, metavar="N", help="end after N elements")
-    parser.add_argument("--for", dest="span", type=duration, metavar="TIME", help="end after 30s, 5m, 1h")
+    parser.add_argument("--for", dest="span", type=shared.duration, metavar="TIME", help="end after 30s, 5m, 1h")
     parser.add_argument(
-        "--wait", type=duration, default=0.0, metavar="TIME", help="wait so long for the topic to be there"
+        "--wait", type=shared.duration, default=0.0, metavar="TIME", help="wait so long for the topic to be there"
     )
     shared.add_json(parser)
     parser.set_defaults(run=run)

@@ -7,35 +7,80 @@ import contextlib
 import io
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from importlib import import_module
+from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NoReturn, TextIO, cast
 
-from cfgplan.cli import (
-    check,
-    compare,
-    ctl,
-    demo,
-    explain,
-    exporting,
-    graph,
-    importing,
-    listen,
-    match,
-    query,
-    run,
-    sensitivity,
-    solve,
-)
-from cfgplan.cli.chatter import Chatter
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.interrupts import Ending, ended_cleanly
-from cfgplan.cli.overwriting import refuse_overwriting
 from cfgplan.cli.screen import FULL_DISK, Screen
 from cfgplan.errors import CfgplanError, Fault, InputError
 from cfgplan.planning import PlannerFaultError
 
 _EXTRA_OF = {"cv2": "demo", "jinja2": "demo", "matplotlib": "plots", "prometheus_client": "metrics"}
-VERBS = (check, match, solve, explain, sensitivity, graph, run, ctl, listen, query, demo, compare, importing, exporting)
+VERBS: Mapping[str, tuple[str, str]] = MappingProxyType(
+    {
+        "check": (
+            "check:add_to",
+            "load and match an environment and judge its running configuration",
+        ),
+        "match": (
+            "match:add_to",
+            "print which outputs may feed which inputs and targets, or explain one pair",
+        ),
+        "solve": (
+            "solve:add_to",
+            "find the cheapest update that meets every target, and prove it",
+        ),
+        "explain": (
+            "explain:add_to",
+            "say why there is no plan, or why the plan uses what it uses and what doing without would cost",
+        ),
+        "sensitivity": (
+            "sensitivity:add_to",
+            "find for which horizons, or upkeeps of a transformation, which plan is optimal",
+        ),
+        "graph": (
+            "graph:add_to",
+            "draw the configuration before and after the optimal update, the changes coloured",
+        ),
+        "run": (
+            "run:add_to",
+            "start what meets the targets, as processes, and keep it the best there is",
+        ),
+        "ctl": (
+            "ctl:add_to",
+            "steer a run that is under way",
+        ),
+        "listen": (
+            "listen:add_to",
+            "print what comes on a topic of a running system",
+        ),
+        "query": (
+            "query:add_to",
+            "answer a temporal formula over the streams of semantic subscriptions",
+        ),
+        "demo": (
+            "demo:add_to",
+            "play the paper's case study: two robots, one ball, a failure and a fusion",
+        ),
+        "compare": (
+            "compare:add_to",
+            "run planners side by side, each run in a process of its own, and check them against each other",
+        ),
+        "import": (
+            "exchange:add_import",
+            "turn the paper's XML, or a web service composition test set, into an environment file",
+        ),
+        "export": (
+            "exchange:add_export",
+            "write the environment file's JSON Schema, or an environment as YAML or the paper's XML",
+        ),
+    }
+)
+"""Each verb: the function that adds its options, in a module that only this verb needs, and what it does."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -55,7 +100,7 @@ def _main(arguments: Sequence[str], ending: Ending) -> int:
     try:
         try:
             _say_every_character(screen)
-            parser = _parser()
+            parser = _parser(arguments)
             options = parser.parse_args(arguments)
             if not hasattr(options, "run"):
                 parser.print_help(sys.stderr)
@@ -160,7 +205,7 @@ class Parser(argparse.ArgumentParser):
         raise _UsageError(message, self)
 
 
-def _parser() -> Parser:
+def _parser(arguments: Sequence[str]) -> Parser:
     from cfgplan import __version__
 
     parser = Parser(
@@ -173,6 +218,63 @@ def _parser() -> Parser:
     )
     parser.add_argument("--version", action="version", version=f"cfgplan {__version__}")
     verbs = parser.add_subparsers(metavar="VERB")
-    for verb in VERBS:
-        verb.add_to(verbs)
+    asked = next((each for each in arguments if not each.startswith("-")), None)
+    for name, (place, summary) in VERBS.items():
+        sentence = f"{summary[0].upper()}{summary[1:]}."
+        verb = verbs.add_parser(
+            name, help=summary, description=sentence, formatter_class=argparse.RawDescriptionHelpFormatter
+        )
+        if name == asked:
+            module, _, add_to = place.partition(":")
+            getattr(import_module(f"cfgplan.cli.{module}"), add_to)(verb)
     return parser
+
+
+class Chatter:
+    """A stream that is silent from the moment on at which it can't be written."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        self._try(lambda: self._stream.write(text))
+        return len(text)
+
+    def flush(self) -> None:
+        self._try(self._stream.flush)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def _try(self, action: Callable[[], object]) -> None:
+        try:
+            action()
+        except OSError:
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, self._stream.fileno())
+            os.close(nowhere)
+
+
+_READ = ("env", "envs", "also", "path", "features")
+_WRITTEN = ("out", "plot", "log", "record", "results")
+
+
+def refuse_overwriting(options: argparse.Namespace) -> None:
+    """Raises InputError if a file to write is one of those to read."""
+    read = list(_files(options, _READ))
+    for written in _files(options, _WRITTEN):
+        if any(_is_same(written, each) for each in read):
+            raise InputError.of("this is the file to read: it is not written over", file=written, mend="name another")
+
+
+def _files(options: argparse.Namespace, names: tuple[str, ...]) -> Iterator[str]:
+    for name in names:
+        value = getattr(options, name, None)
+        yield from [value] if isinstance(value, str) else value or ()
+
+
+def _is_same(one: str, other: str) -> bool:
+    try:
+        return Path(one).is_file() and Path(one).samefile(other)
+    except OSError:
+        return False

@@ -20,13 +20,11 @@ MOST_OPEN = 10
 """More open outputs of one input are counted, not listed."""
 
 
-def add_to(verbs: shared.Subparsers) -> None:
-    parser = shared.add_verb(
-        verbs,
-        "match",
-        "print which outputs may feed which inputs and targets, or explain one pair",
+def add_to(parser: argparse.ArgumentParser) -> None:
+    parser.epilog = (
+        "example:\n"
         "  cfgplan match models/nao/1-piff-registered.yaml\n"
-        "  cfgplan match models/nao/1-piff-registered.yaml 'segmenter(piff)/hull' 'ball_detector(piff)/hull'",
+        "  cfgplan match models/nao/1-piff-registered.yaml 'segmenter(piff)/hull' 'ball_detector(piff)/hull'"
     )
     shared.add_environment(parser)
     parser.add_argument("output", nargs="?", type=normal, help="an output as transformation/port")

@@ -5,11 +5,12 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import re
 from collections.abc import Callable
 from dataclasses import asdict
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal
 
 from cfgplan.canonical import normal
 from cfgplan.cli.screen import Screen
@@ -19,20 +20,6 @@ if TYPE_CHECKING:
     from cfgplan import api
     from cfgplan.matching import Matches
     from cfgplan.planning import Failures, Problem, Progress
-
-Subparsers: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
-
-
-def add_verb(verbs: Subparsers, name: str, summary: str, example: str) -> argparse.ArgumentParser:
-    """A parser for one verb, whose help ends with an example."""
-    parser: argparse.ArgumentParser = verbs.add_parser(
-        name,
-        help=summary,
-        description=summary[0].upper() + summary[1:] + ".",
-        epilog=f"example:\n{example}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    return parser
 
 
 def add_environment(parser: argparse.ArgumentParser) -> None:
@@ -242,3 +229,14 @@ def put(text: str, out: str | None, screen: Screen) -> None:
     else:
         api.write_file(Path(out), text.encode())
         screen.note(f"Wrote {out}.")
+
+
+_SECONDS = {"ms": 0.001, "s": 1.0, "m": 60.0, "h": 3600.0}
+
+
+def duration(text: str) -> float:
+    """Seconds of `30s`, `1.5m`, `200ms`, `2h` or plain `30`."""
+    found = re.fullmatch(r"(\d+(?:\.\d+)?)(ms|s|m|h)?", text)
+    if found is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is no span of time: write 30s, 5m or 1h")
+    return float(found[1]) * _SECONDS[found[2] or "s"]

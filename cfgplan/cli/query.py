@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import signal
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cfgplan.canonical import normal
 from cfgplan.cli import options as shared
-from cfgplan.cli.durations import duration
 from cfgplan.cli.exits import Exit
-from cfgplan.cli.query_text import as_json, as_text
-from cfgplan.cli.screen import Screen
+from cfgplan.cli.screen import FORMAT_VERSION, Screen, counted
 from cfgplan.errors import Fault, InputError, InvalidValueError
 
 if TYPE_CHECKING:
+    from cfgplan_runtime.reasoning.answers import Answer, Progressed, Report
     from cfgplan_runtime.reasoning.features import Declared
+    from cfgplan_runtime.reasoning.monitor import Waiting
     from cfgplan_runtime.reasoning.queries import Query
     from cfgplan_runtime.reasoning.subscriptions import Subscriptions
 
@@ -29,14 +31,12 @@ if TYPE_CHECKING:
 _EXITS = {"true": Exit.OK, "false": Exit.INVALID, "open": Exit.NOT_PROVEN, "unknown": Exit.NO_ANSWER}
 
 
-def add_to(verbs: shared.Subparsers) -> None:
-    parser = shared.add_verb(
-        verbs,
-        "query",
-        "answer a temporal formula over the streams of semantic subscriptions",
+def add_to(parser: argparse.ArgumentParser) -> None:
+    parser.epilog = (
+        "example:\n"
         '  cfgplan query env.yaml "always (not in(ball, opponent_half) -> eventually[0,10s] in(ball, opponent_half))"\n'
         "  cfgplan query env.yaml 'eventually[0,1min] ball.x > 3' --feature ball='Position and hasSource some Ball'\n\n"
-        "exit codes: 0 true, 1 false, 20 open still, 21 unknown (values were missing), 10 a feature can't be had",
+        "exit codes: 0 true, 1 false, 20 open still, 21 unknown (values were missing), 10 a feature can't be had"
     )
     parser.add_argument(
         "env",
@@ -68,19 +68,31 @@ def add_to(verbs: shared.Subparsers) -> None:
         help="such as goal='{circle: [4, 0], radius: 1}'",
     )
     parser.add_argument("--run", dest="run_id", metavar="ID", help="ask this run instead of starting units here")
-    parser.add_argument("--for", dest="span", type=duration, metavar="TIME", help="stop after 30s, 5m, 1h")
+    parser.add_argument("--for", dest="span", type=shared.duration, metavar="TIME", help="stop after 30s, 5m, 1h")
     parser.add_argument("--rate", type=shared.positive, metavar="HZ", help="states a second (one at each sample)")
     parser.add_argument(
-        "--delay", type=duration, default=0.2, metavar="TIME", help="wait so long for samples of a state's time (200ms)"
+        "--delay",
+        type=shared.duration,
+        default=0.2,
+        metavar="TIME",
+        help="wait so long for samples of a state's time (200ms)",
     )
     parser.add_argument(
-        "--hold", type=duration, default=1.0, metavar="TIME", help="a value counts so long, then it is missing (1s)"
+        "--hold",
+        type=shared.duration,
+        default=1.0,
+        metavar="TIME",
+        help="a value counts so long, then it is missing (1s)",
     )
     parser.add_argument(
-        "--tolerance", type=duration, default=0.0, metavar="TIME", help="samples this near make one state (0)"
+        "--tolerance", type=shared.duration, default=0.0, metavar="TIME", help="samples this near make one state (0)"
     )
     parser.add_argument(
-        "--wait", type=duration, default=0.0, metavar="TIME", help="wait so long for features that can't be had yet (0)"
+        "--wait",
+        type=shared.duration,
+        default=0.0,
+        metavar="TIME",
+        help="wait so long for features that can't be had yet (0)",
     )
     parser.add_argument("--verbose", action="store_true", help="say what happens to the units")
     shared.add_json(parser)
@@ -203,3 +215,92 @@ def _interruptible() -> Iterator[None]:
     finally:
         for one, handler in zip(signals, before, strict=True):
             signal.signal(one, handler)
+
+
+def as_json(screen: Screen) -> Callable[[Report], None]:
+    def show(report: Report) -> None:
+        line = {"format_version": FORMAT_VERSION, "event": type(report).__name__, **asdict(report)}
+        screen.write(json.dumps(line, default=sorted, ensure_ascii=False) + "\n")
+        screen.flush()
+
+    return show
+
+
+def as_text(screen: Screen, formula: str, *, verbose: bool) -> Callable[[Report], None]:
+    from cfgplan_runtime.reasoning import answers
+
+    last: list[object] = [None]
+
+    def show(report: Report) -> None:
+        match report:
+            case answers.SetUp(topics, seconds):
+                streams = ", ".join(f"{name} on {topic}" for name, topic in topics.items())
+                screen.note(f"Set up in {seconds:.2f} s: {streams or 'no streams are needed'}.")
+            case answers.Noted(text):
+                screen.note(text, style="yellow" if verbose or "unknown" in text else "dim")
+            case answers.Progressed():
+                situation = (report.waiting, report.possible, report.missing)
+                if situation != last[0]:
+                    last[0] = situation
+                    screen.show(f"{_clock(report.time_ns)}  open   {_open_text(report)}")
+            case answers.Answer():
+                screen.show(_answer_text(report, formula))
+        screen.flush()
+
+    return show
+
+
+def _open_text(report: Progressed) -> str:
+    parts = [f"waits for {_waiting_text(each)}" for each in report.waiting if each.until_ns is not None][:2]
+    if len(report.possible) < 3:
+        parts.append(f"can still become {' or '.join(sorted(report.possible))}")
+    if report.missing:
+        parts.append(f"no value of {', '.join(report.missing)}")
+    return "; ".join(parts) or f"after {counted(report.states, 'state')}"
+
+
+def _answer_text(answer: Answer, formula: str) -> str:
+    lines = []
+    at = "" if answer.time_ns is None else f"{_clock(answer.time_ns)}  "
+    lines.append(f"{at}{answer.verdict.value}   {formula}")
+    if answer.time_ns is None or answer.first_ns is None:
+        lines.append("  no state came")
+    else:
+        span = f"{(answer.time_ns - answer.first_ns) / 1e9:.3f} s after the first"
+        if answer.delay_s is None:
+            lines.append(f"  after {counted(answer.states, 'state')}; the last is {span}")
+        else:
+            late = f"known {1000 * answer.delay_s:.0f} ms after its time"
+            lines.append(f"  decided by state {answer.states}, {span}; {late}")
+            lines += [
+                f"  {each.text} of {_clock(each.since_ns)} had ended" for each in answer.expired[:3] if each.since_ns
+            ]
+            lines += [f"  in it {text} is {verdict.value}" for text, verdict in list(answer.last.items())[:6]]
+    lines += [f"  waits for {_waiting_text(each)}" for each in answer.waiting[:3] if answer.delay_s is None]
+    if answer.delay_s is None and len(answer.possible) < 3:
+        lines.append(f"  it can still become {' or '.join(sorted(answer.possible))}")
+    lines += _losses(answer.missing, answer)
+    return "\n".join(lines)
+
+
+def _losses(missing: Mapping[str, int], answer: Answer) -> Sequence[str]:
+    found = [f"{name} had no value in {counted(count, 'state')}" for name, count in missing.items() if count]
+    if answer.late:
+        found.append(f"{counted(answer.late, 'sample')} came too late (--delay)")
+    if answer.dropped:
+        found.append(f"{counted(answer.dropped, 'sample')} dropped because the query was slow")
+    return [f"  {text}" for text in found]
+
+
+def _waiting_text(waiting: Waiting) -> str:
+    since = "" if waiting.since_ns is None else f" of {_clock(waiting.since_ns)}"
+    until = "" if waiting.until_ns is None else f", until {_clock(waiting.until_ns)}"
+    return f"{waiting.text}{since}{until}"
+
+
+def _clock(time_ns: Any) -> str:
+    """A time on the clock; of a stream with a clock of its own, in seconds."""
+    if time_ns < 1_000_000_000 * 86_400 * 365:
+        return f"{time_ns / 1e9:.3f}s"
+    at = time.strftime("%H:%M:%S", time.localtime(time_ns / 1e9))
+    return f"{at}.{time_ns // 1_000_000 % 1000:03}"

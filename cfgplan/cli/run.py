@@ -12,23 +12,25 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cfgplan.cli import options as shared
-from cfgplan.cli.durations import duration
-from cfgplan.cli.exits import Exit
+from cfgplan.cli.exits import OF_STATUS, Exit
 from cfgplan.cli.interrupts import Interrupts
 from cfgplan.cli.run_output import Output, output_for
 from cfgplan.cli.screen import Screen, counted
 from cfgplan.errors import InputError
+from cfgplan.planning import Decider, Problem
 
 if TYPE_CHECKING:
     from cfgplan_runtime.operating.operation import Operation, Settings
 
     from cfgplan.api import World
+    from cfgplan.explaining.best_effort import BestEffort
     from cfgplan.planning import Plan, Planner, Problem
 
 _LOOK_S = 0.1
 _ESTIMATORS = ("declared", "latest", "average", "trend", "holt")
 _GUESSES = ("declared", "optimistic", "pessimistic")
 _EXAMPLE = """\
+example:
   cfgplan run env.yaml --for 30s --record run.mcap
   cfgplan listen /result      (in another terminal)
   cfgplan ctl state           (likewise)
@@ -39,12 +41,10 @@ Exit codes: 0 stopped with every target met, 12 with one that was not, 30 bad in
 130 interrupted at once; --strict and --dry-run: as of solve."""
 
 
-def add_to(verbs: shared.Subparsers) -> None:
-    parser = shared.add_verb(
-        verbs, "run", "start what meets the targets, as processes, and keep it the best there is", _EXAMPLE
-    )
+def add_to(parser: argparse.ArgumentParser) -> None:
+    parser.epilog = _EXAMPLE
     shared.add_environment(parser)
-    parser.add_argument("--for", dest="span", type=duration, metavar="TIME", help="stop after 30s, 5m, 1h")
+    parser.add_argument("--for", dest="span", type=shared.duration, metavar="TIME", help="stop after 30s, 5m, 1h")
     parser.add_argument("--dry-run", action="store_true", help="say what would be started, and start nothing")
     parser.add_argument("--strict", action="store_true", help="start nothing unless every target can be met")
     parser.add_argument("--plain", action="store_true", help="lines instead of the live view, as when piped")
@@ -67,7 +67,7 @@ def add_to(verbs: shared.Subparsers) -> None:
     kept.add_argument("--no-estimates", action="store_true", help="neither read nor keep estimates")
     parser.add_argument(
         "--back-off",
-        type=duration,
+        type=shared.duration,
         default=3.0,
         metavar="TIME",
         help="how long at most what keeps failing waits for its next start where nothing can take its place (3s)",
@@ -105,16 +105,15 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     world = replace(loaded, environment=replace(loaded.environment, units=()))
     if options.dry_run or options.strict:
         from cfgplan.api import FEW_PAIRS
-        from cfgplan.cli import dry_run
 
         settings = _settings(options)
         matches = shared.matches(options, screen, world, FEW_PAIRS)
         problem = shared.problem(options, screen, world, matches)
         with screen.phase("plan"):
-            found = dry_run.first_update(problem, settings, matches)
-        code = dry_run.exit_of(found)
+            found = first_update(problem, settings, matches)
+        code = _exit_of(found)
         if options.dry_run or code is not Exit.OK:
-            dry_run.show(found, world.digest, screen)
+            _show_first(found, world.digest, screen)
             return code
     return _operate(options, world, screen)
 
@@ -230,3 +229,43 @@ def _planner(name: str) -> Planner:
         return api.plan(problem, planner=name, **more)
 
     return plan
+
+
+def first_update(problem: Problem, settings: Settings, decider: Decider) -> BestEffort:
+    """What the first review of a run would decide, by the costs that are known by now."""
+    from cfgplan_runtime.estimating.estimator import make_estimator
+    from cfgplan_runtime.estimating.keeping import load
+
+    from cfgplan.explaining.best_effort import best_effort
+    from cfgplan.planners import PLANNERS
+    from cfgplan.planners.undecided import Deciding
+
+    estimator = make_estimator(settings.estimator, settings.guess)
+    if settings.estimates is not None:
+        load(estimator, settings.estimates, time.monotonic())
+    environment = problem.environment
+    library = estimator.estimated(environment.library, problem.horizon_s)
+    estimated = replace(problem, environment=replace(environment, library=tuple(library)))
+    deciding = Deciding(settings.planner or PLANNERS["cpsat"], decider)
+    found = best_effort(estimated, deciding, time_limit_s=settings.policy.time_limit_s)
+    return replace(found, problem=deciding.known(found.problem))
+
+
+def _exit_of(found: BestEffort) -> Exit:
+    """The exit code: as of `solve --best-effort`."""
+    code = OF_STATUS[found.plan.status]
+    if code is Exit.OK and not found.exact:
+        return Exit.NOT_PROVEN
+    return Exit.UNMET if found.unmet and code is Exit.OK else code
+
+
+def _show_first(found: BestEffort, digest: str, screen: Screen) -> None:
+    """Print it; as JSON it is a plan file."""
+    if screen.json:
+        from cfgplan.formats import dump_plan
+
+        screen.write(dump_plan(found.plan, found.problem, digest))
+    else:
+        from cfgplan.cli.plan_text import update_text
+
+        screen.show(update_text(found.problem, found.plan, found.given_up))

@@ -16,9 +16,9 @@ from rich.rule import Rule
 from rich.table import Table
 from rich.text import Text
 
+from cfgplan.cli.plan_text import with_the_stream
 from cfgplan.cli.run_report import printable
 from cfgplan.cli.screen import counted
-from cfgplan.cli.update_text import with_the_stream
 from cfgplan.domain import ComputationUnit
 
 T = TypeVar("T")

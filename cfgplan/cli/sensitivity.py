@@ -3,24 +3,29 @@
 from __future__ import annotations
 
 import argparse
+import io
+from collections.abc import Iterator
+from fractions import Fraction
 from pathlib import Path
+
+from rich.text import Text
 
 from cfgplan.canonical import normal
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import Exit
+from cfgplan.cli.plan_text import cpu
 from cfgplan.cli.screen import Screen
 from cfgplan.errors import InputError
+from cfgplan.explaining import Sensitivity, Span
 
 _ENDINGS = (".svg", ".png", ".pdf")
 
 
-def add_to(verbs: shared.Subparsers) -> None:
-    parser = shared.add_verb(
-        verbs,
-        "sensitivity",
-        "find for which horizons, or upkeeps of a transformation, which plan is optimal",
+def add_to(parser: argparse.ArgumentParser) -> None:
+    parser.epilog = (
+        "example:\n"
         "  cfgplan sensitivity models/building/office.yaml\n"
-        "  cfgplan sensitivity models/building/office.yaml --upkeep-of air_flow_meter --out upkeep.svg",
+        "  cfgplan sensitivity models/building/office.yaml --upkeep-of air_flow_meter --out upkeep.svg"
     )
     shared.add_environment(parser)
     parser.add_argument(
@@ -56,14 +61,145 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         here = None if found.here is None else found.spans.index(found.here)
         screen.show_json({**plain(found), "breaks": plain(found.breaks), "here": here})
     else:
-        from cfgplan.cli.sensitivity_text import sensitivity_text
-
         screen.show(sensitivity_text(found))
     if not found.spans:
         return Exit.NO_PLAN if found.exact else Exit.NO_ANSWER
     if options.out:
-        from cfgplan.cli.sensitivity_plot import picture
-
         api.write_file(Path(options.out), picture(found, Path(options.out).suffix[1:].lower()))
         screen.note(f"Wrote {options.out}.")
     return Exit.OK if found.exact else Exit.NOT_PROVEN
+
+
+def sensitivity_text(found: Sensitivity) -> Text:
+    """The whole report; ends without a newline."""
+    return Text("\n").join(_lines(found))
+
+
+def value_text(value: Fraction, found: Sensitivity) -> str:
+    """A value of the parameter for people: `12.5 s`, or `0.08 s/s` of upkeep; rounded if it is no short decimal."""
+    if found.transformation is None:
+        return f"{_decimal(value)} s"
+    return f"{_decimal(value / 1_000_000)} s/s"
+
+
+def what_varies(found: Sensitivity) -> str:
+    return "the horizon" if found.transformation is None else f"the upkeep of {found.transformation}"
+
+
+def headline(found: Sensitivity) -> str:
+    """Where the plan for the present value stays optimal."""
+    if found.here is None:
+        return f"The present value is beyond {value_text(Fraction(found.last), found)}, where costs end to be exact."
+    value = value_text(Fraction(found.value), found)
+    best = "optimal" if found.exact else "the best that was found"
+    return f"The plan {_given(found)} of {value} is {best} {_reach(found, found.here)}."
+
+
+def _lines(found: Sensitivity) -> Iterator[Text]:
+    if not found.spans:
+        proven = "" if found.exact else ", as far as is known"
+        yield Text(f"There is no plan for any value of {what_varies(found)}{proven}.", style="bold red")
+        return
+    here = found.here
+    yield Text(headline(found), style="bold")
+    for place, span in enumerate(found.spans):
+        mark = "  <- here" if span is here else ""
+        yield Text(f"  {_reach(found, span)}: {_cost(found, span)}{mark}", style="bold" if mark else "")
+        yield from _difference(found.spans[place - 1] if place else None, span)
+    if found.spans[-1].end is not None:
+        yield Text(f"Beyond {value_text(Fraction(found.last), found)} costs can't be computed exactly.", style="dim")
+    if not found.exact:
+        yield Text(
+            "Not all plans were proven optimal: there may be cheaper ones and other break points.", style="yellow"
+        )
+
+
+def _given(found: Sensitivity) -> str:
+    return "for a horizon" if found.transformation is None else f"for {found.transformation} with an upkeep"
+
+
+def _reach(found: Sensitivity, span: Span) -> str:
+    begin = value_text(span.begin, found)
+    if span.end is None:
+        return f"from {begin} on" if span.begin else f"whatever {what_varies(found)} is"
+    return f"from {begin} to {value_text(span.end, found)}"
+
+
+def _cost(found: Sensitivity, span: Span) -> str:
+    if found.transformation is None:
+        return f"{cpu(span.line.fixed_us)} once and {cpu(span.line.each_us)}/s"
+    if not span.line.each_us:
+        return f"{cpu(span.line.fixed_us)}, without {found.transformation}"
+    return f"{cpu(span.line.fixed_us)} and {span.line.each_us} s times its upkeep"
+
+
+def _difference(before: Span | None, span: Span) -> Iterator[Text]:
+    if before is None:
+        yield Text(f"    {', '.join(span.runs) or 'nothing runs'}")
+        return
+    for sign, labels, style in (
+        ("+", set(span.runs) - set(before.runs), "green"),
+        ("-", set(before.runs) - set(span.runs), "red"),
+    ):
+        if labels:
+            yield Text(f"    {sign} {', '.join(sorted(labels))}", style=style)
+
+
+def _decimal(value: Fraction) -> str:
+    rounded = round(value, 6)
+    text = f"{float(rounded):.6f}".rstrip("0").rstrip(".")
+    return text if rounded == value else f"about {text}"
+
+
+def picture(found: Sensitivity, kind: str) -> bytes:
+    """The bytes of an image of this kind (svg, png or pdf)."""
+    try:
+        import matplotlib
+    except ImportError:
+        mend = "pip install 'cfgplan[plots]'"
+        raise InputError.of("a picture of the sensitivity needs matplotlib", mend=mend) from None
+    from matplotlib.figure import Figure
+
+    in_seconds = 1 if found.transformation is None else 1_000_000
+    right = _right_edge(found)
+    with matplotlib.rc_context({"svg.hashsalt": "cfgplan", "text.parse_math": False}):
+        figure = Figure(figsize=(8, 4.5), layout="constrained")
+        axes = figure.subplots()
+        for span in found.spans:
+            ends = [span.begin, right if span.end is None else min(span.end, right)]
+            costs = [(span.line.fixed_us + span.line.each_us * end) / 1_000_000 for end in ends]
+            axes.plot(
+                [float(e / in_seconds) for e in ends], [float(c) for c in costs], label=_label(found, span), linewidth=2
+            )
+            if span.begin:
+                axes.plot([float(span.begin / in_seconds)], [float(costs[0])], "ko", markersize=5)
+                place = (float(span.begin / in_seconds), float(costs[0]))
+                text = value_text(span.begin, found)
+                axes.annotate(text, place, xytext=(6, -12), textcoords="offset points", fontsize=9)
+        if found.value <= right:
+            axes.axvline(found.value / in_seconds, color="grey", linestyle=":", label="now")
+        axes.set_xlabel("horizon (s)" if found.transformation is None else f"upkeep of {found.transformation} (s/s)")
+        axes.set_ylabel("least cost (CPU seconds)")
+        axes.set_xlim(left=0, right=float(right / in_seconds))
+        axes.set_ylim(bottom=0)
+        axes.set_title(headline(found), fontsize=10)
+        axes.legend(fontsize=9)
+        image = io.BytesIO()
+        figure.savefig(image, format=kind, metadata={"Date": None} if kind == "svg" else None)
+    return image.getvalue()
+
+
+def _right_edge(found: Sensitivity) -> Fraction:
+    """The last break point has room; the present value is shown if that leaves the break points to be seen."""
+    if not found.breaks:
+        return max(Fraction(found.value), Fraction(1)) * 2
+    return max(found.breaks[-1] * 2, min(Fraction(found.value) * Fraction(5, 4), found.breaks[-1] * 4))
+
+
+def _label(found: Sensitivity, span: Span) -> str:
+    """What tells a plan from the others: what it runs, and not all of them do."""
+    everywhere = set(found.spans[0].runs).intersection(*(other.runs for other in found.spans))
+    own = [label for label in span.runs if label not in everywhere]
+    more = f" and {len(own) - 3} more" if len(own) > 3 else ""
+    text = ", ".join(own[:3]) + more if own else "the same in all plans"
+    return f" {text}" if text.startswith("_") else text  # a label that begins with _ is left out of a legend

@@ -5,32 +5,34 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rich.text import Text
+
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import OF_STATUS, Exit
 from cfgplan.cli.front import add_front, show_front
+from cfgplan.cli.plan_text import cpu, verdict
 from cfgplan.cli.screen import Screen, counted
 from cfgplan.errors import InputError
-from cfgplan.planning import PlannerFaultError, Status
+from cfgplan.explaining import Alternatives
+from cfgplan.planning import Plan, PlannerFaultError, Problem, Status
 
 if TYPE_CHECKING:
     from cfgplan.api import World
     from cfgplan.planning import Decider, Pair, Problem
 
 
-def add_to(verbs: shared.Subparsers) -> None:
-    parser = shared.add_verb(
-        verbs,
-        "solve",
-        "find the cheapest update that meets every target, and prove it",
+def add_to(parser: argparse.ArgumentParser) -> None:
+    parser.epilog = (
+        "example:\n"
         "  cfgplan solve models/nao/2-segmenter-lost.yaml\n"
         "  cfgplan solve models/building/office.yaml --horizon 30 --out plan.json\n"
         "  cfgplan solve models/nao/4-fusion-available.yaml --alternatives 3\n"
-        "  cfgplan solve models/nao/4-fusion-available.yaml --without 'segmenter(piff).1' --set horizon=600",
+        "  cfgplan solve models/nao/4-fusion-available.yaml --without 'segmenter(piff).1' --set horizon=600"
     )
     shared.add_environment(parser)
     shared.add_planning(parser)
@@ -84,8 +86,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
 def _solve(options: argparse.Namespace, screen: Screen, world: World, problem: Problem, matches: Decider) -> Exit:
     from cfgplan import answers, api
-    from cfgplan.cli.explain_text import pinned_lines
-    from cfgplan.cli.update_text import update_text
+    from cfgplan.cli.explain import pinned_lines
+    from cfgplan.cli.plan_text import update_text
 
     is_proven = True
     undecided: tuple[Pair, ...] = ()
@@ -139,7 +141,7 @@ def _solve(options: argparse.Namespace, screen: Screen, world: World, problem: P
 def _show_unjudged(screen: Screen, world: World, problem: Problem, error: PlannerFaultError) -> Exit:
     """Print a plan that nobody vouches for and why not; as plain data where even its text fails."""
     from cfgplan import api
-    from cfgplan.cli.update_text import update_text
+    from cfgplan.cli.plan_text import update_text
 
     document: dict[str, Any] = {"cost_us": error.plan.cost_us, "change_set": repr(error.plan.change_set)}
     with suppress(Exception):
@@ -176,10 +178,48 @@ def _alternatives(
         plans = [json.loads(document) for document in documents]
         screen.show_json({"complete": found.complete, "has_more": found.has_more, "alternatives": plans})
     else:
-        from cfgplan.cli.alternatives_text import alternatives_text
-
         screen.show(alternatives_text(problem, found))
         screen.times()
         if options.out:
             screen.note(f"Wrote {options.out}: the first of them.")
     return OF_STATUS[found.plans[0].status] if found.complete else Exit.NOT_PROVEN
+
+
+def alternatives_text(problem: Problem, found: Alternatives) -> Text:
+    """The plans in order; ends without a newline."""
+    lines = [line for place, plan in enumerate(found.plans) for line in _plan(problem, found.plans[0], place, plan)]
+    lines.append(verdict(problem, found.plans[0]))
+    if not found.complete:
+        lines.append(Text("Further alternatives may be missing: not all could be decided.", style="yellow"))
+    elif found.has_more:
+        lines.append(Text("There are more: ask for a larger number of alternatives.", style="dim"))
+    else:
+        lines.append(Text("There are no others.", style="dim"))
+    return Text("\n").join(lines)
+
+
+def _plan(problem: Problem, first: Plan, place: int, plan: Plan) -> Iterator[Text]:
+    changes = plan.change_set
+    assert changes is not None and plan.cost_us is not None and first.cost_us is not None
+    difference_us = plan.cost_us - first.cost_us
+    more = f" ({'+' if difference_us >= 0 else '-'}{cpu(abs(difference_us))})" if place else ""
+    kept = len(problem.environment.units) - len(changes.stopped) - len(changes.rewired)
+    yield Text(
+        f"{place + 1}. {cpu(plan.cost_us)}{more}: {len(changes.started)} to start, {len(changes.rewired)} to rewire, "
+        f"{len(changes.stopped)} to stop, {kept} kept as they are",
+        style="bold",
+    )
+    one, other = _running(problem, first), _running(problem, plan)
+    if not place:
+        yield Text(f"   {', '.join(sorted(other)) or 'nothing runs'}")
+    if other - one:
+        yield Text(f"   + {', '.join(sorted(other - one))}", style="green")
+    if one - other:
+        yield Text(f"   - {', '.join(sorted(one - other))}", style="red")
+    for label in plan.unused_required:
+        yield Text(f"   required {label} is not used", style="yellow")
+
+
+def _running(problem: Problem, plan: Plan) -> set[str]:
+    assert plan.change_set is not None
+    return {unit.transformation for unit in problem.environment.update(plan.change_set).units}

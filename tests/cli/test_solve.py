@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from command import MODELS, Run
 
-from cfgplan.cli.update_text import why_unused
+from cfgplan.cli.plan_text import why_unused
 from cfgplan.domain import ChangeSet
 from cfgplan.errors import InputError
 from cfgplan.formats import load_plan
@@ -153,7 +153,7 @@ def _refuse(*_: object) -> list[str]:
     [
         ("cfgplan.api.plan_violations", _break_the_judge, "the judge failed: RecursionError: too deep"),
         ("cfgplan.api.plan_violations", _refuse, "the answer of planner cpsat is wrong: the update costs 1 us"),
-        ("cfgplan.cli.update_text._summary", _break_the_judge, "it can't be told: RecursionError: too deep"),
+        ("cfgplan.cli.plan_text._summary", _break_the_judge, "it can't be told: RecursionError: too deep"),
         ("cfgplan.api.plan_text", _break_the_judge, "it can't be told: RecursionError: too deep"),
     ],
 )

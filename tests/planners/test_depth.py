@@ -9,7 +9,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 
-from cfgplan.cli.update_text import with_the_stream
+from cfgplan.cli.plan_text import with_the_stream
 from cfgplan.domain import (
     ComputationUnit,
     Environment,
