@@ -40,6 +40,7 @@ from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.seams import DeclaredCosts
 from cfgplan_runtime.operating.control_client import connect
 from cfgplan_runtime.operating.operation import Operation, Settings
+from cfgplan_runtime.processes.process_backend import OUTLETS
 
 from cfgplan import api
 
@@ -138,7 +139,7 @@ class Soak:
         self._signal([self._outlets()], signal.SIGKILL)
 
     def kill_nursery(self) -> None:
-        self._signal([psutil.Process(self._outlets()).ppid()], signal.SIGKILL)
+        self._signal_nursery(signal.SIGKILL)
 
     def stop_unit(self) -> None:
         self._signal([self.randoms.choice(self._unit_pids())], signal.SIGSTOP)
@@ -147,13 +148,13 @@ class Soak:
         self._signal([self._outlets()], signal.SIGSTOP)
 
     def stop_nursery(self) -> None:
-        self._signal([psutil.Process(self._outlets()).ppid()], signal.SIGSTOP)
+        self._signal_nursery(signal.SIGSTOP)
 
     def stall(self) -> None:
         """Stop this process, supervisor, consumer and all: nobody is taken for hung."""
-        me, before = os.getpid(), self.faults_told()
+        me, before, now = os.getpid(), self.faults_told(), time.monotonic()
         subprocess.run(["sh", "-c", f"(kill -STOP {me}; sleep {STALL_S}; kill -CONT {me}) &"], check=True)
-        time.sleep(1.0)
+        _await_gap(now)
         self._await_result()
         time.sleep(0.5)
         assert self.faults_told() == before, self.faults_told()
@@ -287,24 +288,35 @@ class Soak:
         return [pid for pid in pids if pid is not None]
 
     def _outlets(self) -> int:
-        pid = self.operation.runtime.pid("")
-        assert pid is not None, "there are no outlets"
-        return pid
+        _await(lambda: self.operation.runtime.pid(OUTLETS) is not None, "there are no outlets")
+        return self.operation.runtime.pid(OUTLETS) or 0
+
+    def _signal_nursery(self, number: signal.Signals) -> None:
+        """All that it has made ends with it."""
+        outlets = self._outlets()
+        self._signal([psutil.Process(outlets).ppid()], number, ending=[*self._unit_pids(), outlets])
 
     def _call(self, method: str, **parameters: object) -> None:
         with connect(self.operation.id) as control:
             control.call(method, **parameters)
 
-    def _signal(self, pids: list[int], number: signal.Signals) -> None:
-        """Kill or stop processes, and wait until they are gone and elements come again."""
+    def _signal(self, pids: list[int], number: signal.Signals, ending: list[int] | None = None) -> None:
+        """Kill or stop processes, and wait until these are gone, or those `ending`, and elements come again."""
         begin = time.time_ns()
         for pid in pids:
             with suppress(ProcessLookupError):
                 os.kill(pid, number)
-        _await(lambda: not any(_is_alive(pid) for pid in pids), f"{pids} are not gone")
+        gone = [*pids, *(ending or ())]
+        _await(lambda: not any(_is_alive(pid) for pid in gone), f"{gone} are not gone")
+        _await(lambda: not self._run_knows(gone), f"nobody has noticed that {gone} are gone")
         self.settle()
         self.kills_ns.append((begin, time.time_ns()))
         time.sleep(REST_S)
+
+    def _run_knows(self, pids: list[int]) -> bool:
+        """Whether the run takes one of these processes for one of its own."""
+        runtime = self.operation.runtime
+        return not {runtime.pid(unit) for unit in (*self._units(), OUTLETS)}.isdisjoint(pids)
 
     def _await_result(self) -> None:
         now = time.time_ns()
@@ -322,6 +334,15 @@ def _await(what: Callable[[], bool], else_say: str) -> None:
     deadline = time.monotonic() + PATIENCE_S
     while not what():
         assert time.monotonic() < deadline, else_say
+        time.sleep(0.01)
+
+
+def _await_gap(since_s: float) -> None:
+    """Wait until this process has been stopped, and goes on."""
+    last_s = since_s
+    while (now_s := time.monotonic()) - last_s < STALL_S - 1:
+        assert now_s - since_s < PATIENCE_S, "nobody stops this process"
+        last_s = now_s
         time.sleep(0.01)
 
 

@@ -42,7 +42,7 @@ def state() -> Any:
 
 
 def test_a_stalled_run_kills_nobody(tmp_path: Path) -> None:
-    stall_s, run = 3.5, {"rate": 10, "hang": 2}
+    stall_s, run = 5.5, {"rate": 10, "hang": 4}
     library = [{"label": x, "source": "units.py:source", "run": run, "outputs": {"o": x.upper()}} for x in "abc"]
     env = write(tmp_path, COUNT, *library, targets={"/a": "A", "/b": "B", "/c": "C"})
     with running(env) as process:

@@ -16,8 +16,8 @@ import psutil
 import pytest
 from cfgplan_runtime import ApplyError, Patience, Runtime
 from cfgplan_runtime.processes import process_backend
-from cfgplan_runtime.processes.process_backend import NURSERY_HELPER, OUTLETS, OUTLETS_HELPER
-from cfgplan_runtime.supervision.events import HelperHung, OutletsLost, UnitDied
+from cfgplan_runtime.processes.process_backend import NURSERY_HELPER, OUTLETS, OUTLETS_HELPER, ProcessBackend
+from cfgplan_runtime.supervision.events import HelperHung, OutletsLost, UnitDied, UnitReady
 from watching import Listener, StartRuntime, seen
 from world import PATIENCE_S, eventually, source, start, unit, worker
 
@@ -113,7 +113,7 @@ def test_outlets_that_can_not_be_made_are_tried_again_ever_more_rarely(
 
 
 def test_outlets_that_stop_are_made_anew(run_units: StartRuntime, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(process_backend, "HELPER_S", 3.0)
+    monkeypatch.setattr(process_backend, "HELPER_S", 5.0)
     runtime = run_units(source(), worker())
     runtime.apply(ONE)
     listener = Listener("/result")
@@ -129,7 +129,7 @@ def test_outlets_that_stop_are_made_anew(run_units: StartRuntime, monkeypatch: p
 
 
 def test_a_nursery_that_stops_is_made_anew(run_units: StartRuntime, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(process_backend, "HELPER_S", 3.0)
+    monkeypatch.setattr(process_backend, "HELPER_S", 5.0)
     runtime = run_units(source(), worker())
     runtime.apply(ONE)
     listener = Listener("/result")
@@ -171,6 +171,26 @@ def test_processes_are_told_apart_by_run_and_unit_and_observations_give_their_id
     assert (count.pid, work.pid) == (runtime.pid("count.1"), runtime.pid("work.1"))
     assert psutil.Process(work.pid).cmdline()[0] == f"cfgplan {runtime.id} work.1"
     assert nursery_of(runtime).cmdline()[0] == f"cfgplan {runtime.id} nursery"
+
+
+def test_what_is_ready_has_a_process_id_though_the_nursery_tells_it_late(
+    run_units: StartRuntime, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hear = ProcessBackend._hear_nursery
+
+    def late(backend: ProcessBackend) -> None:
+        if all(child.labor_us is not None for child in backend._children.values()):
+            hear(backend)
+
+    monkeypatch.setattr(ProcessBackend, "_hear_nursery", late)
+    runtime = run_units(source(), worker())
+    pids: list[int | None] = []
+    runtime.listen(
+        lambda event: pids.append(runtime.supervisor.backend.pid(event.unit)) if isinstance(event, UnitReady) else None
+    )
+    runtime.apply(ONE)
+    assert len(pids) == 2
+    assert None not in pids
 
 
 def test_a_unit_whose_steps_fail_is_replaced_without_waiting_for_what_it_gives(run_units: StartRuntime) -> None:

@@ -88,14 +88,20 @@ def test_a_run_ends_when_its_time_is_over(env: Path, capsys: pytest.CaptureFixtu
     assert "detector.1" in out
 
 
-def test_what_unit_code_prints_and_raises_is_shown(env: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_unit_code_prints_and_raises_is_shown(env: Path) -> None:
     (env.parent / "units.py").write_text(
         UNITS.replace("        if int", "        print('looking')\n        raise ValueError('blind')\n        if int")
     )
-    assert main(["run", str(env), "--for", "1s"]) == 0
-    out = capsys.readouterr().out
-    assert "detector.1 | looking" in out
-    assert "ValueError: blind" in out
+    out, awaited = "", {"detector.1 | looking", "ValueError: blind"}
+    with cfgplan("run", env, "--for", f"{PATIENCE_S}s") as running:
+        assert running.stdout is not None
+        while line := running.stdout.readline():
+            out += line
+            if all(part in out for part in awaited):
+                running.send_signal(signal.SIGINT)
+                awaited = {"never"}
+        assert running.wait(PATIENCE_S) == 0
+    assert awaited == {"never"}
     assert "): \n" not in out
 
 

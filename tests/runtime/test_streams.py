@@ -105,11 +105,11 @@ def test_a_consumer_keeps_receiving_when_a_killed_unit_is_replaced(run_units: St
 def test_several_consumers_get_the_same_and_one_that_stalls_harms_nobody(run_units: StartRuntime) -> None:
     from cfgplan_runtime import subscribe
 
-    runtime = run_units(source(code="images", rate_hz=100))
+    runtime = run_units(source(code="images", rate_hz=25))  # 32 MB, which may wait, are three seconds
     runtime.apply(start(unit("count.1", topic="/result", port="n")))
     listeners = [Listener("/result"), Listener("/result")]
     stalled = subscribe("/result")
-    eventually(lambda: all(len(listener.received) > 100 for listener in listeners))
+    eventually(lambda: all(len(listener.received) > 90 for listener in listeners))
     stalled.close()
     runtime.close()
     for listener in listeners:

@@ -20,7 +20,8 @@ class ChildProcess:
     control: ControlConnection[FromChild]
     printed: socket.socket
     pid: int | None = None
-    is_ready: bool = False
+    labor_us: int | None = None
+    """The CPU time of its start, once it is ready."""
     is_stopping: bool = False
     steps: int = 0
     """How many it had begun at its last sign of life."""

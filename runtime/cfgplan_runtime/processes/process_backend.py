@@ -294,6 +294,7 @@ class ProcessBackend:
             match message:
                 case Forked(_, pid) if child is not None:
                     child.pid = pid
+                    self._tell_ready(child)
                 case Gone(_, status) if child is not None:
                     self._bury(child, status)
                 case NotForked(_, cause) if child is not None:
@@ -359,9 +360,8 @@ class ProcessBackend:
         name = child.name
         match message:
             case Ready(cpu_ns):
-                child.is_ready = True
-                if name != OUTLETS:
-                    self._events.append(UnitReady(name, cpu_ns // 1000))
+                child.labor_us = cpu_ns // 1000
+                self._tell_ready(child)
             case Switched(_, wire):
                 self._events.append(WireSwitched(wire))
             case Lost(port, wire):
@@ -379,6 +379,11 @@ class ProcessBackend:
             case Status(steps, errors, inputs, outputs, state):
                 child.steps = steps
                 self._events.append(UnitStatus(name, steps, errors, inputs, outputs, state))
+
+    def _tell_ready(self, child: ChildProcess) -> None:
+        """A unit is ready when it says so and its process id is known, in whatever order that comes."""
+        if child.name != OUTLETS and child.pid is not None and child.labor_us is not None:
+            self._events.append(UnitReady(child.name, child.labor_us))
 
     def _tell(self, child: ChildProcess, message: object, sockets: Sequence[socket.socket] = ()) -> None:
         child.control.send(message, sockets)  # type: ignore[arg-type]
