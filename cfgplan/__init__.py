@@ -45,11 +45,11 @@ if TYPE_CHECKING:
     from cfgplan.domain import Subscription as Subscription
     from cfgplan.domain import Target as Target
     from cfgplan.domain import Transformation as Transformation
+    from cfgplan.drawing import computation_graph as computation_graph
     from cfgplan.errors import CfgplanError as CfgplanError
     from cfgplan.errors import Fault as Fault
     from cfgplan.errors import InputError as InputError
     from cfgplan.errors import InvalidValueError as InvalidValueError
-    from cfgplan.graphs import computation_graph as computation_graph
     from cfgplan.planning import Failures as Failures
     from cfgplan.planning import Notion as Notion
     from cfgplan.planning import Plan as Plan
@@ -74,7 +74,7 @@ _HOMES = {
     "cfgplan.domain": "ChangeSet ComputationUnit Environment Host InputPort OutputPort Publication Similarity Stream "
     "Subscription Target Transformation",
     "cfgplan.errors": "CfgplanError Fault InputError InvalidValueError",
-    "cfgplan.graphs": "computation_graph",
+    "cfgplan.drawing": "computation_graph",
     "cfgplan.planning": "Failures Notion Plan Planner Problem Progress Status",
     "cfgplan.qualities": "Better Contribution Over QualityAttribute Wish",
     "cfgplan.validity": "Rule Violation",

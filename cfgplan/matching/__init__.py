@@ -18,8 +18,7 @@ if TYPE_CHECKING:
         UnknownNameError,
     )
     from cfgplan.matching.loading import load_ontology, read_owlready
-    from cfgplan.matching.matrix import Matches, match
-    from cfgplan.matching.membership import instances
+    from cfgplan.matching.matrix import Matches, instances, match
     from cfgplan.matching.ontology import Ontology
     from cfgplan.matching.reasoners import REASONERS
     from cfgplan.matching.session import Matcher, Matching
@@ -55,8 +54,7 @@ _MODULES = {
         *("TagError", "UnknownNameError"),
     ),
     "loading": ("load_ontology", "read_owlready"),
-    "matrix": ("Matches", "match"),
-    "membership": ("instances",),
+    "matrix": ("Matches", "instances", "match"),
     "ontology": ("Ontology",),
     "reasoners": ("REASONERS",),
     "session": ("Matcher", "Matching"),

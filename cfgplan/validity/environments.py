@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 
 from cfgplan.domain import Environment, Similarity, Stream
 from cfgplan.planning import Failures
-from cfgplan.validity.instances import asked_by_number, instance_violations
 from cfgplan.validity.placing import placing_violations
 from cfgplan.validity.quality import quality_violations
 from cfgplan.validity.reading import known_units, needed_by, publishers, tag_of
@@ -132,3 +131,42 @@ def _needless_units(environment: Environment, similarity: Similarity, survive: F
     for unit in environment.units:
         if unit.id not in needed:
             yield Violation(Rule.LEAN, f"unit {unit.id} runs, but no target needs it", unit.id)
+
+
+def instance_violations(environment: Environment) -> Iterator[Violation]:
+    """Conflicting transformations that both have units, and too few or too many units of one."""
+    there = Counter(unit.transformation for unit in environment.units)
+    running = _running(environment)
+    for transformation in environment.library:
+        label = transformation.label
+        for other in transformation.conflicts:
+            if label in there and other in there and label != other:
+                unit = next(u for u in environment.units if u.transformation == label)
+                yield Violation(Rule.APART, f"units of {label} and {other} are there, which conflict", unit.id)
+        if len(running[label]) < transformation.min_instances:
+            text = f"{len(running[label])} units of {label} run, but it asks for {transformation.min_instances}"
+            yield Violation(Rule.INSTANCES, text)
+        if transformation.max_instances is not None and there[label] > transformation.max_instances:
+            yield Violation(
+                Rule.INSTANCES,
+                f"{there[label]} units of {label} are there, but it allows {transformation.max_instances}",
+            )
+
+
+def asked_by_number(environment: Environment) -> set[str]:
+    """The running units of transformations that have no more of them than they ask for."""
+    running = _running(environment)
+    return {
+        unit_id
+        for transformation in environment.library
+        if len(running[transformation.label]) <= transformation.min_instances
+        for unit_id in running[transformation.label]
+    }
+
+
+def _running(environment: Environment) -> dict[str, list[str]]:
+    running: dict[str, list[str]] = defaultdict(list)
+    for unit in environment.units:
+        if not unit.standby:
+            running[unit.transformation].append(unit.id)
+    return running

@@ -5,8 +5,7 @@ from __future__ import annotations
 import random
 
 import pytest
-from cfgplan_runtime.estimating.damping import Damped, damped
-from cfgplan_runtime.estimating.forecasting import FORECASTERS, Average, Forecast, Holt, Latest, Trend
+from cfgplan_runtime.estimating.forecasting import FORECASTERS, Average, Damped, Forecast, Holt, Latest, Trend, damped
 from cfgplan_runtime.estimating.history import History, Sample
 from hypothesis import given
 from hypothesis import strategies as st

@@ -20,7 +20,7 @@ from cfgplan_runtime.lifecycle.reports import (
     UnitEvent,
     WorldRefused,
 )
-from cfgplan_runtime.operating.report_log import logging_to
+from cfgplan_runtime.operating.records import logging_to
 from cfgplan_runtime.supervision.events import SIGNS, Event, HelperAlive, UnitDied
 from cfgplan_runtime.supervision.run_log import RunLog
 from fake_manager import REVIEW, SNAPSHOT, observation

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import numpy
-from cfgplan_runtime.streams.buffers import Buffers
-from cfgplan_runtime.streams.channel import Receiver, Sender, socket_pair
+from cfgplan_runtime.streams.channel import Buffers, Receiver, Sender, socket_pair
 from cfgplan_runtime.streams.element import Outgoing
 from cfgplan_runtime.streams.payload import PayloadEncoder, decode
 

@@ -7,9 +7,8 @@ import hashlib
 import msgspec
 
 from cfgplan.domain import Transformation
-from cfgplan_runtime.estimating.failures import FailureHistory
 from cfgplan_runtime.estimating.guessing import Costs, Kind
-from cfgplan_runtime.estimating.history import Amount, History, Moment, Sample
+from cfgplan_runtime.estimating.history import Amount, FailureHistory, History, Moment, Sample
 
 
 class Evidence(msgspec.Struct):

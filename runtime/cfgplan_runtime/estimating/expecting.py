@@ -6,9 +6,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from cfgplan_runtime.estimating.damping import Damped
 from cfgplan_runtime.estimating.evidence import Evidence
-from cfgplan_runtime.estimating.forecasting import Average, Forecast, Forecaster
+from cfgplan_runtime.estimating.forecasting import Average, Damped, Forecast, Forecaster
 from cfgplan_runtime.estimating.guessing import Costs, Guess, Kind
 from cfgplan_runtime.estimating.settings import Settings
 

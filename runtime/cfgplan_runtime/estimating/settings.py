@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cfgplan_runtime.estimating.failures import FailureHistory
-from cfgplan_runtime.estimating.history import History
+from cfgplan_runtime.estimating.history import FailureHistory, History
 
 _SAMPLES_PER_MEMORY = 12
 _MEMORIES = 4

@@ -32,8 +32,7 @@ from cfgplan_runtime.operating.flows import Flows, Following
 from cfgplan_runtime.operating.ledger import Ledger
 from cfgplan_runtime.operating.methods import Methods
 from cfgplan_runtime.operating.recorder import Recorder
-from cfgplan_runtime.operating.records import report_record
-from cfgplan_runtime.operating.report_log import logging_to
+from cfgplan_runtime.operating.records import logging_to, report_record
 from cfgplan_runtime.operating.sentences import sentence
 from cfgplan_runtime.runtime import Runtime
 from cfgplan_runtime.streams.run_folder import base_folder

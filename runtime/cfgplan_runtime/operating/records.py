@@ -7,7 +7,7 @@ Times are in seconds, costs in microseconds of CPU time, and names say so. Every
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from typing import Any
@@ -15,9 +15,19 @@ from typing import Any
 import msgspec
 
 from cfgplan.domain import ChangeSet, ComputationUnit, Stream
-from cfgplan_runtime.lifecycle.reports import Report, Review, Reviewed, Snapshot, TargetView, UnitEvent, UnitView
+from cfgplan_runtime.lifecycle.reports import (
+    Observed,
+    Report,
+    Review,
+    Reviewed,
+    Snapshot,
+    TargetView,
+    UnitEvent,
+    UnitView,
+)
 from cfgplan_runtime.operating.protocol import Record
 from cfgplan_runtime.operating.sentences import review_sentence
+from cfgplan_runtime.supervision.run_log import RunLog
 
 
 def snapshot_record(snapshot: Snapshot, flows: Mapping[str, Record] | None = None) -> Record:
@@ -147,3 +157,14 @@ def _wired(unit: ComputationUnit) -> Record:
     for publication in unit.publications:
         topics.setdefault(publication.port, []).append(publication.topic)
     return {**record, "topics": topics}
+
+
+def logging_to(log: RunLog) -> Callable[[Report], None]:
+    """A listener for `Manager.listen` that writes every report but the observations of each second."""
+
+    def write(report: Report) -> None:
+        if not isinstance(report, Observed):
+            says = report_record(report)
+            log.write_line(says.pop("kind"), says)
+
+    return write

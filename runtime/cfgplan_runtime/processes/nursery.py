@@ -22,7 +22,6 @@ from collections.abc import Sequence
 
 from setproctitle import setproctitle
 
-from cfgplan_runtime.children import death_signal
 from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.messages import (
     Alive,
@@ -113,7 +112,7 @@ class Nursery:
         self._control.send(Forked(serial, pid))
 
     def _become_child(self, parent: int) -> None:
-        death_signal.die_with_parent(parent)
+        die_with_parent(parent)
         signal.set_wakeup_fd(-1)
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)
         with contextlib.suppress(OSError):
@@ -216,7 +215,7 @@ def main(arguments: Sequence[str]) -> None:
     """Be a nursery: the number of the control socket, the supervisor's process id, the run's id, modules to import."""
     number, parent, run, *preload = arguments
     setproctitle(f"cfgplan {run} nursery")
-    death_signal.die_with_parent(int(parent))
+    die_with_parent(int(parent))
     os.setpgid(0, 0)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for name in preload:
@@ -225,3 +224,20 @@ def main(arguments: Sequence[str]) -> None:
     gc.collect()
     gc.freeze()
     Nursery(socket.socket(fileno=int(number)), run).run()
+
+
+_PR_SET_PDEATHSIG = 1
+
+
+def die_with_parent(parent: int) -> None:
+    """Have the kernel kill this process when the thread that made it ends. `parent` is that thread's process.
+
+    Only Linux can do that; elsewhere a process notices by its closed connection.
+    """
+    if sys.platform != "linux":
+        return
+    import ctypes
+
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:
+        os._exit(1)
