@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from fleets import fleets
@@ -138,3 +139,24 @@ def test_where_nothing_can_be_met_there_is_no_alternative_either() -> None:
     environment = Environment((), (Transformation("x", (), (OutputPort("o", "A"),)),), (Target("t", "B", "/t"),))
     found = alternatives(Problem(environment, Similarity({"B": frozenset({"B"})}), 1), cpsat, 3)
     assert (found.plans, found.has_more) == ((), False)
+
+
+def test_where_an_open_pair_decides_what_comes_next_the_list_ends_after_few_looks() -> None:
+    """`free` is the optimum whatever matches; the second one is `dear`, or `open` if C is W."""
+    library = tuple(
+        Transformation(label, (), (OutputPort("o", tag),), labor_us=labor_us)
+        for label, tag, labor_us in (("free", "W", 1), ("dear", "W", 9), ("open", "C", 5))
+    )
+    environment = Environment((), library, (Target("t", "W", "/t"),))
+    problem = Problem(environment, Similarity({"W": frozenset("W")}, {"W": frozenset("C")}), 1)
+    looks = 0
+
+    def planner(problem: Problem, **options: Any) -> Plan:
+        nonlocal looks
+        looks += 1
+        assert looks <= 20
+        return cpsat(problem, **options)
+
+    found = alternatives(problem, planner, 3)
+    assert [runs(problem, plan) for plan in found.plans] == [{"free"}]
+    assert (found.complete, found.has_more) == (False, True)

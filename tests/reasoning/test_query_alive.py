@@ -9,12 +9,13 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-from cfgplan_runtime import Runtime
-from cfgplan_runtime.lifecycle.changes import KillUnit
+from cfgplan_runtime import Policy, Runtime
+from cfgplan_runtime.lifecycle.changes import KillUnit, ReplaceWorld
 from cfgplan_runtime.lifecycle.manager import Manager
 from cfgplan_runtime.operating.control_client import connect
 from cfgplan_runtime.operating.control_server import ControlServer
@@ -28,6 +29,8 @@ from cfgplan_runtime.reasoning.truth import Verdict
 
 import cfgplan
 from cfgplan.cli import main
+from cfgplan.domain import Environment, OutputPort, Target, Transformation
+from cfgplan.matching import Ontology
 
 PITCH = Path(__file__).parent / "pitch"
 WORLD = PITCH / "world.yaml"
@@ -172,3 +175,34 @@ def test_a_query_whose_run_ends_is_left_open() -> None:
     thread.join(PATIENCE_S)
     assert found[0].verdict is Verdict.OPEN
     assert Noted("the stream of ball has ended") in told
+
+
+def test_what_a_run_can_not_decide_is_named_to_whoever_asks_for_it(
+    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    axioms = ["SubClassOf(<#A> <#W>)", "SubClassOf(<#B> <#W>)", "SubClassOf(<#C> ObjectUnionOf(<#A> <#B>))"]
+    cheap = Transformation("cheap", (), (OutputPort("o", "C"),), labor_us=1, source="camera.py:camera")
+    world = cfgplan.world(Environment((), (cheap,), ()), horizon_s=60, ontology=Ontology(axioms))
+    why = "wants W, but nobody knows yet whether C is W"
+    more = tmp_path / "more.yaml"
+    more.write_text("targets: [{label: t, topic: /t, tag: W}]")
+    with Runtime(folder=PITCH) as runtime, Manager(world, runtime, policy=Policy(reasoner="el")) as manager:
+        assert manager.settle(PATIENCE_S)
+        methods = Methods(manager).by_name()
+        with ControlServer(runs / "cfgplan" / runtime.id, methods, {"environment": str(WORLD), "pid": 1}):
+            assert main(["query", "always u.x > 3", "--feature", "u=W"]) == 10
+            assert f"u {why}" in capsys.readouterr().err
+            assert main(["ctl", "add", str(more)]) == 12
+            told = capsys.readouterr().out
+            assert "no decision: it is not decided whether there is a plan" in told
+            assert f"t is not met: target t {why}" in told
+            assert "nobody knows whether C is W: if so, there may be a better update" in told
+            assert "in time" not in told
+            assert main(["ctl", "state"]) == 12
+            assert f"target t {why}" in capsys.readouterr().out
+            edited = replace(world.environment, targets=(Target("v", "W", "/v"),))
+            review = manager.request(ReplaceWorld(replace(world, environment=edited), "env.yaml")).result(PATIENCE_S)
+            assert review is not None
+            assert review.unmet["v"] == f"target v {why}"
+            assert (review.undecided, review.is_proven) == ((("C", "W"),), False)
+            assert units(manager) == set()

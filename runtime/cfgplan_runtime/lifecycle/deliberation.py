@@ -159,9 +159,11 @@ class Deliberation:
         unmet_now = {violation.target for violation in violations if violation.rule is Rule.MET}
         thought.unmet = {label: why for label, why in given_up.items() if label in unmet_now}
         if plan.change_set is None:
-            thought.cause = (
-                "no plan was found in time" if plan.status is Status.UNKNOWN else f"the plan is {plan.status}"
-            )
+            thought.cause = f"the plan is {plan.status}"
+            if plan.status is Status.UNKNOWN:
+                thought.cause = (
+                    "it is not decided whether there is a plan" if found.undecided else "no plan was found in time"
+                )
             return
         wrong = validity.plan_violations(found.problem, plan)
         if wrong:
