@@ -16,7 +16,7 @@ from cfgplan.domain import ComputationUnit, Environment, InputPort, OutputPort, 
 from cfgplan.errors import InputError
 from cfgplan.explaining import alternatives
 from cfgplan.planners import PLANNERS, exhaustive_fleet
-from cfgplan.planners.exhaustive_judging import key_of
+from cfgplan.planners.exhaustive_judging import Steps, key_of
 from cfgplan.planning import Failures, Notion, Plan, Problem
 from cfgplan.validity import plan_violations
 
@@ -44,8 +44,9 @@ def runs(problem: Problem, plan: Plan) -> frozenset[str]:
 def every_configuration(problem: Problem) -> dict[frozenset[str], tuple[int, int, int, int]]:
     """For each set of transformations the best valid configuration that runs just these, of all that there are."""
     found: dict[frozenset[str], tuple[int, int, int, int]] = {}
+    steps = Steps()
     for _, units in exhaustive_fleet._sets(problem):
-        for wired in exhaustive_fleet._wirings(problem, units):
+        for wired in exhaustive_fleet._wirings(problem, units, steps):
             best = key_of(problem, wired)
             if best is not None and (problem.max_cost_us is None or best[1] <= problem.max_cost_us):
                 which = frozenset(unit.transformation for unit in wired)
