@@ -24,10 +24,3 @@ def test_a_cut_names_the_ways_into_all_that_is_not_grounded() -> None:
     support = two_loops_and_what_rests_on_one()
     assert support.cut({0, 1, 2, 3, 4}, {}) == ([0, 2, 4], [5, 6, 7])
     assert support.cut({0, 1, 2, 3, 5}, support.grounded({0, 1, 2, 3, 5})) == ([2], [6])
-
-
-def test_each_loop_that_nothing_else_holds_up_has_a_cut_with_its_own_ways() -> None:
-    support = two_loops_and_what_rests_on_one()
-    assert sorted(support.cuts_of_loops({0, 1, 2, 3, 4}, {})) == [([0], [5]), ([2], [6])]
-    rank = support.grounded({0, 1, 2, 3, 5})
-    assert list(support.cuts_of_loops({0, 1, 2, 3, 5}, rank)) == [([2], [6])]

@@ -30,8 +30,6 @@ SMALL = 1000
 """With fewer booleans than this, probing and looking for symmetries take longer than they save."""
 TINY = 400
 """With fewer than this, so does presolving for a second time."""
-LOOPS_FROM = 3
-"""After so many rounds loops are also forbidden one by one."""
 EXACT = 2**50
 """Up to here the solver's bound, a double, is exact."""
 LARGEST = 2**62
@@ -196,14 +194,11 @@ class Search:
         support = self.model.support
         literals = self.model.literals
         rank = support.grounded(true)
-        cuts = [support.cut(true, rank)]
-        assert cuts[0][0], "a solution without a plan has something that is not grounded"
-        if self.standing.counts["rounds"] > LOOPS_FROM:
-            cuts += support.cuts_of_loops(true, rank)
-        for unfounded, ways_in in cuts:
-            for proposition in unfounded:
-                self.model.needs_any(literals[proposition], [literals[way] for way in ways_in])
-            self.standing.counts["cuts"] += len(unfounded)
+        unfounded, ways_in = support.cut(true, rank)
+        assert unfounded, "a solution without a plan has something that is not grounded"
+        for proposition in unfounded:
+            self.model.needs_any(literals[proposition], [literals[way] for way in ways_in])
+        self.standing.counts["cuts"] += len(unfounded)
         running = zip(self.model.runs, self.site.candidates, strict=True)
         used = {candidate.transformation.label for runs, candidate in running if runs.index in true}
         self.model.enough_of_each_run(self.missed(used, self.standing.clock))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 
 
 class Support:
@@ -53,17 +53,6 @@ class Support:
         """
         unfounded = [p for p in sorted(true) if p in self.any_of and p not in rank]
         return unfounded, self._ways_into(unfounded)
-
-    def cuts_of_loops(self, true: Collection[int], rank: Collection[int]) -> Iterator[tuple[list[int], list[int]]]:
-        """The same for each loop by itself that holds itself up and nothing else does: there are fewer ways into it."""
-        import networkx as nx  # takes long to import
-
-        below = {p: self.any_of.get(p) or self.all_of.get(p, ()) for p in true if p not in rank}
-        graph = nx.DiGraph((p, choice) for p, choices in below.items() for choice in choices if choice in below)
-        for part in nx.strongly_connected_components(graph):
-            if len(part) > 1 and all(one in part for p in part for one in graph[p]):
-                loop = sorted(p for p in part if p in self.any_of)
-                yield loop, self._ways_into(loop)
 
     def _ways_into(self, unfounded: list[int]) -> list[int]:
         """What any of some propositions can rest on first.
