@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from itertools import combinations
 from unittest import mock
 
 import numpy as np
 import pytest
 from hypothesis import given
-from test_against_the_oracle import agree, fewer
+from test_against_the_oracle import fewer
 from test_preprocessing import Stage
 from worlds import problems
 
@@ -23,7 +21,7 @@ from cfgplan.planners.closing.gap import Closing
 from cfgplan.planners.closing.program import LandmarkProgram
 from cfgplan.planners.closing.repairing import Repairs
 from cfgplan.planners.closing.separation import Separator
-from cfgplan.planners.cpsat import PlannerSession, session
+from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planners.cpsat.structure import Structure
 from cfgplan.planners.networks.core import Core, Rows
 from cfgplan.planners.networks.greedy import first_plan, is_plan
@@ -149,34 +147,10 @@ def test_a_landmark_that_is_known_twice_is_charged_once() -> None:
     assert both.bound.value == 15
 
 
-@contextmanager
-def hurried(small: int) -> Iterator[None]:
-    """The solver's first attempt is over at once, or does not take place if `small` is 0."""
-    with mock.patch.object(session, "SLICE_S", 1e-12), mock.patch.object(session, "SMALL", small):
-        yield
-
-
-@fewer
-@given(problems(special=False))
-def test_bounds_before_and_after_a_first_attempt_leave_the_optimum_as_it_is(problem: Problem) -> None:
-    for small in (0, 10**6):
-        with hurried(small):
-            agree(problem)
-
-
-@fewer
-@given(problems(most=5))
-def test_so_they_do_with_pinned_required_distinct_and_feedback(problem: Problem) -> None:
-    for small in (0, 10**6):
-        with hurried(small):
-            agree(problem)
-
-
-def test_a_plan_that_needs_both_attempts_is_the_same_every_time() -> None:
+def test_a_plan_that_needs_the_solver_is_the_same_every_time() -> None:
     problem = random_library(3, transformations=120, targets=4, arity=3)
-    with hurried(10**6):
-        plans = [PlannerSession().plan(problem) for _ in range(2)]
+    plans = [PlannerSession().plan(problem) for _ in range(2)]
     assert plans[0].status is Status.OPTIMAL
     assert plans[0].change_set == plans[1].change_set
     assert plan_violations(problem, plans[0]) == []
-    assert plans[0].cost_us == PlannerSession().plan(problem).cost_us
+    assert plans[0].counts["rounds"] > 0

@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 from hypothesis import given
 from test_against_the_oracle import agree, fewer
-from test_closing import closing, hurried
+from test_closing import closing
 from test_preprocessing import Stage
 from worlds import fusions
 
@@ -92,13 +92,11 @@ def test_bounds_by_them_do_not_exceed_the_optimum_and_fixing_keeps_cheap_plans(p
     assert (bound.residual >= 0).all()
     dearest = int(cheapest_way(stage.network.core, stage.cost)[1][-1])
     assert dearest <= chained_bound(stage.network.core, stage.cost, stage.network.pinned, lambda: False) <= optimum
-    without = bound.without()
     dearer = bound.at(stage.cost + 1)
     for plan in plans(stage, problem):
         cost = int(stage.cost[sorted(plan)].sum())
         assert bound.may_be_used(cost)[sorted(plan)].all()
         assert dearer.value <= cost + len(plan)
-        assert all(least <= cost for label, least in without.items() if label not in plan)
 
 
 @fewer
@@ -117,8 +115,6 @@ def test_the_first_plan_feeds_distinct_inputs_and_closing_keeps_both_sides(probl
 @given(fusions())
 def test_with_distinct_inputs_the_planner_agrees_with_the_oracle(problem: Problem) -> None:
     agree(problem)
-    with hurried(10**6):
-        agree(problem)
 
 
 def test_the_fusion_of_ten_robots_needs_no_solver_since_landmarks_are_charged_best() -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import combinations
-
 import numpy as np
 from hypothesis import assume, given
 from test_against_the_oracle import fewer
@@ -107,23 +105,6 @@ def test_every_plan_has_a_member_of_each_landmark_also_after_costs_moved(problem
     free = Bound(core, np.zeros_like(stage.cost), landmarks)
     free.recharge_best(None)
     assert free.value == 0
-
-
-@fewer
-@given(problems(special=False))
-def test_what_plans_without_a_label_cost_at_least_is_no_more_than_they_do(problem: Problem) -> None:
-    stage = Stage(problem)
-    network, cost = stage.network, stage.cost
-    bound = Bound(network.core, cost)
-    bound.improve(2**50, 100, lambda: False)
-    plans = [
-        chosen
-        for size in range(len(cost) + 1)
-        for chosen in map(set, combinations(range(len(cost)), size))
-        if is_plan(network, chosen)
-    ]
-    for label, least in bound.without().items():
-        assert all(least <= int(cost[list(plan)].sum()) for plan in plans if label not in plan)
 
 
 @fewer

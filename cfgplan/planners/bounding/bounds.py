@@ -14,7 +14,7 @@ from heapq import nsmallest
 import numpy as np
 
 from cfgplan.planners.bounding.charging import best_weights, spread
-from cfgplan.planners.bounding.landmarks import Crowd, Landmark, ways_into
+from cfgplan.planners.bounding.landmarks import Landmark, ways_into
 from cfgplan.planners.networks.core import MOST_PASSES, NEVER, Core, Flags, Ints
 
 
@@ -116,34 +116,6 @@ class Bound:
         if self.value + before[-1] > limit:
             return np.zeros(self.core.goal, np.bool_)
         return np.asarray(self.value + before[:-1] + self.residual <= limit)
-
-    def without(self) -> dict[int, int]:
-        """For members of landmarks a bound on the cost of plans that lack them: one of the others is in its place."""
-        residual = self.residual.tolist()
-        least: dict[int, int] = {}
-        for landmark in self.landmarks:
-            members: list[int] = landmark.members.tolist()
-            if landmark.crowd is not None:
-                for label, others in self._least_in_place(landmark, landmark.crowd).items():
-                    least[label] = max(least.get(label, 0), self.value + others)
-                continue
-            first, second = nsmallest(2, [*(residual[label] for label in members), int(NEVER), int(NEVER)])
-            for label in members:
-                others = second if residual[label] == first else first
-                least[label] = max(least.get(label, 0), self.value + others)
-        return least
-
-    def _least_in_place(self, landmark: Landmark, crowd: Crowd) -> dict[int, int]:
-        """For each member what is left at least of the costs of other members that count enough."""
-        shares = np.repeat(self.residual[landmark.members] // crowd.counts, crowd.counts)
-        order = np.argsort(shares, kind="stable")
-        owners, cheapest = landmark.counted[order].tolist(), shares[order].tolist()
-        whole = sum(cheapest[: crowd.least])
-        least = dict.fromkeys(owners, whole)
-        for label in set(owners[: crowd.least]):
-            others = [share for share, owner in zip(cheapest, owners, strict=True) if owner != label]
-            least[label] = sum(others[: crowd.least]) if len(others) >= crowd.least else int(NEVER)
-        return least
 
     def at(self, cost: Ints) -> Bound:
         """The bound at other costs."""

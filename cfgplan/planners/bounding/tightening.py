@@ -18,15 +18,6 @@ Time is estimated, not measured, so that a plan can be repeated.
 """
 
 
-def begun(bound: Bound, enough: int, limit: int, clock: Clock) -> Bound:
-    """The bound with its first landmarks, for plans that cost at most `limit`."""
-    keep = bound.may_be_used(limit)
-    if keep.any() and keep.sum() < 0.8 * len(keep):
-        bound = bound.restricted(keep)
-    bound.improve(enough, CHUNK, clock.is_over)
-    return bound
-
-
 def tightened(bound: Bound, enough: int, limit: int, clock: Clock, *, greedily: bool = False) -> Bound:
     """The bound with more landmarks, for plans that cost at most `limit`, until it is `enough` or that no longer pays.
 

@@ -77,11 +77,6 @@ class Closing:
     def _patience(self) -> int:
         return PATIENCE if self.bound.value < (1 - FAR) * self.limit else 0
 
-    def take(self, plan: Ints) -> None:
-        """Go on from a plan that was found elsewhere, if it is better."""
-        if self._cost[plan].sum() < self.limit:
-            self._repairs.best = set(plan.tolist())
-
     def go_on(self, label_s: float, clock: Clock) -> None:
         """Raise the bound and look for a cheaper plan until they meet or hardly move, or it has taken too long.
 

@@ -69,12 +69,9 @@ class Preparation:
         """Whether there is something left to be found out."""
         return self._closing is not None and not self._closing.is_closed
 
-    def go_on(self, label_s: float, best: Collection[str], clock: Clock) -> None:
-        """Bring bound and plan closer, from the labels of the search's best plan if there is one (`Closing.go_on`)."""
+    def go_on(self, label_s: float, clock: Clock) -> None:
+        """Bring bound and plan closer (`Closing.go_on`)."""
         assert self._closing is not None
-        number = self._structure.network.number
-        if best:
-            self._closing.take(np.array(sorted(number[label] for label in best), np.int64))
         self._closing.go_on(label_s, clock)
         self._plan = self._closing.plan
         bound, limit = self._closing.bound, self._closing.limit

@@ -47,14 +47,9 @@ class Search:
         self,
         standing: Standing,
         prepared: Prepared,
-        slice_s: float | None = None,
         missed: Callable[[Collection[str], Clock], Iterable[tuple[Collection[str], int]]] = lambda *_: (),
     ) -> None:
-        """`slice_s` are the engine's own seconds, which do not depend on the machine, for each round.
-
-        `missed` finds landmarks that the transformations of a solution do not hit.
-        """
-        self.slice_s = slice_s
+        """`missed` finds landmarks that the transformations of a solution do not hit."""
         self.missed = missed
         self.standing = standing
         self.site = standing.site
@@ -216,8 +211,6 @@ class Search:
         solver = repeatable_solver(small=size < SMALL, time_limit_s=self.standing.clock.left_s())
         if size < TINY:
             solver.parameters.max_presolve_iterations = 1
-        if self.slice_s is not None:
-            solver.parameters.max_deterministic_time = self.slice_s
         return solver
 
     def hint(self) -> None:

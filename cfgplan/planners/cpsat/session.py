@@ -15,7 +15,7 @@ import numpy as np
 
 from cfgplan.planners.bounding.bounds import Bound
 from cfgplan.planners.bounding.chains import chained_bound
-from cfgplan.planners.bounding.tightening import begun, tightened
+from cfgplan.planners.bounding.tightening import tightened
 from cfgplan.planners.cpsat.deciding import STEPS, decide
 from cfgplan.planners.cpsat.prepared import Prepared
 from cfgplan.planners.cpsat.preparing import Preparation
@@ -36,14 +36,10 @@ from cfgplan.reasons import Givers, unmet_reasons
 
 ATTEMPTS = 30
 """How many members of the first plan are tried to be done without."""
-SMALL = 300
-"""With fewer labels left than this the solver is tried before bounds are raised further."""
 ROOM = 1.05
 """How much dearer plans may be that are known at rest than any that one failure calls for."""
-LEAST_S, SLICE_S, CLOSING_S = 0.1, 1e-4, 5e-6
-"""The engine's own seconds for this, at least and for the number of labels to the power of 1.5; and about how many
-seconds bounds are raised then, by labels in the same way.
-"""
+CLOSING_S = 5e-6
+"""About how many seconds bounds are raised before the solver, for the number of labels to the power of 1.5."""
 
 
 class PlannerSession:
@@ -129,7 +125,7 @@ class PlannerSession:
         has_all = decide(standing, structure, self._steps, among)
         standing.clock.end("bounds")
         if has_all and not standing.is_over and standing.best is not None:
-            self._search(standing, None, Prepared([], cost_us=standing.best.key[1]), None)
+            self._search(standing, None, Prepared([], cost_us=standing.best.key[1]))
         return has_all
 
     def _remember(self, standing: Standing) -> None:
@@ -137,29 +133,21 @@ class PlannerSession:
             self._last = frozenset(unit.transformation for unit in standing.best.units)
 
     def _solve(self, standing: Standing, preparation: Preparation, prepared: Prepared) -> None:
-        """Bring a standing forward until all is proven or the time is over.
-
-        The solver has a first try at small problems; what it can't do soon, and larger ones, get better bounds first.
-        """
-        clock, size = standing.clock, len(prepared.labels)
-        if size < SMALL and preparation.may_go_on and not standing.is_over:
-            self._search(standing, preparation, prepared, max(LEAST_S, SLICE_S * size**1.5))
+        """Bring a standing forward until all is proven or the time is over: better bounds first, then the solver."""
+        clock = standing.clock
         if preparation.may_go_on and not standing.is_over:
-            running = standing.best.units if standing.best is not None else ()
-            preparation.go_on(CLOSING_S, {unit.transformation for unit in running}, clock)
+            preparation.go_on(CLOSING_S, clock)
             prepared = preparation.prepared(clock)
             standing.go_on_with(prepared)
             clock.end("bounds")
         if not standing.is_over:
-            self._search(standing, preparation, prepared, None)
+            self._search(standing, preparation, prepared)
 
-    def _search(
-        self, standing: Standing, preparation: Preparation | None, prepared: Prepared, slice_s: float | None
-    ) -> None:
+    def _search(self, standing: Standing, preparation: Preparation | None, prepared: Prepared) -> None:
         from cfgplan.planners.cpsat.search import Search  # the solver takes long to import
 
         missed = (lambda *_: ()) if preparation is None else preparation.missed
-        Search(standing, prepared, slice_s, missed).run()
+        Search(standing, prepared, missed).run()
         standing.clock.end("search")
 
     def _prepare(self, problem: Problem, structure: Structure, clock: Clock, *, is_first: bool) -> Preparation:
@@ -169,7 +157,7 @@ class PlannerSession:
         quick = 0
         if weighing.counts_starts:
             quick = weighing.least(chained_bound(network.core, weighing.weight, network.pinned, clock.is_over))
-        plan, bound = self._first_plan(problem, structure, weighing, quick, clock, is_first=is_first)
+        plan = self._first_plan(problem, structure, weighing, quick, clock, is_first=is_first)
         left = None
         if plan is not None and weighing.counts_starts and weighing.of_plan(plan) == quick:
             left = Left(plan, quick)
@@ -177,7 +165,7 @@ class PlannerSession:
             left = self._rest.left(weighing.weight, weighing.step, plan, clock)
         preparation = Preparation(structure, weighing, plan, left, quick)
         if left is None:
-            preparation.begin(bound or _known_bound(structure, weighing.weight, weighing.scale), clock)
+            preparation.begin(_known_bound(structure, weighing.weight, weighing.scale), clock)
         return preparation
 
     def _with_required(self, standing: Standing, structure: Structure) -> None:
@@ -197,12 +185,11 @@ class PlannerSession:
 
     def _first_plan(
         self, problem: Problem, structure: Structure, weighing: Weighing, quick: int, clock: Clock, *, is_first: bool
-    ) -> tuple[Ints | None, Bound | None]:
+    ) -> Ints | None:
         """The plan at rest or the last one, mended where units died; or a new one if that no longer is one.
 
-        Where the session is asked first the last plan is what runs, and a new one may be better. A new one is better
-        than the cheapest support only if `quick`, a bound, does not say that there is none, nor the first landmarks,
-        which are returned.
+        Where the session is asked first the last plan is what runs, and a new one may be better; and so may one with
+        less, unless `quick`, a bound, says that there is none.
         """
         network, cost = structure.network, weighing.weight
         known = set(network.pinned)
@@ -211,23 +198,15 @@ class PlannerSession:
         else:
             known |= {network.number[label] for label in self._last if label in network.number}
         plan: set[int] | None = None
-        bound = None
         if is_plan(network, known):
             running = {unit.transformation for unit in problem.environment.units}
             plan = improved(network, cost, known, {i for i in known if network.labels[i] not in running}, clock.is_over)
         if plan is None or is_first:
             new = first_plan(network, cost, 0, clock.is_over)
             plan = min((one for one in (plan, new) if one is not None), key=partial(cost_of, cost), default=None)
-            limit = 0 if plan is None else cost_of(cost, plan)
-            if plan is not None and limit > quick and not clock.is_over():
-                bound = begun(
-                    _known_bound(structure, weighing.weight, weighing.scale), limit - weighing.step + 1, limit, clock
-                )
-                if bound.value <= limit - weighing.step:
-                    numbers = bound.core.labels.tolist()
-                    without = {numbers[label]: value for label, value in bound.without().items()}
-                    plan = with_less(network, cost, plan, ATTEMPTS, clock.is_over, without)
-        return None if plan is None else np.array(sorted(plan), np.int64), bound
+            if plan is not None and cost_of(cost, plan) > quick:
+                plan = with_less(network, cost, plan, ATTEMPTS, clock.is_over)
+        return None if plan is None else np.array(sorted(plan), np.int64)
 
     def _settle(self, problem: Problem, structure: Structure, clock: Clock) -> None:
         """Where a proven plan changes nothing, there is time to see what will be needed when something does."""

@@ -5,9 +5,8 @@ A plan here is a set of labels with a grounded wiring that meets the goal.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from heapq import nsmallest
-from types import MappingProxyType
 
 import numpy as np
 
@@ -27,27 +26,12 @@ def first_plan(network: Graph, cost: Ints, attempts: int, is_over: Callable[[], 
     return None if plan is None else with_less(network, cost, plan, attempts, is_over)
 
 
-def with_less(
-    network: Graph,
-    cost: Ints,
-    plan: set[int],
-    attempts: int,
-    is_over: Callable[[], bool],
-    without: Mapping[int, int] = MappingProxyType({}),
-) -> set[int]:
-    """The plan, or a cheaper one after up to `attempts` attempts to do without one of its members.
-
-    Those are not tried of which it is known that all plans `without` them cost as much.
-    """
+def with_less(network: Graph, cost: Ints, plan: set[int], attempts: int, is_over: Callable[[], bool]) -> set[int]:
+    """The plan, or a cheaper one after up to `attempts` attempts to do without one of its members."""
     tried: set[int] = set()
     while len(tried) < attempts and not is_over():
-        limit = cost_of(cost, plan)
         ahead = sorted(
-            (
-                label
-                for label in plan.difference(tried, network.pinned)
-                if cost[label] and without.get(label, 0) < limit
-            ),
+            (label for label in plan.difference(tried, network.pinned) if cost[label]),
             key=lambda label: (-cost[label], label),
         )
         if not ahead:
