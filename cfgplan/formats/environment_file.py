@@ -4,13 +4,25 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path as FilePath
 from typing import TypeAlias
 
 from cfgplan.domain import Environment
+from cfgplan.formats.fields import (
+    AttributePart,
+    EnvironmentPart,
+    HostPart,
+    InputPart,
+    OutputPart,
+    Part,
+    TargetPart,
+    TransformationPart,
+    UnitPart,
+    Use,
+)
 from cfgplan.formats.places import Path, Place, Source
 from cfgplan.planning import Failures
 
@@ -82,8 +94,8 @@ def environment_digest(
 ) -> str:
     """SHA-256 (hex) of all that a plan depends on, the ontology files and `imports` too.
 
-    Comments, the order of lists and what only running needs (source, params, kind, run, silent) don't count. Nor does
-    a file that is only found by a search for what an ontology imports: to find it would take reading ontologies.
+    Comments, the order of lists and fields that planning does not use don't count. Nor does a file that is only found
+    by a search for what an ontology imports: to find it would take reading ontologies.
     """
     content: list[object] = [
         horizon_s,
@@ -109,9 +121,12 @@ def environment_digest(
         [[t.label, t.tag, t.topic, t.priority] for t in environment.targets],
     ]
     more = _beyond_the_paper(environment, survive)
-    if any(more):
+    later = list(_later(environment))
+    if any(more) or later:
         content.append(more)
-    hashed = hashlib.sha256(json.dumps(content, separators=(",", ":")).encode())
+    if later:
+        content.append(later)
+    hashed = hashlib.sha256(json.dumps(content, separators=(",", ":"), default=str).encode())
     for path in ontology_paths:
         hashed.update(_file_digest(path))
     for iri, imported in imports:
@@ -122,6 +137,40 @@ def environment_digest(
 
 def _file_digest(path: FilePath) -> bytes:
     return hashlib.sha256(path.read_bytes()).digest() if path.is_file() else b""
+
+
+_HELD: Mapping[type[Part], str] = {
+    EnvironmentPart: "format ontology imports horizon max_cost defaults include hosts transfer qualities survive "
+    "transformations units targets",
+    HostPart: "name cpu memory",
+    AttributePart: "name better worst best",
+    TransformationPart: "label host labor upkeep pinned required memory conflicts min_instances max_instances standby "
+    "run inputs outputs",
+    InputPart: "tag distinct feedback",
+    OutputPart: "tag quality rate size",
+    UnitPart: "id transformation inputs topics host standby",
+    TargetPart: "label topic tag priority quality host",
+}
+"""The keys that digests held before fields were rows. Of every later one counts what a file says, under its key."""
+
+
+def _later(environment: Environment) -> Iterator[list[object]]:
+    values: Mapping[type[Part], list[tuple[str, object]]] = {
+        EnvironmentPart: [("", environment)],
+        HostPart: [(host.name, host) for host in environment.hosts],
+        AttributePart: [(attribute.name, attribute) for attribute in environment.qualities],
+        TransformationPart: [(t.label, t) for t in environment.library],
+        InputPart: [(f"{t.label}/{port.name}", port) for t in environment.library for port in t.inputs],
+        OutputPart: [(f"{t.label}/{port.name}", port) for t in environment.library for port in t.outputs],
+        UnitPart: [(unit.id, unit) for unit in environment.units],
+        TargetPart: [(target.label, target) for target in environment.targets],
+    }
+    for part, named in values.items():
+        keys = [key for key, row in part.rows().items() if Use.PLANNING in row.use and key not in _HELD[part].split()]
+        for name, value in named if keys else ():
+            said = {key: plain for key in keys if (plain := part.plain(key, value)) is not None}
+            if said:
+                yield [part.__name__, name, said]
 
 
 def _beyond_the_paper(environment: Environment, survive: Failures | None) -> list[object]:

@@ -2,8 +2,8 @@
 
 A row says the key, its values, what they mean and what is so where the key is absent; `to`, where the domain's value
 has it (the key if absent); `use`, who looks at it; and `xml`, the attribute of the XML format (the key if absent).
-A value that is no text, number or flag is not said in XML, unless by an ELEMENT. Every text of a transformation may
-hold template variables.
+XML refuses a value that is no text, number or flag, but for an ELEMENT; what is UNSAID there means nothing without
+what it refuses. Every text of a transformation may hold template variables.
 """
 
 from __future__ import annotations
@@ -12,10 +12,11 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import Flag
 from functools import cache
-from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, ClassVar, Literal, get_args, get_origin, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
 
+from cfgplan.domain import Transformation
 from cfgplan.formats.schema_values import (
     FULL_FORM,
     SHORT_FORM,
@@ -48,6 +49,8 @@ DEFAULT_LABOR_US = 1_000_000
 DEFAULT_UPKEEP_US = 0
 
 ELEMENT = "<>"
+UNSAID = ""
+_FIRST_IN_XML = ("type", "labor", "upkeep")
 IGNORE = "ignore"
 
 
@@ -67,21 +70,28 @@ class Use(Flag):
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A field as the readers and writers need it; `plain` turns the domain's value into the file's."""
+    """A field as readers and writers need it; `plain` turns the domain's value into the file's."""
 
+    to: str
+    use: Use
+    xml: str | None
+    default: Any
+    is_text: bool
+    plain: Callable[[Any], Any]
+
+
+@dataclass(frozen=True, slots=True)
+class _Said:
     to: str = ""
-    use: Use = Use.PLANNING
+    use: Use | None = None
     xml: str | None = None
-    default: Any = None
-    is_text: bool = False
-    plain: Callable[[Any], Any] = as_it_is
 
 
 def row(
     meaning: str | None,
     default: Any = None,
     to: str = "",
-    use: Use = Use.PLANNING,
+    use: Use | None = None,
     xml: str | None = None,
     **limits: Any,
 ) -> Any:
@@ -89,7 +99,7 @@ def row(
     if meaning is not None:
         limits["description"] = meaning
     field = Field(default=default, **limits)
-    field.metadata.append(Row(to, use, xml))
+    field.metadata.append(_Said(to, use, xml))
     return field
 
 
@@ -97,13 +107,38 @@ class Part(BaseModel):
     """A mapping in the file, and its fields."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
+    USUAL_USE: ClassVar[Use] = Use.PLANNING
 
     @classmethod
     @cache
     def rows(cls) -> Mapping[str, Row]:
         """The rows by key, in the order in which they are written."""
         hints = get_type_hints(cls, include_extras=True)
-        return {key: _row(key, [*_pieces(hints[key])], field) for key, field in cls.model_fields.items()}
+        return {key: _row(cls, key, [*_pieces(hints[key])]) for key in cls.model_fields}
+
+    @classmethod
+    @cache
+    def attributes(cls) -> Mapping[str, str]:
+        """The key that each attribute of the XML format says; those of the paper and the costs come first."""
+        found = {row.xml: key for key, row in cls.rows().items() if row.xml not in (None, ELEMENT, UNSAID)}
+        return {str(name): found[name] for name in sorted(found, key=lambda name: name not in _FIRST_IN_XML)}
+
+    @classmethod
+    def plain(cls, key: str, value: object) -> Any:
+        """What a file says of a domain's value under a key; None if that is so anyway."""
+        row = cls.rows()[key]
+        own = getattr(value, row.to)
+        plain = None if own is None else row.plain(own)
+        return None if plain == row.default or plain in ([], {}) else plain
+
+    @classmethod
+    def written(cls, value: object, **said: Any) -> dict[str, Any]:
+        """What a file says of a domain's value, but what is so anyway.
+
+        `said` has the plain values of keys that say more than one attribute of it; None and empty ones are left out.
+        """
+        found = ((key, said[key] if key in said else cls.plain(key, value)) for key in cls.rows())
+        return {key: plain for key, plain in found if plain is not None and plain not in ([], {})}
 
     def values(self) -> dict[str, Any]:
         """What the file says, under the domain's names."""
@@ -116,12 +151,18 @@ def _frozen(value: Any) -> Any:
     return tuple(dict.fromkeys(value)) if isinstance(value, list) else value
 
 
-def _row(key: str, pieces: list[Any], field: Any) -> Row:
-    said = next((each for each in field.metadata if isinstance(each, Row)), Row())
+def _row(part: type[Part], key: str, pieces: list[Any]) -> Row:
+    field = part.model_fields[key]
+    said = next((each for each in field.metadata if isinstance(each, _Said)), _Said())
     holds_more = any(piece in (list, dict) or (isinstance(piece, type) and issubclass(piece, Part)) for piece in pieces)
-    is_text = any(piece is str or isinstance(piece, str) for piece in pieces) and 0 not in pieces
-    plain = next((piece.plain for piece in pieces if isinstance(piece, Written)), as_it_is)
-    return Row(said.to or key, said.use, said.xml or (None if holds_more else key), field.default, is_text, plain)
+    return Row(
+        to=said.to or key,
+        use=part.USUAL_USE if said.use is None else said.use,
+        xml=key if said.xml is None and not holds_more else said.xml,
+        default=field.default,
+        is_text=any(piece is str or isinstance(piece, str) for piece in pieces) and 0 not in pieces,
+        plain=next((piece.plain for piece in pieces if isinstance(piece, Written)), as_it_is),
+    )
 
 
 def _pieces(hint: Any) -> Iterator[Any]:
@@ -138,7 +179,7 @@ def _pieces(hint: Any) -> Iterator[Any]:
 class InputPart(Part):
     """An input port that needs more than a tag."""
 
-    tag: TagText
+    tag: TagText = row(None, ..., xml=ELEMENT)
     distinct: Name | None = row("ports of one group are fed by different transformations")
     feedback: bool = row("this input may close a cycle of the wiring", False)
 
@@ -162,8 +203,8 @@ Quality = Annotated[
 class OutputPart(Part):
     """An output port that says more than a tag."""
 
-    tag: TagText
-    quality: dict[Name, Quality] | None = row("attribute to what it makes of it")
+    tag: TagText = row(None, ..., xml=ELEMENT)
+    quality: dict[Name, Quality] | None = row("attribute to what it makes of it", xml=UNSAID)
     rate: PositiveMicro = row("elements per second, for what it costs to change hosts", 0, "rate_uhz")
     size: int = row("bytes of one element", 0, "size_bytes", ge=0, le=LONGEST_HORIZON_S)
 
@@ -193,6 +234,8 @@ Imports = Annotated[
 class RunPart(Part):
     """How the units of a transformation run."""
 
+    USUAL_USE = Use.RUNNING
+
     start: PortName = row("what starts a step: all inputs fresh, any input, aligned in time, or a port's name", "all")
     tolerance: Seconds = row("how far apart aligned inputs may be, in seconds", 0, "tolerance_us")
     rate: Rate | None = row("how often a source gives an element, per second", to="rate_hz")
@@ -202,7 +245,7 @@ class RunPart(Part):
         "kill a unit that is silent for so many seconds, at least 2; 0: never; 10 if absent", to="hang_us"
     )
     memory: int | None = row(
-        "the most memory that a unit may take, in megabytes", None, "memory_mb", ge=1, le=LONGEST_QUEUE
+        "the most memory that a unit may take, in megabytes", None, "memory_mb", Use.BOTH, ge=1, le=LONGEST_QUEUE
     )
     state: bool = row("a new unit goes on with the state of the last", False)
 
@@ -228,7 +271,7 @@ class TransformationPart(Part):
     min_instances: int = row("at least so many of its units run", 0, ge=0, le=MOST_INSTANCES)
     max_instances: int | None = row("at most so many of its units are there", ge=0)
     standby: Cost | None = row("CPU seconds per second of a spare that does not run", to="standby_us")
-    run: RunPart | None = row("how its units run", use=Use.RUNNING, xml=ELEMENT)
+    run: RunPart | None = row("how its units run", use=Use.BOTH, xml=ELEMENT)
     inputs: dict[PortName, Input] | None = row("input ports: name to tag", xml=ELEMENT)
     outputs: dict[PortName, Output] | None = row("output ports: name to tag", xml=ELEMENT)
 
@@ -301,7 +344,7 @@ class DefaultsPart(Part):
 class IncludedPart(Part):
     """A file that an environment includes: transformations and targets only."""
 
-    format: Literal["cfgplan/1"] | None = None
+    format: Literal["cfgplan/1"] | None = row(None)
     transformations: list[TransformationPart] | None = row(None, xml=ELEMENT)
     targets: list[TargetPart] | None = row(None, xml=ELEMENT)
 
@@ -332,6 +375,17 @@ class EnvironmentPart(Part):
     transformations: list[TransformationPart] | None = row(None, xml=ELEMENT)
     units: list[UnitPart] | None = row(None, xml=ELEMENT)
     targets: list[TargetPart] | None = row(None, xml=ELEMENT)
+
+
+def what_runs(transformation: Transformation) -> tuple[object, ...]:
+    """What sets units of a transformation apart from those of another: the fields that running uses, and the ports."""
+    ports = [(port.name, *_running(InputPart, port)) for port in transformation.inputs]
+    ports += [(port.name, *_running(OutputPart, port)) for port in transformation.outputs]
+    return *_running(TransformationPart, transformation), *ports, len(transformation.inputs)
+
+
+def _running(part: type[Part], value: object) -> Iterator[object]:
+    return (getattr(value, row.to) for row in part.rows().values() if Use.RUNNING in row.use)
 
 
 def environment_schema() -> dict[str, Any]:

@@ -15,7 +15,6 @@ from cfgplan.formats.fields import (
     HostPart,
     InputPart,
     OutputPart,
-    Part,
     RunPart,
     TargetPart,
     TransformationPart,
@@ -43,8 +42,7 @@ def plain_environment(
     of each IRI, or None where that import is ignored, with ANY_IMPORT for every one that can't be found.
     """
     ontologies = list(ontology)
-    return written(
-        EnvironmentPart,
+    return EnvironmentPart.written(
         environment,
         format=FORMAT,
         ontology=ontologies[0] if len(ontologies) == 1 else ontologies,
@@ -53,31 +51,13 @@ def plain_environment(
         max_cost=None if max_cost_us is None else plain_cost(max_cost_us),
         defaults=None,
         include=None,
-        hosts=[written(HostPart, host) for host in environment.hosts],
+        hosts=[HostPart.written(host) for host in environment.hosts],
         qualities=[_attribute(attribute) for attribute in environment.qualities],
         survive=None if survive is None else survive.value,
         transformations=[_transformation(t, environment) for t in environment.library],
         units=[plain_unit(unit) for unit in environment.units],
         targets=[_target(target, environment) for target in environment.targets],
     )
-
-
-def written(part: type[Part], value: object, **said: Any) -> dict[str, Any]:
-    """What a file says of a domain's value, without the keys that say what is so anyway.
-
-    `said` has the plain values of keys that are not said from the value's attribute alone.
-    """
-    found: dict[str, Any] = {}
-    for key, row in part.rows().items():
-        if key in said:
-            plain = said[key]
-        else:
-            plain = getattr(value, row.to)
-            plain = None if plain is None else row.plain(plain)
-            plain = None if plain == row.default else plain
-        if plain is not None and plain not in ([], {}):
-            found[key] = plain
-    return found
 
 
 def _imports(imports: Mapping[str, str | None]) -> str | dict[str, str]:
@@ -89,12 +69,11 @@ def _imports(imports: Mapping[str, str | None]) -> str | dict[str, str]:
 def _transformation(transformation: Transformation, environment: Environment) -> dict[str, Any]:
     """A transformation, with every `${` in its texts escaped."""
     said: dict[str, Any] = escaped(
-        written(
-            TransformationPart,
+        TransformationPart.written(
             transformation,
             host=transformation.host or list(transformation.hosts),
-            run=written(RunPart, transformation.run),
-            inputs={port.name: _port(written(InputPart, port)) for port in transformation.inputs},
+            run=RunPart.written(transformation.run),
+            inputs={port.name: _port(InputPart.written(port)) for port in transformation.inputs},
             outputs={port.name: _port(_output(port, environment)) for port in transformation.outputs},
         )
     )
@@ -102,7 +81,7 @@ def _transformation(transformation: Transformation, environment: Environment) ->
 
 
 def _output(port: OutputPort, environment: Environment) -> dict[str, Any]:
-    return written(OutputPart, port, quality={q.attribute: _contribution(q, environment) for q in port.quality})
+    return OutputPart.written(port, quality={q.attribute: _contribution(q, environment) for q in port.quality})
 
 
 def _port(said: dict[str, Any]) -> Any:
@@ -121,12 +100,12 @@ def _contribution(contribution: Contribution, environment: Environment) -> Any:
 def _attribute(attribute: QualityAttribute) -> dict[str, Any]:
     usual = QualityAttribute(attribute.name, attribute.better)
     scale = {key: None for key in ("worst", "best") if getattr(attribute, key) == getattr(usual, key)}
-    return written(AttributePart, attribute, **scale)
+    return AttributePart.written(attribute, **scale)
 
 
 def _wish(wish: Wish, environment: Environment) -> dict[str, Any]:
     is_low = environment.quality[wish.attribute].better is Better.LOWER
-    return written(WishPart, wish, **{"at_least" if is_low else "at_most": None})
+    return WishPart.written(wish, **{"at_least" if is_low else "at_most": None})
 
 
 def plain_unit(unit: ComputationUnit) -> dict[str, Any]:
@@ -134,8 +113,8 @@ def plain_unit(unit: ComputationUnit) -> dict[str, Any]:
     topics: dict[str, list[str]] = {}
     for publication in unit.publications:
         topics.setdefault(publication.port, []).append(publication.topic)
-    return written(UnitPart, unit, inputs={s.port: str(s.stream) for s in unit.subscriptions}, topics=topics)
+    return UnitPart.written(unit, inputs={s.port: str(s.stream) for s in unit.subscriptions}, topics=topics)
 
 
 def _target(target: Target, environment: Environment) -> dict[str, Any]:
-    return written(TargetPart, target, quality={wish.attribute: _wish(wish, environment) for wish in target.quality})
+    return TargetPart.written(target, quality={wish.attribute: _wish(wish, environment) for wish in target.quality})

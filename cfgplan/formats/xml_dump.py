@@ -10,51 +10,48 @@ from typing import Any
 from xml.sax.saxutils import escape, quoteattr
 
 from cfgplan.errors import InvalidValueError
+from cfgplan.formats.fields import (
+    ELEMENT,
+    UNSAID,
+    DefaultsPart,
+    EnvironmentPart,
+    InputPart,
+    OutputPart,
+    Part,
+    RunPart,
+    TargetPart,
+    TransformationPart,
+    UnitPart,
+)
 
 _BLANK = " \t\r\n"
 _NO_XML = re.compile("[\0-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
-
-_YAML_ONLY = {
-    "environment": ("imports", "hosts", "transfer", "qualities", "survive"),
-    "transformations": ("conflicts",),
-    "units": ("host", "standby"),
-    "targets": ("quality", "host"),
-}
-"""What the XML format does not carry; the qualities of outputs and a choice of hosts mean nothing without these."""
 
 
 def dump_xml(data: Mapping[str, Any]) -> str:
     """The XML text of plain data in the environment file's form, such as `plain_environment` gives.
 
     Raises InvalidValueError for a name or tag with a character that XML can't say, and for what the XML has no
-    words for: hosts, quality, conflicts and what is to be survived.
+    words for: hosts, quality, and every other list or mapping that the paper's XML does not have.
     """
-    if any(isinstance(part.get("host"), list) for part in data.get("transformations") or ()):
-        raise InvalidValueError("the XML format has no choice of hosts: keep this environment in YAML")
-    for part, keys in _YAML_ONLY.items():
-        for written in [data] if part == "environment" else data.get(part) or ():
-            for key in keys:
-                if written.get(key):
-                    raise InvalidValueError(f"the XML format has no `{key}`: keep this environment in YAML")
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + "\n".join(_environment(data)) + "\n"
 
 
 def _environment(data: Mapping[str, Any]) -> Iterator[str]:
-    yield _opened("environment", horizon=data.get("horizon"), max_cost=data.get("max_cost"))
+    yield _opened("environment", _attributes(EnvironmentPart, {**data, "format": None}))
     ontology = data.get("ontology") or []
     for path in [ontology] if isinstance(ontology, str) else ontology:
         yield f"  {_element('ontology', path)}"
     for path in data.get("include") or ():
         yield f"  {_element('include', path)}"
-    defaults = data.get("defaults")
-    if defaults:
-        yield f"  {_opened('defaults', **defaults)[:-1]}/>"
+    if data.get("defaults"):
+        yield f"  {_opened('defaults', _attributes(DefaultsPart, data['defaults']))[:-1]}/>"
     for part in data.get("transformations") or ():
         yield from _transformation(part)
     for part in data.get("units") or ():
         yield from _unit(part)
     for part in data.get("targets") or ():
-        yield f"  {_opened('target', priority=part.get('priority'), silent=part.get('silent'))}"
+        yield f"  {_opened('target', _attributes(TargetPart, part))}"
         for name in ("label", "topic", "tag"):
             yield f"    {_element(name, part[name])}"
         yield "  </target>"
@@ -62,43 +59,51 @@ def _environment(data: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _transformation(part: Mapping[str, Any]) -> Iterator[str]:
-    names = ("labor", "upkeep", "host", "pinned", "required", "memory", "min_instances", "max_instances", "standby")
-    attributes = {"type": part.get("kind")} | {name: part.get(name) for name in names}
-    yield f"  {_opened('transformation', **attributes)}"
+    yield f"  {_opened('transformation', _attributes(TransformationPart, part))}"
     for name in ("label", "source"):
         if part.get(name) is not None:
             yield f"    {_element(name, part[name])}"
     if part.get("run"):
-        yield f"    {_opened('run', **part['run'])[:-1]}/>"
+        yield f"    {_opened('run', _attributes(RunPart, part['run']))[:-1]}/>"
     if part.get("params"):
         yield "    <params>"
         for name, value in part["params"].items():
             kind, text = _param(value)
             yield f"      {_element('param', text, name=name, type=kind)}"
         yield "    </params>"
-    ports = [("in", *entry) for entry in (part.get("inputs") or {}).items()]
-    ports += [("out", *entry) for entry in (part.get("outputs") or {}).items()]
+    ports = [("in", InputPart, *entry) for entry in (part.get("inputs") or {}).items()]
+    ports += [("out", OutputPart, *entry) for entry in (part.get("outputs") or {}).items()]
     if ports:
         yield "    <ports>"
-        for direction, name, port in ports:
-            more = {} if isinstance(port, str) else {key: port.get(key) for key in ("distinct", "feedback")}
+        for direction, kind, name, port in ports:
+            more = {} if isinstance(port, str) else _attributes(kind, port)
             yield f"      {_element('port', name, type=direction, **more)}"
         yield "    </ports>"
         yield "    <tags>"
-        for _, name, port in ports:
+        for *_, name, port in ports:
             yield f"      {_element('tag', port if isinstance(port, str) else port['tag'], port=name)}"
         yield "    </tags>"
     yield "  </transformation>"
 
 
 def _unit(part: Mapping[str, Any]) -> Iterator[str]:
-    yield f"  {_opened('unit', id=part['id'], transformation=part['transformation'])}"
+    yield f"  {_opened('unit', _attributes(UnitPart, part))}"
     for port, stream in (part.get("inputs") or {}).items():
-        yield f"    {_opened('input', port=port, stream=stream)[:-1]}/>"
+        yield f"    {_opened('input', {'port': port, 'stream': stream})[:-1]}/>"
     for port, topics in (part.get("topics") or {}).items():
         for topic in topics:
             yield f"    {_element('topic', topic, port=port)}"
     yield "  </unit>"
+
+
+def _attributes(part: type[Part], data: Mapping[str, Any]) -> dict[str, object]:
+    """What attributes say of a part; raises InvalidValueError for what neither they nor elements can say."""
+    for key, row in part.rows().items():
+        is_attribute = row.xml not in (None, ELEMENT, UNSAID)
+        if data.get(key) and (row.xml is None or (is_attribute and isinstance(data[key], list | dict))):
+            what = f"list for `{key}`" if row.xml else f"`{key}`"
+            raise InvalidValueError(f"the XML format has no {what}: keep this environment in YAML")
+    return {name: data.get(key) for name, key in part.attributes().items()}
 
 
 def _param(value: object) -> tuple[str, str]:
@@ -117,13 +122,13 @@ def _param(value: object) -> tuple[str, str]:
 
 
 def _element(name: str, text: str, /, **attributes: object) -> str:
-    opened = _opened(name, **attributes)
+    opened = _opened(name, attributes)
     if text.strip(_BLANK) != text:
         opened = f'{opened[:-1]} xml:space="preserve">'
     return f"{opened}{escape(_sayable(text), {chr(13): '&#13;'})}</{name}>"
 
 
-def _opened(name: str, /, **attributes: object) -> str:
+def _opened(name: str, attributes: Mapping[str, object]) -> str:
     said = ((key, _attribute(value)) for key, value in attributes.items() if value is not None and value is not False)
     return f"<{name}{''.join(f' {key}={quoteattr(_sayable(text))}' for key, text in said)}>"
 

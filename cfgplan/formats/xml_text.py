@@ -1,36 +1,47 @@
 """The paper's XML specifications (Listings 1 and 2) as plain data in the environment file's form.
 
-What the paper's XML lacks is added as attributes (labor, upkeep, host, pinned, required, memory, min_instances,
-max_instances, standby, distinct, feedback, priority, silent) and elements (run, unit, ontology, include, and the root
-environment with horizon and max_cost).
+What the paper's XML lacks is added as attributes, one for each field that is a text, a number or a flag, and as the
+elements run, unit, ontology, include, and the root environment.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from decimal import Decimal
 from typing import Any
 
 from cfgplan.canonical import normal
 from cfgplan.errors import Fault, InputError
-from cfgplan.formats.fields import FORMAT
+from cfgplan.formats.fields import (
+    FORMAT,
+    DefaultsPart,
+    EnvironmentPart,
+    InputPart,
+    OutputPart,
+    Part,
+    RunPart,
+    TargetPart,
+    TransformationPart,
+    UnitPart,
+)
 from cfgplan.formats.json_text import read_json
 from cfgplan.formats.places import Path, Source, Spot
 from cfgplan.formats.scalars import resolve
 from cfgplan.formats.suggestions import did_you_mean
 from cfgplan.formats.xml_elements import Element, parse_xml
 
-_ATTRIBUTES = {
-    "transformation": (
-        *("type", "labor", "upkeep", "host", "pinned", "required"),
-        *("memory", "min_instances", "max_instances", "standby"),
-    ),
-    "run": ("start", "tolerance", "rate", "queue", "when_full", "hang", "memory", "state"),
-    "target": ("priority", "silent"),
-    "unit": ("id", "transformation"),
-    "defaults": ("labor", "upkeep"),
+_PARTS: dict[str, type[Part]] = {
+    "transformation": TransformationPart,
+    "run": RunPart,
+    "target": TargetPart,
+    "unit": UnitPart,
+    "defaults": DefaultsPart,
+}
+_PORTS: dict[str, type[Part]] = {"in": InputPart, "out": OutputPart}
+_ATTRIBUTES: dict[str, tuple[str, ...]] = {
+    **{name: tuple(part.attributes()) for name, part in _PARTS.items()},
     "param": ("name", "type"),
-    "port": ("type", "distinct", "feedback"),
+    "port": ("type", *(name for part in _PORTS.values() for name in part.attributes())),
     "tag": ("port",),
     "input": ("port", "stream"),
     "topic": ("port",),
@@ -45,7 +56,6 @@ _CHILDREN = {
 }
 _PARAM_TYPES = {"int": (int,), "double": (int, Decimal), "bool": (bool,), "null": (type(None),)}
 _SEVERAL = ("param", "port", "tag", "input", "topic")
-_ROOT_ATTRIBUTES = ("format", "horizon", "max_cost")
 _ROOT_CHILDREN = ("ontology", "include", "defaults", "transformation", "unit", "target")
 
 
@@ -78,17 +88,17 @@ class _Reading:
         self._spots[()] = (root, False)
         if root.name in ("transformation", "target", "unit"):
             root = Element("environment", {}, root.line, root.column, [root])
-        self._check(root, _ROOT_ATTRIBUTES, _ROOT_CHILDREN, several=_ROOT_CHILDREN)
+        self._check(root, tuple(EnvironmentPart.attributes()), _ROOT_CHILDREN, several=_ROOT_CHILDREN)
         if not root.children and not root.attributes:
             self._note(root, f"<{root.name}> has no specification in it", "write a <transformation> or a <target>")
-        data |= self._attributes(root, (), {"format": str, "horizon": resolve, "max_cost": resolve})
+        data |= self._attributes(root, (), EnvironmentPart)
         for child in root.children:
             if child.name in ("ontology", "include"):
                 entries = data.setdefault(child.name, [])
                 entries.append(self._text(child, (child.name, len(entries))))
             elif child.name == "defaults":
                 self._check(child, _ATTRIBUTES["defaults"], ())
-                data["defaults"] = self._attributes(child, ("defaults",), {"labor": resolve, "upkeep": resolve})
+                data["defaults"] = self._attributes(child, ("defaults",), DefaultsPart)
             elif child.name in ("transformation", "unit", "target"):
                 parts = data.setdefault(f"{child.name}s", [])
                 path = (f"{child.name}s", len(parts))
@@ -98,16 +108,12 @@ class _Reading:
         return data
 
     def _transformation(self, element: Element, path: Path) -> dict[str, Any]:
-        numbers = {name: resolve for name in _ATTRIBUTES["transformation"] if name not in ("type", "host")}
         part = self._texts(element, path, ("label", "source"))
-        part |= self._attributes(element, path, {"host": str, **numbers})
-        if "type" in element.attributes:
-            part["kind"] = element.attributes["type"]
+        part |= self._attributes(element, path, TransformationPart)
         for run in element.children:
             if run.name == "run":
                 self._check(run, _ATTRIBUTES["run"], ())
-                kinds = {name: str if name in ("start", "when_full") else resolve for name in _ATTRIBUTES["run"]}
-                part["run"] = self._attributes(run, (*path, "run"), kinds)
+                part["run"] = self._attributes(run, (*path, "run"), RunPart)
         params = {}
         for param in self._inside(element, "params", "param"):
             name = self._required(param, "name")
@@ -149,12 +155,11 @@ class _Reading:
 
     def _port(self, port: Element, path: Path, tag: Element | None) -> object:
         self._spots[path] = (port, False)
-        kinds: dict[str, Callable[[str], object]] = {"distinct": str, "feedback": resolve}
-        if port.attributes["type"] == "out":
-            for name in set(kinds) & set(port.attributes):
-                self._note(port, f"an output can't be {name}", f"remove the attribute {name}")
-            kinds = {}
-        more = self._attributes(port, path, kinds)
+        direction = port.attributes["type"]
+        for name in _PORTS["in" if direction == "out" else "out"].attributes():
+            if name in port.attributes:
+                self._note(port, f"an {direction}put has no `{name}`", f"remove the attribute {name}")
+        more = self._attributes(port, path, _PORTS[direction])
         if tag is None:
             self._note(port, f"the port `{port.text}` has no tag", f'add <tag port="{port.text}"> to <tags>')
             return None
@@ -183,7 +188,7 @@ class _Reading:
         return Decimal(value) if kind == "double" and type(value) is int else value
 
     def _unit(self, element: Element, path: Path) -> dict[str, Any]:
-        part: dict[str, Any] = self._attributes(element, path, {"id": str, "transformation": str})
+        part: dict[str, Any] = self._attributes(element, path, UnitPart)
         for child in element.children:
             port = self._required(child, "port")
             if port is None or child.name not in ("input", "topic"):
@@ -202,7 +207,7 @@ class _Reading:
 
     def _target(self, element: Element, path: Path) -> dict[str, Any]:
         part = self._texts(element, path, ("label", "topic", "tag"))
-        return part | self._attributes(element, path, {"priority": resolve, "silent": resolve})
+        return part | self._attributes(element, path, TargetPart)
 
     # --- what all elements have in common ---
 
@@ -238,10 +243,13 @@ class _Reading:
                 self._check(child, (), (name,))
                 yield from (entry for entry in child.children if entry.name == name)
 
-    def _attributes(self, element: Element, path: Path, kinds: Mapping[str, Callable[[str], object]]) -> dict[str, Any]:
-        found = {name: read(element.attributes[name]) for name, read in kinds.items() if name in element.attributes}
-        for name in found:
-            self._spots[*path, name] = (element, False)
+    def _attributes(self, element: Element, path: Path, part: type[Part]) -> dict[str, Any]:
+        found: dict[str, Any] = {}
+        for name, key in part.attributes().items():
+            if name in element.attributes:
+                text = element.attributes[name]
+                found[key] = text if part.rows()[key].is_text else resolve(text)
+                self._spots[*path, key] = (element, False)
         return found
 
     def _texts(self, element: Element, path: Path, names: tuple[str, ...]) -> dict[str, Any]:

@@ -159,7 +159,7 @@ def test_other_encodings_are_read_as_they_declare_themselves(tmp_path: Path) -> 
         ('<tag port="left">', "<tag>", (21, 7), "<tag> has no attribute `port`", 'add port="..."'),
         ('<tag port="left">', '<tag port="right">', (22, 7), "the port `right` has two tags", "join them"),
         ('<port type="out">', "<port>", (18, 7), "the port `out` has no direction", 'type="in"'),
-        ('<port type="out">', '<port type="out" feedback="true">', (18, 7), "an output can't be feedback", None),
+        ('<port type="out">', '<port type="out" feedback="true">', (18, 7), "an output has no `feedback`", None),
         (">right</port>", ">left</port>", (17, 7), "the port `left` is there twice", None),
         ('name="gain"', 'name="count"', (10, 7), "the param `count` is there twice", None),
         ('type="int">3', 'type="int">3.5', (9, 7), "'3.5' is no int", None),

@@ -8,6 +8,7 @@ from typing import TypeVar
 
 from cfgplan.api import World
 from cfgplan.domain import Transformation
+from cfgplan.formats.fields import what_runs
 from cfgplan_runtime.lifecycle.perturbations import Difference
 
 T = TypeVar("T")
@@ -15,7 +16,7 @@ T = TypeVar("T")
 
 def runs_alike(one: Transformation, other: Transformation) -> bool:
     """Whether a unit of the one is a unit of the other: the same code with the same params and ports."""
-    return one is other or _what_runs(one) == _what_runs(other)
+    return one is other or what_runs(one) == what_runs(other)
 
 
 def difference(before: World, after: World) -> Difference:
@@ -52,11 +53,6 @@ def _labels(
     both: list[tuple[Transformation, Transformation]], differs: Callable[[Transformation, Transformation], bool]
 ) -> tuple[str, ...]:
     return tuple(old.label for old, new in both if old is not new and differs(old, new))
-
-
-def _what_runs(t: Transformation) -> tuple[object, ...]:
-    names = tuple(port.name for port in t.inputs), tuple(port.name for port in t.outputs)
-    return t.label, t.source, t.host, t.kind, t.params, t.run, names
 
 
 def _same_but_for_costs(old: Transformation, new: Transformation) -> bool:

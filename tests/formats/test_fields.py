@@ -1,0 +1,127 @@
+"""A field is one row: what is made of the table knows it, whatever it is."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import shutil
+import subprocess
+import sys
+from dataclasses import MISSING, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+from loading import load
+
+import cfgplan
+from cfgplan.domain import (
+    ComputationUnit,
+    Host,
+    InputPort,
+    OutputPort,
+    RunOptions,
+    Target,
+    Transformation,
+)
+from cfgplan.formats import EnvironmentFile, fields
+from cfgplan.formats.fields import Part, Use
+from cfgplan.qualities import QualityAttribute, Wish
+
+HERE = Path(__file__).parent
+HOLDERS: dict[type[Part], tuple[Any, list[str]]] = {
+    fields.TransformationPart: (Transformation, ["library"]),
+    fields.InputPart: (InputPort, ["library", "inputs"]),
+    fields.OutputPart: (OutputPort, ["library", "outputs"]),
+    fields.RunPart: (RunOptions, ["library", "run"]),
+    fields.UnitPart: (ComputationUnit, ["units"]),
+    fields.TargetPart: (Target, ["targets"]),
+    fields.WishPart: (Wish, ["targets", "quality"]),
+    fields.HostPart: (Host, ["hosts"]),
+    fields.AttributePart: (QualityAttribute, ["qualities"]),
+}
+"""The domain's value of each part, and the way to it from an environment."""
+COMPUTED = ("labor", "upkeep", "worst", "best", "run")
+ROWS = [(part, key) for part in HOLDERS for key in part.rows()]
+
+
+@cache
+def world() -> EnvironmentFile:
+    return load(HERE / "every_key.yaml")
+
+
+def default_of(part: type[Part], key: str) -> Any:
+    """What the domain's value has if it is not told; MISSING if it must be."""
+    (field,) = (field for field in dataclasses.fields(HOLDERS[part][0]) if field.name == part.rows()[key].to)
+    return field.default if field.default_factory is MISSING else field.default_factory()
+
+
+def changed(holder: Any, path: list[str], attribute: str, value: Any) -> list[Any]:
+    """The holder with the value instead of another, once for each place on the path where there is another."""
+    if not path:
+        return [replace(holder, **{attribute: value})] if getattr(holder, attribute) != value else []
+    inner = getattr(holder, path[0])
+    if not isinstance(inner, tuple):
+        return [replace(holder, **{path[0]: other}) for other in changed(inner, path[1:], attribute, value)]
+    return [
+        replace(holder, **{path[0]: (*inner[:index], other, *inner[index + 1 :])})
+        for index, each in enumerate(inner)
+        for other in changed(each, path[1:], attribute, value)
+    ]
+
+
+@pytest.mark.parametrize(("part", "key"), ROWS)
+def test_a_field_counts_in_the_digest_where_planning_uses_it(part: type[Part], key: str) -> None:
+    row, usual = part.rows()[key], default_of(part, key)
+    if usual is MISSING:
+        return
+    others = changed(world().environment, HOLDERS[part][1], row.to, usual)
+    assert others, f"every_key.yaml does not say `{key}`"
+    counts = any(replace(world(), environment=other).digest != world().digest for other in others)
+    assert counts == (Use.PLANNING in row.use)
+
+
+@pytest.mark.parametrize(("part", "key"), ROWS)
+def test_an_absent_key_means_the_same_to_the_schema_and_to_the_domain(part: type[Part], key: str) -> None:
+    row, usual = part.rows()[key], default_of(part, key)
+    if usual is not MISSING and key not in COMPUTED:
+        assert (None if usual is None else row.plain(usual) or None) == (row.default or None)
+
+
+NEW_FIELD = """
+from pathlib import Path
+import sys
+from loading import load
+from cfgplan.domain import Environment
+from cfgplan.formats import dump_environment, dump_xml, environment_schema, fields, plain_environment
+
+text = "format: cfgplan/1\\ntransformations:\\n- {label: t, outputs: {o: O}GPU}\\n"
+def world(suffix, content):
+    path = Path(sys.argv[1]) / f"env{suffix}"
+    path.write_text(content)
+    return load(path)
+
+said, without = world(".yaml", text.replace("GPU", ", gpu: 2")), world(".yaml", text.replace("GPU", ""))
+assert environment_schema()["$defs"]["TransformationPart"]["properties"]["gpu"]["description"] == "how many"
+(t,), (u,) = said.environment.library, without.environment.library
+assert (t.gpu, u.gpu) == (2, 0)
+assert said.digest != without.digest
+assert fields.what_runs(t) != fields.what_runs(u)
+assert world(".yaml", dump_environment(said.environment, horizon_s=1)).environment == said.environment
+assert world(".xml", dump_xml(plain_environment(said.environment, horizon_s=1))).environment == said.environment
+"""
+
+
+def test_a_new_field_is_a_line_of_the_domain_and_a_row(tmp_path: Path) -> None:
+    shutil.copytree(Path(cfgplan.__file__).parent, tmp_path / "cfgplan", ignore=shutil.ignore_patterns("__pycache__"))
+    for file, line, more in (
+        ("transformations.py", "    standby_us: int | None = None\n", "    gpu: int = 0\n"),
+        ("formats/fields.py", "    run: RunPart | None", '    gpu: int = row("how many", 0, use=Use.BOTH)\n'),
+    ):
+        path = tmp_path / "cfgplan" / file
+        before, found, after = path.read_text().partition(line)
+        assert found
+        path.write_text(before + (found + more if file == "transformations.py" else more + found) + after)
+    search = {"PYTHONPATH": f"{tmp_path}:{HERE}"}
+    subprocess.run([sys.executable, "-c", NEW_FIELD, str(tmp_path)], env=os.environ | search, cwd=tmp_path, check=True)
