@@ -11,6 +11,7 @@ import threading
 from dataclasses import replace
 from pathlib import Path
 from threading import Event
+from unittest.mock import patch
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -33,6 +34,7 @@ from cfgplan.domain import (
 )
 from cfgplan.planners import PLANNERS
 from cfgplan.planners.cpsat import PlannerSession, plan
+from cfgplan.planners.cpsat.structure import Structure
 from cfgplan.planning import Problem, Progress, Status
 from cfgplan.validity import plan_violations
 
@@ -211,3 +213,20 @@ def test_a_session_plans_again_after_each_failure_without_a_change_where_none_is
     assert again.change_set is not None
     assert [unit.id for unit in again.change_set.started] == ["s0.2"]
     assert [unit.id for unit in again.change_set.rewired] == ["f.1"]
+
+
+def test_what_is_known_without_open_pairs_and_with_all_of_them_stays_known() -> None:
+    library = tuple(
+        Transformation(label, (), (OutputPort("x", tag),), labor_us=labor_us)
+        for label, tag, labor_us in (("dear", "A", 9), ("cheap", "B", 1))
+    )
+    similarity = Similarity({"A": frozenset("A")}, {"A": frozenset("B")})
+    problem = Problem(Environment((), library, (Target("q0", "A", "/0"),)), similarity, 1)
+    session = PlannerSession()
+    first = session.plan(problem)
+    assert (first.status, first.cost_us, first.bound_us) == (Status.FEASIBLE, 9, 1)
+    with patch.object(Structure, "of", wraps=Structure.of) as made:
+        assert session.plan(problem) == first
+        assert made.call_count == 0
+        decided = session.plan(replace(problem, similarity=Similarity({"A": frozenset("AB")})))
+        assert (decided.status, decided.cost_us) == (Status.OPTIMAL, 1)

@@ -13,6 +13,7 @@ from threading import Event
 
 import numpy as np
 
+from cfgplan.domain import Similarity
 from cfgplan.planners.bounding.bounds import Bound
 from cfgplan.planners.bounding.chains import chained_bound
 from cfgplan.planners.bounding.tightening import tightened
@@ -51,6 +52,8 @@ class PlannerSession:
         self._structure: Structure | None = None
         self._last: frozenset[str] = frozenset()
         self._rest: Rest | None = None
+        self._aside: tuple[Structure, frozenset[str], Rest | None] | None = None
+        """What is remembered of another matching: where pairs are open, none and all of them match by turns."""
 
     def plan(
         self,
@@ -85,6 +88,7 @@ class PlannerSession:
         units = what_runs(problem)
         if units is not None:
             standing.offer(units)
+        self._turn_to(problem.similarity)
         if self._structure is None or not self._structure.serves(problem):
             self._structure = Structure.of(problem, self._structure, clock)
             self._rest = None
@@ -100,6 +104,15 @@ class PlannerSession:
             self._with_required(standing, structure)
         else:
             self._without_required(standing, structure)
+
+    def _turn_to(self, similarity: Similarity) -> None:
+        """Remember what is known of this matching, and set aside what is known of the last one."""
+        structure, aside = self._structure, self._aside
+        if structure is None or structure.similarity == similarity:
+            return
+        self._aside = structure, self._last, self._rest
+        if aside is not None and aside[0].similarity == similarity:
+            self._structure, self._last, self._rest = aside
 
     def _without_required(self, standing: Standing, structure: Structure) -> None:
         """What is new is searched first; what is open is prepared, searched if little is left of it, and solved."""
