@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.live import Live
 
-from cfgplan.cli.run_picture import Line, Picture
+from cfgplan.cli.run_picture import LogLine, RunPicture
 from cfgplan.cli.run_report import fetched, show_files, show_ledger
 from cfgplan.cli.screen import Screen, counted
 
@@ -37,7 +37,7 @@ class LiveView:
             redirect_stdout=False,
             redirect_stderr=False,
         )
-        self._lines: deque[Line] = deque(maxlen=_MOST_LINES)
+        self._lines: deque[LogLine] = deque(maxlen=_MOST_LINES)
         self._since_s = time.monotonic()
         self._draw_at_s = 0.0
         self._note = ""
@@ -62,7 +62,7 @@ class LiveView:
             self._reviews += is_review
             if said is not None:
                 grade = WARNING if isinstance(news, str) else level(news)
-                self._lines += (Line(time.time(), grade, text, is_review) for text in said.splitlines())
+                self._lines += (LogLine(time.time(), grade, text, is_review) for text in said.splitlines())
         if time.monotonic() >= self._draw_at_s:
             self._draw()
 
@@ -85,7 +85,7 @@ class LiveView:
     def _draw(self) -> None:
         began_s = time.monotonic()
         operation = self._operation
-        picture = Picture(
+        picture = RunPicture(
             run=operation.id,
             environment=operation.environment,
             elapsed_s=time.monotonic() - self._since_s,

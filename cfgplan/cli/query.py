@@ -21,7 +21,7 @@ from cfgplan.errors import Fault, InputError, InvalidValueError
 
 if TYPE_CHECKING:
     from cfgplan_runtime.reasoning.answers import Answer, Progressed, Report
-    from cfgplan_runtime.reasoning.features import Declared
+    from cfgplan_runtime.reasoning.features import DeclaredFeatures
     from cfgplan_runtime.reasoning.monitor import Waiting
     from cfgplan_runtime.reasoning.queries import Query
     from cfgplan_runtime.reasoning.subscriptions import Subscriptions
@@ -142,7 +142,7 @@ def _own(options: argparse.Namespace, screen: Screen, asked: Query, world: World
         yield ManagedSubscriptions(manager, runtime.id)
 
 
-def _read(options: argparse.Namespace, screen: Screen, known: Declared) -> Query:
+def _read(options: argparse.Namespace, screen: Screen, known: DeclaredFeatures) -> Query:
     """The query that the options say, over the features that are known and those that they declare."""
     from cfgplan_runtime.reasoning import features
     from cfgplan_runtime.reasoning.parsing import FILE

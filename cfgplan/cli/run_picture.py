@@ -32,7 +32,7 @@ _OLD_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class LogLine:
     """A line of the log; the time is in seconds since 1970."""
 
     at: float
@@ -47,7 +47,7 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Picture:
+class RunPicture:
     """Everything that is shown; drawn for the size that the terminal has at that moment."""
 
     run: str
@@ -55,7 +55,7 @@ class Picture:
     elapsed_s: float
     snapshot: Snapshot
     flows: Mapping[str, Flow]
-    lines: Sequence[Line] = ()
+    lines: Sequence[LogLine] = ()
     recorded: int | None = None
     note: str = ""
     now_s: float = field(default_factory=time.time)
@@ -232,8 +232,7 @@ def _title(text: str) -> RenderableType:
 
 
 def _clipped(text: Text) -> Text:
-    text.no_wrap, text.overflow = True, "ellipsis"
-    return text
+    return Text.assemble(text, no_wrap=True, overflow="ellipsis")
 
 
 def _span(seconds: float) -> str:

@@ -2,17 +2,17 @@
 
 from cfgplan.comparing.entrants import REGISTERED, Entrant, entrant
 from cfgplan.comparing.instances import Instance, generated, given, named
-from cfgplan.comparing.rows import Failure, Row, read_rows
+from cfgplan.comparing.rows import Row, RunFailure, read_rows
 from cfgplan.comparing.runner import Advance, Limits, require, run, run_one
 
 __all__ = [
     "REGISTERED",
     "Advance",
     "Entrant",
-    "Failure",
     "Instance",
     "Limits",
     "Row",
+    "RunFailure",
     "entrant",
     "generated",
     "given",

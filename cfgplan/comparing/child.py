@@ -27,7 +27,7 @@ from typing import Any, TextIO
 
 from cfgplan.comparing.entrants import Entrant
 from cfgplan.comparing.families import FAMILIES
-from cfgplan.comparing.rows import Failure, Point
+from cfgplan.comparing.rows import Point, RunFailure
 from cfgplan.comparing.transport import restored
 from cfgplan.domain import Similarity
 from cfgplan.errors import CfgplanError
@@ -55,11 +55,11 @@ def main() -> None:
         else:
             answer = _run(entrant, task["problem"], task["time_limit_s"], out)
     except ImportError as error:
-        answer = {"outcome": Failure.UNAVAILABLE, "message": str(error)}
+        answer = {"outcome": RunFailure.UNAVAILABLE, "message": str(error)}
     except MemoryError:
-        answer = {"outcome": Failure.OUT_OF_MEMORY}
+        answer = {"outcome": RunFailure.OUT_OF_MEMORY}
     except CfgplanError as error:
-        answer = {"outcome": Failure.REFUSED, "message": str(error)}
+        answer = {"outcome": RunFailure.REFUSED, "message": str(error)}
     print(json.dumps(answer, ensure_ascii=False), file=out, flush=True)
 
 

@@ -11,7 +11,7 @@ from cfgplan.planning import Status
 
 
 @dataclass(frozen=True)
-class Reference:
+class LeastCost:
     """The least cost known for an instance, and whether someone proved that there is none less.
 
     It is that of plans which leave `unused_required` required transformations unused, the fewest that any does.
@@ -30,7 +30,7 @@ def by_instance(rows: Iterable[Row]) -> dict[tuple[str, str], list[Row]]:
     return dict(found)
 
 
-def references(rows: Iterable[Row]) -> Mapping[tuple[str, str], Reference]:
+def references(rows: Iterable[Row]) -> Mapping[tuple[str, str], LeastCost]:
     """What to measure costs against, for each instance that anyone has a judged plan for."""
     found = {}
     for instance, group in by_instance(rows).items():
@@ -38,11 +38,11 @@ def references(rows: Iterable[Row]) -> Mapping[tuple[str, str], Reference]:
         if plans:
             cost_us = min(map(_cost_us, plans))
             proven = any(row.proven and row.cost_us == cost_us for row in plans)
-            found[instance] = Reference(cost_us, proven, plans[0].unused_required)
+            found[instance] = LeastCost(cost_us, proven, plans[0].unused_required)
     return found
 
 
-def gap(row: Row, reference: Mapping[tuple[str, str], Reference]) -> float | None:
+def gap(row: Row, reference: Mapping[tuple[str, str], LeastCost]) -> float | None:
     """By what share of the least known cost a row's plan is dearer; None without a plan that compares with it."""
     least = reference.get((row.instance, row.digest))
     if least is None or row.cost_us is None or not row.has_plan or row.violations != ():

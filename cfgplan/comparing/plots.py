@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from cfgplan.comparing.invariants import by_instance, gap, references
 from cfgplan.comparing.report import LEAST_S, planners
-from cfgplan.comparing.rows import Failure, Row
+from cfgplan.comparing.rows import Row, RunFailure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -214,14 +214,14 @@ def _series(rows: Sequence[Row]) -> dict[tuple[str, str], list[tuple[float, Row]
     found: dict[tuple[str, str], list[tuple[float, Row]]] = defaultdict(list)
     for row in rows:
         for name, value in row.parameters.items():
-            if isinstance(value, int | float) and row.outcome not in (Failure.REFUSED, Failure.UNAVAILABLE):
+            if isinstance(value, int | float) and row.outcome not in (RunFailure.REFUSED, RunFailure.UNAVAILABLE):
                 same = ", ".join(f"{k}={v}" for k, v in row.parameters.items() if k != name)
                 found[f"{row.family}{f' ({same})' if same else ''}", name].append((float(value), row))
     return {key: points for key, points in found.items() if len({x for x, _ in points}) >= 3}
 
 
 def _tried(rows: Sequence[Row], planner: str) -> list[Row]:
-    refused = (Failure.REFUSED, Failure.UNAVAILABLE)
+    refused = (RunFailure.REFUSED, RunFailure.UNAVAILABLE)
     solvable = references(rows)
     return [
         row

@@ -9,8 +9,8 @@ from math import exp, log
 from pathlib import Path
 from statistics import median
 
-from cfgplan.comparing.invariants import Reference, breaches, by_instance, gap, references
-from cfgplan.comparing.rows import PROVEN, Failure, Row
+from cfgplan.comparing.invariants import LeastCost, breaches, by_instance, gap, references
+from cfgplan.comparing.rows import PROVEN, Row, RunFailure
 from cfgplan.planning import Status
 
 LEAST_S = 1e-4
@@ -103,7 +103,9 @@ def by_family(rows: Sequence[Row], *, base: str = "cpsat") -> Table:
         group = [row for row in rows if _kind(row) == kind]
         cells = []
         for name in names:
-            tried = [r for r in group if r.planner == name and r.outcome not in (Failure.REFUSED, Failure.UNAVAILABLE)]
+            tried = [
+                r for r in group if r.planner == name and r.outcome not in (RunFailure.REFUSED, RunFailure.UNAVAILABLE)
+            ]
             ratio, _ = ratio_to(group, name, base)
             speed = f", x{ratio:.2g}" if ratio is not None and name != base else ""
             gaps = [g for row in tried if (g := gap(row, reference)) is not None]
@@ -166,7 +168,7 @@ def ratio_to(rows: Sequence[Row], planner: str, base: str) -> tuple[float | None
 
 
 def _column(
-    rows: Sequence[Row], planner: str, base: str, reference: Mapping[tuple[str, str], Reference]
+    rows: Sequence[Row], planner: str, base: str, reference: Mapping[tuple[str, str], LeastCost]
 ) -> tuple[str, ...]:
     own = [row for row in rows if row.planner == planner]
     count = Counter(_class(row) for row in own)
@@ -195,12 +197,12 @@ def _class(row: Row) -> str:
         return "proven"
     if row.has_plan:
         return "plan"
-    if row.outcome in (Failure.REFUSED, Failure.UNAVAILABLE):
+    if row.outcome in (RunFailure.REFUSED, RunFailure.UNAVAILABLE):
         return "refused"
-    return "nothing" if row.outcome in (Status.UNKNOWN, Failure.KILLED) else "failed"
+    return "nothing" if row.outcome in (Status.UNKNOWN, RunFailure.KILLED) else "failed"
 
 
-def _cell(row: Row, reference: Mapping[tuple[str, str], Reference]) -> str:
+def _cell(row: Row, reference: Mapping[tuple[str, str], LeastCost]) -> str:
     if row.violations:
         return "judged false"
     if row.proof_s is not None:

@@ -13,7 +13,7 @@ from cfgplan.errors import Fault, InputError
 from cfgplan.planning import Status
 
 
-class Failure(StrEnum):
+class RunFailure(StrEnum):
     """How a run ended that gave no answer; the other outcomes are those of `planning.Status`."""
 
     REFUSED = "refused"
@@ -37,7 +37,7 @@ Key = tuple[str, str, str, float, int | None]
 class Row:
     """One run of one planner on one instance; times are in seconds since the planner was called.
 
-    `outcome` is a `Status` or a `Failure`. `violations` is what the judge found, None where there
+    `outcome` is a `Status` or a `RunFailure`. `violations` is what the judge found, None where there
     was no answer to judge. `peak_mb` is the largest resident memory of the process, the solver's own if it is
     a process apart. `trace` tells the best cost and the bound over time. There is a time of proof where the
     planner proved its answer, be it that there is none, or that no plan costs less; to break ties between equal

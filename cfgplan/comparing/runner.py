@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from cfgplan.comparing.entrants import Entrant
 from cfgplan.comparing.instances import Instance
-from cfgplan.comparing.rows import PROVEN, Failure, Key, Point, Row, append_row, read_rows, thinned
+from cfgplan.comparing.rows import PROVEN, Key, Point, Row, RunFailure, append_row, read_rows, thinned
 from cfgplan.errors import InputError, InvalidValueError
 from cfgplan.planning import Status
 
@@ -70,7 +70,7 @@ def run(
     A run whose row is there already is not repeated, unless a package was missing then. Returns the
     rows of exactly these runs. `watch` is told of each run before it starts, and of the end.
     """
-    known = {row.key: row for row in read_rows(results) if row.outcome != Failure.UNAVAILABLE}
+    known = {row.key: row for row in read_rows(results) if row.outcome != RunFailure.UNAVAILABLE}
     tasks = [(instance, entrant) for instance in instances for entrant in entrants if takes_part(instance, entrant)]
     left = [(i, e) for i, e in tasks if _key(i, e, limits) not in known]
     for number, (instance, entrant) in enumerate(left):
@@ -122,7 +122,7 @@ def run_one(instance: Instance, entrant: Entrant, limits: Limits) -> Row:
     trace, answer = _parsed(out)
     if answer is None:
         answer = _failure(code, err)
-        if trace and answer["outcome"] != Failure.CRASHED:
+        if trace and answer["outcome"] != RunFailure.CRASHED:
             answer |= {"cost_us": trace[-1][1], "bound_us": trace[-1][2]}
     first_s, best_s = _times(trace, answer)
     environment = instance.problem.environment
@@ -230,12 +230,12 @@ def _parsed(out: str) -> tuple[list[Point], dict[str, Any] | None]:
 
 def _failure(code: int | None, err: str) -> dict[str, Any]:
     if code is None:
-        return {"outcome": Failure.KILLED}
+        return {"outcome": RunFailure.KILLED}
     if "MemoryError" in err or "bad_alloc" in err:
-        return {"outcome": Failure.OUT_OF_MEMORY}
+        return {"outcome": RunFailure.OUT_OF_MEMORY}
     ending = err.strip().splitlines()[-1:] or [""]
     how = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
-    return {"outcome": Failure.CRASHED, "message": f"{how}: {ending[0]}"[:300]}
+    return {"outcome": RunFailure.CRASHED, "message": f"{how}: {ending[0]}"[:300]}
 
 
 def _times(trace: Sequence[Point], answer: dict[str, Any]) -> tuple[float | None, float | None]:

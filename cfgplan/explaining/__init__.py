@@ -7,8 +7,8 @@ from cfgplan.explaining.alternatives import Alternatives, alternatives
 from cfgplan.explaining.best_effort import BestEffort, best_effort
 from cfgplan.explaining.front import Front, FrontPoint, front
 from cfgplan.explaining.plain import plain
-from cfgplan.explaining.sensitivity import Line, Sensitivity, Span, horizon_sensitivity, upkeep_sensitivity
-from cfgplan.explaining.together import Clash, Demands, demanding
+from cfgplan.explaining.sensitivity import CostLine, Sensitivity, Span, horizon_sensitivity, upkeep_sensitivity
+from cfgplan.explaining.together import Clash, DemandSet, demanding
 from cfgplan.explaining.unfed import Blocked, Unfed, Unreachable, named_alone, unreachable
 from cfgplan.explaining.why_not import Unused, WhyNot, running, why_not
 from cfgplan.explaining.why_this import Choice, Why, why_stream, why_transformation, why_unit
@@ -19,10 +19,10 @@ __all__ = [
     "Blocked",
     "Choice",
     "Clash",
-    "Demands",
+    "CostLine",
+    "DemandSet",
     "Front",
     "FrontPoint",
-    "Line",
     "Sensitivity",
     "Span",
     "Unfed",

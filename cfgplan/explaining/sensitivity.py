@@ -17,7 +17,7 @@ from cfgplan.validity.placing import carried_us
 
 
 @dataclass(frozen=True, order=True)
-class Line:
+class CostLine:
     """A plan's cost in microseconds as it depends on a parameter: `fixed_us` and `each_us` times the parameter."""
 
     fixed_us: int
@@ -37,7 +37,7 @@ class Span:
 
     begin: Fraction
     end: Fraction | None
-    line: Line
+    line: CostLine
     plan: Plan
     runs: tuple[str, ...]
 
@@ -148,12 +148,12 @@ class _Envelope:
         self._planner = planner
         self._at = at
         self._each_us = each_us
-        self._plans: dict[Line, Plan] = {}
-        self._best: dict[int, Line | None] = {}
+        self._plans: dict[CostLine, Plan] = {}
+        self._best: dict[int, CostLine | None] = {}
 
-    def lines(self, last: int) -> list[Line]:
+    def lines(self, last: int) -> list[CostLine]:
         """The optimal lines from 0 to `last`, in order; none if there is no plan."""
-        found: list[Line] = []
+        found: list[CostLine] = []
         ahead = [(0, last)]
         while ahead:
             low, high = ahead.pop()
@@ -172,11 +172,11 @@ class _Envelope:
                     ahead += [(middle, high), (low, middle)]
         return list(dict.fromkeys(found))
 
-    def span(self, begin: Fraction, end: Fraction | None, line: Line) -> Span:
+    def span(self, begin: Fraction, end: Fraction | None, line: CostLine) -> Span:
         after = after_update(self._problem, self._plans[line])
         return Span(begin, end, line, self._plans[line], tuple(sorted({u.transformation for u in after.units})))
 
-    def best(self, value: int) -> Line | None:
+    def best(self, value: int) -> CostLine | None:
         """The line of an optimal plan at a value."""
         if value not in self._best:
             plan = self._planner(self._at(value))
@@ -184,11 +184,11 @@ class _Envelope:
             self._best[value] = None
             if plan.cost_us is not None and plan.change_set is not None:
                 each_us = self._each_us(after_update(self._problem, plan))
-                line = self._best[value] = Line(plan.cost_us - each_us * value, each_us)
+                line = self._best[value] = CostLine(plan.cost_us - each_us * value, each_us)
                 self._plans.setdefault(line, plan)
         return self._best[value]
 
-    def _lower_between(self, low: int, high: int, left: Line, right: Line) -> int | None:
+    def _lower_between(self, low: int, high: int, left: CostLine, right: CostLine) -> int | None:
         """A value next to the crossing of two lines at which another one is lower."""
         before = math.floor(_crossing(left, right))
         for value in (before, before + 1):
@@ -199,7 +199,7 @@ class _Envelope:
         return None
 
 
-def _crossing(one: Line, other: Line) -> Fraction:
+def _crossing(one: CostLine, other: CostLine) -> Fraction:
     return Fraction(other.fixed_us - one.fixed_us, one.each_us - other.each_us)
 
 

@@ -13,7 +13,7 @@ REFUSED = (Status.INFEASIBLE, Status.TOO_EXPENSIVE)
 
 
 @dataclass(frozen=True)
-class Demands:
+class DemandSet:
     """Some of what a problem demands: targets, required and pinned transformations, by their labels."""
 
     targets: frozenset[str] = frozenset()
@@ -21,7 +21,7 @@ class Demands:
     pinned: frozenset[str] = frozenset()
 
     @classmethod
-    def of(cls, environment: Environment) -> Demands:
+    def of(cls, environment: Environment) -> DemandSet:
         """All that an environment demands; of pinned transformations those that run."""
         running = {unit.transformation for unit in environment.units}
         return cls(
@@ -30,17 +30,17 @@ class Demands:
             frozenset(t.label for t in environment.library if t.pinned and t.label in running),
         )
 
-    def each(self, environment: Environment) -> tuple[Demands, ...]:
+    def each(self, environment: Environment) -> tuple[DemandSet, ...]:
         """The single demands, those first that are easiest to let go: required, pinned, targets by priority."""
         targets = [target for target in environment.targets if target.label in self.targets]
         return (
-            *(Demands(required=frozenset({label})) for label in sorted(self.required)),
-            *(Demands(pinned=frozenset({label})) for label in sorted(self.pinned)),
-            *(Demands(targets=frozenset({t.label})) for t in sorted(targets, key=lambda t: (t.priority, t.label))),
+            *(DemandSet(required=frozenset({label})) for label in sorted(self.required)),
+            *(DemandSet(pinned=frozenset({label})) for label in sorted(self.pinned)),
+            *(DemandSet(targets=frozenset({t.label})) for t in sorted(targets, key=lambda t: (t.priority, t.label))),
         )
 
-    def without(self, other: Demands) -> Demands:
-        return Demands(self.targets - other.targets, self.required - other.required, self.pinned - other.pinned)
+    def without(self, other: DemandSet) -> DemandSet:
+        return DemandSet(self.targets - other.targets, self.required - other.required, self.pinned - other.pinned)
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Clash:
     otherwise no valid configuration meets them at any cost.
     """
 
-    demands: Demands
+    demands: DemandSet
     cost_us: int | None = None
     max_cost_us: int | None = None
 
@@ -62,7 +62,7 @@ def clash(problem: Problem, planner: Planner) -> Clash | None:
 
     Takes one call of the planner for each demand; what it can't decide counts as necessary.
     """
-    demands = Demands.of(problem.environment)
+    demands = DemandSet.of(problem.environment)
     plan = planner(problem)
     if plan.status not in REFUSED:
         return None
@@ -74,7 +74,7 @@ def clash(problem: Problem, planner: Planner) -> Clash | None:
     return Clash(demands, _cheapest_us(plan), problem.max_cost_us if plan.status is Status.TOO_EXPENSIVE else None)
 
 
-def demanding(problem: Problem, demands: Demands) -> Problem:
+def demanding(problem: Problem, demands: DemandSet) -> Problem:
     """The problem with these of its demands alone."""
     environment = problem.environment
     library = tuple(

@@ -28,21 +28,21 @@ class Nominal:
 
 
 @dataclass(frozen=True, slots=True)
-class Not:
+class Complement:
     """Complement, ¬C."""
 
     concept: Concept
 
 
 @dataclass(frozen=True, slots=True)
-class And:
+class Intersection:
     """Conjunction of two or more, C ⊓ D; made by `conjunction`."""
 
     parts: frozenset[Concept]
 
 
 @dataclass(frozen=True, slots=True)
-class Or:
+class Union:
     """Disjunction of two or more, C ⊔ D; made by `disjunction`."""
 
     parts: frozenset[Concept]
@@ -82,7 +82,7 @@ class AtMost:
     filler: Concept
 
 
-Concept: TypeAlias = Named | Nominal | Not | And | Or | Some | Only | AtLeast | AtMost
+Concept: TypeAlias = Named | Nominal | Complement | Intersection | Union | Some | Only | AtLeast | AtMost
 
 TOP = Named(THING_IRI)
 BOTTOM = Named(NOTHING_IRI)
@@ -92,12 +92,12 @@ def conjunction(parts: Iterable[Concept]) -> Concept:
     """C ⊓ D ⊓ ..., flat, without ⊤ and repetitions; ⊤ if nothing is left."""
     flat: set[Concept] = set()
     for part in parts:
-        flat.update(part.parts if isinstance(part, And) else (part,))
+        flat.update(part.parts if isinstance(part, Intersection) else (part,))
     flat.discard(TOP)
     if BOTTOM in flat:
         return BOTTOM
     if len(flat) > 1:
-        return And(frozenset(flat))
+        return Intersection(frozenset(flat))
     return flat.pop() if flat else TOP
 
 
@@ -105,22 +105,22 @@ def disjunction(parts: Iterable[Concept]) -> Concept:
     """C ⊔ D ⊔ ..., flat, without ⊥ and repetitions; ⊥ if nothing is left."""
     flat: set[Concept] = set()
     for part in parts:
-        flat.update(part.parts if isinstance(part, Or) else (part,))
+        flat.update(part.parts if isinstance(part, Union) else (part,))
     flat.discard(BOTTOM)
     if TOP in flat:
         return TOP
     if len(flat) > 1:
-        return Or(frozenset(flat))
+        return Union(frozenset(flat))
     return flat.pop() if flat else BOTTOM
 
 
 def negation(concept: Concept) -> Concept:
     """¬C, without double negation."""
-    if isinstance(concept, Not):
+    if isinstance(concept, Complement):
         return concept.concept
     if concept == TOP:
         return BOTTOM
-    return TOP if concept == BOTTOM else Not(concept)
+    return TOP if concept == BOTTOM else Complement(concept)
 
 
 def some(role: str, filler: Concept) -> Concept:
@@ -142,11 +142,11 @@ def in_description_logic(concept: Concept, name: Callable[[str], str]) -> str:
             return {THING_IRI: "⊤", NOTHING_IRI: "⊥"}.get(iri) or name(iri)
         case Nominal(iri):
             return f"{{{name(iri)}}}"
-        case Not(part):
+        case Complement(part):
             return f"¬{_operand(part, name)}"
-        case And(parts):
+        case Intersection(parts):
             return " ⊓ ".join(sorted((_operand(part, name) for part in parts), key=_names_first))
-        case Or(parts):
+        case Union(parts):
             return " ⊔ ".join(sorted((_operand(part, name) for part in parts), key=_names_first))
         case Some(role, filler):
             return f"∃{name(role)}.{_operand(filler, name)}"
@@ -165,11 +165,11 @@ def in_functional_syntax(concept: Concept) -> str:
             return f"<{iri}>"
         case Nominal(iri):
             return f"ObjectOneOf(<{iri}>)"
-        case Not(part):
+        case Complement(part):
             return f"ObjectComplementOf({in_functional_syntax(part)})"
-        case And(parts):
+        case Intersection(parts):
             return f"ObjectIntersectionOf({' '.join(sorted(map(in_functional_syntax, parts)))})"
-        case Or(parts):
+        case Union(parts):
             return f"ObjectUnionOf({' '.join(sorted(map(in_functional_syntax, parts)))})"
         case Some(role, filler):
             return f"ObjectSomeValuesFrom(<{role}> {in_functional_syntax(filler)})"
@@ -183,7 +183,7 @@ def in_functional_syntax(concept: Concept) -> str:
 
 def _operand(concept: Concept, name: Callable[[str], str]) -> str:
     text = in_description_logic(concept, name)
-    return f"({text})" if isinstance(concept, And | Or) else text
+    return f"({text})" if isinstance(concept, Intersection | Union) else text
 
 
 def _names_first(text: str) -> tuple[bool, str]:

@@ -24,15 +24,15 @@ from typing import Final
 from cfgplan.matching.concepts import (
     NOTHING_IRI,
     THING_IRI,
-    And,
     AtLeast,
     AtMost,
+    Complement,
     Concept,
+    Intersection,
     Nominal,
-    Not,
     Only,
-    Or,
     Some,
+    Union,
     in_functional_syntax,
 )
 from cfgplan.matching.functional import Signature, Tree, parse
@@ -573,22 +573,22 @@ def _both(tree: Tree, besides: Collection[Tree]) -> Tree:
 
 def _says_not(concept: Concept) -> bool:
     """Whether a concept says what things are not: a model in which nothing is more than needed does not refute it."""
-    return isinstance(concept, Not | Only | AtMost) or any(map(_says_not, _parts_of(concept)))
+    return isinstance(concept, Complement | Only | AtMost) or any(map(_says_not, _parts_of(concept)))
 
 
 def _says_more_of_individuals(concept: Concept) -> bool:
     """Whether a concept joins an individual with something else."""
-    if isinstance(concept, And) and any(isinstance(part, Nominal) for part in concept.parts):
+    if isinstance(concept, Intersection) and any(isinstance(part, Nominal) for part in concept.parts):
         return True
     return any(map(_says_more_of_individuals, _parts_of(concept)))
 
 
 def _parts_of(concept: Concept) -> Iterable[Concept]:
     match concept:
-        case And(parts) | Or(parts):
+        case Intersection(parts) | Union(parts):
             return parts
         case Some(_, filler) | Only(_, filler) | AtLeast(_, _, filler) | AtMost(_, _, filler):
             return (filler,)
-        case Not(part):
+        case Complement(part):
             return (part,)
     return ()

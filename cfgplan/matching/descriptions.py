@@ -9,7 +9,18 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Final
 
-from cfgplan.matching.concepts import TOP, And, AtLeast, Concept, Named, Nominal, Or, Some, conjunction, some
+from cfgplan.matching.concepts import (
+    TOP,
+    AtLeast,
+    Concept,
+    Intersection,
+    Named,
+    Nominal,
+    Some,
+    Union,
+    conjunction,
+    some,
+)
 from cfgplan.matching.rules import BOTTOM_ATOM, Rules
 from cfgplan.matching.saturation import Context, Edge, Saturation
 
@@ -52,7 +63,7 @@ class Descriptions:
         self._of_concept.pop(concept, None)
 
     def _describe(self, concept: Concept, extra: frozenset[int]) -> Description:
-        parts = concept.parts if isinstance(concept, And) else (concept,)
+        parts = concept.parts if isinstance(concept, Intersection) else (concept,)
         described: list[Description] = []
         nominals: list[int] = []
         for part in parts:
@@ -120,7 +131,7 @@ class Descriptions:
         known = self._fillers.get((filler, ranges))
         if known is not None:
             return known
-        parts = filler.parts if isinstance(filler, And) else (filler,)
+        parts = filler.parts if isinstance(filler, Intersection) else (filler,)
         context: Context
         if isinstance(filler, Nominal):
             context = self._saturation.context((self._rules.atom(filler),))
@@ -135,7 +146,7 @@ class Descriptions:
     def _anonymous(self, filler: Concept, ranges: frozenset[int]) -> Context:
         """The context of a nested restriction, or of an individual that a tag says more about."""
         described = self._describe(filler, ranges)
-        parts = filler.parts if isinstance(filler, And) else (filler,)
+        parts = filler.parts if isinstance(filler, Intersection) else (filler,)
         for part in parts:
             if isinstance(part, Nominal) and described is self._of_atom[self._rules.atom(part)]:
                 return self._saturation.context((self._rules.atom(part),))
@@ -175,7 +186,7 @@ def disjuncts(concept: Concept) -> tuple[tuple[Concept, ...], bool]:
     if _is_conjunctive(concept):
         return (concept,), True
     match concept:
-        case And(parts):
+        case Intersection(parts):
             found: list[Concept] = [TOP]
             exact = True
             for part in parts:
@@ -185,7 +196,7 @@ def disjuncts(concept: Concept) -> tuple[tuple[Concept, ...], bool]:
                 if len(found) > MOST_DISJUNCTS:
                     return (TOP,), False
             return tuple(dict.fromkeys(found)), exact
-        case Or(parts):
+        case Union(parts):
             options_of_parts = [disjuncts(part) for part in parts]
             union = tuple(dict.fromkeys(option for options, _ in options_of_parts for option in options))
             if len(union) > MOST_DISJUNCTS:
@@ -206,4 +217,4 @@ def _is_conjunctive(concept: Concept) -> bool:
         return True
     if isinstance(concept, Some):
         return _is_conjunctive(concept.filler)
-    return isinstance(concept, And) and all(map(_is_conjunctive, concept.parts))
+    return isinstance(concept, Intersection) and all(map(_is_conjunctive, concept.parts))

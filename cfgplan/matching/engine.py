@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
-from cfgplan.matching.concepts import And, AtLeast, AtMost, Concept, Nominal, Not, Only, Or, Some
+from cfgplan.matching.concepts import AtLeast, AtMost, Complement, Concept, Intersection, Nominal, Only, Some, Union
 from cfgplan.matching.descriptions import Description, Descriptions, disjuncts
 from cfgplan.matching.functional import Tree
 from cfgplan.matching.queries import Demand, Demands
@@ -113,8 +113,8 @@ def roles_in(concept: Concept) -> set[str]:
     match concept:
         case Some(role, filler) | Only(role, filler) | AtLeast(_, role, filler) | AtMost(_, role, filler):
             return {role} | roles_in(filler)
-        case And(parts) | Or(parts):
+        case Intersection(parts) | Union(parts):
             return set().union(*map(roles_in, parts))
-        case Not(part):
+        case Complement(part):
             return roles_in(part)
     return set()

@@ -8,7 +8,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from cfgplan.matching.concepts import And, Concept, in_functional_syntax
+from cfgplan.matching.concepts import Concept, Intersection, in_functional_syntax
 from cfgplan.matching.faults import ReasonerError
 from cfgplan.matching.matrix import match
 from cfgplan.matching.ontology import Ontology
@@ -122,7 +122,7 @@ def _steps_of_the_reference(offered: Concept, demanded: Concept, ontology: Ontol
 
 def conjuncts(concept: Concept, ontology: Ontology) -> list[str]:
     """The conjuncts of a concept as tags, in alphabetical order; the concept itself if it is no conjunction."""
-    return sorted(map(ontology.render, concept.parts if isinstance(concept, And) else (concept,)))
+    return sorted(map(ontology.render, concept.parts if isinstance(concept, Intersection) else (concept,)))
 
 
 PATIENCE_S: Final = 20.0

@@ -7,16 +7,16 @@ from typing import Final
 
 from cfgplan.matching.concepts import (
     TOP,
-    And,
     AtLeast,
     AtMost,
+    Complement,
     Concept,
+    Intersection,
     Named,
     Nominal,
-    Not,
     Only,
-    Or,
     Some,
+    Union,
     at_least,
     conjunction,
     disjunction,
@@ -74,7 +74,7 @@ def is_left_hand(concept: Concept) -> bool:
     match concept:
         case Named() | Nominal():
             return True
-        case And(parts) | Or(parts):
+        case Intersection(parts) | Union(parts):
             return all(map(is_left_hand, parts))
         case Some(_, filler):
             return is_left_hand(filler)
@@ -84,7 +84,7 @@ def is_left_hand(concept: Concept) -> bool:
 def right_hand_parts(concept: Concept, reasons: list[str]) -> Iterator[Concept]:
     """Conjuncts inside the fragment that the concept implies; `reasons` tells what they leave out."""
     match concept:
-        case And(parts):
+        case Intersection(parts):
             for part in parts:
                 yield from right_hand_parts(part, reasons)
         case Named():
@@ -92,35 +92,35 @@ def right_hand_parts(concept: Concept, reasons: list[str]) -> Iterator[Concept]:
         case Some(role, filler):
             if isinstance(filler, Nominal):
                 yield concept
-            elif isinstance(filler, And) and any(isinstance(part, Nominal) for part in filler.parts):
+            elif isinstance(filler, Intersection) and any(isinstance(part, Nominal) for part in filler.parts):
                 reasons.append("a filler joins an individual with something else")
                 yield from (Some(role, part) for part in filler.parts if isinstance(part, Nominal))
             else:
                 inner = list(right_hand_parts(filler, reasons))
-                if any(isinstance(part, Not) for part in inner):
+                if any(isinstance(part, Complement) for part in inner):
                     reasons.append("a filler is a complement")
-                yield some(role, conjunction(part for part in inner if not isinstance(part, Not)))
+                yield some(role, conjunction(part for part in inner if not isinstance(part, Complement)))
         case AtLeast(_, role, filler):
             if _mentions_nominal(filler):
                 reasons.append("individuals are counted")
             yield from right_hand_parts(Some(role, filler), reasons)
-        case Not(part) if is_left_hand(part):
+        case Complement(part) if is_left_hand(part):
             yield concept
         case _:
             reasons.append(f"{_WORDS[type(concept)]} on the right-hand side is outside the fast fragment")
 
 
-_WORDS: Final = {Nominal: "an individual", Not: "a complement", Or: "a union", Only: "∀", AtMost: "≤"}
+_WORDS: Final = {Nominal: "an individual", Complement: "a complement", Union: "a union", Only: "∀", AtMost: "≤"}
 
 
 def _mentions_nominal(concept: Concept) -> bool:
     match concept:
         case Nominal():
             return True
-        case And(parts) | Or(parts):
+        case Intersection(parts) | Union(parts):
             return any(map(_mentions_nominal, parts))
         case Some(_, filler) | Only(_, filler) | AtLeast(_, _, filler) | AtMost(_, _, filler):
             return _mentions_nominal(filler)
-        case Not(part):
+        case Complement(part):
             return _mentions_nominal(part)
     return False

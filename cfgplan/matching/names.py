@@ -20,7 +20,7 @@ def short_name(iri: str) -> str:
     return found.group(1) if found else iri
 
 
-class Vocabulary:
+class NameTable:
     """The names of one kind (`what`, such as "class") by their short and prefixed forms.
 
     A short name that stands for several IRIs is ambiguous and must be written with its prefix or as `<IRI>`.

@@ -15,7 +15,7 @@ from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI, Concept, in_descri
 from cfgplan.matching.faults import UnknownNameError
 from cfgplan.matching.functional import Signature, Tree, parse
 from cfgplan.matching.literals import told
-from cfgplan.matching.names import Vocabulary, expanded, short_name, suggestion
+from cfgplan.matching.names import NameTable, expanded, short_name, suggestion
 
 _BRACKETED: Final = re.compile(r"<([^<>\s]+)>")
 
@@ -109,19 +109,19 @@ class Ontology:
         return Signature(self.trees.values())
 
     @cached_property
-    def class_names(self) -> Vocabulary:
+    def class_names(self) -> NameTable:
         """The vocabulary of classes."""
-        return Vocabulary("class", self._signature.classes, self.prefixes)
+        return NameTable("class", self._signature.classes, self.prefixes)
 
     @cached_property
-    def individual_names(self) -> Vocabulary:
+    def individual_names(self) -> NameTable:
         """The vocabulary of individuals."""
-        return Vocabulary("individual", self._signature.individuals, self.prefixes)
+        return NameTable("individual", self._signature.individuals, self.prefixes)
 
     @cached_property
-    def property_names(self) -> Vocabulary:
+    def property_names(self) -> NameTable:
         """The vocabulary of object properties."""
-        return Vocabulary("property", self._signature.roles, self.prefixes)
+        return NameTable("property", self._signature.roles, self.prefixes)
 
     @property
     def classes(self) -> Mapping[str, str]:
@@ -138,7 +138,7 @@ class Ontology:
         """IRIs of the object properties by short name (`prefix:name` where the short name is ambiguous)."""
         return self.property_names.by_short_name
 
-    def find(self, name: str, vocabularies: Sequence[Vocabulary]) -> tuple[Vocabulary, str] | None:
+    def find(self, name: str, vocabularies: Sequence[NameTable]) -> tuple[NameTable, str] | None:
         """The first vocabulary that has a name, and its IRI; None in an open ontology. Raises UnknownNameError."""
         for vocabulary in vocabularies:
             iri = vocabulary.find(name)
@@ -168,7 +168,7 @@ class Ontology:
         """A concept in DL syntax with short names."""
         return in_description_logic(concept, self.written)
 
-    def _unknown(self, name: str, vocabularies: Sequence[Vocabulary]) -> UnknownNameError:
+    def _unknown(self, name: str, vocabularies: Sequence[NameTable]) -> UnknownNameError:
         wanted = " or ".join(vocabulary.what for vocabulary in vocabularies)
         others = (self.class_names, self.individual_names, self.property_names)
         for other in others:

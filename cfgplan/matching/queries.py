@@ -10,7 +10,7 @@ from collections import defaultdict
 from collections.abc import Hashable, Iterable, Iterator
 from typing import Any, Final, Generic, Protocol, TypeAlias, TypeVar
 
-from cfgplan.matching.concepts import TOP, And, Concept, Some
+from cfgplan.matching.concepts import TOP, Concept, Intersection, Some
 from cfgplan.matching.rules import TOP_ATOM, Rules
 from cfgplan.matching.saturation import Context, Edge
 
@@ -50,7 +50,7 @@ class Demands:
         """The demand of a conjunction of names, nominals and restrictions, without ⊔."""
         atoms: list[int] = []
         wants: list[Want] = []
-        for part in concept.parts if isinstance(concept, And) else (concept,):
+        for part in concept.parts if isinstance(concept, Intersection) else (concept,):
             if isinstance(part, Some):
                 want = self._wants.get(part)
                 if want is None:

@@ -10,7 +10,7 @@ from collections import defaultdict
 from collections.abc import Iterable
 from typing import Final
 
-from cfgplan.matching.concepts import BOTTOM, TOP, And, Concept, Nominal, Or, Some
+from cfgplan.matching.concepts import BOTTOM, TOP, Concept, Intersection, Nominal, Some, Union
 from cfgplan.matching.statements import Inclusion, Translation
 
 TOP_ATOM: Final = 0
@@ -86,7 +86,7 @@ class Rules:
         if concept in self._recognised:
             return atom
         self._recognised.add(concept)
-        if isinstance(concept, And):
+        if isinstance(concept, Intersection):
             first, *others = sorted(map(self._recognise, concept.parts))
             for index, other in enumerate(others):
                 last = index == len(others) - 1
@@ -94,7 +94,7 @@ class Rules:
                 if last:
                     self._join(first, other, joined)
                 first = joined
-        elif isinstance(concept, Or):
+        elif isinstance(concept, Union):
             for part in concept.parts:
                 self.sub[self._recognise(part)].add(atom)
         elif isinstance(concept, Some):
@@ -104,7 +104,7 @@ class Rules:
 
     def _recognise_pair(self, one: int, other: int) -> int:
         parts = frozenset((self.concepts[one], self.concepts[other]))
-        pair = self.atom(And(parts))
+        pair = self.atom(Intersection(parts))
         self._join(one, other, pair)
         return pair
 
@@ -114,12 +114,12 @@ class Rules:
 
     def _imply(self, atom: int, concept: Concept, axiom: str) -> None:
         """Everything with this atom is a `concept`, which is a name, ⊓ or ∃."""
-        if isinstance(concept, And):
+        if isinstance(concept, Intersection):
             for part in concept.parts:
                 self._imply(atom, part, axiom)
             return
         if isinstance(concept, Some):
-            parts = concept.filler.parts if isinstance(concept.filler, And) else (concept.filler,)
+            parts = concept.filler.parts if isinstance(concept.filler, Intersection) else (concept.filler,)
             atoms = frozenset(map(self.atom, parts)) - {TOP_ATOM}
             for filler in atoms:
                 self._expand(filler, axiom)
@@ -135,7 +135,7 @@ class Rules:
     def _expand(self, atom: int, axiom: str) -> None:
         """Say what an atom that stands for a complex concept implies: just that concept."""
         concept = self.concepts[atom]
-        if isinstance(concept, And | Some) and concept not in self._implied:
+        if isinstance(concept, Intersection | Some) and concept not in self._implied:
             self._implied.add(concept)
             self._imply(atom, concept, axiom)
 

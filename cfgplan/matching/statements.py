@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from cfgplan.matching.concepts import BOTTOM, TOP, Concept, Not, Only, Or, conjunction
+from cfgplan.matching.concepts import BOTTOM, TOP, Complement, Concept, Only, Union, conjunction
 from cfgplan.matching.expressions import OutsideError, is_left_hand, right_hand_parts
 
 
@@ -63,7 +63,7 @@ def include(sub: Concept, sup: Concept, axiom: str, result: Translation) -> None
     """Add sub ⊑ sup as far as it is inside the fragment. Raises OutsideError at the end if something is not."""
     if sup == TOP or sub == BOTTOM:
         return
-    if isinstance(sub, Or):
+    if isinstance(sub, Union):
         for part in sub.parts:
             include(part, sup, axiom, result)
         return
@@ -74,7 +74,7 @@ def include(sub: Concept, sup: Concept, axiom: str, result: Translation) -> None
         raise OutsideError("its left-hand side is outside the fast fragment")
     reasons: list[str] = []
     for part in right_hand_parts(sup, reasons):
-        if isinstance(part, Not):
+        if isinstance(part, Complement):
             result.inclusions.append(Inclusion(conjunction((sub, part.concept)), BOTTOM, axiom))
         else:
             result.inclusions.append(Inclusion(sub, part, axiom))
@@ -86,7 +86,7 @@ def add_range(role: str, concept: Concept, axiom: str, result: Translation) -> N
     """Add a range as far as it is inside the fragment. Raises OutsideError at the end if something is not."""
     reasons: list[str] = []
     for part in right_hand_parts(concept, reasons):
-        if isinstance(part, Not):
+        if isinstance(part, Complement):
             reasons.append("a complement as a range is outside the fast fragment")
         else:
             result.ranges.append(Range(role, part, axiom))

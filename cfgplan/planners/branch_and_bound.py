@@ -30,22 +30,22 @@ from cfgplan.validity import plan_violations
 
 
 @dataclass(eq=False)
-class Node:
+class TreeNode:
     """A unit, or a transformation to instantiate, or (with neither) the root or a target.
 
     `slots` are what has to be fed: (name, demanded tag, feedback). `cost_us` is its own, `forward_us`
     the sum from the root to it; `best` is the cheapest complete option of each slot so far.
     """
 
-    parent: Node | None = None
+    parent: TreeNode | None = None
     slot: int = 0
     transformation: Transformation | None = None
     unit: ComputationUnit | None = None
     slots: list[tuple[str, str, bool]] = field(default_factory=list)
     cost_us: int = 0
     forward_us: int = 0
-    above: Node | None = None
-    best: dict[int, Node] = field(default_factory=dict)
+    above: TreeNode | None = None
+    best: dict[int, TreeNode] = field(default_factory=dict)
     best_us: dict[int, int] = field(default_factory=dict)
 
     @property
@@ -104,12 +104,12 @@ class Tree:
         self.nodes = 0
         self._rows: dict[str, list[tuple[Transformation, ComputationUnit | None]]] = {}
 
-    def explore(self) -> Node:
+    def explore(self) -> TreeNode:
         """The root with the best option of every target (and pinned unit that can be fed) that was completed."""
-        root = Node()
-        queue: deque[Node] = deque()
+        root = TreeNode()
+        queue: deque[TreeNode] = deque()
         for target in self.problem.environment.targets:
-            node = Node(root, len(root.slots), slots=[(target.topic, target.tag, False)])
+            node = TreeNode(root, len(root.slots), slots=[(target.topic, target.tag, False)])
             root.slots.append((target.topic, target.tag, False))
             queue.append(node)
         environment = self.problem.environment
@@ -123,7 +123,7 @@ class Tree:
             self.expand(queue.popleft(), queue)
         return root
 
-    def expand(self, node: Node, queue: deque[Node]) -> None:
+    def expand(self, node: TreeNode, queue: deque[TreeNode]) -> None:
         for i, (_, tag, feedback) in enumerate(node.slots):
             for transformation, unit in self.candidates(tag):
                 twin, below_feedback = _twin_above(node, feedback, transformation)
@@ -145,16 +145,16 @@ class Tree:
 
     def add_option(
         self,
-        node: Node,
+        node: TreeNode,
         slot: int,
         transformation: Transformation,
         unit: ComputationUnit | None,
-        queue: deque[Node],
-        above: Node | None = None,
+        queue: deque[TreeNode],
+        above: TreeNode | None = None,
     ) -> None:
         """Queue a new option, or complete it at once if it has no inputs or points at a node `above` it."""
         self.nodes += 1
-        option = Node(node, slot, transformation, unit, above=above)
+        option = TreeNode(node, slot, transformation, unit, above=above)
         if above is None:
             option.slots = [(port.name, port.tag, port.feedback) for port in transformation.inputs]
             option.cost_us = self.cost_us(transformation.label, running=unit is not None)
@@ -164,9 +164,9 @@ class Tree:
         else:
             _propagate(option, option.cost_us)
 
-    def best_cost_chain(self, node: Node, slot: int) -> int | float:
+    def best_cost_chain(self, node: TreeNode, slot: int) -> int | float:
         """The cheapest known completion of the slot or of one on the way to the root, with what leads there."""
-        at: Node | None = node
+        at: TreeNode | None = node
         limit = self.problem.max_cost_us
         best = float("inf") if limit is None else limit + 1
         while at is not None:
@@ -181,9 +181,9 @@ class Tree:
         return cost(self.library[label], self.problem.horizon_s)
 
 
-def _twin_above(node: Node, feedback: bool, transformation: Transformation) -> tuple[Node | None, bool]:
+def _twin_above(node: TreeNode, feedback: bool, transformation: Transformation) -> tuple[TreeNode | None, bool]:
     """The node of the same transformation on the way to the root, and whether a feedback input lies between."""
-    at: Node | None = node
+    at: TreeNode | None = node
     while at is not None:
         if at.transformation is transformation:
             return at, feedback
@@ -193,7 +193,7 @@ def _twin_above(node: Node, feedback: bool, transformation: Transformation) -> t
     return None, feedback
 
 
-def _propagate(node: Node, total_us: int) -> None:
+def _propagate(node: TreeNode, total_us: int) -> None:
     """Tell the parents of a completed subtree, as long as it improves on what they had."""
     parent = node.parent
     while parent is not None and total_us < parent.best_us.get(node.slot, total_us + 1):
@@ -208,10 +208,10 @@ def _propagate(node: Node, total_us: int) -> None:
 class Compilation:
     """Merging of duplicate subtrees, then the units with their subscriptions and topics (COMPILER)."""
 
-    def __init__(self, problem: Problem, root: Node) -> None:
+    def __init__(self, problem: Problem, root: TreeNode) -> None:
         self.problem = problem
         self.root = root
-        self.merged: dict[str, Node] = {}
+        self.merged: dict[str, TreeNode] = {}
         queue = deque([root])
         while queue:
             for child in _best_options(queue.popleft()):
@@ -242,7 +242,7 @@ class Compilation:
             if node.transformation is not None
         ]
 
-    def subscriptions(self, node: Node, ids: dict[str, str]) -> Iterator[Subscription]:
+    def subscriptions(self, node: TreeNode, ids: dict[str, str]) -> Iterator[Subscription]:
         for i, (port, tag, _) in enumerate(node.slots):
             feeder = node.best[i]
             feeder_id = ids[feeder.name]
@@ -250,14 +250,14 @@ class Compilation:
             prefer = [old.port] if old is not None and old.unit == feeder_id else []
             yield Subscription(port, Stream(feeder_id, self.port(feeder, tag, prefer)))
 
-    def port(self, feeder: Node, tag: str, prefer: list[str]) -> str:
+    def port(self, feeder: TreeNode, tag: str, prefer: list[str]) -> str:
         """The output of the feeder for a demand: one of those to prefer if it matches, else the first."""
         assert feeder.transformation is not None
         fit = [p.name for p in feeder.transformation.outputs if self.problem.similarity.holds(p.tag, tag)]
         return next((name for name in prefer if name in fit), fit[0])
 
 
-def _best_options(node: Node) -> list[Node]:
+def _best_options(node: TreeNode) -> list[TreeNode]:
     """The root's targets stand for themselves; other slots for their best option."""
     return [node.best[i] for i in range(len(node.slots))]
 

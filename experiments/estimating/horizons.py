@@ -20,7 +20,7 @@ from statistics import mean
 
 from cfgplan_runtime import Manager, SimulatedRuntime
 from cfgplan_runtime.estimating.estimator import LearningEstimator, make_estimator
-from cfgplan_runtime.estimating.settings import Settings
+from cfgplan_runtime.estimating.settings import Learning
 from cfgplan_runtime.lifecycle.reports import Report, UnitEvent
 from cfgplan_runtime.supervision.events import UnitReady
 from cfgplan_runtime.supervision.observation import Observation
@@ -100,7 +100,7 @@ class Knowing:
 
 
 def _learning(forget_s: float, guess: str = "declared") -> LearningEstimator:
-    return make_estimator("trend", guess, Settings(memory_s=30, forget_s=forget_s))
+    return make_estimator("trend", guess, Learning(memory_s=30, forget_s=forget_s))
 
 
 ESTIMATORS: dict[str, Callable[[dict[str, list[float]]], Knowing | LearningEstimator]] = {

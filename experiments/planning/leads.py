@@ -12,7 +12,7 @@ from math import exp, log
 
 from cfgplan.comparing.invariants import by_instance
 from cfgplan.comparing.report import LEAST_S
-from cfgplan.comparing.rows import Failure, Row
+from cfgplan.comparing.rows import Row, RunFailure
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def _cost_us(row: Row) -> float:
 
 
 def _took_part(row: Row) -> bool:
-    return row.outcome not in (Failure.REFUSED, Failure.UNAVAILABLE)
+    return row.outcome not in (RunFailure.REFUSED, RunFailure.UNAVAILABLE)
 
 
 def _count(wins: list[int], ours: float, theirs: float) -> None:

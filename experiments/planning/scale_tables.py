@@ -9,7 +9,7 @@ from math import exp, log
 
 from cfgplan.comparing.invariants import gap, references
 from cfgplan.comparing.report import Table, head, planners
-from cfgplan.comparing.rows import Failure, Row
+from cfgplan.comparing.rows import Row, RunFailure
 from cfgplan.planning import Status
 from experiments.planning.leads import Lead, lead, matched, seconds
 from experiments.planning.scale_suite import SCALE
@@ -184,7 +184,7 @@ def _geometric(values: Sequence[float]) -> float:
 
 def _proven(rows: Sequence[Row]) -> str:
     """How many of the runs were proven, and how the others failed that did."""
-    failed = Counter(str(row.outcome) for row in rows if row.outcome in frozenset(Failure))
+    failed = Counter(str(row.outcome) for row in rows if row.outcome in frozenset(RunFailure))
     names = "".join(f", {count} {name}" for name, count in failed.items())
     return f"{sum(row.proven for row in rows)} of {len(rows)}{names}"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from made_rows import row
 
-from cfgplan.comparing import Failure, Row
+from cfgplan.comparing import Row, RunFailure
 from experiments.planning.leads import lead, matched
 
 
@@ -39,13 +39,13 @@ def test_the_first_of_several_to_prove_is_matched() -> None:
     assert (base.planner, other.planner) == ("base", "fast")
 
 
-@pytest.mark.parametrize("outcome", [Failure.REFUSED, Failure.UNAVAILABLE])
-def test_who_refuses_an_instance_is_not_matched(outcome: Failure) -> None:
+@pytest.mark.parametrize("outcome", [RunFailure.REFUSED, RunFailure.UNAVAILABLE])
+def test_who_refuses_an_instance_is_not_matched(outcome: RunFailure) -> None:
     refused: Row = row("other", None, outcome=outcome, violations=None)
     assert list(matched([row("base", 1, 1.0), refused], "base", ["other"])) == []
 
 
-@pytest.mark.parametrize("outcome", [Failure.CRASHED, Failure.OUT_OF_MEMORY, Failure.KILLED])
-def test_who_fails_counts_as_not_having_proved(outcome: Failure) -> None:
+@pytest.mark.parametrize("outcome", [RunFailure.CRASHED, RunFailure.OUT_OF_MEMORY, RunFailure.KILLED])
+def test_who_fails_counts_as_not_having_proved(outcome: RunFailure) -> None:
     failed = row("other", None, outcome=outcome, violations=None)
     assert lead(matched([row("base", 1, 1.0), failed], "base", ["other"])).text() == "≥ 5"

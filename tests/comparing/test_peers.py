@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from cfgplan.comparing import Failure, Instance, Limits, generated, given, run_one
+from cfgplan.comparing import Instance, Limits, RunFailure, generated, given, run_one
 from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Target, Transformation
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import Problem, Status
@@ -43,10 +43,10 @@ REFUSED = {
 @pytest.mark.parametrize("instance", INSTANCES, ids=lambda instance: instance.name)
 def test_a_peer_proves_the_optimum_or_refuses(name: str, instance: Instance) -> None:
     row = run_one(instance, PEERS[name], LIMITS)
-    if row.outcome == Failure.UNAVAILABLE:
+    if row.outcome == RunFailure.UNAVAILABLE:
         pytest.skip(row.message)
     if (name, instance.name) in REFUSED:
-        assert row.outcome == Failure.REFUSED
+        assert row.outcome == RunFailure.REFUSED
         assert "does not know" in row.message
         return
     optimum = PLANNERS["cpsat"](instance.problem)
@@ -61,7 +61,7 @@ def test_a_peer_says_that_a_target_can_not_be_met(name: str) -> None:
     relation = Similarity({"A": frozenset("A"), "B": frozenset("B")})
     problem = Problem(Environment((), (tracker,), (Target("q", "B", "/q"),)), relation, 1)
     row = run_one(given("unfed", problem), PEERS[name], LIMITS)
-    if row.outcome == Failure.UNAVAILABLE:
+    if row.outcome == RunFailure.UNAVAILABLE:
         pytest.skip(row.message)
     assert row.outcome == Status.INFEASIBLE
     assert "tracker" in row.message

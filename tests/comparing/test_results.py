@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from made_rows import row
 
-from cfgplan.comparing import REGISTERED, Failure, Limits, Row, run
+from cfgplan.comparing import REGISTERED, Limits, Row, RunFailure, run
 from cfgplan.comparing.invariants import breaches, gap, references
 from cfgplan.comparing.report import by_family, detail, effort, overview, ratio_to, write_report
 from cfgplan.comparing.rows import thinned
@@ -55,7 +55,7 @@ def test_the_ratio_is_over_what_both_proved() -> None:
 
 
 def test_time_outs_and_failures_are_counted_not_dropped() -> None:
-    outcomes = [Status.UNKNOWN, Failure.KILLED, Failure.CRASHED, Failure.OUT_OF_MEMORY, Failure.REFUSED]
+    outcomes = [Status.UNKNOWN, RunFailure.KILLED, RunFailure.CRASHED, RunFailure.OUT_OF_MEMORY, RunFailure.REFUSED]
     rows = [row("p", None, instance=str(i), outcome=outcome, violations=None) for i, outcome in enumerate(outcomes)]
     column = {line[0]: line[1] for line in overview(rows).lines}
     counts = {"runs": "5", "proven": "0", "no answer in time": "2", "failed": "2", "refused": "1"}

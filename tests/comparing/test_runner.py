@@ -16,8 +16,8 @@ import pytest
 from cfgplan.comparing import (
     Advance,
     Entrant,
-    Failure,
     Limits,
+    RunFailure,
     entrant,
     generated,
     given,
@@ -113,7 +113,7 @@ def test_a_planner_without_a_proof_has_no_time_of_proof() -> None:
 
 def test_a_planner_that_hangs_is_killed_and_what_it_had_found_is_kept() -> None:
     row = run_one(SMALL, own("hangs"), Limits(time_limit_s=0.5, grace_s=1.5))
-    assert (row.outcome, row.cost_us, row.bound_us) == (Failure.KILLED, 9, 4)
+    assert (row.outcome, row.cost_us, row.bound_us) == (RunFailure.KILLED, 9, 4)
     assert row.violations is None
 
 
@@ -137,23 +137,23 @@ def test_a_longer_run_is_made_once() -> None:
 
 def test_a_crash_is_a_row() -> None:
     row = run_one(SMALL, own("kills_itself"), LIMITS)
-    assert row.outcome == Failure.CRASHED
+    assert row.outcome == RunFailure.CRASHED
     assert "SIGSEGV" in row.message
     row = run_one(SMALL, own("raises"), LIMITS)
-    assert row.outcome == Failure.CRASHED
+    assert row.outcome == RunFailure.CRASHED
     assert "ZeroDivisionError: a bug" in row.message
 
 
 def test_too_much_memory_is_a_row() -> None:
     row = run_one(SMALL, own("eats_memory"), Limits(time_limit_s=20, memory_mb=2000))
-    assert row.outcome == Failure.OUT_OF_MEMORY
+    assert row.outcome == RunFailure.OUT_OF_MEMORY
 
 
 def test_a_missing_package_and_a_refusal_are_rows() -> None:
     row = run_one(SMALL, entrant("no_such_module:plan"), LIMITS)
-    assert (row.outcome, row.message) == (Failure.UNAVAILABLE, "No module named 'no_such_module'")
+    assert (row.outcome, row.message) == (RunFailure.UNAVAILABLE, "No module named 'no_such_module'")
     row = run_one(generated("random_library"), entrant("exhaustive"), LIMITS)
-    assert row.outcome == Failure.REFUSED
+    assert row.outcome == RunFailure.REFUSED
     assert "too many" in row.message
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from made_rows import row
 
-from cfgplan.comparing import Failure, Row, generated, read_rows
+from cfgplan.comparing import Row, RunFailure, generated, read_rows
 from cfgplan.comparing.families.random_library import random_library
 from cfgplan.comparing.invariants import breaches
 from cfgplan.domain import Similarity
@@ -90,7 +90,7 @@ def test_variants_say_what_can_not_be_met(name: str) -> None:
 
 
 def test_how_a_planner_failed_is_told() -> None:
-    lost = row("highs", None, instance="s#0", parameters=SMALL, outcome=Failure.OUT_OF_MEMORY, violations=None)
+    lost = row("highs", None, instance="s#0", parameters=SMALL, outcome=RunFailure.OUT_OF_MEMORY, violations=None)
     assert everyone([ROWS[0], lost]).lines[1][2:6] == ("0 of 1, 1 out of memory", "-", "-100.0%", "1 without")
 
 

@@ -10,7 +10,7 @@ from cfgplan_runtime.children.messages import PortCounts
 from cfgplan_runtime.estimating.estimator import ESTIMATORS, LearningEstimator, make_estimator
 from cfgplan_runtime.estimating.evidence import family
 from cfgplan_runtime.estimating.expecting import Origin
-from cfgplan_runtime.estimating.settings import Settings
+from cfgplan_runtime.estimating.settings import Learning
 from cfgplan_runtime.supervision.simulated_backend import Behaviour, SimulatedBackend
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -165,7 +165,7 @@ def test_a_pessimist_expects_the_unknown_to_be_dearer_than_all_that_is_known() -
 @settings(max_examples=50)
 @given(ran_s=st.integers(0, 300), gaps_s=st.lists(st.floats(0.1, 100), min_size=1, max_size=12))
 def test_each_failure_makes_a_transformation_dearer(ran_s: int, gaps_s: list[float]) -> None:
-    estimator = LearningEstimator(settings=Settings(least_change=0, least_change_us=0, forget_s=1e9))
+    estimator = LearningEstimator(settings=Learning(least_change=0, least_change_us=0, forget_s=1e9))
     watched = Watched(estimator)
     watched.run(lambda _: 5_000, ran_s)
     now_s, costs = watched.now_s, [estimator.upkeep_us(WORK, HORIZON_S)]
@@ -178,7 +178,7 @@ def test_each_failure_makes_a_transformation_dearer(ran_s: int, gaps_s: list[flo
 
 def test_failures_cost_restarts() -> None:
     """Two failures in the prior's 60 s and 60 s of running: one per minute, each a start and an interruption."""
-    estimator = LearningEstimator(settings=Settings(forget_s=1e12, failure_us=500_000))
+    estimator = LearningEstimator(settings=Learning(forget_s=1e12, failure_us=500_000))
     watched = Watched(estimator)
     watched.run(lambda _: 5_000, 60, labor_us=100_000)
     estimator.failed("work", watched.now_s)

@@ -6,7 +6,7 @@ import random
 
 import pytest
 from cfgplan_runtime.estimating.forecasting import FORECASTERS, Average, Damped, Forecast, Holt, Latest, Trend, damped
-from cfgplan_runtime.estimating.history import History, Sample
+from cfgplan_runtime.estimating.history import CostSample, History
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -15,14 +15,14 @@ values = st.floats(0, 1e7)
 histories = st.lists(st.tuples(st.floats(0.01, 500), values, st.floats(0.01, 100)), min_size=1, max_size=40)
 
 
-def samples(*values_us: float, every_s: float = 5.0) -> list[Sample]:
-    return [Sample(n * every_s, (n + 1) * every_s, value, every_s) for n, value in enumerate(values_us)]
+def samples(*values_us: float, every_s: float = 5.0) -> list[CostSample]:
+    return [CostSample(n * every_s, (n + 1) * every_s, value, every_s) for n, value in enumerate(values_us)]
 
 
-def read(history: list[tuple[float, float, float]]) -> list[Sample]:
+def read(history: list[tuple[float, float, float]]) -> list[CostSample]:
     now, found = 0.0, []
     for gap, value, weight in history:
-        found.append(Sample(now, now + gap, value, weight))
+        found.append(CostSample(now, now + gap, value, weight))
         now += gap
     return found
 
@@ -75,7 +75,7 @@ def test_a_forecast_over_no_time_is_the_level() -> None:
 
 
 def test_what_is_a_memory_old_counts_half_as_much() -> None:
-    old, new = Sample(0, 1, 0.0, 1.0), Sample(60, 61, 300.0, 1.0)
+    old, new = CostSample(0, 1, 0.0, 1.0), CostSample(60, 61, 300.0, 1.0)
     assert Average(MEMORY_S)([old, new]).level == pytest.approx(200.0)
 
 

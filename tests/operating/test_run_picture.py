@@ -22,7 +22,7 @@ from fake_manager import CAMERA, DETECTOR, REVIEW, SNAPSHOT, observation
 from operated_world import PATIENCE_S, command, write_world
 from rich.console import Console
 
-from cfgplan.cli.run_picture import Line, Picture
+from cfgplan.cli.run_picture import LogLine, RunPicture
 from cfgplan.domain import ComputationUnit, Environment, InputPort, Stream, Transformation
 from cfgplan.errors import Fault
 
@@ -31,7 +31,7 @@ FLOWS = {"/result": Flow(29.97, 12.4, 300, 0, 0.01)}
 
 def drawn(snapshot: Snapshot = SNAPSHOT, *, width: int = 120, height: int = 40, **more: Any) -> list[str]:
     console = Console(file=StringIO(), width=width, height=height, record=True)
-    picture = Picture("ab12cd34", "env.yaml", 75.0, snapshot, more.pop("flows", FLOWS), **more)
+    picture = RunPicture("ab12cd34", "env.yaml", 75.0, snapshot, more.pop("flows", FLOWS), **more)
     console.print(picture, end="")
     return console.export_text().splitlines()
 
@@ -55,7 +55,7 @@ def large() -> Snapshot:
 
 
 def test_it_shows_targets_units_reviews_and_the_log() -> None:
-    text = "\n".join(drawn(lines=[Line(0.0, 4, "camera.1 coughs"), Line(0.0, 2, "a review", is_review=True)]))
+    text = "\n".join(drawn(lines=[LogLine(0.0, 4, "camera.1 coughs"), LogLine(0.0, 2, "a review", is_review=True)]))
     for part in (
         "env.yaml", "run ab12cd34", "00:01:15", "stable", "1 of 2 met", "30.0 Hz", "12 ms", "detector.1/ball",
         "nothing gives Goal", "2.0 %", "25 MB", "running on nao1", "image ← camera.1/image", "segmenter",
@@ -72,7 +72,7 @@ def test_it_shows_targets_units_reviews_and_the_log() -> None:
 def test_it_fills_the_terminal_and_no_more(width: int, height: int, faults: tuple[Fault, ...]) -> None:
     for snapshot in (SNAPSHOT, large(), replace(SNAPSHOT, targets=(), units=(), reviews=(), backing_off=())):
         lines = drawn(
-            replace(snapshot, faults=faults), width=width, height=height, lines=[Line(0.0, 2, "x" * 500)] * 99
+            replace(snapshot, faults=faults), width=width, height=height, lines=[LogLine(0.0, 2, "x" * 500)] * 99
         )
         assert len(lines) == height
         assert max(map(len, lines)) <= width
@@ -107,7 +107,7 @@ def test_what_is_lost_by_a_death_is_not_told_as_another_reason() -> None:
 
 
 def test_what_units_print_does_nothing_to_the_terminal() -> None:
-    line = Line(0.0, 2, "a | \x1b[31mred\x1b[0m\x1b]0;title\x07\tand\x08 \r\x1bc\x9bx")
+    line = LogLine(0.0, 2, "a | \x1b[31mred\x1b[0m\x1b]0;title\x07\tand\x08 \r\x1bc\x9bx")
     (shown,) = [line for line in drawn(lines=[line]) if "red" in line]
     assert shown.split()[1:] == ["a", "|", "red", "and", "x"]
     assert shown.isprintable()

@@ -8,7 +8,7 @@ from typing import NoReturn
 import pytest
 from cfgplan_runtime.reasoning.answers import Answer, Noted, Report, SetUp, UnmetTargetsError
 from cfgplan_runtime.reasoning.engine import Engine
-from cfgplan_runtime.reasoning.features import Declared, Feature, of_options
+from cfgplan_runtime.reasoning.features import DeclaredFeatures, Feature, of_options
 from cfgplan_runtime.reasoning.queries import query
 from cfgplan_runtime.reasoning.states import Timing
 from cfgplan_runtime.reasoning.truth import Verdict
@@ -19,7 +19,7 @@ from cfgplan.errors import InputError
 
 MS = 1_000_000
 REGIONS = of_options([], ["right={box: [0, -3, 4, 3]}"]).regions
-WORLD = Declared({"ball": Feature("ball", "Ball"), "robot": Feature("robot", "Robot", "/robot")}, REGIONS)
+WORLD = DeclaredFeatures({"ball": Feature("ball", "Ball"), "robot": Feature("robot", "Robot", "/robot")}, REGIONS)
 
 
 def at(x: float) -> dict[str, float]:

@@ -18,7 +18,7 @@ from cfgplan_runtime.children.messages import (
     ToChild,
     Unserved,
 )
-from cfgplan_runtime.children.ports import InputPort, OutputPort, Ports
+from cfgplan_runtime.children.ports import Ports, UnitInput, UnitOutput
 from cfgplan_runtime.streams.channel import Sender, widen
 from cfgplan_runtime.streams.element import Element, Outgoing
 from cfgplan_runtime.streams.inlet import Inlet
@@ -110,8 +110,8 @@ class OutletChild:
             meter.note((time.time_ns() - element.time_ns) / 1e9, time.monotonic())
             self._ports.emit(topic, Outgoing(element.time_ns, element.turn, [element.payload]))
 
-        self._ports.outputs[topic] = OutputPort()
-        self._ports.inputs[topic] = InputPort(topic, Inlet(self._queue), relay, lambda: True)
+        self._ports.outputs[topic] = UnitOutput()
+        self._ports.inputs[topic] = UnitInput(topic, Inlet(self._queue), relay, lambda: True)
         self._watch(topic, listener)
 
     def _watch(self, topic: str, listener: socket.socket) -> None:

@@ -30,7 +30,7 @@ _MOST_SAID = 1 << 16
 
 
 @dataclass(slots=True)
-class InputPort:
+class UnitInput:
     """An inlet and the receivers of its wires."""
 
     name: str
@@ -47,7 +47,7 @@ class InputPort:
 
 
 @dataclass(slots=True)
-class OutputPort:
+class UnitOutput:
     """An output and its subscriptions."""
 
     senders: list[Sender] = field(default_factory=list)
@@ -59,8 +59,8 @@ class Ports:
     """All ports of this process; `wait` is the one place where it waits."""
 
     def __init__(self, control: ControlConnection[ToChild], order: Callable[[ToChild, list[socket.socket]], None]):
-        self.inputs: dict[str, InputPort] = {}
-        self.outputs: dict[str, OutputPort] = {}
+        self.inputs: dict[str, UnitInput] = {}
+        self.outputs: dict[str, UnitOutput] = {}
         self.has_ended = False
         self._control = control
         self._order = order
@@ -192,19 +192,19 @@ class Ports:
         port = self.inputs[name]
         self._settle(port, port.inlet.end(wire))
 
-    def _unserve(self, output: OutputPort, wire: int) -> None:
+    def _unserve(self, output: UnitOutput, wire: int) -> None:
         for sender in [sender for sender in output.senders if sender.wire == wire]:
             self._remove_sender(output, sender)
 
-    def _switch_now(self, port: InputPort) -> None:
+    def _switch_now(self, port: UnitInput) -> None:
         if port.inlet.standby is not None and port.inlet.active is not None:
             self._read(port, port.inlet.active)
         self._settle(port, port.inlet.switch())
 
-    def _watch_receiver(self, port: InputPort, wire: int) -> None:
+    def _watch_receiver(self, port: UnitInput, wire: int) -> None:
         self.watch(port.receivers[wire].socket, lambda: self._read(port, wire))
 
-    def _read(self, port: InputPort, wire: int) -> None:
+    def _read(self, port: UnitInput, wire: int) -> None:
         receiver = port.receivers.get(wire)
         if receiver is None:
             return
@@ -219,7 +219,7 @@ class Ports:
             for other in port.receivers.values():
                 self.unwatch(other.socket)
 
-    def _settle(self, port: InputPort, elements: list[Element]) -> None:
+    def _settle(self, port: UnitInput, elements: list[Element]) -> None:
         """Hand elements on, close the receivers that the inlet is through with, and say so if it has switched."""
         port.elements += len(elements)
         for element in elements:
@@ -236,7 +236,7 @@ class Ports:
         self.unwatch(receiver.socket)
         receiver.close()
 
-    def _peer_spoke(self, output: OutputPort, sender: Sender) -> None:
+    def _peer_spoke(self, output: UnitOutput, sender: Sender) -> None:
         """What a receiver says is thrown away: it has gone, or its socket takes more now."""
         try:
             gone = not sender.socket.recv(_MOST_SAID, socket.MSG_DONTWAIT)
@@ -250,14 +250,14 @@ class Ports:
             sender.flush()
         self._after_sending(output, sender)
 
-    def _after_sending(self, output: OutputPort, sender: Sender) -> None:
+    def _after_sending(self, output: UnitOutput, sender: Sender) -> None:
         if sender.is_closed:
             self._remove_sender(output, sender)
             return
         events = selectors.EVENT_READ | (selectors.EVENT_WRITE if sender.depth else 0)
         self._selector.modify(sender.socket, events, lambda: self._peer_spoke(output, sender))
 
-    def _remove_sender(self, output: OutputPort, sender: Sender) -> None:
+    def _remove_sender(self, output: UnitOutput, sender: Sender) -> None:
         output.dropped_before += sender.dropped
         output.senders = [other for other in output.senders if other is not sender]
         self.unwatch(sender.socket)

@@ -11,7 +11,7 @@ import msgspec
 
 from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.messages import Exhausted, Finish, PortCounts, Ready, Status, ToChild, Trouble, UnitOrder
-from cfgplan_runtime.children.ports import InputPort, OutputPort, Ports
+from cfgplan_runtime.children.ports import Ports, UnitInput, UnitOutput
 from cfgplan_runtime.children.stepping import Step, StepQueue
 from cfgplan_runtime.children.unit_code import Given, UnitCode
 from cfgplan_runtime.errors import EncodingError, WrongPortsError
@@ -43,7 +43,7 @@ class UnitChild:
         for port in order.inputs:
             self._ports.inputs[port] = self._input_port(port)
         for port in order.outputs:
-            self._ports.outputs[port] = OutputPort()
+            self._ports.outputs[port] = UnitOutput()
         self._encoder = PayloadEncoder()
         self._last: dict[str, Moment] = {}
         self._results: Iterator[Given] | None = None
@@ -222,11 +222,11 @@ class UnitChild:
             self._fail(error)
             return None
 
-    def _input_port(self, name: str) -> InputPort:
+    def _input_port(self, name: str) -> UnitInput:
         def take(element: Element) -> None:
             self._steps.put(name, element, may_drop=not self._order.blocks)
 
         def has_room() -> bool:
             return not (self._order.blocks and self._steps.is_full(name))
 
-        return InputPort(name, Inlet(self._order.queue), take, has_room)
+        return UnitInput(name, Inlet(self._order.queue), take, has_room)

@@ -13,7 +13,7 @@ from cfgplan_runtime.estimating.evidence import Evidence, declaration, family
 from cfgplan_runtime.estimating.expecting import Expectations, Origin
 from cfgplan_runtime.estimating.forecasting import FORECASTERS, Forecaster, Trend
 from cfgplan_runtime.estimating.guessing import GUESSES, Costs, Guess, declared
-from cfgplan_runtime.estimating.settings import Settings
+from cfgplan_runtime.estimating.settings import Learning
 from cfgplan_runtime.supervision.observation import Observation
 
 _SHORTEST_S = 1e-3
@@ -79,9 +79,9 @@ class LearningEstimator:
         self,
         forecaster: Callable[[float], Forecaster] | None = Trend,
         guess: Guess = declared,
-        settings: Settings | None = None,
+        settings: Learning | None = None,
     ) -> None:
-        self.settings = settings or Settings()
+        self.settings = settings or Learning()
         self.evidence: dict[str, Evidence] = {}
         self._expectations = Expectations(forecaster, guess, self.settings)
         self._units: dict[str, tuple[Observation, float]] = {}
@@ -235,7 +235,7 @@ ESTIMATORS: Mapping[str, Callable[[float], Forecaster] | None] = MappingProxyTyp
 """By name: how upkeep is forecast. `declared` believes the environment file, and learns only from failures."""
 
 
-def make_estimator(name: str = "trend", guess: str = "declared", settings: Settings | None = None) -> LearningEstimator:
+def make_estimator(name: str = "trend", guess: str = "declared", settings: Learning | None = None) -> LearningEstimator:
     """An estimator by one of the names of ESTIMATORS and GUESSES."""
     return LearningEstimator(ESTIMATORS[name], GUESSES[guess], settings)
 

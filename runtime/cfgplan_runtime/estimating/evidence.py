@@ -8,7 +8,7 @@ import msgspec
 
 from cfgplan.domain import Transformation
 from cfgplan_runtime.estimating.guessing import Costs, Kind
-from cfgplan_runtime.estimating.history import Amount, FailureHistory, History, Moment, Sample
+from cfgplan_runtime.estimating.history import Amount, CostSample, FailureHistory, History, Moment
 
 
 class Evidence(msgspec.Struct):
@@ -51,7 +51,7 @@ class Evidence(msgspec.Struct):
         times_fit = not self.upkeep.samples or self.upkeep.samples[-1].until <= self.seen_s + 1e-3
         return starts_fit and times_fit and self.labor.is_in_order and self.upkeep.is_in_order
 
-    def samples(self, kind: Kind) -> list[Sample]:
+    def samples(self, kind: Kind) -> list[CostSample]:
         return (self.labor if kind == "labor" else self.upkeep).samples
 
     def started(self, labor_us: float, now_s: float) -> None:

@@ -9,7 +9,7 @@ from enum import StrEnum
 from cfgplan_runtime.estimating.evidence import Evidence
 from cfgplan_runtime.estimating.forecasting import Average, Damped, Forecast, Forecaster
 from cfgplan_runtime.estimating.guessing import Costs, Guess, Kind
-from cfgplan_runtime.estimating.settings import Settings
+from cfgplan_runtime.estimating.settings import Learning
 
 
 class Origin(StrEnum):
@@ -31,7 +31,7 @@ class Expectation:
 class Expectations:
     """Reads evidence. `forecaster` makes the forecaster of upkeep from its memory; None lets nothing observed count."""
 
-    def __init__(self, forecaster: Callable[[float], Forecaster] | None, guess: Guess, settings: Settings) -> None:
+    def __init__(self, forecaster: Callable[[float], Forecaster] | None, guess: Guess, settings: Learning) -> None:
         self._learns = forecaster is not None
         self._guess = guess
         self._settings = settings

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Protocol
 
-from cfgplan_runtime.estimating.history import Sample
+from cfgplan_runtime.estimating.history import CostSample
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,14 +53,14 @@ class Forecast:
 class Forecaster(Protocol):
     """Reads a history, which is not empty; the coordinate of time is the samples' own."""
 
-    def __call__(self, samples: Sequence[Sample]) -> Forecast: ...
+    def __call__(self, samples: Sequence[CostSample]) -> Forecast: ...
 
 
 @dataclass(frozen=True, slots=True)
 class Latest:
     """What was observed last goes on: no memory, and no protection from noise."""
 
-    def __call__(self, samples: Sequence[Sample]) -> Forecast:
+    def __call__(self, samples: Sequence[CostSample]) -> Forecast:
         return Forecast(samples[-1].value, 0.0)
 
 
@@ -70,7 +70,7 @@ class Average:
 
     memory: float
 
-    def __call__(self, samples: Sequence[Sample]) -> Forecast:
+    def __call__(self, samples: Sequence[CostSample]) -> Forecast:
         weights = _recent_weights(samples, self.memory)
         level = _weighted_mean([one.value for one in samples], weights)
         return Forecast(level, _standard_error([one.value - level for one in samples], weights, level))
@@ -86,7 +86,7 @@ class Trend:
 
     memory: float
 
-    def __call__(self, samples: Sequence[Sample]) -> Forecast:
+    def __call__(self, samples: Sequence[CostSample]) -> Forecast:
         flat = Average(self.memory)(samples)
         if len(samples) < _FEWEST_FOR_A_LINE:
             return flat
@@ -114,7 +114,7 @@ class Holt:
 
     memory: float
 
-    def __call__(self, samples: Sequence[Sample]) -> Forecast:
+    def __call__(self, samples: Sequence[CostSample]) -> Forecast:
         level, slope, before = samples[0].value, 0.0, samples[0].at
         misses = []
         for one in samples[1:]:
@@ -141,7 +141,7 @@ FORECASTERS: Mapping[str, Callable[[float], Forecaster]] = MappingProxyType(
 _FEWEST_FOR_A_LINE = 4
 
 
-def _recent_weights(samples: Sequence[Sample], memory: float) -> list[float]:
+def _recent_weights(samples: Sequence[CostSample], memory: float) -> list[float]:
     newest = samples[-1].until if samples else 0.0
     return [one.weight * 0.5 ** ((newest - one.until) / memory) for one in samples]
 
@@ -185,22 +185,22 @@ class Damped:
     inner: Forecaster
     width: int = 9
 
-    def __call__(self, samples: Sequence[Sample]) -> Forecast:
+    def __call__(self, samples: Sequence[CostSample]) -> Forecast:
         return self.inner(damped(since_step(samples, (self.width + 1) // 2), self.width))
 
 
-def damped(samples: Sequence[Sample], width: int) -> list[Sample]:
+def damped(samples: Sequence[CostSample], width: int) -> list[CostSample]:
     """The samples with outliers drawn in; the window of those at an end is all on the other side."""
     spreads = _spreads([one.value for one in samples], width)
     drawn = []
     for place, one in enumerate(samples):
         middle, deviation = spreads[max(0, min(place - width // 2, len(spreads) - 1))]
         reach = max(_DEVIATIONS * deviation, _NO_OUTLIER * middle)
-        drawn.append(Sample(one.since, one.until, min(max(one.value, middle - reach), middle + reach), one.weight))
+        drawn.append(CostSample(one.since, one.until, min(max(one.value, middle - reach), middle + reach), one.weight))
     return drawn
 
 
-def since_step(samples: Sequence[Sample], width: int) -> Sequence[Sample]:
+def since_step(samples: Sequence[CostSample], width: int) -> Sequence[CostSample]:
     """The samples after the last step that has lasted for `width` samples."""
     spreads = _spreads([one.value for one in samples], width)
     for place in range(len(samples) - width, width - 1, -1):

@@ -12,7 +12,7 @@ Weight: TypeAlias = Annotated[float, msgspec.Meta(ge=1e-6, le=1e12)]
 """What may be read from a file; far beyond anything observed."""
 
 
-class Sample(msgspec.Struct, array_like=True):
+class CostSample(msgspec.Struct, array_like=True):
     """A mean `value` over the time from `since` to `until`; `weight` says how much was observed."""
 
     since: Moment
@@ -31,7 +31,7 @@ class History(msgspec.Struct):
 
     grain: float
     most: int
-    samples: list[Sample] = msgspec.field(default_factory=list)
+    samples: list[CostSample] = msgspec.field(default_factory=list)
 
     def add(self, since: float, until: float, value: float, weight: float) -> bool:
         """Add a mean over an interval; whether it makes a new sample.
@@ -44,7 +44,7 @@ class History(msgspec.Struct):
             last.value += (value - last.value) * weight / total
             last.weight, last.until = total, max(last.until, until)
             return False
-        self.samples.append(Sample(since, until, value, weight))
+        self.samples.append(CostSample(since, until, value, weight))
         del self.samples[: -self.most]
         return True
 
@@ -61,7 +61,7 @@ class History(msgspec.Struct):
 
     def moved(self, by: float) -> History:
         """The same on a clock that shows `by` more."""
-        moved = [Sample(one.since + by, one.until + by, one.value, one.weight) for one in self.samples]
+        moved = [CostSample(one.since + by, one.until + by, one.value, one.weight) for one in self.samples]
         return History(self.grain, self.most, moved)
 
 

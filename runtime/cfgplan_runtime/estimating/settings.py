@@ -13,7 +13,7 @@ _MOST_STARTS = 20
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
+class Learning:
     """How an estimator learns. Times in seconds.
 
     `memory_s`: what is so old counts half as much as what is new; `memory_starts`: the same for labor, in starts.

@@ -10,7 +10,7 @@ from cfgplan_runtime.supervision.observation import Observation
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class LedgerEntry:
     """A unit as it was last seen, and its mean upkeep in microseconds of CPU time per second since it was first."""
 
     seen: Observation
@@ -23,7 +23,7 @@ class Ledger:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._first: dict[str, tuple[float, int]] = {}
-        self._entries: tuple[Entry, ...] = ()
+        self._entries: tuple[LedgerEntry, ...] = ()
 
     def note(self, observations: Iterable[Observation], now_s: float) -> None:
         """Units as they are now; one that is not among them has ended. None at all is no news."""
@@ -34,9 +34,9 @@ class Ledger:
             known = {seen.unit: self._first.get(seen.unit, (now_s, seen.cpu_us)) for seen in found}
             # A unit that has used less than before is another one of that name.
             self._first = {s.unit: known[s.unit] if s.cpu_us >= known[s.unit][1] else (now_s, s.cpu_us) for s in found}
-            self._entries = tuple(Entry(seen, self._upkeep_us(seen, now_s)) for seen in found)
+            self._entries = tuple(LedgerEntry(seen, self._upkeep_us(seen, now_s)) for seen in found)
 
-    def entries(self) -> tuple[Entry, ...]:
+    def entries(self) -> tuple[LedgerEntry, ...]:
         """The units of the last look, by id."""
         with self._lock:
             return self._entries

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from cfgplan_runtime.reasoning.answers import UnmetTargetsError as UnmetTargetsError
     from cfgplan_runtime.reasoning.engine import Engine as Engine
     from cfgplan_runtime.reasoning.evaluating import Evaluator as Evaluator
-    from cfgplan_runtime.reasoning.features import Declared as Declared
+    from cfgplan_runtime.reasoning.features import DeclaredFeatures as DeclaredFeatures
     from cfgplan_runtime.reasoning.features import Feature as Feature
     from cfgplan_runtime.reasoning.managed import ManagedSubscriptions as ManagedSubscriptions
     from cfgplan_runtime.reasoning.managed import RemoteSubscriptions as RemoteSubscriptions
@@ -33,7 +33,7 @@ _HOMES = {
     "answers": "Answer UnmetTargetsError",
     "engine": "Engine",
     "evaluating": "Evaluator",
-    "features": "Declared Feature",
+    "features": "DeclaredFeatures Feature",
     "managed": "ManagedSubscriptions RemoteSubscriptions",
     "monitor": "Monitor",
     "parsing": "parse",

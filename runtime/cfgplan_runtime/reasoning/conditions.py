@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TypeAlias
 
-COMPARISONS = ("<=", ">=", "==", "!=", "<", ">")
 RCC8 = ("dc", "ec", "po", "tpp", "ntpp", "tppi", "ntppi", "eq")
 """Disconnected, externally connected, partially overlapping, (non-)tangential proper part and its inverse, equal."""
 
@@ -71,7 +70,7 @@ Value: TypeAlias = Field | Literal | Arithmetic | Absolute | Distance
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Two numbers, or two texts, compared by one of COMPARISONS."""
+    """Two numbers, or two texts, compared by `<=`, `>=`, `==`, `!=`, `<` or `>`."""
 
     sign: str
     left: Value

@@ -52,20 +52,20 @@ class Feature:
 
 
 @dataclass(frozen=True)
-class Declared:
+class DeclaredFeatures:
     """The features and regions that formulas may name."""
 
     features: Mapping[str, Feature] = field(default_factory=dict)
     regions: Mapping[str, Region] = field(default_factory=dict)
 
-    def with_more(self, other: Declared) -> Declared:
+    def with_more(self, other: DeclaredFeatures) -> DeclaredFeatures:
         """These and those of `other`, which win."""
-        return Declared({**self.features, **other.features}, {**self.regions, **other.regions})
+        return DeclaredFeatures({**self.features, **other.features}, {**self.regions, **other.regions})
 
 
-def of_targets(environment: Environment) -> Declared:
+def of_targets(environment: Environment) -> DeclaredFeatures:
     """The targets of an environment whose labels can be names in a formula."""
-    return Declared(
+    return DeclaredFeatures(
         {
             target.label: Feature(target.label, target.tag, target.topic)
             for target in environment.targets
@@ -74,7 +74,7 @@ def of_targets(environment: Environment) -> Declared:
     )
 
 
-def of_file(path: str | os.PathLike[str]) -> Declared:
+def of_file(path: str | os.PathLike[str]) -> DeclaredFeatures:
     """Read a features file. Raises InputError with every fault."""
     source = read_source(Path(path))
     faults = list(source.faults)
@@ -101,10 +101,10 @@ def of_file(path: str | os.PathLike[str]) -> Declared:
             faults.append(source.fault(("regions", name), str(error), error.mend))
     if faults:
         raise InputError(faults)
-    return Declared(features, regions)
+    return DeclaredFeatures(features, regions)
 
 
-def of_options(features: list[str], regions: list[str]) -> Declared:
+def of_options(features: list[str], regions: list[str]) -> DeclaredFeatures:
     """Features written as `NAME=TAG` and regions as `NAME=REGION`. Raises InputError with every fault."""
     found: dict[str, Feature] = {}
     shapes: dict[str, Region] = {}
@@ -130,7 +130,7 @@ def of_options(features: list[str], regions: list[str]) -> Declared:
                     faults.extend(error.faults)
     if faults:
         raise InputError(faults)
-    return Declared(found, shapes)
+    return DeclaredFeatures(found, shapes)
 
 
 def _members(source: Source, key: str, faults: list[Fault]) -> list[tuple[str, Any]]:

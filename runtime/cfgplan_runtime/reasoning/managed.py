@@ -12,7 +12,7 @@ from cfgplan.domain import ChangeSet, Target
 from cfgplan.errors import Fault, InputError
 from cfgplan_runtime.lifecycle.changes import AddTargets, Change, RemoveTargets
 from cfgplan_runtime.lifecycle.reports import Decision, Report, Review, Reviewed, Snapshot, UnitEvent
-from cfgplan_runtime.reasoning.features import Declared, Feature
+from cfgplan_runtime.reasoning.features import DeclaredFeatures, Feature
 from cfgplan_runtime.streams.subscription import SubscriptionToTopic, subscribe
 from cfgplan_runtime.supervision.events import UnitDied, UnitFailed, UnitHung
 
@@ -78,10 +78,10 @@ class RemoteSubscriptions:
         self._control = control
         self._names: dict[str, str] = {}
 
-    def declared(self) -> Declared:
+    def declared(self) -> DeclaredFeatures:
         """The targets that the run has, as features."""
         targets = self._control.call("state", timeout_s=_PATIENCE_S)["targets"]
-        return Declared({each["label"]: Feature(each["label"], each["tag"], each["topic"]) for each in targets})
+        return DeclaredFeatures({each["label"]: Feature(each["label"], each["tag"], each["topic"]) for each in targets})
 
     def add(self, targets: Sequence[Target]) -> None:
         name = targets[0].label.rpartition(" ")[0]

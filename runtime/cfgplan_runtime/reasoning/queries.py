@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 
 from cfgplan_runtime.reasoning.compiling import Program, compiled
 from cfgplan_runtime.reasoning.conditions import Field
-from cfgplan_runtime.reasoning.features import Declared, Feature
+from cfgplan_runtime.reasoning.features import DeclaredFeatures, Feature
 from cfgplan_runtime.reasoning.naming import Vocabulary
 from cfgplan_runtime.reasoning.parsing import parse
 from cfgplan_runtime.reasoning.states import Timing
@@ -23,11 +23,11 @@ class Query:
     formula: Formula
     program: Program
     features: tuple[Feature, ...]
-    declared: Declared
+    declared: DeclaredFeatures
     timing: Timing
 
 
-def query(text: str, declared: Declared, timing: Timing | None = None) -> Query:
+def query(text: str, declared: DeclaredFeatures, timing: Timing | None = None) -> Query:
     """Read a query. Raises InputError with all faults of the formula, each with its column and a hint."""
     formula = parse(text, Vocabulary(declared.features, declared.regions))
     program = compiled(formula)

@@ -36,7 +36,7 @@ from cfgplan_runtime.reasoning.syntax import (
 if TYPE_CHECKING:
     from lark import Token, Tree
 
-    Node: TypeAlias = "Tree[Token] | Token"
+    Node: TypeAlias = Tree[Token] | Token
 
 DEEPEST = 60
 _PLAIN_SIGN = {"≤": "<=", "≥": ">=", "≠": "!=", "=": "=="}

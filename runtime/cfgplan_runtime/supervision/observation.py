@@ -47,7 +47,6 @@ class UnitRecord:
     """What the supervisor remembers of a unit."""
 
     transformation: str
-    started_s: float
     labor_us: int = 0
     sign_s: float = 0.0
     """When it last gave a sign of life, on the clock by which silence is judged."""

@@ -225,7 +225,7 @@ class Supervisor:
         self.ready.discard(unit.id)
         self.cause_of_death.pop(unit.id, None)
         self._library[unit.id] = transformation
-        self._records[unit.id] = UnitRecord(transformation.label, self.now())
+        self._records[unit.id] = UnitRecord(transformation.label)
         self.backend.start(unit.id, transformation, self._states.get(transformation.label))
 
     def _hear(self, timeout_s: float) -> None:
