@@ -19,7 +19,7 @@ from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.session import Matching
 
 _FOLDER: Final = "matching"
-_FORMAT: Final = "cfgplan-matching/2"
+_FORMAT: Final = "cfgplan-matching/3"
 """To be raised whenever tags or ontologies are read in another way: answers that were kept would be wrong."""
 MOST_FILES: Final = 64
 """So many answers are kept; the oldest go first."""

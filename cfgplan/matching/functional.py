@@ -69,6 +69,9 @@ _USES: Final = {
     "NamedIndividual": "i",
 }
 
+_FIRST_DISJOINT: Final = {"DisjointUnion": 2, "DisjointClasses": 1, "DisjointObjectProperties": 1}
+"""Where what is disjoint begins, by keyword."""
+
 LOGICAL: Final = frozenset(
     keyword for keyword in _USES if keyword not in {"Class", "ObjectProperty"} and not keyword.endswith("Atom")
 ) | {
@@ -92,13 +95,22 @@ def parse(text: str) -> Tree:
             head = stack[-1].pop() if stack[-1] and isinstance(stack[-1][-1], str) else ""
             stack.append([head])
         elif token == ")":
-            closed = tuple(stack.pop())
-            stack[-1].append(closed)
+            closed = stack.pop()
+            stack[-1].append(_without_repetition(closed))
         else:
             stack[-1].append(token[1:-1] if token[0] == "<" else token)
     if len(stack) != 1 or len(stack[0]) != 1:
         raise ValueError(f"not one axiom in functional syntax: {text!r}")
     return stack[0][0]
+
+
+def _without_repetition(closed: list[Tree]) -> Tree:
+    """What is said to be disjoint is a set: what is repeated counts once (OWL 2, 2.1), if two or more are left."""
+    first = _FIRST_DISJOINT.get(str(closed[0]))
+    if first is None:
+        return tuple(closed)
+    parts = dict.fromkeys(closed[first:])
+    return tuple(closed) if len(parts) < 2 and first == 1 else (*closed[:first], *parts)
 
 
 def rule_text(tree: Tree) -> str:

@@ -26,7 +26,7 @@ def test_the_second_answer_comes_from_the_cache_and_is_the_same(
 
 @pytest.mark.parametrize(
     "damage",
-    [b"", b"{", b"[]", b"null", b'{"format": "cfgplan-matching/2"}', b"\xff\xfe", b'{"format": 5, "rows": []}'],
+    [b"", b"{", b"[]", b"null", b'{"format": "cfgplan-matching/3"}', b"\xff\xfe", b'{"format": 5, "rows": []}'],
 )
 def test_a_damaged_or_foreign_file_is_ignored_and_written_anew(
     damage: bytes, streams: Ontology, tmp_path: Path

@@ -249,3 +249,14 @@ def test_what_was_dropped_concerns_what_shares_names_with_it(
     assert some.ontology.dropped
     assert found.offers == {"W": {"C", "A"}}
     assert sorted(found.open_pairs()) == still_open
+
+
+@pytest.mark.parametrize("reasoner", ["el", "auto", "hermit"])
+def test_what_is_repeated_among_the_disjoint_counts_once_for_every_reasoner(reasoner: str) -> None:
+    axioms = ["DisjointUnion(<w#U> <w#A> <w#A>)", "DisjointClasses(<w#B> <w#B> <w#C>)", "SubClassOf(<w#B> <w#V>)"]
+    some = Matcher(Ontology(axioms), reasoner=reasoner)
+    some.add(offered=["A", "B", "U"], demanded=["A", "C", "U", "V"])
+    similarity = some.matching().similarity
+    assert similarity.offers == {"A": {"A", "U"}, "C": set(), "U": {"A", "U"}, "V": {"B"}}
+    assert not similarity.open
+    assert some.matching().warnings == ()
