@@ -1,8 +1,7 @@
-"""Hosts for chosen units, one after the other and then moved, so that they have room and little is carried."""
+"""Hosts for chosen units, one after the other, so that they have room and little is carried."""
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Collection, Iterable
 
 from cfgplan.costs import transfer_cost_us
@@ -10,9 +9,6 @@ from cfgplan.domain import Stream
 from cfgplan.planners.fleet.candidates import Candidates
 from cfgplan.planners.fleet.flat import Host
 from cfgplan.planners.fleet.grounded import Grounded
-
-PASSES = 3
-"""How often it is looked whether units had better be moved."""
 
 
 class Places:
@@ -30,7 +26,6 @@ class Places:
 
     def put_all(self, grounded: Grounded, but_on: Host = None) -> bool:
         """Place and feed all that runs and is not placed, but not on one host; False if there is no room."""
-        is_first = not self.host_of
         new = [unit for unit in grounded.order if unit not in self.host_of]
         hosts_of = {unit: [h for h in self.candidates.all[unit].hosts if h is None or h != but_on] for unit in new}
         if not all(self.put(unit, hosts) for unit, hosts in hosts_of.items() if len(hosts) <= 1):
@@ -41,18 +36,13 @@ class Places:
                 if not self.put(unit, by_price):
                     return False
         self._feed(grounded)
-        if is_first and self.candidates.environment.transfer_us:
-            for _ in range(PASSES):
-                if not self._move():
-                    break
-            self._feed(grounded)
         return True
 
     def put(self, unit: int, hosts: Iterable[Host]) -> bool:
         """Place a unit on the first of some hosts that has room for it."""
         for host in hosts:
             if self._has_room(unit, host):
-                self._take(unit, host, 1)
+                self._take(unit, host)
                 self.host_of[unit] = host
                 return True
         return False
@@ -66,13 +56,13 @@ class Places:
             memory_mb is None or transformation.needs_mb <= memory_mb
         )
 
-    def _take(self, unit: int, host: Host, times: int) -> None:
+    def _take(self, unit: int, host: Host) -> None:
         if host is None:
             return
         transformation = self.candidates.all[unit].transformation
         cpu_us, memory_mb = self._cpu_us[host], self._memory_mb[host]
-        self._cpu_us[host] = None if cpu_us is None else cpu_us - times * transformation.upkeep_us
-        self._memory_mb[host] = None if memory_mb is None else memory_mb - times * transformation.needs_mb
+        self._cpu_us[host] = None if cpu_us is None else cpu_us - transformation.upkeep_us
+        self._memory_mb[host] = None if memory_mb is None else memory_mb - transformation.needs_mb
 
     def _carry_us(self, grounded: Grounded, unit: int, host: Host) -> int:
         """What it costs to carry a unit's inputs to a host, where their feeders are placed."""
@@ -114,44 +104,3 @@ class Places:
             for port in candidate.transformation.inputs:
                 choices = grounded.choices(unit, port)
                 self.feeds[unit, port.name] = taken(choices, self.host_of[unit], feeds.get(port.name))
-
-    def _move(self) -> bool:
-        """Move units to where less is carried; False if there are none."""
-        wanted = Counter((stream, self.host_of[unit]) for (unit, _), stream in self.feeds.items())
-        target_host = {target.topic: target.host for target in self.candidates.environment.targets}
-        wanted.update((stream, target_host[topic]) for topic, stream in self.published.items())
-        is_moved = False
-        for unit, here in list(self.host_of.items()):
-            hosts = [h for h in self.candidates.all[unit].hosts if h != here and self._has_room(unit, h)]
-            saved, _, there = max(
-                ((self._saved_us(unit, here, host, wanted), host or "", host) for host in hosts), default=(0, "", here)
-            )
-            if saved > 0:
-                self._take(unit, here, -1)
-                self._take(unit, there, 1)
-                self.host_of[unit] = there
-                for stream in self._inputs(unit):
-                    wanted[stream, here] -= 1
-                    wanted[stream, there] += 1
-                is_moved = True
-        return is_moved
-
-    def _inputs(self, unit: int) -> list[Stream]:
-        return [self.feeds[unit, port.name] for port in self.candidates.all[unit].transformation.inputs]
-
-    def _saved_us(self, unit: int, here: Host, there: Host, wanted: Counter[tuple[Stream, Host]]) -> int:
-        """How much less is carried if a unit is moved."""
-        saved = 0
-        for stream, times in Counter(self._inputs(unit)).items():
-            at = self.host_of[self.candidates.index_of[stream.unit]]
-            if stream.unit == self.candidates.all[unit].id:
-                continue
-            if at != here and wanted[stream, here] == times:
-                saved += self._price(stream)
-            if at != there and not wanted[stream, there]:
-                saved -= self._price(stream)
-        candidate = self.candidates.all[unit]
-        for port in candidate.transformation.outputs:
-            stream = Stream(candidate.id, port.name)
-            saved += self._price(stream) * ((wanted[stream, there] > 0) - (wanted[stream, here] > 0))
-        return saved
