@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
-from threading import Event
 from typing import Protocol
 
 from cfgplan.canonical import store_whole
@@ -206,19 +205,6 @@ class Planner(Protocol):
         *,
         time_limit_s: float | None = None,
         report: Callable[[Progress], None] | None = None,
-    ) -> Plan: ...
-
-
-class InterruptiblePlanner(Protocol):
-    """A planner that `stop` ends early, with the best plan so far."""
-
-    def __call__(
-        self,
-        problem: Problem,
-        *,
-        time_limit_s: float | None = None,
-        report: Callable[[Progress], None] | None = None,
-        stop: Event | None = None,
     ) -> Plan: ...
 
 

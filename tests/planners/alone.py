@@ -42,7 +42,7 @@ def flat_search(problem: Problem) -> FlatSearch:
     candidates, standing = Candidates(problem), FleetStanding(problem, Clock(), None)
     assert is_flat(candidates)
     standing.counts = {"conflicts": 0}
-    return FlatSearch(Flat(candidates), standing, 0, inf)
+    return FlatSearch(Flat(candidates), standing, inf)
 
 
 def plan_alone(problem: Problem) -> Plan:

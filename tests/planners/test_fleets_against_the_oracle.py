@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from worlds import oracle_of, problems
 
 from cfgplan.errors import InputError
-from cfgplan.planners import PLANNERS, cpsat, exhaustive_fleet, fleet
+from cfgplan.planners import PLANNERS, exhaustive_fleet, fleet
 from cfgplan.planners.fleet.candidates import Candidates
 from cfgplan.planners.fleet.flatness import is_flat
 from cfgplan.planning import Notion, Plan, Problem, Status
@@ -54,7 +54,7 @@ def agree(problem: Problem) -> None:
 def agree_with_the_explicit_model(problem: Problem) -> None:
     """The fast way and the model in which every possible subscription has a boolean."""
     assume(is_flat(Candidates(problem)) and not unmet_reasons(problem))
-    fast = fleet.plan(problem, cpsat.plan)
+    fast = fleet.plan(problem)
     assert plan_violations(problem, fast) == []
     assert quality(fast) == quality(plan_alone(problem))
     assert fast.status not in (Status.FEASIBLE, Status.UNKNOWN)
@@ -134,7 +134,7 @@ def test_all_notions_together_equal_the_oracle(problem: Problem) -> None:
 @some
 @given(problems(most=4, special=False))
 def test_both_oracles_and_the_planner_for_fleets_agree_on_what_the_paper_asks(problem: Problem) -> None:
-    plans = [PLANNERS["exhaustive"](problem), exhaustive_fleet.plan(problem), fleet.plan(problem, cpsat.plan)]
+    plans = [PLANNERS["exhaustive"](problem), exhaustive_fleet.plan(problem), fleet.plan(problem)]
     assert len({quality(plan) for plan in plans}) == 1
 
 

@@ -15,7 +15,7 @@ from hypothesis import assume, given, settings
 from test_fleets_against_the_oracle import EXAMPLES, agree_with_the_explicit_model, some
 
 from cfgplan.domain import Environment, Host, InputPort, OutputPort, Similarity, Target, Transformation
-from cfgplan.planners import cpsat, fleet
+from cfgplan.planners import fleet
 from cfgplan.planners.fleet import kernels
 from cfgplan.planners.fleet.anywhere import Anywhere
 from cfgplan.planners.fleet.candidates import Candidates
@@ -55,7 +55,7 @@ def test_with_hosts_forgotten_no_plan_costs_less_than_the_bound(problem: Problem
     flat = Flat(candidates)
     assume(not flat.is_impossible)
     bound = Anywhere(flat, sum(flat.cost_us), Clock()).bound
-    found = fleet.plan(problem, cpsat.plan)
+    found = fleet.plan(problem)
     assume(found.status is Status.OPTIMAL)
     assert found.cost_us is not None
     assert bound.value <= found.cost_us
@@ -75,7 +75,7 @@ def test_a_dearer_unit_on_the_target_s_host_beats_a_cheap_one_and_a_transfer() -
         (), library, (Target("t", "b", "/t", host="h1"),), (Host("h0"), Host("h1")), transfer_us=20
     )
     problem = Problem(environment, Similarity({"a": frozenset("a"), "b": frozenset("b")}), 1)
-    found = fleet.plan(problem, cpsat.plan)
+    found = fleet.plan(problem)
     assert found.status is Status.OPTIMAL
     assert found.cost_us == 30
     assert found.change_set is not None

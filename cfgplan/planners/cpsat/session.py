@@ -69,8 +69,7 @@ class PlannerSession:
         if problem.notions:
             from cfgplan.planners import fleet
 
-            without_hosts = PlannerSession(self._steps).plan
-            return fleet.plan(problem, without_hosts, time_limit_s=time_limit_s, report=report, stop=stop)
+            return fleet.plan(problem, time_limit_s=time_limit_s, report=report, stop=stop)
         clock = Clock(time_limit_s, stop)
         standing = Standing(Site(problem, Givers((), problem.similarity), ()), Prepared([]), clock, report)
         clock.run(lambda: self._bring_forward(standing), standing.plan)

@@ -15,12 +15,11 @@ from cfgplan.planners.fleet.candidates import Candidates
 from cfgplan.planners.fleet.first_plans import ATTEMPTS, FirstPlans
 from cfgplan.planners.fleet.flat import Flat
 from cfgplan.planners.fleet.flatness import is_flat
-from cfgplan.planners.fleet.hostless import hostless
 from cfgplan.planners.fleet.quality_start import QualityStart
 from cfgplan.planners.fleet.running import offer_what_runs
 from cfgplan.planners.fleet.standing import Standing
 from cfgplan.planners.solving.clock import Clock
-from cfgplan.planning import InterruptiblePlanner, Notion, Plan, Problem, Progress
+from cfgplan.planning import Notion, Plan, Problem, Progress
 from cfgplan.reasons import unmet_reasons
 
 if TYPE_CHECKING:
@@ -37,24 +36,20 @@ After a round that was too short, all that costs more than the best plan by then
 
 def plan(
     problem: Problem,
-    without_hosts: InterruptiblePlanner,
     *,
     time_limit_s: float | None = None,
     report: Callable[[Progress], None] | None = None,
     stop: Event | None = None,
 ) -> Plan:
-    """The optimal update, see `planning.Planner`; `stop` ends it early with the best plan so far, as Ctrl-C does.
-
-    The planner `without_hosts` is asked for the same problem with hosts forgotten.
-    """
+    """The optimal update, see `planning.Planner`; `stop` ends it early with the best plan so far, as Ctrl-C does."""
     clock = Clock(time_limit_s, stop)
     standing = Standing(problem, clock, report)
-    clock.run(lambda: _bring_forward(standing, without_hosts), standing.plan)
+    clock.run(lambda: _bring_forward(standing), standing.plan)
     clock.end("search")
     return standing.plan()
 
 
-def _bring_forward(standing: Standing, without_hosts: InterruptiblePlanner) -> None:
+def _bring_forward(standing: Standing) -> None:
     """From what runs to what is proven."""
     problem, clock = standing.problem, standing.clock
     offer_what_runs(standing)
@@ -77,15 +72,15 @@ def _bring_forward(standing: Standing, without_hosts: InterruptiblePlanner) -> N
         return
     if Notion.SURVIVAL not in problem.notions:  # a hot spare may get any quality
         leave_out_what_is_too_bad(candidates)
-    _search(candidates, standing, first, without_hosts)
+    _search(candidates, standing, first)
 
 
-def _search(candidates: Candidates, standing: Standing, first: FirstPlans, without_hosts: InterruptiblePlanner) -> None:
+def _search(candidates: Candidates, standing: Standing, first: FirstPlans) -> None:
     """The fast way where it is exact; what it leaves open, and all else, in the model of who feeds whom."""
     clock = standing.clock
     clock.check()
     if is_flat(candidates):
-        search = _solve_flat(candidates, standing, first, without_hosts)
+        search = _solve_flat(candidates, standing, first)
         clock.end("flat")
         standing.are_ties_proven = search is not None and search.is_done
         if search is None or standing.are_ties_proven or standing.is_infeasible or clock.is_over():
@@ -104,30 +99,24 @@ def _search(candidates: Candidates, standing: Standing, first: FirstPlans, witho
     search_for_all.run()
 
 
-def _solve_flat(
-    candidates: Candidates, standing: Standing, first: FirstPlans, without_hosts: InterruptiblePlanner
-) -> FlatSearch | None:
+def _solve_flat(candidates: Candidates, standing: Standing, first: FirstPlans) -> FlatSearch | None:
     """The search that proved the cost, or the last one; None if no plan is possible."""
     from cfgplan.planners.fleet.flat_search import FlatSearch  # the solver takes long to import
     from cfgplan.planners.fleet.kernels import MANY, look_among_few, well_below_best_us
 
     problem, clock = candidates.problem, standing.clock
-    hostless_us, slice_s, bound = 0, SLICE_S, None
+    slice_s, bound = SLICE_S, None
     quality = QualityStart(candidates, standing, first)
     flat = Flat(candidates)
     is_probing = bool(problem.environment.hosts) and not flat.is_impossible
     if is_probing:
-        hostless_us, labels = hostless(candidates, clock, without_hosts)
-        standing.raise_bound(hostless_us)
-        first.offer(first.units_of(labels))
-        bound = look_among_few(flat, standing, hostless_us, labels)
+        bound = look_among_few(flat, standing)
         slice_s *= 2
     elif standing.best is not None and quality.is_bounded_only and len(flat.labels) >= MANY:
-        labels = frozenset(unit.transformation for unit in standing.best[1])
-        bound = look_among_few(flat, standing, 0, labels)
+        bound = look_among_few(flat, standing)
     while not flat.is_impossible:
         limit_us = well_below_best_us(standing) if is_probing else None
-        search = FlatSearch(flat, standing, hostless_us, slice_s, bound=bound, limit_us=limit_us, cuts=quality.cuts)
+        search = FlatSearch(flat, standing, slice_s, bound=bound, limit_us=limit_us, cuts=quality.cuts)
         has_ended = search.run()
         if standing.is_cost_proven or clock.is_over() or (has_ended and limit_us is None):
             return search

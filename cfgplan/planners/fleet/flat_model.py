@@ -70,12 +70,6 @@ class FlatModel:
     def cost(self) -> LinearExprT:
         return LinearExpr.sum([LinearExpr.weighted_sum(self.uses, self.flat.cost_us), *self.more_costs])
 
-    def cost_but_transfers(self) -> LinearExprT:
-        labels = zip(self.flat.labels, self.uses, self.flat.cost_us, strict=True)
-        return LinearExpr.sum(
-            [*(us * uses for label, uses, us in labels if isinstance(label, Placed)), *self.more_costs]
-        )
-
     def started(self) -> list[IntVar]:
         """What runs if a unit was started, label by label."""
         units = self.candidates.all

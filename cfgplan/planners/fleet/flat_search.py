@@ -39,7 +39,6 @@ class FlatSearch:
         self,
         flat: Flat,
         standing: Standing,
-        hostless_us: int,
         slice_s: float,
         *,
         is_all: bool = True,
@@ -85,8 +84,6 @@ class FlatSearch:
         if any(target.quality for target in flat.candidates.environment.targets):
             self._ask_for_quality(cuts)
         self.model.ground()
-        if hostless_us:
-            self.model.cp.add(self.model.cost_but_transfers() >= hostless_us)
         started = self.model.started()
         weighed = (len(started) + 1) * (sum(flat.cost_us) + 1) < EXACT
         self.scale = len(started) + 1 if weighed else 1

@@ -29,13 +29,13 @@ SLICE_S = 0.5
 """The engine's own seconds for each."""
 
 
-def look_among_few(flat: Flat, standing: Standing, hostless_us: int, labels: Collection[str]) -> Bound:
-    """Offer plans made of the transformations named, of the best plan's and of more and more others.
+def look_among_few(flat: Flat, standing: Standing) -> Bound:
+    """Offer plans made of the best plan's transformations and of more and more others.
 
     Returns the bound that says which are more likely.
     """
     candidates = flat.candidates
-    _look_among(labels, candidates, standing, hostless_us, None)
+    _look_among(_best(standing), candidates, standing, None)
     bound = Bound(flat.graph().core, flat.costs())
     most = sum(flat.cost_us)
     if standing.best is not None:
@@ -45,21 +45,18 @@ def look_among_few(flat: Flat, standing: Standing, hostless_us: int, labels: Col
     for size in SIZES:
         if 2 * size > len(order) or standing.clock.is_over():
             break
-        best = labels if standing.best is None else {unit.transformation for unit in standing.best[1]}
         more = {candidates.all[unit].transformation.label for unit in order[:size]}
         limit_us = well_below_best_us(standing) if candidates.environment.hosts else None
-        _look_among(more.union(best), candidates, standing, hostless_us, limit_us)
+        _look_among(_best(standing) | more, candidates, standing, limit_us)
     return bound
 
 
-def _look_among(
-    labels: Collection[str], candidates: Candidates, standing: Standing, hostless_us: int, limit_us: int | None
-) -> None:
+def _look_among(labels: Collection[str], candidates: Candidates, standing: Standing, limit_us: int | None) -> None:
     few = Candidates(candidates.problem, labels, candidates.watch, candidates)
     leave_out_what_is_too_bad(few)
     flat = Flat(few)
     if not flat.is_impossible:
-        FlatSearch(flat, standing, hostless_us, SLICE_S, is_all=False, limit_us=limit_us).run()
+        FlatSearch(flat, standing, SLICE_S, is_all=False, limit_us=limit_us).run()
 
 
 @dataclass(frozen=True)
@@ -111,8 +108,7 @@ def look_among_few_of(candidates: Candidates, standing: Standing, first: FirstPl
     sizes = [size for size in SIZES if 2 * size <= len(order)]
 
     def among(size: int) -> Candidates:
-        best = set() if standing.best is None else {unit.transformation for unit in standing.best[1]}
-        return candidates.among(best.union(order[:size]))
+        return candidates.among(_best(standing).union(order[:size]))
 
     if sizes:
         FirstPlans(among(sizes[0]), standing).look(ATTEMPTS)
@@ -120,6 +116,11 @@ def look_among_few_of(candidates: Candidates, standing: Standing, first: FirstPl
     for size in sizes:
         standing.clock.check()
         Search(among(size), standing, is_all=False).run(SLICE_S)
+
+
+def _best(standing: Standing) -> set[str]:
+    """The best plan's transformations."""
+    return set() if standing.best is None else {unit.transformation for unit in standing.best[1]}
 
 
 def well_below_best_us(standing: Standing) -> int | None:
