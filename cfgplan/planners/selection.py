@@ -7,23 +7,12 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
 
-from cfgplan.costs import keep_cost_us, start_cost_us
-from cfgplan.domain import ComputationUnit, Environment, InputPort, Publication, Stream, Subscription, Transformation
+from cfgplan.domain import ComputationUnit, InputPort, Publication, Stream, Subscription
 from cfgplan.errors import InputError
-from cfgplan.planning import Plan, Problem, Status, fresh_unit_ids
-from cfgplan.reasons import Givers, assign_different, startable
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """A running unit, or the new one of its transformation, with its cost over the horizon."""
-
-    id: str
-    transformation: Transformation
-    running: ComputationUnit | None
-    cost_us: int
+from cfgplan.planners.fleet.candidates import Candidates
+from cfgplan.planning import Plan, Problem, Status
+from cfgplan.reasons import assign_different
 
 
 class Selection:
@@ -39,8 +28,10 @@ class Selection:
             raise InputError.of(f"{who} does not know required transformations", mend="use the planner cpsat")
         self.problem = problem
         self.who = who
-        self._givers = Givers(problem.environment.library, problem.similarity)
-        self.candidates = tuple(_candidates(problem, _relevant(problem.environment, self._givers)))
+        found = Candidates(problem)
+        self._givers = found.givers
+        running = {unit.transformation for unit in problem.environment.units}
+        self.candidates = tuple(c for c in found.all if c.running or c.transformation.label not in running)
         self.kept = frozenset(i for i, c in enumerate(self.candidates) if c.running and c.transformation.pinned)
         self.wanted = tuple(dict.fromkeys(target.tag for target in problem.environment.targets))
         self._by_label: dict[str, list[int]] = defaultdict(list)
@@ -196,32 +187,3 @@ class Selection:
         for port in self.candidates[feeder].transformation.outputs:
             if self.problem.similarity.holds(port.tag, tag):
                 yield port.name
-
-
-def _relevant(environment: Environment, givers: Givers) -> set[str]:
-    """The transformations that can be fed at all and that a target or a pinned unit may need."""
-    possible = startable(environment, givers)
-    pinned = {u.transformation for u in environment.units if u.transformation in possible}
-    found = {label for label in pinned if environment.transformation[label].pinned}
-    tags = {target.tag: None for target in environment.targets}
-    tags.update({port.tag: None for label in sorted(found) for port in environment.transformation[label].inputs})
-    ahead = list(tags)
-    for tag in ahead:
-        for label in givers.of(tag):
-            if label in possible and label not in found:
-                found.add(label)
-                ahead += [p.tag for p in environment.transformation[label].inputs if p.tag not in tags]
-                tags.update({p.tag: None for p in environment.transformation[label].inputs})
-    return found
-
-
-def _candidates(problem: Problem, labels: Collection[str]) -> Iterator[Candidate]:
-    environment, horizon_s = problem.environment, problem.horizon_s
-    running = {unit.transformation for unit in environment.units}
-    for unit in environment.units:
-        if unit.transformation in labels:
-            transformation = environment.transformation[unit.transformation]
-            yield Candidate(unit.id, transformation, unit, keep_cost_us(transformation, horizon_s))
-    for label, unit_id in fresh_unit_ids(environment, sorted(set(labels) - running)).items():
-        transformation = environment.transformation[label]
-        yield Candidate(unit_id, transformation, None, start_cost_us(transformation, horizon_s))

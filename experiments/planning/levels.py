@@ -8,7 +8,7 @@ from __future__ import annotations
 import networkx as nx
 from ortools.sat.python.cp_model import IntVar
 
-from cfgplan.planners.cpsat.model import Model
+from cfgplan.planners.fleet.model import Model
 
 
 def everything_rests_on_something_lower(model: Model) -> None:
@@ -26,7 +26,8 @@ def everything_rests_on_something_lower(model: Model) -> None:
 
 
 def _add_levels(model: Model, part: list[int]) -> None:
-    literals, support = model.literals, model.support
+    support = model.support
+    literals = {literal.index: literal for literal in model.literals}
     inside = set(part)
     level = {p: model.cp.new_int_var(0, len(part), "") for p in part}
     for p in part:

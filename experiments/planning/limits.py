@@ -20,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "fleet"))
 
 import instances
 
-import cfgplan.planners.cpsat.search  # noqa: F401 - the solver takes 0.2 s to import, which is not to be measured
+import cfgplan.planners.fleet.search  # noqa: F401 - the solver takes 0.2 s to import, which is not to be measured
 from cfgplan.comparing.families.random_library import random_library
 from cfgplan.planners.cpsat import plan
 from cfgplan.planners.solving import clock

@@ -2,31 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 from ortools.sat.python.cp_model import CpSolver
 
-from cfgplan.planners.cpsat.prepared import Prepared
-from cfgplan.planners.cpsat.search import Search
-from cfgplan.planners.cpsat.standing import Standing
-from cfgplan.planners.networks.site import Site, relevant
+from cfgplan.planners.fleet.candidates import Candidates, Closure
+from cfgplan.planners.fleet.model import Rule
+from cfgplan.planners.fleet.rules import RULES
+from cfgplan.planners.fleet.search import Search
+from cfgplan.planners.fleet.standing import Standing
 from cfgplan.planners.solving.clock import Clock, OutOfTimeError
 from cfgplan.planning import Plan, Problem, Progress, Status
-from cfgplan.reasons import Givers, startable, unmet_reasons
+from cfgplan.reasons import unmet_reasons
 from experiments.planning.levels import everything_rests_on_something_lower
 
-
-class Levels(Search):
-    """The search with level variables: there is nothing to cut."""
-
-    def begin(self) -> None:
-        super().begin()
-        everything_rests_on_something_lower(self.model)
+Report = Callable[[Progress], None] | None
+LEVELS = (*RULES, everything_rests_on_something_lower)
 
 
-class Defaults(Levels):
-    """The same with the solver's default parameters but one worker."""
+class Defaults(Search):
+    """The search with the solver's default parameters but one worker."""
 
     def solver(self) -> CpSolver:
         solver = CpSolver()
@@ -37,35 +33,31 @@ class Defaults(Levels):
         return solver
 
 
-def _unprepared(search: type[Search], problem: Problem, limit_s: float | None, report: Report) -> Plan:
+def _unprepared(
+    search: type[Search], rules: Sequence[Rule], problem: Problem, limit_s: float | None, report: Report
+) -> Plan:
     clock = Clock(limit_s)
-    givers = Givers(problem.environment.library, problem.similarity)
-    possible = startable(problem.environment, givers)
-    reasons = unmet_reasons(problem, possible=possible)
+    closure = Closure.of(problem)
+    reasons = unmet_reasons(problem, possible=closure.possible)
     if reasons:
         return Plan("cpsat", Status.INFEASIBLE, reasons=reasons, seconds=clock.end("closure"))
-    labels = relevant(problem.environment, givers, possible)
-    prepared = Prepared(sorted(labels))
-    standing = Standing(Site(problem, givers, labels), prepared, clock, report)
+    standing = Standing(problem, clock, report)
     with suppress(OutOfTimeError):
-        search(standing, prepared).run()
+        search(Candidates(problem, closure, watch=clock.check), standing, rules=rules).run()
     clock.end("search")
     return standing.plan()
 
 
-Report = Callable[[Progress], None] | None
-
-
 def cuts_alone(problem: Problem, *, time_limit_s: float | None = None, report: Report = None) -> Plan:
     """Hub model with lazy cuts and the planner's parameters, without preprocessing, bounds or a first plan."""
-    return _unprepared(Search, problem, time_limit_s, report)
+    return _unprepared(Search, RULES, problem, time_limit_s, report)
 
 
 def levels_alone(problem: Problem, *, time_limit_s: float | None = None, report: Report = None) -> Plan:
     """Hub model with level variables and the planner's parameters, without preprocessing."""
-    return _unprepared(Levels, problem, time_limit_s, report)
+    return _unprepared(Search, LEVELS, problem, time_limit_s, report)
 
 
 def defaults_alone(problem: Problem, *, time_limit_s: float | None = None, report: Report = None) -> Plan:
     """Hub model with level variables and CP-SAT's default parameters on one worker."""
-    return _unprepared(Defaults, problem, time_limit_s, report)
+    return _unprepared(Defaults, LEVELS, problem, time_limit_s, report)

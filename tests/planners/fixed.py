@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, replace
 
-from alone import flat_search, fleet_search, plain_search
+from alone import flat_search, search_alone
 from ortools.sat.python.cp_model import OPTIMAL, CpModel, CpSolver, IntVar, LinearExprT
 
 from cfgplan.domain import (
@@ -24,13 +24,13 @@ from cfgplan.domain import (
     Target,
     Transformation,
 )
-from cfgplan.planners.cpsat.symmetry import one_of_those_alike_is_enough
 from cfgplan.planners.fleet.anywhere import Anywhere as WithoutHosts
 from cfgplan.planners.fleet.candidates import Candidates
 from cfgplan.planners.fleet.flat import Flat as Labels
 from cfgplan.planners.fleet.flat import Met
 from cfgplan.planners.fleet.flat_decode import decoded
 from cfgplan.planners.fleet.flat_model import FlatModel
+from cfgplan.planners.fleet.rules import RULES, one_of_new_units_alike_is_enough
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Problem
 
@@ -137,61 +137,14 @@ class Fixed:
         raise NotImplementedError
 
 
-class Plain(Fixed):
-    """The model of what the paper asks."""
-
-    def build(self) -> CpModel:
-        self.search = plain_search(self.problem)
-        self.model = self.search.model
-        return self.model.cp
-
-    def booleans(self, fact: Fact) -> list[IntVar]:
-        model, index_of = self.model, self.model.site.index_of
-        if fact.kind == "uses":
-            return [model.uses_required[label] for label in fact.of if label in model.uses_required]
-        unit = index_of.get(fact.of[0])
-        if unit is None:
-            return []
-        if fact.kind == "runs":
-            return [model.runs[unit]]
-        if fact.kind == "rewired":
-            return [model.is_wired[unit]]
-        if fact.kind == "publishes":
-            return [model.publishes[fact.of[1], unit]]
-        assert fact.kind == "feeds"
-        fed, port = fact.of[1].split("/")
-        return [model.connects[index_of[fed], port][unit]]
-
-    def is_one(self, solver: CpSolver) -> bool:
-        true = {x.index for x in self.model.literals if solver.boolean_value(x)}
-        if self.search.consider(true) is not None:
-            return True
-        self.search.cut(true)
-        return False
-
-    def cost(self) -> LinearExprT:
-        return self.model.cost()
-
-    def changes(self) -> LinearExprT:
-        return self.model.changes()
-
-
-class WithoutTwins(Plain):
-    """The same in which of new units alike one is enough."""
-
-    def build(self) -> CpModel:
-        super().build()
-        one_of_those_alike_is_enough(self.model)
-        return self.model.cp
-
-
 class Hubs(Fixed):
-    """The model of a fleet in which inputs share what meets them wherever they can."""
+    """The model in which inputs share what meets them wherever they can; all configurations, also those alike."""
 
     is_apart = False
+    rules = tuple(rule for rule in RULES if rule is not one_of_new_units_alike_is_enough)
 
     def build(self) -> CpModel:
-        self.search = fleet_search(self.problem, is_apart=self.is_apart)
+        self.search = search_alone(self.problem, is_apart=self.is_apart, rules=self.rules)
         self.candidates = self.search.model.candidates
         self.model = self.search.model
         return self.model.cp
@@ -227,8 +180,14 @@ class Hubs(Fixed):
         return self.model.changes()
 
 
-class Fleet(Hubs):
-    """The model of a fleet in which every possible subscription has a boolean."""
+class WithoutTwins(Hubs):
+    """The same in which of new units alike one is enough."""
+
+    rules = RULES
+
+
+class Apart(Hubs):
+    """The model in which every possible subscription has a boolean."""
 
     is_apart = True
 

@@ -19,11 +19,10 @@ from cfgplan.planners.bounding.branching import Branching
 from cfgplan.planners.bounding.ways import LEFT_OUT, Links, Ways
 from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planners.cpsat.deciding import decide
-from cfgplan.planners.cpsat.prepared import Prepared
-from cfgplan.planners.cpsat.standing import Standing
 from cfgplan.planners.cpsat.structure import Structure
+from cfgplan.planners.fleet.standing import Standing
 from cfgplan.planners.networks.greedy import is_plan
-from cfgplan.planners.networks.site import Site
+from cfgplan.planners.networks.keys import Key
 from cfgplan.planners.networks.weighing import Weighing
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Problem, Status
@@ -180,7 +179,7 @@ def test_the_weight_of_labels_is_never_more_than_what_a_plan_costs_and_changes(p
     changes = stage.plan.change_set
     assert weighing is not None
     assert changes is not None
-    key = (0, stage.plan.cost_us or 0, len(changes.rewired), len(changes.started))
+    key = Key(0, stage.plan.cost_us or 0, len(changes.rewired), len(changes.started))
     weight = weighing.of_plan(np.array(sorted(stage.numbers(stage.used)), np.int64))
     assert weight <= weighing.of_key(key)
     assert weighing.cost_us(weighing.of_key(key)) == stage.plan.cost_us
@@ -195,7 +194,7 @@ def test_a_small_problem_is_decided_without_the_solver_and_with_too_few_steps_by
     assert "nodes" in quick.counts
     assert "rounds" not in quick.counts
     structure = Structure.of(problem, None, Clock())
-    hasty, patient = (Standing(Site(problem, structure.givers, ()), Prepared([]), Clock(), None) for _ in range(2))
+    hasty, patient = (Standing(problem, Clock(), None) for _ in range(2))
     assert not decide(hasty, structure, 1)
     assert not hasty.is_over
     assert decide(patient, structure, 100)

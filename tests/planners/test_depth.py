@@ -27,7 +27,7 @@ from cfgplan.planners.bounding.bounds import Bound, cheapest_way
 from cfgplan.planners.bounding.landmarks import ways_into
 from cfgplan.planners.bounding.tightening import begun
 from cfgplan.planners.cpsat import plan
-from cfgplan.planners.networks import wiring
+from cfgplan.planners.fleet import wiring
 from cfgplan.planners.networks.greedy import first_plan, plan_at
 from cfgplan.planners.networks.network import Network
 from cfgplan.planning import Problem, Status

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import pytest
-from fixed import Anywhere, Fixed, Flat, Fleet, Hubs, kind, on, publishes, runs, unit, waits, world
+from fixed import Anywhere, Apart, Fixed, Flat, Hubs, kind, on, publishes, runs, unit, waits, world
 
 from cfgplan.domain import Host, OutputPort, Target, Transformation
 from cfgplan.planning import Failures, Problem
 from cfgplan.qualities import MICRO, Better, Contribution, Over, QualityAttribute, Rule, Wish
 
-every_model = pytest.mark.parametrize("model", [Fleet, Flat, Hubs])
+every_model = pytest.mark.parametrize("model", [Apart, Flat, Hubs])
 
 TWO = (Host("h0"), Host("h1"))
 STREAM = OutputPort("x", "", (), 1_000_000, 1_000_000)  # a megabyte each second
@@ -58,7 +58,7 @@ def test_a_host_bears_its_units(model: type[Fixed], small: Host, takes: dict[str
 @pytest.mark.parametrize("takes", [{"upkeep_us": 3}, {"memory_mb": 3}])
 def test_a_host_bears_its_cold_spares(takes: dict[str, int]) -> None:
     source = kind("s", gives="A", standby_us=1, **takes)
-    fixed = Fleet(world("A", source, hosts=(Host("h0", 5, 5), Host("h1", 5, 5)), survive=Failures.UNITS))
+    fixed = Apart(world("A", source, hosts=(Host("h0", 5, 5), Host("h1", 5, 5)), survive=Failures.UNITS))
     assert fixed.allows(waits("s.1"), on("s.1", "h0"), on("s.2", "h1"))
     assert not fixed.allows(waits("s.1"), on("s.1", "h0"), on("s.2", "h0"))
 
@@ -144,7 +144,7 @@ def test_a_transformation_that_conflicts_with_itself_may_have_two_units(model: t
 
 def test_a_cold_spare_conflicts_too() -> None:
     library = (kind("s", gives="A", standby_us=1, conflicts=("t",)), kind("t", gives="A", max_instances=3))
-    fixed = Fleet(world("A", *library, survive=Failures.UNITS))
+    fixed = Apart(world("A", *library, survive=Failures.UNITS))
     assert fixed.allows(runs("t.1"), runs("t.2"))
     assert not fixed.allows(runs("t.1"), waits("s.1"))
 
@@ -172,14 +172,14 @@ def test_no_more_units_run_than_are_allowed(model: type[Fixed]) -> None:
 
 
 def test_cold_spares_count_among_those_allowed_but_not_among_those_asked_for() -> None:
-    fixed = Fleet(world("A", kind("s", gives="A", standby_us=1, max_instances=2), survive=Failures.UNITS))
+    fixed = Apart(world("A", kind("s", gives="A", standby_us=1, max_instances=2), survive=Failures.UNITS))
     assert fixed.allows(runs("s.1"), waits("s.2"))
     more = kind("s", gives="A", standby_us=1, max_instances=2)
     units = (unit("s"), unit("s", number=2), unit("s", number=3))
-    fixed = Fleet(world("A", more, units=units, survive=Failures.UNITS))
+    fixed = Apart(world("A", more, units=units, survive=Failures.UNITS))
     assert not fixed.allows(runs("s.1"), runs("s.2"), waits("s.4"))
     asked = kind("s", gives="A", standby_us=1, min_instances=2, max_instances=3)
-    fixed = Fleet(world("A", asked, survive=Failures.UNITS))
+    fixed = Apart(world("A", asked, survive=Failures.UNITS))
     assert fixed.allows(runs("s.1"), runs("s.2"))
     assert not fixed.allows(waits("s.1"), waits("s.2"))
 
@@ -200,13 +200,13 @@ def test_new_units_beside_a_running_one_are_not_in_its_order(model: type[Fixed])
 
 
 def test_a_unit_runs_or_waits() -> None:
-    fixed = Fleet(world("A", kind("s", gives="A", standby_us=1), survive=Failures.UNITS))
+    fixed = Apart(world("A", kind("s", gives="A", standby_us=1), survive=Failures.UNITS))
     assert fixed.allows(runs("s.1"), waits("s.2"))
     assert not fixed.allows(runs("s.1"), waits("s.1"))
 
 
 def test_a_cold_spare_costs_its_standby_and_feeds_nobody() -> None:
-    fixed = Fleet(world("A", kind("s", gives="A", labor_us=5, upkeep_us=7, standby_us=2), survive=Failures.UNITS))
+    fixed = Apart(world("A", kind("s", gives="A", labor_us=5, upkeep_us=7, standby_us=2), survive=Failures.UNITS))
     assert fixed.least_us(runs("s.1"), waits("s.2")) == 5 + 7 + 2
     assert fixed.least_us(runs("s.1"), runs("s.2")) == 2 * (5 + 7)
     assert not fixed.allows(waits("s.2"), publishes("s.2", "A"))
@@ -214,7 +214,7 @@ def test_a_cold_spare_costs_its_standby_and_feeds_nobody() -> None:
 
 
 def test_after_the_failure_of_a_unit_another_meets_the_target() -> None:
-    fixed = Fleet(world("B", kind("s", gives="A"), kind("t", gives="A"), kind("f", "A", "B"), survive=Failures.UNITS))
+    fixed = Apart(world("B", kind("s", gives="A"), kind("t", gives="A"), kind("f", "A", "B"), survive=Failures.UNITS))
     assert fixed.allows(runs("s.1"), runs("t.1"), runs("f.2"))
     assert fixed.allows(runs("s.1"), runs("s.2"), ~runs("t.1"))
     assert not fixed.allows(~runs("s.2"), ~runs("t.1"))
@@ -222,14 +222,14 @@ def test_after_the_failure_of_a_unit_another_meets_the_target() -> None:
 
 
 def test_after_the_failure_of_a_host_units_on_another_meet_the_target() -> None:
-    fixed = Fleet(world("A", kind("s", gives="A"), hosts=TWO, survive=Failures.HOSTS))
+    fixed = Apart(world("A", kind("s", gives="A"), hosts=TWO, survive=Failures.HOSTS))
     assert fixed.allows(on("s.1", "h0"), on("s.2", "h1"))
     assert not fixed.allows(on("s.1", "h0"), on("s.2", "h0"))
 
 
 def test_a_target_at_a_host_that_fails_need_not_be_met_then() -> None:
     targets = (Target("A", "A", "/A", host="h0"),)
-    fixed = Fleet(world(targets, kind("s", gives="A"), hosts=TWO, survive=Failures.HOSTS))
+    fixed = Apart(world(targets, kind("s", gives="A"), hosts=TWO, survive=Failures.HOSTS))
     assert fixed.allows(on("s.1", "h0"), on("s.2", "h0"))
     assert not fixed.allows(on("s.1", "h1"), on("s.2", "h1"))
 
@@ -385,6 +385,6 @@ def test_two_attributes_are_both_kept() -> None:
     middle = kind("u", gives="A", output=both(50, 50))
     targets = (Target("A", "A", "/A", quality=(Wish("e", 60), Wish("q", 60))),)
     error = QualityAttribute("e", Better.LOWER, worst=100, best=0)
-    fixed = Fleet(world(targets, *library, middle, qualities=(LOW, error)))
+    fixed = Apart(world(targets, *library, middle, qualities=(LOW, error)))
     assert fixed.allows(runs("u.1"))
     assert not fixed.allows(~runs("u.1"))

@@ -12,11 +12,11 @@ from cfgplan.planners import PLANNERS
 from cfgplan.planners.bounding.bounds import Bound, cheapest_way
 from cfgplan.planners.bounding.chains import chained_bound
 from cfgplan.planners.cpsat import PlannerSession
+from cfgplan.planners.fleet.candidates import Candidates, relevant
+from cfgplan.planners.fleet.wiring import wire
 from cfgplan.planners.networks.greedy import first_plan, is_plan
 from cfgplan.planners.networks.network import Network
-from cfgplan.planners.networks.site import Site, relevant
 from cfgplan.planners.networks.weighing import Weighing
-from cfgplan.planners.networks.wiring import wire
 from cfgplan.planning import Plan, Problem, Status
 from cfgplan.reasons import Givers, startable
 
@@ -68,8 +68,8 @@ def test_the_first_plan_is_a_plan_and_not_cheaper_than_the_optimum(problem: Prob
     assert plan is not None
     assert is_plan(stage.network, plan)
     assert int(stage.cost[sorted(plan)].sum()) >= (stage.plan.cost_us or 0)
-    site = Site(problem, stage.givers, stage.relevant)
-    assert wire(site, site.first_of_each(stage.network.labels[i] for i in sorted(plan))) is not None
+    candidates = Candidates(problem)
+    assert wire(candidates, candidates.first_of_each(stage.network.labels[i] for i in sorted(plan))) is not None
 
 
 @fewer

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import pytest
 from fixed import (
+    Apart,
     Fixed,
     Flat,
-    Fleet,
     Hubs,
-    Plain,
     WithoutTwins,
     feeds,
     kind,
@@ -23,8 +22,8 @@ from fixed import (
 from cfgplan.domain import ComputationUnit, Transformation
 from cfgplan.planning import Problem
 
-every_model = pytest.mark.parametrize("model", [Plain, Fleet, Hubs, Flat])
-who_is_wired_how = pytest.mark.parametrize("model", [Plain, Fleet, Hubs])
+every_model = pytest.mark.parametrize("model", [Hubs, Apart, Flat])
+who_is_wired_how = pytest.mark.parametrize("model", [Hubs, Apart])
 
 SOURCE, OTHER, FILTER = kind("s", gives="A"), kind("t", gives="A"), kind("f", "A", "B")
 
@@ -292,7 +291,7 @@ def test_of_new_units_alike_one_runs() -> None:
     fixed = WithoutTwins(world("B", SOURCE, OTHER, FILTER))
     assert fixed.allows(runs("s.1"), ~runs("t.1"))
     assert not fixed.allows(runs("s.1"), runs("t.1"))
-    assert Plain(world("B", SOURCE, OTHER, FILTER)).allows(runs("s.1"), runs("t.1"))
+    assert Hubs(world("B", SOURCE, OTHER, FILTER)).allows(runs("s.1"), runs("t.1"))
 
 
 @pytest.mark.parametrize(
@@ -302,15 +301,16 @@ def test_of_new_units_alike_one_runs() -> None:
         world("B", kind("s", gives="A", required=True), OTHER, FILTER),
         world("B", SOURCE, OTHER, FILTER, units=(unit("s"), unit("t"))),
         world("BC", kind("s", gives="AC"), OTHER, FILTER),
+        world("B", SOURCE, kind("t", gives="A", min_instances=1), FILTER),
     ],
-    ids=["distinct", "required", "running", "one offers more"],
+    ids=["distinct", "required", "running", "one offers more", "one is asked for"],
 )
 def test_units_that_may_differ_are_not_alike(problem: Problem) -> None:
     assert WithoutTwins(problem).allows(runs("s.1"), runs("t.1"))
 
 
 def test_a_landmark_is_hit_as_often_as_it_says() -> None:
-    class Landmark(Plain):
+    class Landmark(Hubs):
         least = 1
 
         def build(self):  # type: ignore[no-untyped-def]

@@ -10,18 +10,13 @@ from typing import Any
 from unittest import mock
 
 import pytest
+from alone import search_alone
 from ortools.sat.python.cp_model import FEASIBLE, INFEASIBLE, MODEL_INVALID, OPTIMAL, CpModel, CpSolver
 
 from cfgplan.comparing.families.random_library import random_library
-from cfgplan.planners.cpsat import PlannerSession, search
-from cfgplan.planners.cpsat.prepared import Prepared
-from cfgplan.planners.cpsat.standing import Standing
-from cfgplan.planners.fleet import flat_search
-from cfgplan.planners.fleet import search as fleet_search
-from cfgplan.planners.networks.site import Site, relevant
-from cfgplan.planners.solving.clock import Clock
+from cfgplan.planners.cpsat import PlannerSession
+from cfgplan.planners.fleet import flat_search, search
 from cfgplan.planning import Failures, PlannerFaultError, Problem, Status
-from cfgplan.reasons import Givers, startable
 from cfgplan.validity import plan_violations
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "experiments" / "fleet"))
@@ -32,10 +27,6 @@ import instances
 @pytest.mark.parametrize("seed", [0, 2, 6])
 def test_a_solution_that_is_not_grounded_is_forbidden_before_anything_is_proven_of_it(seed: int) -> None:
     problem = random_library(seed, transformations=30, targets=3, back=0.4)
-    givers = Givers(problem.environment.library, problem.similarity)
-    labels = relevant(problem.environment, givers, startable(problem.environment, givers))
-    prepared = Prepared(sorted(labels))
-    standing = Standing(Site(problem, givers, labels), prepared, Clock(), None)
     solve, statuses = search.solve, []
 
     def watched(*of: Any) -> Any:
@@ -43,10 +34,11 @@ def test_a_solution_that_is_not_grounded_is_forbidden_before_anything_is_proven_
         return statuses[-1]
 
     with mock.patch.object(search, "solve", watched):
-        search.Search(standing, prepared).run()
+        alone = search_alone(problem)
+        alone.run()
     assert statuses[0] == FEASIBLE
     assert statuses[-1] == OPTIMAL
-    found, other = standing.plan(), PlannerSession().plan(problem)
+    found, other = alone.standing.plan(), PlannerSession().plan(problem)
     assert found.status is other.status is Status.OPTIMAL
     assert found.cost_us == other.cost_us
 
@@ -57,7 +49,7 @@ def test_a_solution_that_is_not_grounded_is_forbidden_before_anything_is_proven_
         (search, random_library(0, transformations=60), INFEASIBLE),
         (search, random_library(0, transformations=60), MODEL_INVALID),
         (flat_search, instances.weighted(0, 40, 2), INFEASIBLE),
-        (fleet_search, replace(random_library(0, transformations=12, targets=1), survive=Failures.UNITS), INFEASIBLE),
+        (search, replace(random_library(0, transformations=12, targets=1), survive=Failures.UNITS), INFEASIBLE),
     ],
     ids=["plain", "plain, invalid", "flat", "explicit"],
 )

@@ -1,8 +1,9 @@
 """The exact planner: bounds and a first plan from arrays, then CP-SAT with lazily added groundedness.
 
-Begin with `session`, which says what is done when, and `model`, the recipe; `search` runs it. What is known on the
-way is in `structure`, `prepared`, `standing` and `rest`. Where nothing more than labels has to be chosen `deciding`
-needs no model. The rooms `networks`, `bounding`, `closing` and `solving` beside this one can be read by themselves.
+Begin with `session`, which says what is done when. What is known on the way is in `structure`, `prepared` and `rest`,
+and in the `standing` of the room `fleet`, where `rules` are those of the constraint model and `search` runs it. Where
+nothing more than labels has to be chosen `deciding` needs no model. The rooms `networks`, `bounding`, `closing` and
+`solving` can be read by themselves.
 """
 
 from __future__ import annotations

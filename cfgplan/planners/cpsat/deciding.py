@@ -14,8 +14,9 @@ from cfgplan.planners.bounding.bounds import Bound
 from cfgplan.planners.bounding.branching import Branching
 from cfgplan.planners.bounding.chains import chained_bound
 from cfgplan.planners.cpsat.prepared import Prepared
-from cfgplan.planners.cpsat.standing import Standing
 from cfgplan.planners.cpsat.structure import Structure
+from cfgplan.planners.fleet.candidates import Candidates
+from cfgplan.planners.fleet.standing import Standing
 from cfgplan.planners.networks.core import Core, Ints
 from cfgplan.planners.networks.greedy import first_plan, without_redundant
 from cfgplan.planners.networks.network import Network
@@ -30,19 +31,21 @@ FIRST, STEPS, SOON = 300, 1500, 0.01
 """So many steps a search may take at first, and in all if so much of it is done by then."""
 
 
-def decide(standing: Standing, structure: Structure, steps: int, among: Collection[str] | None = None) -> bool:
+def decide(
+    standing: Standing, structure: Structure, steps: int, among: Collection[str] | None = None
+) -> Candidates | None:
     """Look for a better plan in so many steps; no labels but `among` these can be in one.
 
-    True if all is proven or, where only the cost is, if the standing has all labels that can be in a better plan.
-    A plan must be no more than its labels, without distinct and feedback inputs, else nothing is done.
+    Returns the candidates of a better plan if all is proven or, where only the cost is, all that one can have; None if
+    more is open. A plan must be no more than its labels, without distinct and feedback inputs, else nothing is done.
     """
     network = structure.network
     is_large = len(network.labels) > SMALL if among is None else len(among) > LEFT
     if not steps or is_large or network.special:
-        return False
-    weighing = Weighing.with_changes(standing.site.problem, network, structure.pinned)
+        return None
+    weighing = Weighing.with_changes(standing.problem, network, structure.pinned)
     if weighing is None:
-        return False
+        return None
     plans: list[set[int]] = []
     if standing.best is not None:
         plans.append({network.number[unit.transformation] for unit in standing.best.units}.union(network.pinned))
@@ -50,7 +53,7 @@ def decide(standing: Standing, structure: Structure, steps: int, among: Collecti
         first = first_plan(network, weighing.weight, 0, standing.clock.is_over)
         plans += [] if first is None else [first]
     if not plans:
-        return False
+        return None
     plan = min(plans, key=lambda one: weighing.of_plan(_numbers(one)))
     return _Deciding(standing, structure, weighing, among).run(plan, steps)
 
@@ -69,7 +72,7 @@ class _Deciding:
             keep[[structure.network.number[label] for label in among]] = True
             self._core, self._weight = self._core.restricted(keep), self._weight[keep]
 
-    def run(self, plan: set[int], steps: int) -> bool:
+    def run(self, plan: set[int], steps: int) -> Candidates | None:
         network, weighing, standing = self._structure.network, self._weighing, self._standing
         limit, nodes = weighing.of_plan(_numbers(plan)), 0
         least, is_proven = limit, False
@@ -95,22 +98,28 @@ class _Deciding:
             fewest_changes=weighing.changes(value),
             is_complete=False,
         )
-        standing.go_on_with(prepared)
-        return is_proven and (standing.is_over or self._has_all(prepared, plan, steps))
+        candidates = self._told(prepared)
+        if not is_proven:
+            return None
+        return candidates if standing.is_over else self._all(prepared, plan, steps)
 
-    def _has_all(self, prepared: Prepared, plan: set[int], steps: int) -> bool:
-        """Give the standing all labels that plans have that change less than its own, which is a cheapest one."""
+    def _told(self, prepared: Prepared) -> Candidates:
+        candidates = self._structure.candidates(self._standing.problem, prepared.labels)
+        prepared.tell(self._standing, candidates)
+        return candidates
+
+    def _all(self, prepared: Prepared, plan: set[int], steps: int) -> Candidates | None:
+        """What plans have that change less than the incumbent, which is a cheapest one; None if that is not known."""
         network, standing = self._structure.network, self._standing
         if standing.best is None:
-            return False
+            return None
         core, search = self._below(self._weighing.of_key(standing.best.key))
         others = search.others(np.flatnonzero(np.isin(core.labels, _numbers(plan))).tolist(), steps)
         if others is None:
-            return False
+            return None
         labels = [network.labels[i] for i in sorted(plan.union(core.labels[sorted(others)].tolist()))]
         counts = {**prepared.counts, "left by bounds": len(labels)}
-        standing.go_on_with(replace(prepared, labels=labels, counts=counts, is_complete=True))
-        return True
+        return self._told(replace(prepared, labels=labels, counts=counts, is_complete=True))
 
     def _below(self, limit: int) -> tuple[Core, Branching]:
         """A search for plans that weigh less, and the core that it looks at."""

@@ -5,6 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from cfgplan.planners.fleet.candidates import Candidates
+from cfgplan.planners.fleet.standing import Standing
+from cfgplan.planners.fleet.wiring import forced_changes, wire
+
 
 @dataclass(frozen=True)
 class Prepared:
@@ -25,3 +29,38 @@ class Prepared:
     holds_for: int | None = None
     fewest_changes: tuple[int, int] | None = None
     is_complete: bool = True
+
+    def tell(self, standing: Standing, candidates: Candidates) -> None:
+        """Bring a standing forward: a better plan, a higher bound. `candidates` are those of the labels."""
+        standing.counts |= self.counts
+        if self.holds_for != standing.holds_for:
+            standing.holds_for, standing.bound_us = self.holds_for, 0
+        standing.raise_bound(self.bound_us)
+        is_known = standing.best is not None and standing.best.key.cost_us == self.cost_us
+        if self.plan is None or (is_known and standing.clock.is_over()):
+            return
+        chosen = candidates.first_of_each(self.plan)
+        units = wire(candidates, chosen)
+        if units is not None:
+            standing.offer(units)
+        if self._proves_all(standing, candidates, chosen):
+            standing.prove_all()
+
+    def _proves_all(self, standing: Standing, candidates: Candidates, chosen: set[int]) -> bool:
+        """Whether the incumbent can't be beaten in changes, or is the only choice of units at its cost.
+
+        No more must be rewired then than has to be. It is the only choice if it has all candidates and each costs
+        something, or has to run: one that costs nothing might be done without.
+        """
+        best = standing.best
+        if best is None:
+            return False
+        if self.fewest_changes is not None and best.key == (0, standing.bound_us, *self.fewest_changes):
+            return True
+        return (
+            self.is_complete
+            and best.key[:2] == (0, standing.bound_us)
+            and len(chosen) == len(candidates.all) == len(best.units)
+            and all(c.cost_us or candidates.is_pinned(i) for i, c in enumerate(candidates.all))
+            and best.key.rewired == forced_changes(candidates, chosen)
+        )

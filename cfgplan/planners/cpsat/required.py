@@ -14,13 +14,12 @@ from cfgplan.planners.bounding.bounds import Bound
 from cfgplan.planners.bounding.tightening import tightened
 from cfgplan.planners.cpsat.prepared import Prepared
 from cfgplan.planners.cpsat.rest import Left
-from cfgplan.planners.cpsat.standing import Incumbent, Standing
 from cfgplan.planners.cpsat.structure import Structure
+from cfgplan.planners.fleet.standing import Incumbent, Standing
+from cfgplan.planners.fleet.wiring import wire
 from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.greedy import first_plan, support_of
 from cfgplan.planners.networks.network import Network, costs
-from cfgplan.planners.networks.site import Site
-from cfgplan.planners.networks.wiring import wire
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Problem
 
@@ -30,18 +29,18 @@ WAYS = 4
 
 def offer_any_plan(standing: Standing, structure: Structure) -> None:
     """Offer a greedy plan, if one is found, whatever required transformations it uses."""
-    network, problem = structure.network, standing.site.problem
+    network, problem = structure.network, standing.problem
     plan = first_plan(network, costs(problem, network, structure.pinned)[1], 0, standing.clock.is_over)
     labels = [network.labels[i] for i in sorted(plan or ())]
-    site = standing.site.among(labels)
-    units = None if plan is None else wire(site, site.first_of_each(labels))
+    candidates = structure.candidates(problem, labels)
+    units = None if plan is None else wire(candidates, candidates.first_of_each(labels))
     if units is not None:
         standing.offer(units)
 
 
 def prepared_with_all(standing: Standing, structure: Structure, attempts: int) -> Prepared:
     """What may be in a plan that uses all required transformations; if such a plan is found it is offered."""
-    problem, clock = standing.site.problem, standing.clock
+    problem, clock = standing.problem, standing.clock
     required = frozenset(t.label for t in structure.network.transformations if t.required)
     network = structure.network_with(problem, required, clock)
     fixed_us, cost = costs(problem, network, structure.pinned)
@@ -54,18 +53,16 @@ def prepared_with_all(standing: Standing, structure: Structure, attempts: int) -
         if few is None or found is not None or clock.is_over():
             break
     best = standing.best
-    incumbent = best if best is not None and best.key[0] == structure.hopeless_required else None
-    limit = int(cost.sum()) if incumbent is None else incumbent.key[1] - fixed_us
+    incumbent = best if best is not None and best.key.unused == structure.hopeless_required else None
+    limit = int(cost.sum()) if incumbent is None else incumbent.key.cost_us - fixed_us
     bound = tightened(Bound(network.core, cost), limit, limit, clock)
     left = Left.by(bound, limit)
     labels = np.union1d(left.labels, np.array(network.pinned, np.int64))
     return Prepared(
         [network.labels[i] for i in labels.tolist()],
-        None,
-        None if incumbent is None else incumbent.key[1],
-        left.value + fixed_us,
-        lambda: left.landmarks(labels, network.labels),
-        {"landmarks": left.known, "left by bounds": len(labels)},
+        bound_us=left.value + fixed_us,
+        landmarks=lambda: left.landmarks(labels, network.labels),
+        counts={"landmarks": left.known, "left by bounds": len(labels)},
         holds_for=structure.hopeless_required,
     )
 
@@ -126,9 +123,9 @@ def _way_to_a_target(network: Network, cost: Ints, label: int, shunned: set[int]
 
 def _among(few: list[str], problem: Problem, structure: Structure, clock: Clock) -> Incumbent | None:
     """The best plan among a few labels that uses all required ones."""
-    from cfgplan.planners.cpsat.search import Search
+    from cfgplan.planners.fleet.search import Search
 
-    prepared = Prepared(few)
-    standing = Standing(Site(problem, structure.givers, few), prepared, clock, None)
-    Search(standing, prepared).run_with_all_required()
-    return standing.best if standing.best is not None and standing.best.key[0] == structure.hopeless_required else None
+    standing = Standing(problem, clock, None)
+    Search(structure.candidates(problem, few), standing).run_with_all_required()
+    best = standing.best
+    return best if best is not None and best.key.unused == structure.hopeless_required else None

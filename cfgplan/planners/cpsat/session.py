@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from functools import partial
 from threading import Event
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,20 +21,23 @@ from cfgplan.planners.bounding.tightening import tightened
 from cfgplan.planners.cpsat.deciding import STEPS, decide
 from cfgplan.planners.cpsat.prepared import Prepared
 from cfgplan.planners.cpsat.preparing import Preparation
-from cfgplan.planners.cpsat.required import offer_any_plan
+from cfgplan.planners.cpsat.required import offer_any_plan, prepared_with_all
 from cfgplan.planners.cpsat.rest import Left, Rest
-from cfgplan.planners.cpsat.standing import Standing
 from cfgplan.planners.cpsat.structure import Structure
+from cfgplan.planners.fleet.candidates import Candidates
+from cfgplan.planners.fleet.standing import Standing
+from cfgplan.planners.fleet.wiring import what_runs
 from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.greedy import cost_of, first_plan, improved, is_plan, with_less
 from cfgplan.planners.networks.network import costs
-from cfgplan.planners.networks.running import what_runs
-from cfgplan.planners.networks.site import Site
 from cfgplan.planners.networks.weighing import Weighing
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.undecided import Deciding
 from cfgplan.planning import Plan, Problem, Progress, Status
-from cfgplan.reasons import Givers, unmet_reasons
+from cfgplan.reasons import unmet_reasons
+
+if TYPE_CHECKING:
+    from cfgplan.planners.fleet.search import Landmarks, Search
 
 ATTEMPTS = 30
 """How many members of the first plan are tried to be done without."""
@@ -71,7 +75,7 @@ class PlannerSession:
 
             return fleet.plan(problem, time_limit_s=time_limit_s, report=report, stop=stop)
         clock = Clock(time_limit_s, stop)
-        standing = Standing(Site(problem, Givers((), problem.similarity), ()), Prepared([]), clock, report)
+        standing = Standing(problem, clock, report)
         clock.run(lambda: self._bring_forward(standing), standing.plan)
         clock.end("search")
         self._remember(standing)
@@ -83,7 +87,7 @@ class PlannerSession:
 
     def _bring_forward(self, standing: Standing) -> None:
         """From what runs to what is proven."""
-        problem, clock = standing.site.problem, standing.clock
+        problem, clock = standing.problem, standing.clock
         units = what_runs(problem)
         if units is not None:
             standing.offer(units)
@@ -94,9 +98,8 @@ class PlannerSession:
         structure = self._structure
         clock.end("closure")
         if not structure.meets_targets:
-            standing.reasons = unmet_reasons(problem, possible=structure.possible)
+            standing.is_infeasible, standing.reasons = True, unmet_reasons(problem, possible=structure.possible)
             return
-        standing.site = Site(problem, structure.givers, ())
         standing.counts = structure.counts()
         standing.fewest_unused = structure.hopeless_required
         if structure.has_required:
@@ -121,46 +124,44 @@ class PlannerSession:
         self._remember(standing)
         if standing.best is None:
             offer_any_plan(standing, structure)
-        preparation = self._prepare(standing.site.problem, structure, clock, is_first=is_first)
+        preparation = self._prepare(standing.problem, structure, clock, is_first=is_first)
         prepared = preparation.prepared(clock)
-        standing.go_on_with(prepared)
+        candidates = structure.candidates(standing.problem, prepared.labels)
+        prepared.tell(standing, candidates)
         is_less = 2 * len(prepared.labels) <= len(structure.network.labels)
         if (is_less or not is_new) and not standing.is_over:
             if self._try_to_decide(standing, structure, prepared.labels):
                 return
-            standing.go_on_with(prepared)
+            prepared.tell(standing, candidates)
         clock.end("bounds")
-        self._solve(standing, preparation, prepared)
+        self._solve(standing, structure, preparation, prepared)
 
     def _try_to_decide(self, standing: Standing, structure: Structure, among: Collection[str] | None = None) -> bool:
         """Search; where that proves the least cost, the solver chooses among equals if it has to. Whether it did."""
-        has_all = decide(standing, structure, self._steps, among)
+        candidates = decide(standing, structure, self._steps, among)
         standing.clock.end("bounds")
-        if has_all and not standing.is_over and standing.best is not None:
-            self._search(standing, None, Prepared([], cost_us=standing.best.key[1]))
-        return has_all
+        if candidates is not None and not standing.is_over:
+            _search(candidates, standing).run()
+            standing.clock.end("search")
+        return candidates is not None
 
     def _remember(self, standing: Standing) -> None:
         if standing.best is not None:
             self._last = frozenset(unit.transformation for unit in standing.best.units)
 
-    def _solve(self, standing: Standing, preparation: Preparation, prepared: Prepared) -> None:
+    def _solve(self, standing: Standing, structure: Structure, preparation: Preparation, prepared: Prepared) -> None:
         """Bring a standing forward until all is proven or the time is over: better bounds first, then the solver."""
-        clock = standing.clock
+        clock, problem = standing.clock, standing.problem
+        candidates = structure.candidates(problem, prepared.labels)
         if preparation.may_go_on and not standing.is_over:
             preparation.go_on(CLOSING_S, clock)
             prepared = preparation.prepared(clock)
-            standing.go_on_with(prepared)
+            candidates = structure.candidates(problem, prepared.labels)
+            prepared.tell(standing, candidates)
             clock.end("bounds")
         if not standing.is_over:
-            self._search(standing, preparation, prepared)
-
-    def _search(self, standing: Standing, preparation: Preparation | None, prepared: Prepared) -> None:
-        from cfgplan.planners.cpsat.search import Search  # the solver takes long to import
-
-        missed = (lambda *_: ()) if preparation is None else preparation.missed
-        Search(standing, prepared, missed).run()
-        standing.clock.end("search")
+            _search(candidates, standing, prepared.landmarks(), preparation.missed).run()
+            clock.end("search")
 
     def _prepare(self, problem: Problem, structure: Structure, clock: Clock, *, is_first: bool) -> Preparation:
         """Bounds on the cost from both sides, and what may still be used between them."""
@@ -182,18 +183,17 @@ class PlannerSession:
 
     def _with_required(self, standing: Standing, structure: Structure) -> None:
         """Try to use all required transformations; only if that is impossible, see how many can be used."""
-        from cfgplan.planners.cpsat.required import prepared_with_all
-        from cfgplan.planners.cpsat.search import Search
-
         offer_any_plan(standing, structure)
-        prepared = prepared_with_all(standing, structure, ATTEMPTS)
-        standing.clock.end("bounds")
-        standing.clock.check()
-        standing.go_on_with(prepared)
-        if not Search(standing, prepared).run_with_all_required():
-            prepared = Prepared(structure.network.labels)
-            standing.go_on_with(prepared)
-            Search(standing, prepared).run()
+        for prepared in (prepared_with_all(standing, structure, ATTEMPTS), Prepared(structure.network.labels)):
+            standing.clock.end("bounds")
+            standing.clock.check()
+            candidates = structure.candidates(standing.problem, prepared.labels)
+            prepared.tell(standing, candidates)
+            search = _search(candidates, standing, prepared.landmarks())
+            if prepared.holds_for is None:
+                search.run()
+            elif search.run_with_all_required():
+                return
 
     def _first_plan(
         self, problem: Problem, structure: Structure, weighing: Weighing, quick: int, clock: Clock, *, is_first: bool
@@ -237,6 +237,19 @@ class PlannerSession:
             structure.remember(lambda: close, 1)
             bound = _known_bound(structure, cost)
             self._rest = Rest.of(plan, cost, int(ROOM * limit), bound, clock)
+
+
+def _search(
+    candidates: Candidates,
+    standing: Standing,
+    landmarks: Landmarks = (),
+    missed: Callable[[Collection[str], Clock], Landmarks] = lambda *_: (),
+) -> Search:
+    """A search in the constraint model, which is built here; raises OutOfTimeError."""
+    from cfgplan.planners.fleet.search import Search  # the solver takes long to import
+
+    candidates.watch = standing.clock.check
+    return Search(candidates, standing, landmarks=landmarks, missed=missed)
 
 
 def _known_bound(structure: Structure, weight: Ints, scale: int = 1) -> Bound:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 
 from cfgplan.domain import Environment, Similarity, Transformation
 from cfgplan.planners.bounding.bounds import Bound
 from cfgplan.planners.bounding.landmarks import Landmark
+from cfgplan.planners.fleet.candidates import Candidates, Closure, relevant
 from cfgplan.planners.networks.network import Network
-from cfgplan.planners.networks.site import relevant
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Problem
 from cfgplan.reasons import Givers, startable
@@ -57,10 +57,18 @@ class Structure:
         return not any(self.possible.isdisjoint(self.givers.of(t.tag)) for t in self.environment.targets)
 
     @cached_property
+    def closure(self) -> Closure:
+        """What can be started, and what of it is relevant."""
+        return Closure(self.givers, self.possible, relevant(self.environment, self.givers, self.possible))
+
+    def candidates(self, problem: Problem, labels: Iterable[str]) -> Candidates:
+        """The units that a plan may have of some labels; the problem must be one that this serves."""
+        return Candidates(problem, self.closure, frozenset(labels))
+
+    @cached_property
     def network(self) -> Network:
         """The network of what is relevant."""
-        labels = relevant(self.environment, self.givers, self.possible)
-        return _network(self.environment, self.givers, self.possible, labels, frozenset())
+        return _network(self.environment, self.givers, self.possible, self.closure.relevant, frozenset())
 
     def counts(self) -> dict[str, int]:
         """How many transformations and demands are left, step by step."""

@@ -66,7 +66,7 @@ def _bring_forward(standing: Standing) -> None:
     first = FirstPlans(candidates, standing)
     first.look(ATTEMPTS if problem.survive is None else 0)  # each attempt needs spares
     clock.end("first plans")
-    if standing.best is not None and standing.best[0] == (standing.fewest_unused, least_us, 0, started):
+    if standing.best is not None and standing.best.key == (standing.fewest_unused, least_us, 0, started):
         standing.prove_cost()
         standing.are_ties_proven = True
         return
@@ -126,7 +126,7 @@ def _solve_flat(candidates: Candidates, standing: Standing, first: FirstPlans) -
         slice_s *= GROWTH
         quality.look_closer()
         if standing.best is not None and Notion.QUALITY in problem.notions:
-            bound_by_price(candidates, standing.best[0][1] - search.least_us)
+            bound_by_price(candidates, standing.best.key.cost_us - search.least_us)
             flat = Flat(candidates)
     standing.prove_infeasible()
     return None

@@ -1,16 +1,16 @@
-"""The units that a configuration of a fleet may have, and who may feed whom."""
+"""The units that a configuration may have, and who may feed whom."""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 from cfgplan.costs import keep_cost_us, standby_cost_us, start_cost_us
 from cfgplan.domain import ComputationUnit, Environment, Stream, Transformation
+from cfgplan.planners.networks.keys import may_stay
 from cfgplan.planners.networks.network import Network
-from cfgplan.planners.networks.site import may_stay
 from cfgplan.planning import Problem, fresh_units
 from cfgplan.qualities import QualityAttribute, worst_allowed
 from cfgplan.reasons import Givers, startable
@@ -21,7 +21,7 @@ Host = str | None
 
 @dataclass(frozen=True)
 class Candidate:
-    """A unit of the environment, or one of the new ones of a transformation; `may_run` or `may_wait` as a cold spare.
+    """A unit of the environment, or a new one of its transformation; `may_run` or `may_wait` as a cold spare.
 
     `hosts` are those it may be on: its own if it is there already, only None where there are no hosts.
     """
@@ -29,11 +29,28 @@ class Candidate:
     id: str
     transformation: Transformation
     running: ComputationUnit | None
-    hosts: tuple[Host, ...]
-    may_run: bool
-    may_wait: bool
     cost_us: int
-    waiting_cost_us: int
+    hosts: tuple[Host, ...] = (None,)
+    may_run: bool = True
+    may_wait: bool = False
+    waiting_cost_us: int = 0
+
+
+@dataclass(frozen=True)
+class Closure:
+    """Who gives what, which transformations can be started at all, and which of those may be needed."""
+
+    givers: Givers
+    possible: frozenset[str]
+    relevant: frozenset[str]
+
+    @classmethod
+    def of(cls, problem: Problem, watch: Callable[[], None] = lambda: None) -> Closure:
+        """The closure of a library. `watch` is called again and again, and can end that by an exception."""
+        givers = Givers(problem.environment.library, problem.similarity)
+        givers.watch = watch
+        possible = startable(problem.environment, givers)
+        return cls(givers, possible, relevant(problem.environment, givers, possible))
 
 
 class Candidates:
@@ -42,36 +59,30 @@ class Candidates:
     def __init__(
         self,
         problem: Problem,
+        closure: Closure | None = None,
         among: Collection[str] | None = None,
         watch: Callable[[], None] = lambda: None,
-        known: Candidates | None = None,
     ) -> None:
         """All candidates, or those of the transformations in `among`.
 
         `watch` is called again and again, here and in what is made of the candidates, and can end it by an exception.
-        Where all candidates are `known`, what can be started is not looked for again.
         """
         self.problem = problem
         self.environment = problem.environment
         self.watch = watch
-        if known is None:
-            self.givers = Givers(problem.environment.library, problem.similarity)
-            self.givers.watch = watch
-            self.possible = startable(problem.environment, self.givers)
-            self._relevant = _relevant(problem, self.givers, self.possible)
-        else:
-            self.givers, self.possible, self._relevant = known.givers, known.possible, known._relevant
-        labels = self._relevant
-        if among is not None:
-            labels = labels.intersection(among)
-        found: list[Candidate] = []
-        for candidate in (*_present(problem), *_new(problem, labels, watch)):
-            watch()
-            if candidate.transformation.label in labels:
-                found.append(candidate)
-        self.all = tuple(found)
-        self.index_of = {candidate.id: i for i, candidate in enumerate(self.all)}
+        self.closure = Closure.of(problem, watch) if closure is None else closure
+        self.givers, self.possible = self.closure.givers, self.closure.possible
+        labels = self.closure.relevant if among is None else self.closure.relevant.intersection(among)
+        self.all = tuple(_candidates(problem, labels, watch))
+        self.index_of: dict[str, int] = {}
+        self._units: dict[str, list[int]] = defaultdict(list)
+        for i, candidate in enumerate(self.all):
+            self.index_of[candidate.id] = i
+            self._units[candidate.transformation.label].append(i)
+        self._is_closed = among is None and len(self._units) == len(labels)
         self._streams: dict[str, tuple[Stream, ...]] = {}
+        self._feeders: dict[str, tuple[int, ...]] = {}
+        self._may_stay: dict[int, bool] = {}
         self._useless: set[tuple[str, Stream]] = set()
         self.bounds = {
             (target.label, wish.attribute): worst_allowed(problem.environment.quality[wish.attribute], wish)
@@ -83,22 +94,17 @@ class Candidates:
         self.best: dict[QualityAttribute, dict[Stream, int]] = {}
         self.allowed: dict[tuple[object, ...], dict[str, int]] = {}
         """What `best_case` found out: the best value of each stream, and what may be allowed with some bounds."""
-        self._by_label: dict[str, list[Candidate]] = defaultdict(list)
-        for candidate in self.all:
-            watch()
-            self._by_label[candidate.transformation.label].append(candidate)
-        self._is_closed = among is None and len(self._by_label) == len(labels)
 
     def among(self, labels: Collection[str]) -> Candidates:
         """Those of some transformations, with what is known of quality."""
-        part = Candidates(self.problem, labels, self.watch, self)
+        part = Candidates(self.problem, self.closure, labels, self.watch)
         part.bounds, part._useless = dict(self.bounds), set(self._useless)
         return part
 
     @property
     def labels(self) -> Collection[str]:
         """The transformations that there are candidates of."""
-        return self._by_label.keys()
+        return self._units.keys()
 
     @cached_property
     def network(self) -> Network:
@@ -107,7 +113,7 @@ class Candidates:
         Targets that none of them can meet are left out.
         """
         self.watch()
-        library = tuple(self._by_label[label][0].transformation for label in sorted(self._by_label))
+        library = tuple(self.all[self._units[label][0]].transformation for label in sorted(self._units))
         if not self._is_closed:
             left = startable(Environment((), library), self.givers)
             library = tuple(t for t in library if t.label in left)
@@ -129,44 +135,78 @@ class Candidates:
 
     def of(self, label: str) -> list[Candidate]:
         """The candidates of a transformation."""
-        return self._by_label.get(label, [])
+        return [self.all[i] for i in self._units.get(label, ())]
+
+    def units_of(self, label: str) -> Sequence[int]:
+        """The same by index."""
+        return self._units.get(label, ())
+
+    def first_of_each(self, labels: Iterable[str]) -> set[int]:
+        """The first unit of each label, a running one if there is one; of pinned ones all that run."""
+        return {self._units[label][0] for label in labels} | set(filter(self.is_pinned, range(len(self.all))))
 
     def streams(self, tag: str) -> tuple[Stream, ...]:
         """The streams of candidates that may run and match the demanded tag."""
         self.watch()
         if tag not in self._streams:
             self._streams[tag] = tuple(
-                Stream(candidate.id, port.name)
+                Stream(self.all[i].id, port.name)
                 for label in self.givers.of(tag)
-                for candidate in self._by_label.get(label, ())
-                if candidate.may_run
-                for port in candidate.transformation.outputs
+                for i in self._units.get(label, ())
+                if self.all[i].may_run
+                for port in self.all[i].transformation.outputs
                 if self.problem.similarity.holds(port.tag, tag)
-                and (tag, Stream(candidate.id, port.name)) not in self._useless
+                and (tag, Stream(self.all[i].id, port.name)) not in self._useless
             )
         return self._streams[tag]
+
+    def feeders(self, tag: str) -> tuple[int, ...]:
+        """The candidates that may run and have an output that matches the demanded tag."""
+        if tag not in self._feeders:
+            units = [i for label in self.givers.of(tag) for i in self._units.get(label, ())]
+            self._feeders[tag] = tuple(i for i in units if self.all[i].may_run)
+        return self._feeders[tag]
 
     def leave_out(self, useless: Collection[tuple[str, Stream]]) -> None:
         """Streams that no plan uses where a tag is demanded."""
         self._useless.update(useless)
+        self._may_stay.clear()
         for tag, _ in useless:
             self._streams.pop(tag, None)
 
-    def feeders(self, tag: str) -> list[int]:
-        """The candidates that have such a stream, each once."""
-        return sorted({self.index_of[stream.unit] for stream in self.streams(tag)})
+    def gives(self, stream: Stream, tag: str) -> bool:
+        """Whether the stream is one of a candidate that may run, and matches the demanded tag."""
+        index = self.index_of.get(stream.unit)
+        if index is None or not self.all[index].may_run or (tag, stream) in self._useless:
+            return False
+        output = self.all[index].transformation.output.get(stream.port)
+        return output is not None and self.problem.similarity.holds(output.tag, tag)
+
+    def stream_of(self, feeder: int, tag: str, old: Stream | None = None) -> Stream:
+        """The stream by which a candidate meets a demanded tag: the `old` one if it does, else its first."""
+        candidate = self.all[feeder]
+        if old is not None and old.unit == candidate.id and self.gives(old, tag):
+            return old
+        holds = self.problem.similarity.holds
+        return Stream(candidate.id, next(p.name for p in candidate.transformation.outputs if holds(p.tag, tag)))
 
     def may_stay(self, index: int) -> bool:
-        """Whether a running unit's wiring is valid as far as it can tell by itself: see `networks.site`."""
-        unit = self.all[index].running
-        if unit is None or not self.all[index].may_run or not may_stay(self.problem, self._by_label, unit):
+        """Whether a running unit's wiring is valid as far as it can tell by itself: see `networks.keys`."""
+        if index not in self._may_stay:
+            unit = self.all[index].running
+            self._may_stay[index] = unit is not None and self.all[index].may_run and self._is_valid(unit)
+        return self._may_stay[index]
+
+    def _is_valid(self, unit: ComputationUnit) -> bool:
+        if not may_stay(self.problem, self._units, unit):
             return False
-        inputs = self.all[index].transformation.input
-        tag_of = {target.topic: target.tag for target in self.environment.targets}
-        wanted = [(s.stream, inputs[s.port].tag) for s in unit.subscriptions]
-        wanted += [(Stream(unit.id, p.port), tag_of[p.topic]) for p in unit.publications]
-        feeds_itself = any(s.stream.unit == unit.id and not inputs[s.port].feedback for s in unit.subscriptions)
-        return not feeds_itself and all(stream in self.streams(tag) for stream, tag in wanted)
+        inputs = self.environment.transformation[unit.transformation].input
+        tag_of = {target.topic: target.tag for target in self.environment.targets} if unit.publications else {}
+        return (
+            all(self.gives(s.stream, inputs[s.port].tag) for s in unit.subscriptions)
+            and all(self.gives(Stream(unit.id, p.port), tag_of[p.topic]) for p in unit.publications)
+            and not any(s.stream.unit == unit.id and not inputs[s.port].feedback for s in unit.subscriptions)
+        )
 
     def is_asked_for(self, index: int) -> bool:
         """Whether the candidate has to run or its transformation asks for a number of units."""
@@ -183,55 +223,44 @@ class Candidates:
         )
 
 
-def _relevant(problem: Problem, givers: Givers, possible: frozenset[str]) -> frozenset[str]:
-    """The transformations that can be fed at all and that a target, a pinned unit or a number asks for."""
-    environment = problem.environment
+def relevant(environment: Environment, givers: Givers, possible: frozenset[str]) -> frozenset[str]:
+    """The labels out of `possible` that a target, a pinned unit or a number asks for, directly or through others."""
+    library = environment.transformation
     asked = {t.label for t in environment.library if t.min_instances}
-    asked |= {u.transformation for u in environment.units if _is_pinned(environment, u)}
-    found = asked & possible
+    asked |= {u.transformation for u in environment.units if u.transformation in library}
+    found = {label for label in asked & possible if library[label].pinned or library[label].min_instances}
     ahead = [target.tag for target in environment.targets]
-    ahead += [port.tag for label in sorted(found) for port in environment.transformation[label].inputs]
+    ahead += [port.tag for label in sorted(found) for port in library[label].inputs]
     seen = set(ahead)
     for tag in ahead:
         givers.watch()
         for label in givers.of(tag):
             if label in possible and label not in found:
                 found.add(label)
-            new = [p.tag for p in environment.transformation[label].inputs if p.tag not in seen]
-            seen.update(new)
-            ahead += new
+                new = [port.tag for port in library[label].inputs if port.tag not in seen]
+                seen.update(new)
+                ahead += new
     return frozenset(found)
 
 
-def _is_pinned(environment: Environment, unit: ComputationUnit) -> bool:
-    transformation = environment.transformation.get(unit.transformation)
-    return transformation is not None and transformation.pinned
-
-
-def _present(problem: Problem) -> Iterable[Candidate]:
-    environment = problem.environment
+def _candidates(problem: Problem, labels: frozenset[str], watch: Callable[[], None]) -> Iterator[Candidate]:
+    """Running units, then new ones."""
+    environment, horizon_s = problem.environment, problem.horizon_s
     for unit in environment.units:
-        transformation = environment.transformation.get(unit.transformation)
-        if transformation is None or (environment.hosts and unit.host not in environment.hosts_for(transformation)):
-            continue
-        if unit.standby and (problem.survive is None or transformation.standby_us is None):
-            continue
-        yield Candidate(
-            unit.id,
-            transformation,
-            unit,
-            (unit.host,),
-            not unit.standby,
-            unit.standby,
-            keep_cost_us(transformation, problem.horizon_s),
-            standby_cost_us(transformation, problem.horizon_s),
-        )
-
-
-def _new(problem: Problem, labels: frozenset[str], watch: Callable[[], None]) -> Iterable[Candidate]:
-    environment = problem.environment
-    numbers = {t.label: problem.most_new(t) for t in environment.library if t.label in labels}
-    for label, unit_ids in fresh_units(environment, numbers).items():
+        watch()
+        if unit.transformation in labels and _may_go_on(problem, unit):
+            transformation = environment.transformation[unit.transformation]
+            yield Candidate(
+                unit.id,
+                transformation,
+                unit,
+                keep_cost_us(transformation, horizon_s),
+                (unit.host if environment.hosts else None,),
+                not unit.standby,
+                unit.standby,
+                standby_cost_us(transformation, horizon_s),
+            )
+    for label, unit_ids in fresh_units(environment, _numbers_of_new(problem, labels)).items():
         watch()
         transformation = environment.transformation[label]
         hosts = environment.hosts_for(transformation)
@@ -240,9 +269,32 @@ def _new(problem: Problem, labels: frozenset[str], watch: Callable[[], None]) ->
                 unit_id,
                 transformation,
                 None,
+                start_cost_us(transformation, horizon_s),
                 hosts,
-                may_run=True,
                 may_wait=problem.survive is not None and transformation.standby_us is not None,
-                cost_us=start_cost_us(transformation, problem.horizon_s),
-                waiting_cost_us=standby_cost_us(transformation, problem.horizon_s),
+                waiting_cost_us=standby_cost_us(transformation, horizon_s),
             )
+
+
+def _may_go_on(problem: Problem, unit: ComputationUnit) -> bool:
+    """Whether a unit is where it may be; a cold spare only where failures are to be survived."""
+    environment, transformation = problem.environment, problem.environment.transformation[unit.transformation]
+    if environment.hosts and unit.host not in environment.hosts_for(transformation):
+        return False
+    return not unit.standby or (problem.survive is not None and transformation.standby_us is not None)
+
+
+def _numbers_of_new(problem: Problem, labels: frozenset[str]) -> dict[str, int]:
+    """How many new units of each transformation there may be.
+
+    Where nothing is asked beyond the paper one beside a running unit can pay only if it costs no labor, or lets more
+    required ones be used.
+    """
+    environment, library = problem.environment, problem.environment.transformation
+    is_any = problem.notions or any(library[label].required for label in labels)
+    running = () if is_any else {unit.transformation for unit in environment.units}
+    return {
+        label: problem.most_new(library[label])
+        for label in sorted(labels)
+        if label not in running or library[label].labor_us == 0
+    }

@@ -10,6 +10,7 @@ from cfgplan.domain import ComputationUnit, InputPort, Publication, Stream, Subs
 from cfgplan.planners.fleet.candidates import Candidates, Host
 from cfgplan.planners.fleet.model import Model
 from cfgplan.planners.fleet.survivors import can_do_without
+from cfgplan.planners.fleet.wiring import published_stream
 from cfgplan.planning import Notion, Problem, fresh_units
 
 MAY_RUN_FOR_NOBODY = {Notion.SURVIVAL, Notion.INSTANCES}
@@ -69,26 +70,25 @@ class _Decoding:
 
     def _are_enough(self, units: Collection[int]) -> bool:
         """Whether as many units are grounded of each transformation as it asks for."""
+        if Notion.INSTANCES not in self.model.problem.notions:
+            return True
         running = Counter(self.candidates.all[i].transformation.label for i in units)
         return all(running[t.label] >= t.min_instances for t in self.model.environment.library)
 
     def _published(self, target: Target) -> Stream | None:
         model = self.model
         choices = model.publishes[target.label]
-        taken = [stream for stream, publishes in choices.items() if publishes.index in self.true]
-        if taken:
-            return self._as_published(taken[0], target) if model.unit_of(taken[0]) in self.host_of else None
-        there = [s for s in model.choices(target.tag) if s not in choices and self._place(s, target.host) is not None]
-        return min(there, key=model.unit_of, default=None)
-
-    def _as_published(self, stream: Stream, target: Target) -> Stream:
-        """The stream of the unit that is on the topic already, if it matches and it does not matter which."""
-        running = self.candidates.all[self.model.unit_of(stream)].running
-        if running is None or self.model.tells_ports:
-            return stream
-        streams = self.candidates.streams(target.tag)
-        old = [Stream(running.id, p.port) for p in running.publications if p.topic == target.topic]
-        return next((one for one in old if one in streams), stream)
+        taken = next((stream for stream, publishes in choices.items() if publishes.index in self.true), None)
+        if taken is None:
+            there = [
+                s for s in model.choices(target.tag) if s not in choices and self._place(s, target.host) is not None
+            ]
+            taken = min(there, key=model.unit_of, default=None)
+        elif model.unit_of(taken) not in self.host_of:
+            return None
+        if taken is None or model.tells_ports:
+            return taken
+        return published_stream(self.candidates, model.unit_of(taken), target)
 
     def _fed(self, unit: int, port: InputPort) -> Stream | None:
         """The stream by which an input is fed; the one it has already if that is there."""
@@ -96,25 +96,24 @@ class _Decoding:
         running = self.candidates.all[unit].running
         old = None if running is None else running.feeds.get(port.name)
         if (unit, port.name) in model.connects:
-            taken = [s for s, connected in model.connects[unit, port.name].items() if connected.index in self.true]
-            return self._same_unit(old, taken[0], port.tag) if taken else None
-        if unit in model.stays and model.stays[unit].index in self.true and old is not None:
+            connects = model.connects[unit, port.name]
+            there = [stream for stream, connected in connects.items() if connected.index in self.true][:1]
+        elif unit in model.stays and model.stays[unit].index in self.true and old is not None:
             return old if self._place(old, host) is not None else None
-        limit = len(self.rank) if port.feedback else self._wired_at(unit)
-        there = [s for s in model.choices(port.tag) if (place := self._place(s, host)) is not None and place < limit]
-        same = [s for s in there if old is not None and s.unit == old.unit]
-        if old in same or (same and not model.tells_ports and old in self.candidates.streams(port.tag)):
+        else:
+            limit = len(self.rank) if port.feedback else self._wired_at(unit)
+            streams = model.choices(port.tag)
+            there = [s for s in streams if (place := self._place(s, host)) is not None and place < limit]
+        if model.tells_ports:
+            return old if old in there else next(iter(there), None)
+        same = [stream for stream in there if old is not None and stream.unit == old.unit]
+        if same and old is not None and self.candidates.gives(old, port.tag):
             return old
-        return there[0] if there else None
+        return self.candidates.stream_of(model.unit_of(there[0]), port.tag) if there else None
 
     def _wired_at(self, unit: int) -> int:
         """The place in the order of derivation at which a unit is wired: what feeds it comes before."""
         return max((self.rank.get(wired.index, 0) for wired in self.model.wired_on(unit).values()), default=0)
-
-    def _same_unit(self, old: Stream | None, taken: Stream, tag: str) -> Stream:
-        """The old stream if it is of the same unit, matches too and it does not matter which."""
-        is_old = old is not None and not self.model.tells_ports and old.unit == taken.unit
-        return old if is_old and old is not None and old in self.candidates.streams(tag) else taken
 
     def _place(self, stream: Stream, host: Host) -> int | None:
         """The place in the order of derivation at which a stream is there on a host."""

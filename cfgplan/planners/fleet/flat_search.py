@@ -20,7 +20,7 @@ from cfgplan.planners.fleet.quality_chains import ChainCut
 from cfgplan.planners.fleet.quality_demands import DemandModel, takes_the_worst
 from cfgplan.planners.fleet.standing import Standing
 from cfgplan.planners.networks.greedy import first_plan
-from cfgplan.planners.networks.quality import Key
+from cfgplan.planners.networks.keys import Key
 from cfgplan.planners.solving.engine import OnSolution, repeatable_solver, solve
 from cfgplan.qualities import QualityAttribute
 

@@ -52,7 +52,7 @@ def look_among_few(flat: Flat, standing: Standing) -> Bound:
 
 
 def _look_among(labels: Collection[str], candidates: Candidates, standing: Standing, limit_us: int | None) -> None:
-    few = Candidates(candidates.problem, labels, candidates.watch, candidates)
+    few = Candidates(candidates.problem, candidates.closure, labels, candidates.watch)
     leave_out_what_is_too_bad(few)
     flat = Flat(few)
     if not flat.is_impossible:

@@ -11,8 +11,8 @@ from cfgplan.planners.fleet.candidates import Candidates
 from cfgplan.planners.fleet.decode import lean, without_broken
 from cfgplan.planners.fleet.first_plans import FirstPlans
 from cfgplan.planners.fleet.standing import Standing
-from cfgplan.planners.networks.running import running_library
-from cfgplan.planners.networks.site import may_stay
+from cfgplan.planners.fleet.wiring import running_library
+from cfgplan.planners.networks.keys import may_stay
 from cfgplan.planning import Problem
 
 

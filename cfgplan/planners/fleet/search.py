@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from math import ceil, inf
 
 from ortools.sat.python.cp_model import (
@@ -10,6 +10,7 @@ from ortools.sat.python.cp_model import (
     INFEASIBLE,
     MODEL_INVALID,
     OPTIMAL,
+    UNKNOWN,
     CpSolver,
     IntVar,
     LinearExpr,
@@ -21,11 +22,13 @@ from cfgplan.errors import InputError
 from cfgplan.planners.fleet.candidates import Candidates
 from cfgplan.planners.fleet.decode import decode, lean, named
 from cfgplan.planners.fleet.first_plans import FirstPlans
-from cfgplan.planners.fleet.model import Model
+from cfgplan.planners.fleet.model import Model, Rule
 from cfgplan.planners.fleet.quality import Values, targets_get_the_quality_they_ask_for, value_of_choice
+from cfgplan.planners.fleet.rules import RULES
 from cfgplan.planners.fleet.standing import Standing
 from cfgplan.planners.fleet.survival import Survival
-from cfgplan.planners.networks.quality import Key
+from cfgplan.planners.networks.keys import Key
+from cfgplan.planners.solving.clock import Clock, ContradictionError
 from cfgplan.planners.solving.engine import OnSolution, repeatable_solver, solve
 from cfgplan.qualities import QualityAttribute
 
@@ -39,6 +42,12 @@ EXACT = 2**50
 """Up to here the solver's bound, a double, is exact."""
 LARGEST = 2**62
 """No sum of the solver's integers may exceed this."""
+Landmarks = Iterable[tuple[Iterable[str], int]]
+"""Labels of which every plan has so many or more; each counts as often as it is named."""
+
+
+class InfeasibleError(Exception):
+    """No plan meets all that was added to the model."""
 
 
 class Search:
@@ -51,23 +60,31 @@ class Search:
         *,
         is_all: bool = True,
         is_apart: bool = False,
-        landmarks: Iterable[tuple[Iterable[str], int]] = (),
+        landmarks: Landmarks = (),
+        missed: Callable[[Collection[str], Clock], Landmarks] = lambda *_: (),
+        rules: Sequence[Rule] = RULES,
     ) -> None:
         """With `is_all` false some candidates are left out: nothing is learned but plans. `is_apart` is the model's.
 
-        What `landmarks` say holds of every plan that is no dearer than the best.
+        What `landmarks` say holds of every plan that is no dearer than the incumbent. `missed` finds landmarks that the
+        transformations of a solution do not hit.
         """
         self.problem = candidates.problem
         self.standing = standing
         self.is_all = is_all
-        self._first = FirstPlans(candidates, standing)
+        self._missed = missed
         self._left_s = inf
         self._has_hosts = bool(candidates.environment.hosts)
-        self.model = Model(candidates, is_apart=is_apart)
+        self._survival, self._first = None, None
+        if self.problem.survive is not None:
+            self._survival, self._first = Survival(candidates), FirstPlans(candidates, standing)
+        self.model = Model(candidates, rules, is_apart=is_apart)
         self._ask_for_quality()
         self.model.enough_of_each_run(landmarks)
-        self.survival = Survival(candidates)
         self._cost = self.model.cost()
+        self._is_at_most_the_incumbent()
+        for name in ("rounds", "cuts", "conflicts"):
+            standing.counts.setdefault(name, 0)
         standing.counts["booleans"] = len(self.model.literals)
 
     def _ask_for_quality(self) -> None:
@@ -78,98 +95,131 @@ class Search:
 
         targets_get_the_quality_they_ask_for(model, lambda target: model.publishes[target.label].items(), value_at)
 
+    def _is_at_most_the_incumbent(self) -> None:
+        """No plan is dearer than the incumbent, if no plan leaves fewer required transformations unused."""
+        best = self.standing.best
+        if best is not None and best.key.unused <= self.standing.fewest_unused:
+            self.model.cp.add(self._cost <= best.key.cost_us)
+
     def run(self, slice_s: float = inf) -> None:
         """Go through the objectives until the clock stops one, or `slice_s` of the engine's own seconds are over."""
-        model, standing = self.model, self.standing
         self._left_s = slice_s
+        try:
+            if self._use_required():
+                self._minimise_cost_then_changes()
+        except InfeasibleError:
+            if self.is_all:
+                self.standing.prove_infeasible()
+
+    def run_with_all_required(self) -> bool:
+        """The same for plans that use all required transformations that can be used; False if there are none."""
+        for used in self.model.uses_required.values():
+            self.model.cp.add_bool_or([used])
+        try:
+            self._minimise_cost_then_changes()
+        except InfeasibleError:
+            return False
+        return True
+
+    def _use_required(self) -> bool:
+        """Use as many required transformations as possible; False if the time is over before that is proven."""
+        model, standing, hopeless = self.model, self.standing, self._hopeless_required()
+        used = LinearExpr.sum(list(model.uses_required.values()))
+        most = len(model.uses_required) + hopeless
         if model.uses_required:
-            hopeless = self._hopeless_required()
-            used = LinearExpr.sum(list(model.uses_required.values()))
-            if not self.minimise(-used, lambda key: key[0] - hopeless - len(model.uses_required), 0):
-                return
+            if not self.minimise(-used, lambda key: key.unused - most, 0):
+                return False
             assert standing.best is not None
             if self.is_all:
-                standing.fewest_unused = standing.best[0][0]
-            model.cp.add(used >= len(model.uses_required) + hopeless - standing.best[0][0])
-        elif standing.best is not None:
-            model.cp.add(self._cost <= standing.best[0][1])
-        is_proven, scale = standing.is_cost_proven, self._scale()
+                standing.fewest_unused = standing.best.key.unused
+            model.cp.add(used >= most - standing.best.key.unused)
+        return True
+
+    def _minimise_cost_then_changes(self) -> None:
+        """In one sum where that is exact."""
+        model, standing, scale = self.model, self.standing, self._scale()
+        is_proven = standing.is_cost_proven
         if not is_proven and scale:
             both = LinearExpr.weighted_sum([self._cost, model.changes()], [scale, 1])
-            if self.minimise(both, lambda key: scale * key[1] + self._changes(key), scale) and self.is_all:
-                standing.prove_cost()
-                standing.are_ties_proven = True
+            if self.minimise(both, lambda key: scale * key.cost_us + self._changes(key), scale) and self.is_all:
+                standing.prove_all()
             return
         if not is_proven:
-            if not self.minimise(self._cost, lambda key: key[1], 1) or not self.is_all:
+            if not self.minimise(self._cost, lambda key: key.cost_us, 1) or not self.is_all:
                 return
             standing.prove_cost()
             assert standing.best is not None
-            model.cp.add(self._cost <= standing.best[0][1])
+            model.cp.add(self._cost <= standing.best.key.cost_us)
         standing.are_ties_proven = self.minimise(model.changes(), self._changes, 0)
 
     def _hopeless_required(self) -> int:
         """How many required transformations can never be used, whatever is planned."""
-        return sum(t.required for t in self.problem.environment.library) - len(self.model.uses_required)
+        return len(self.problem.environment.required) - len(self.model.uses_required)
 
     def _changes(self, key: Key) -> int:
         """A plan's rewired and started units, as the model adds them up."""
-        return (len(self.model.started()) + 1) * key[2] + key[3]
+        return (len(self.model.started()) + 1) * key.rewired + key.started
 
     def _scale(self) -> int:
         """What a microsecond weighs against changes where both are added up; 0 if the sum would not be exact."""
-        model, candidates = self.model, self.model.candidates
-        started = len(model.started())
-        rewired = len(candidates.all) - started
-        scale = (started + 1) * (rewired + 1)
-        most = scale * (1 + self.problem.largest_cost_us(self.problem.horizon_s))
-        is_exact = self.standing.best is None or self.standing.best[0][1] * scale < EXACT
-        return scale if most < LARGEST and is_exact else 0
+        candidates, best = self.model.candidates, self.standing.best
+        started = len(self.model.started())
+        scale = (started + 1) * (len(candidates.all) - started + 1)
+        largest_us = self.problem.largest_cost_us(self.problem.horizon_s)
+        exact_us = largest_us if best is None else best.key.cost_us
+        return scale if scale * (1 + largest_us) < LARGEST and scale * (1 + exact_us) < EXACT else 0
 
     def minimise(self, objective: LinearExprT, level_of: Callable[[Key], int], scale: int) -> bool:
-        """Rounds of solving and of forbidding; True with a proof that the best plan is best in this.
+        """Rounds of solving and of forbidding; True with a proof that the incumbent is best in this.
 
         `level_of` gives the objective of a plan. A microsecond of cost weighs `scale` in it, 0 if it does not count.
+        Raises InfeasibleError if there is no plan at all.
         """
         self.model.cp.minimize(objective)
         standing = self.standing
+
+        def learn_bound(bound: float) -> None:
+            if scale and self.is_all:
+                standing.raise_bound(ceil(bound - 0.5) // scale)
+
         while self._left_s > 0 and not standing.clock.is_over():
-            standing.counts["rounds"] = standing.counts.get("rounds", 0) + 1
-            solver = self._solver()
+            standing.counts["rounds"] += 1
+            solver = self.solver()
             self._hint()
-            if scale and self.is_all:
-                solver.best_bound_callback = lambda bound: standing.raise_bound(ceil(bound - 0.5) // scale)
+            solver.best_bound_callback = learn_bound
             status = solve(solver, self.model.cp, OnSolution(self._look_at), standing.clock)
-            standing.counts["conflicts"] = standing.counts.get("conflicts", 0) + solver.num_conflicts
+            standing.counts["conflicts"] += solver.num_conflicts
             self._left_s -= solver.response_proto.deterministic_time
-            if status == MODEL_INVALID:
-                mend = "give the quality attributes a `worst` and a `best` that are closer, or fewer decimals"
-                raise InputError.of("the numbers are too large to be computed exactly", mend=mend)
             if status == INFEASIBLE:
-                if self.is_all:
-                    standing.prove_infeasible()
-                return False
-            if scale and self.is_all:
-                standing.raise_bound(ceil(solver.best_objective_bound - 0.5) // scale)
+                raise InfeasibleError
+            if status == MODEL_INVALID:
+                self._refuse()
+            if status in (OPTIMAL, FEASIBLE, UNKNOWN):
+                learn_bound(solver.best_objective_bound)
             if status not in (OPTIMAL, FEASIBLE):
                 return False
             true = self.true_of(solver.boolean_value)
             key = self.consider(true)
-            if key is not None and status == OPTIMAL and level_of(key) <= round(solver.objective_value):
-                return True
-            if key is not None and status != OPTIMAL:
-                return False
             if key is None:
                 self.forbid(true)
+            else:
+                return status == OPTIMAL and level_of(key) <= round(solver.objective_value)
         return False
+
+    def _refuse(self) -> None:
+        """Raise what it means that the engine refuses the model."""
+        if self.problem.is_plain:
+            raise ContradictionError("the engine refuses the model")
+        mend = "give the quality attributes a `worst` and a `best` that are closer, or fewer decimals"
+        raise InputError.of("the numbers are too large to be computed exactly", mend=mend)
 
     def true_of(self, holds: Callable[[IntVar], bool]) -> set[int]:
         return {literal.index for literal in self.model.literals if holds(literal)}
 
     def consider(self, true: set[int]) -> Key | None:
-        """The key of a solution, kept if it beats the best plan; None if it is no plan."""
+        """The key of a solution, kept if it beats the incumbent; None if it is no plan."""
         units = decode(self.model, true)
-        if units is None or self.survival.missed(units):
+        if units is None or (self._survival is not None and self._survival.missed(units)):
             return None
         return self.standing.offer(named(self.model.candidates, lean(self.model.candidates, units)))
 
@@ -183,13 +233,14 @@ class Search:
 
     def forbid(self, true: set[int]) -> None:
         """Forbid a solution that is no plan, and all others that fail for the same reason."""
-        model, cp = self.model, self.model.cp
-        units = decode(model, true)
-        if units is not None:
-            missed = self.survival.missed(units)
-            self.survival.demand(model, missed)
-            self._first.offer({i for i, runs in model.runs.items() if runs.index in true})
-            return
+        model, cp, candidates = self.model, self.model.cp, self.model.candidates
+        running = {i for i, runs in model.runs.items() if runs.index in true}
+        if self._survival is not None and self._first is not None:
+            units = decode(model, true)
+            if units is not None:
+                self._survival.demand(model, self._survival.missed(units))
+                self._first.offer(running)
+                return
         unfounded, ways_in = model.anywhere.cut(true, model.anywhere.grounded(true))
         if not unfounded:
             unfounded, ways_in = model.support.cut(true, model.support.grounded(true))
@@ -197,14 +248,15 @@ class Search:
         ways = [cp.get_bool_var_from_proto_index(way) for way in ways_in]
         for proposition in unfounded:
             model.needs_any(cp.get_bool_var_from_proto_index(proposition), ways)
-        self.standing.counts["cuts"] = self.standing.counts.get("cuts", 0) + len(unfounded)
+        self.standing.counts["cuts"] += len(unfounded)
+        used = {candidates.all[i].transformation.label for i in running}
+        model.enough_of_each_run(self._missed(used, self.standing.clock))
 
-    def _solver(self) -> CpSolver:
+    def solver(self) -> CpSolver:
         """An engine for one round, with the time that is left."""
         size = len(self.model.literals)
-        solver = repeatable_solver(
-            small=size < (20000 if self._has_hosts else SMALL), time_limit_s=self.standing.clock.left_s()
-        )
+        small = size < (MANY_PLACES if self._has_hosts else SMALL)
+        solver = repeatable_solver(small=small, time_limit_s=self.standing.clock.left_s())
         if size < TINY:
             solver.parameters.max_presolve_iterations = 1
         if self._left_s < inf:
@@ -212,12 +264,12 @@ class Search:
         return solver
 
     def _hint(self) -> None:
-        """Start from the best plan's units and hosts."""
+        """Start from the incumbent's units and hosts."""
         model = self.model
         model.cp.clear_hints()  # type: ignore[no-untyped-call]
         if self.standing.best is None:
             return
-        there = {unit.id: unit for unit in self.standing.best[1]}
+        there = {unit.id: unit for unit in self.standing.best.units}
         for places, is_standby in ((model.runs_on, False), (model.waits_on, True)):
             for i, on in places.items():
                 unit = there.get(model.candidates.all[i].id)

@@ -13,9 +13,8 @@ from functools import cached_property
 import numpy as np
 
 from cfgplan.planners.networks.core import NEVER, Ints
+from cfgplan.planners.networks.keys import Key, may_stay
 from cfgplan.planners.networks.network import Network, costs
-from cfgplan.planners.networks.quality import Key
-from cfgplan.planners.networks.site import may_stay
 from cfgplan.planning import Problem
 
 
@@ -87,7 +86,7 @@ class Weighing:
 
     def of_key(self, key: Key) -> int:
         """The weight of a plan by its cost and what it really changes."""
-        return (key[1] - self.fixed_us) * self.scale + key[2] * self.rewiring + key[3]
+        return (key.cost_us - self.fixed_us) * self.scale + key.rewired * self.rewiring + key.started
 
     def changes(self, weight: int) -> tuple[int, int] | None:
         """The rewired and the started units in a weight, if they count."""

@@ -45,7 +45,7 @@ class WarmPlanner:
 
     def warm_up(self) -> None:
         """Import the solver, which takes long, before a plan needs it."""
-        import_module("cfgplan.planners.cpsat.search")
+        import_module("cfgplan.planners.fleet.search")
 
     def __call__(
         self,

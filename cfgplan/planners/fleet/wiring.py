@@ -3,82 +3,103 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Iterable
+from collections.abc import Collection
 from heapq import heappop, heappush
 
-from cfgplan.domain import ComputationUnit, InputPort, Publication, Stream, Subscription
-from cfgplan.planners.networks.site import Site
-from cfgplan.reasons import assign_different, distinct_groups
+from cfgplan.domain import (
+    ComputationUnit,
+    Environment,
+    InputPort,
+    Publication,
+    Stream,
+    Subscription,
+    Target,
+    Transformation,
+)
+from cfgplan.planners.fleet.candidates import Candidates, Closure
+from cfgplan.planning import Problem
+from cfgplan.reasons import Givers, assign_different, distinct_groups, startable
 
 
-def wire(site: Site, chosen: Collection[int]) -> list[ComputationUnit] | None:
-    """The chosen candidates wired, less those that nothing needs; None if they do not ground each other."""
-    ordering = _Ordering(site, chosen)
+def wire(candidates: Candidates, chosen: Collection[int]) -> list[ComputationUnit] | None:
+    """The chosen candidates wired, less those that nothing needs; None if they do not ground each other.
+
+    For problems that ask nothing beyond the paper.
+    """
+    ordering = _Ordering(candidates, chosen)
     is_grounded = ordering.run()
-    publisher = {
-        target.topic: _publisher(site, target.tag, target.topic, chosen) for target in site.environment.targets
-    }
+    targets = candidates.environment.targets
+    publisher = {target.topic: _publisher(candidates, target, chosen) for target in targets}
     if not is_grounded or None in publisher.values():
         return None
     topics: dict[int, list[Publication]] = defaultdict(list)
-    for target in site.environment.targets:
+    for target in targets:
         who = publisher[target.topic]
         assert who is not None
-        topics[who].append(Publication(published_port(site, who, target.tag, target.topic), target.topic))
-    pinned = [i for i in chosen if site.is_kept_pinned(i)]
-    ahead = sorted({*topics, *pinned})
+        topics[who].append(Publication(published_stream(candidates, who, target).port, target.topic))
+    ahead = sorted({*topics, *filter(candidates.is_pinned, chosen)})
     units: dict[int, ComputationUnit] = {}
     for i in ahead:
         if i not in units:
-            candidate = site.candidates[i]
+            candidate = candidates.all[i]
+            feeds = candidate.running.feeds if candidate.running is not None else {}
+            placed = ordering.placed[i]
             subscriptions = tuple(
-                Subscription(port.name, fed_stream(site, i, port, [feeder]))
-                for port in candidate.transformation.inputs
-                for feeder in [ordering.placed[i][port.name]]
+                Subscription(p.name, candidates.stream_of(placed[p.name], p.tag, feeds.get(p.name)))
+                for p in candidate.transformation.inputs
             )
             units[i] = ComputationUnit(candidate.id, candidate.transformation.label, subscriptions, tuple(topics[i]))
-            ahead += ordering.placed[i].values()
+            ahead += placed.values()
     return list(units.values())
 
 
-def forced_changes(site: Site, chosen: Collection[int]) -> int:
+def what_runs(problem: Problem) -> list[ComputationUnit] | None:
+    """The running units that targets and pinned units need, rewired where they have to be; None if they are too few.
+
+    They are valid where nothing is asked beyond the paper. It is known before anything is searched for, so that no plan
+    is worse than to change nothing.
+    """
+    library = running_library(problem.environment)
+    givers = Givers(library, problem.similarity)
+    possible = startable(Environment((), library), givers)
+    if not possible.issuperset(t.label for t in library if t.pinned):
+        return None
+    candidates = Candidates(problem, Closure(givers, possible, possible))
+    return wire(candidates, [i for i, candidate in enumerate(candidates.all) if candidate.running is not None])
+
+
+def running_library(environment: Environment) -> tuple[Transformation, ...]:
+    """The transformations that have a unit, in the library's order."""
+    labels = {unit.transformation for unit in environment.units}
+    return tuple(t for t in environment.library if t.label in labels)
+
+
+def forced_changes(candidates: Candidates, chosen: Collection[int]) -> int:
     """How many of the chosen running units must be rewired, whatever the wiring."""
-    kept = {site.candidates[i].id for i in chosen}
+    kept = {candidates.all[i].id for i in chosen}
+    running = {i: unit for i in chosen if (unit := candidates.all[i].running) is not None}
     return sum(
-        candidate.running is not None
-        and not (candidate.may_stay and all(s.stream.unit in kept for s in candidate.running.subscriptions))
-        for candidate in (site.candidates[i] for i in chosen)
+        not (candidates.may_stay(i) and all(s.stream.unit in kept for s in unit.subscriptions))
+        for i, unit in running.items()
     )
 
 
-def fed_stream(site: Site, unit: int, port: InputPort, feeders: Iterable[int]) -> Stream:
-    """The stream by which the first of `feeders` feeds an input; the one it has already, if one of them gives it."""
-    feeders = list(feeders)
-    running = site.candidates[unit].running
-    old = running.feeds.get(port.name) if running else None
-    if old is not None and site.index_of.get(old.unit) in feeders and site.gives(old, port.tag):
-        return old
-    return Stream(site.candidates[feeders[0]].id, site.port_for(feeders[0], port.tag))
+def published_stream(candidates: Candidates, publisher: int, target: Target) -> Stream:
+    """The stream to publish as the target: the one on its topic already, if that matches."""
+    running = candidates.all[publisher].running
+    old = [Stream(running.id, p.port) for p in running.publications if p.topic == target.topic] if running else []
+    return candidates.stream_of(publisher, target.tag, old[0] if old else None)
 
 
-def published_port(site: Site, publisher: int, tag: str, topic: str) -> str:
-    """The output to publish on the topic: the one that does already, if it matches."""
-    candidate = site.candidates[publisher]
-    for publication in candidate.running.publications if candidate.running else ():
-        if publication.topic == topic and site.gives(Stream(candidate.id, publication.port), tag):
-            return publication.port
-    return site.port_for(publisher, tag)
-
-
-def _publisher(site: Site, tag: str, topic: str, chosen: Collection[int]) -> int | None:
-    """Who publishes the topic: a unit that does already and may stay, else one that has to change anyway."""
+def _publisher(candidates: Candidates, target: Target, chosen: Collection[int]) -> int | None:
+    """Who publishes a target: a unit that does already and may stay, else one that has to change anyway."""
 
     def reluctance(feeder: int) -> tuple[bool, bool, int]:
-        candidate = site.candidates[feeder]
-        publishes = candidate.running is not None and any(p.topic == topic for p in candidate.running.publications)
-        return not publishes, candidate.may_stay != publishes, feeder
+        running = candidates.all[feeder].running
+        publishes = running is not None and any(p.topic == target.topic for p in running.publications)
+        return not publishes, candidates.may_stay(feeder) != publishes, feeder
 
-    return min((feeder for feeder in site.feeders(tag) if feeder in chosen), key=reluctance, default=None)
+    return min((feeder for feeder in candidates.feeders(target.tag) if feeder in chosen), key=reluctance, default=None)
 
 
 class _Ordering:
@@ -88,9 +109,9 @@ class _Ordering:
     units.
     """
 
-    def __init__(self, site: Site, chosen: Collection[int]) -> None:
+    def __init__(self, candidates: Candidates, chosen: Collection[int]) -> None:
         self.placed: dict[int, dict[str, int]] = {}
-        self._site, self._chosen = site, frozenset(chosen)
+        self._candidates, self._chosen = candidates, frozenset(chosen)
         self._feeders: dict[str, list[int]] = {}
         self._first: dict[str, int] = {}
         self._gives: dict[int, list[str]] = defaultdict(list)
@@ -110,7 +131,9 @@ class _Ordering:
         """Place all; False if some of them can't be."""
         while len(self.placed) < len(self._chosen):
             if self._staying:
-                ready = {i: {s.port: self._site.index_of[s.stream.unit] for s in self._old(i)} for i in self._staying}
+                ready = {
+                    i: {s.port: self._candidates.index_of[s.stream.unit] for s in self._old(i)} for i in self._staying
+                }
                 self._staying = []
             else:
                 ready = {i: feeds for i in self._next() if (feeds := self._new_feeds(i)) is not None}
@@ -122,14 +145,15 @@ class _Ordering:
         return True
 
     def _old(self, unit: int) -> tuple[Subscription, ...]:
-        return self._site.old_subscriptions(unit)
+        running = self._candidates.all[unit].running
+        return running.subscriptions if running is not None else ()
 
     def _wait(self, unit: int) -> None:
         """Note what a unit waits for: its old feeders if it can stay with them, and a feeder for each demanded tag."""
-        candidate = self._site.candidates[unit]
+        candidate = self._candidates.all[unit]
         ports = candidate.transformation.input
-        old = {s.port: self._site.index_of.get(s.stream.unit, -1) for s in self._old(unit)}
-        if candidate.may_stay and self._chosen.issuperset(old.values()):
+        old = {s.port: self._candidates.index_of.get(s.stream.unit, -1) for s in self._old(unit)}
+        if self._candidates.may_stay(unit) and self._chosen.issuperset(old.values()):
             before = [feeder for port, feeder in old.items() if not ports[port].feedback]
             self._gone[unit] = len(before)
             for feeder in before:
@@ -147,7 +171,7 @@ class _Ordering:
     def _feeding(self, tag: str) -> list[int]:
         """The chosen units that give what a tag demands, in order."""
         if tag not in self._feeders:
-            self._feeders[tag] = sorted(i for i in self._site.feeders(tag) if i in self._chosen)
+            self._feeders[tag] = sorted(i for i in self._candidates.feeders(tag) if i in self._chosen)
             for feeder in self._feeders[tag]:
                 self._gives[feeder].append(tag)
         return self._feeders[tag]
@@ -191,8 +215,8 @@ class _Ordering:
 
         None if there are too few different ones for a distinct group.
         """
-        transformation = self._site.candidates[unit].transformation
-        old = {s.port: self._site.index_of.get(s.stream.unit, -1) for s in self._old(unit)}
+        transformation = self._candidates.all[unit].transformation
+        old = {s.port: self._candidates.index_of.get(s.stream.unit, -1) for s in self._old(unit)}
         feeds: dict[str, int] = {}
         for port in transformation.inputs:
             present = old.get(port.name, -1)
@@ -206,7 +230,7 @@ class _Ordering:
                 by_label = first[port.name] = {}
                 for i in (feeds[port.name], *self._feeders[port.tag]):
                     if i in self._before(port):
-                        by_label.setdefault(self._site.candidates[i].transformation.label, i)
+                        by_label.setdefault(self._candidates.all[i].transformation.label, i)
             assigned = assign_different(first)
             if assigned is None:
                 return None

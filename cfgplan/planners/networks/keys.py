@@ -1,0 +1,70 @@
+"""How good a configuration is, in the order of optimality (Definition 10 and its ties), and what need not change."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import NamedTuple
+
+from cfgplan.domain import ComputationUnit
+from cfgplan.figures import cost_parts
+from cfgplan.planning import Problem
+
+
+class Key(NamedTuple):
+    """The order of optimality: of two configurations the one with the lesser key is better."""
+
+    unused: int
+    """Required transformations that serve no target."""
+    cost_us: int
+    rewired: int
+    started: int
+
+
+def key_of(problem: Problem, units: Collection[ComputationUnit]) -> Key:
+    """How good a configuration is; its cost has transfers, spares and missed quality in it."""
+    changes = problem.environment.change_to(units)
+    cost_us = cost_parts(problem, units).total_us
+    return Key(len(unused_required(problem, units)), cost_us, len(changes.rewired), len(changes.started))
+
+
+def unused_required(problem: Problem, units: Collection[ComputationUnit]) -> tuple[str, ...]:
+    """The labels of the required transformations without a unit that serves a target."""
+    if not problem.environment.required:
+        return ()
+    by_id = {unit.id: unit for unit in units}
+    ahead = [unit.id for unit in units if unit.publications]
+    serving = set(ahead)
+    for unit_id in ahead:
+        new = {s.stream.unit for s in by_id[unit_id].subscriptions} - serving
+        serving |= new
+        ahead += sorted(new)
+    used = {by_id[unit_id].transformation for unit_id in serving}
+    return tuple(label for label in problem.environment.required if label not in used)
+
+
+def may_stay(problem: Problem, labels: Collection[str], unit: ComputationUnit) -> bool:
+    """Whether the unit's wiring is valid as far as it can tell by itself, if units of no other labels run."""
+    environment, holds = problem.environment, problem.similarity.holds
+    transformation = environment.transformation[unit.transformation]
+    if unit.feeds.keys() != transformation.input.keys():
+        return False
+    feeders: set[tuple[str, str]] = set()
+    for port in transformation.inputs:
+        stream = unit.feeds[port.name]
+        feeder = environment.unit.get(stream.unit)
+        if feeder is None or feeder.transformation not in labels:
+            return False
+        output = environment.transformation[feeder.transformation].output.get(stream.port)
+        if output is None or not holds(output.tag, port.tag):
+            return False
+        if port.distinct is not None and (port.distinct, feeder.transformation) in feeders:
+            return False
+        if port.distinct is not None:
+            feeders.add((port.distinct, feeder.transformation))
+    wanted = {target.topic: target.tag for target in environment.targets}
+    return all(
+        publication.topic in wanted
+        and publication.port in transformation.output
+        and holds(transformation.output[publication.port].tag, wanted[publication.topic])
+        for publication in unit.publications
+    )
