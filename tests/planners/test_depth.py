@@ -25,7 +25,7 @@ from cfgplan.domain import (
 )
 from cfgplan.planners.bounding.bounds import Bound, cheapest_way
 from cfgplan.planners.bounding.landmarks import ways_into
-from cfgplan.planners.bounding.tightening import begun
+from cfgplan.planners.bounding.tightening import tightened
 from cfgplan.planners.cpsat import plan
 from cfgplan.planners.fleet import wiring
 from cfgplan.planners.networks.greedy import first_plan, plan_at
@@ -182,13 +182,13 @@ def test_no_more_landmarks_are_looked_for_than_pay_where_the_way_is_deep() -> No
     problem, offered = pairs(100), []
     costs: list[int | None] = []
 
-    def first(*arguments: Any) -> Bound:
+    def first(*arguments: Any, **more: Any) -> Bound:
         offered.append(costs[-1] if costs else None)
-        return begun(*arguments)
+        return tightened(*arguments, **more)
 
     with (
         patch("cfgplan.planners.bounding.bounds.ways_into", wraps=ways_into) as landmarks,
-        patch("cfgplan.planners.cpsat.session.begun", first),
+        patch("cfgplan.planners.cpsat.preparing.tightened", first),
     ):
         found = plan(problem, report=lambda progress: costs.append(progress.cost_us))
     assert (found.status, found.cost_us) == (Status.OPTIMAL, 99 * 11 + 5)
