@@ -31,8 +31,8 @@ def why_not(
 ) -> WhyNot:
     """Why a problem of this world has no plan, or why its plan leaves required transformations unused.
 
-    The time limit is for each call of the planner, of which it takes several; that of the reasoner is for all that it
-    is asked about what comes nearest.
+    `time_limit_s` holds for each of several calls of the planner, `reasoner_limit_s` for all questions about nearest
+    offers together.
     """
     from cfgplan import explaining
 
@@ -41,7 +41,7 @@ def why_not(
 
 
 def _nearest(world: World, reasoner: str, limit_s: float | None) -> Callable[[str], tuple[Nearest, ...]]:
-    """What comes nearest to a demanded tag; all answers together take the time limit."""
+    """A function from a demanded tag to its nearest offers. All its answers share one time limit."""
     start = time.monotonic()
 
     def nearest(demanded: str) -> tuple[Nearest, ...]:
@@ -54,7 +54,7 @@ def _nearest(world: World, reasoner: str, limit_s: float | None) -> Callable[[st
 def unfed_pinned(
     world: World, problem: Problem, *, reasoner: str = "auto", reasoner_limit_s: float | None = None
 ) -> dict[str, Unreachable]:
-    """Why each pinned unit that can't be fed can't, by its id, with the outputs that come nearest."""
+    """For each pinned unit that can't be fed, by id: why not, with the nearest outputs."""
     from cfgplan import explaining
 
     nearest = _nearest(world, reasoner, reasoner_limit_s)

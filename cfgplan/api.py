@@ -41,7 +41,9 @@ if TYPE_CHECKING:
 PLANNER_NAMES = tuple(PLANNERS)
 REASONER_NAMES = tuple(REASONERS)
 FEW_PAIRS = 100
-"""Up to so many open pairs of tags are all asked about; of more only those that matter to a plan."""
+"""With at most this many open pairs of tags, the reasoner decides them all. With more, it decides only those that a
+plan would use.
+"""
 MEMBERSHIP_LIMIT_S = 60.0
 """How long a reasoner may take to find the individuals of a template's class."""
 
@@ -246,7 +248,7 @@ def plan(
 
 
 class Solved(NamedTuple):
-    """A problem, with what was decided of its tags, and the answer to it."""
+    """A problem, with the pairs of tags that were decided on the way, and its answer."""
 
     problem: Problem
     plan: Plan
@@ -263,7 +265,7 @@ def solve(
     reasoner: str = "auto",
     reasoner_limit_s: float | None = None,
 ) -> Solved:
-    """Match a world's tags as far as it matters, and plan: the problem and the optimal update, accepted by the judge.
+    """Match the tags that a plan may use, and plan. Returns the problem and the optimal update, accepted by the judge.
 
     Planning and reasoning have a time limit each. Raises as `plan`.
     """
@@ -280,7 +282,7 @@ def solved(
     time_limit_s: float | None = None,
     report: Callable[[Progress], None] | None = None,
 ) -> Solved:
-    """The answer to a problem, and the problem with what the decider had to find out for it. Raises as `plan`."""
+    """The answer to a problem, and the problem with the pairs that the decider was asked about. Raises as `plan`."""
     stop = Event()
     deciding = Deciding(interruptible(planner, stop), decider, stop.is_set)
     answer = deciding(problem, time_limit_s=time_limit_s, report=report)

@@ -107,7 +107,7 @@ class Picture:
             return bytes(graph.draw(format=format))
 
     def _by_host(self) -> dict[str | None, list[Node]]:
-        """The nodes of each host in order; those of none first."""
+        """The nodes by host, in the order of the hosts; nodes without a host come first."""
         hosts = sorted({node.host for node in self.nodes if node.host is not None})
         return {host: [node for node in self.nodes if node.host == host] for host in (None, *hosts)}
 

@@ -68,7 +68,7 @@ class Givers:
         self._similarity = similarity
         self._rows: dict[str, tuple[str, ...]] = {}
         self.watch: Callable[[], None] = lambda: None
-        """Called again and again during a closure, which it can end by an exception."""
+        """Called repeatedly during a closure. It may raise an exception to end the closure."""
 
     def among(self, labels: Collection[str]) -> Givers:
         """The same for a part of the library."""
@@ -112,7 +112,9 @@ def startable(environment: Environment, givers: Givers) -> frozenset[str]:
 
 
 def _offered_all(environment: Environment, givers: Givers, labels: frozenset[str]) -> frozenset[str]:
-    """The labels without those of which some input is offered by none of the others, and so on."""
+    """The labels without every transformation that has an input that none of the remaining ones offers, until
+    nothing changes.
+    """
     left = set(labels)
     users: dict[str, list[str]] = defaultdict(list)
     for label in sorted(labels):
@@ -164,9 +166,10 @@ def assign_different(choices: Mapping[str, Collection[str]]) -> dict[str, str] |
 
 
 def forward_closure(environment: Environment, givers: Givers, alive: frozenset[str]) -> frozenset[str]:
-    """What can be fed, from sources on; feedback inputs may be fed by anything `alive`.
+    """The labels of the transformations that can be fed, starting from sources. A feedback input may be fed by anything
+    `alive`.
 
-    Each transformation waits for one input at a time, so that those that can never be fed are hardly looked at.
+    A transformation waits for one unfed input at a time, so that one that can never be fed is looked at only once.
     """
     offered: set[str] = set()
     fed: set[str] = set()
@@ -233,7 +236,7 @@ def _groups_can_be_fed(
 
 
 def _reason(who: str, tag: str, environment: Environment, givers: Givers, possible: frozenset[str]) -> str:
-    """The dead end nearest to the demand for `tag` of `who`, which nothing in `possible` can feed."""
+    """A sentence that names the nearest dead end: why nothing in `possible` can feed the demand of `who` for `tag`."""
     wanted = f"{who} wants {tag}"
     if not givers.of(tag):
         return f"{wanted}, but no output matches"

@@ -127,7 +127,7 @@ def _drawn(table: Table) -> RenderableType:
 
 
 def _require_report(folder: Path) -> None:
-    """Raises InputError if no report can be written there: before hours of runs, not after."""
+    """Check before the runs that a report can be written to the folder. Raises InputError."""
     if find_spec("matplotlib") is None:
         raise InputError.of("the report can't be drawn without matplotlib", mend="pip install 'cfgplan[plots]'")
     try:

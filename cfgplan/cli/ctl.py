@@ -195,7 +195,7 @@ def _name(file: str) -> str:
 
 
 def _faults(error: RefusedError, options: argparse.Namespace) -> Iterable[Fault]:
-    """The faults as of the file, which the run knows by its name only."""
+    """The faults with the path of the file that was added; the run knows it only by name."""
     if not error.faults:
         return [Fault(error.message, mend=error.mend)]
     if options.command != "add":
@@ -256,7 +256,7 @@ def _targets(targets: list[Mapping[str, Any]]) -> RenderableType:
 
 
 def _from(target: Mapping[str, Any]) -> Text:
-    """What a target gets its elements from, or why it gets none."""
+    """The stream that a target gets its elements from, or why it gets none."""
     if not target["met"]:
         return Text(target["reason"], style="red")
     if target.get("rate_hz") != 0:

@@ -1,4 +1,6 @@
-"""Ctrl-C, SIGTERM and a closed terminal: one asks for a clean end, a second for one at once, a third has one."""
+"""Ctrl-C, SIGTERM and a closed terminal: the first ends the command cleanly, the second stops units at once, the
+third kills the process.
+"""
 
 from __future__ import annotations
 
@@ -20,11 +22,11 @@ class Ending:
 
     def __init__(self) -> None:
         self.interrupted = False
-        """Whether Ctrl-C was pressed: what is raised after that may come of it."""
+        """True once Ctrl-C was pressed; an exception raised after that may be a consequence."""
         self._is_over = False
 
     def over(self) -> None:
-        """From now on there is nothing to be cleared away: a signal ends the process at once."""
+        """Nothing is left to clean up: from now on a signal ends the process at once."""
         self._is_over = True
 
     def hear(self, number: int, _frame: FrameType | None) -> None:
@@ -40,7 +42,7 @@ class Ending:
 def ended_cleanly(*, for_good: bool = False) -> Iterator[Ending]:
     """SIGTERM and a closed terminal end a command by an exception, so that its folders and processes are removed.
 
-    Where the process ends with the command, that is so `for_good`; else signals do afterwards what they did before.
+    `for_good`: the process ends with the command, and the handlers stay. Otherwise the former handlers are restored.
     """
     ending = Ending()
     names = _SIGNALS if current_thread() is main_thread() else ()
@@ -67,7 +69,7 @@ class Interrupts:
         self._raises = True
 
     def only_count(self) -> None:
-        """From now on somebody looks at `count`."""
+        """From now on signals are only counted: the caller looks at `count`."""
         self._raises = False
 
     def __enter__(self) -> Interrupts:

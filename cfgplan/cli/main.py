@@ -80,7 +80,9 @@ VERBS: Mapping[str, tuple[str, str]] = MappingProxyType(
         ),
     }
 )
-"""Each verb: the function that adds its options, in a module that only this verb needs, and what it does."""
+"""Each verb: the function that adds its options, and what the verb does. Its module is imported only when the verb
+is called.
+"""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -150,7 +152,7 @@ def _tell(error: CfgplanError | ModuleNotFoundError, screen: Screen, env: str | 
 
 
 def _interrupted(ending: Ending) -> Exit:
-    """Say so by nothing that may have been interrupted itself, while it was imported."""
+    """Report the interruption by plain `sys.stderr`: rich's import may be what was interrupted."""
     ending.over()
     with contextlib.suppress(OSError):
         sys.stderr.write("interrupted\n")
@@ -158,7 +160,7 @@ def _interrupted(ending: Ending) -> Exit:
 
 
 def _stand_in_for_closed_streams() -> None:
-    """A command may be started with stdout or stderr closed; no file or socket must get their numbers."""
+    """Open /dev/null for every standard stream that is closed, so that no file or socket gets its number."""
     for number in (0, 1, 2):
         try:
             os.fstat(number)
@@ -169,13 +171,13 @@ def _stand_in_for_closed_streams() -> None:
 
 
 def _say_every_character(screen: Screen) -> None:
-    """What a terminal without Unicode can't show is escaped; JSON is UTF-8 everywhere."""
+    """Escape what the terminal's encoding can't show; write JSON as UTF-8."""
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(encoding="utf-8" if screen.json else None, errors="backslashreplace")
 
 
 def _say_no_more() -> None:
-    """Nothing more can be written: not even what is flushed at the end."""
+    """Send everything that is still written, the final flush included, to /dev/null."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
@@ -193,7 +195,9 @@ class _UsageError(InputError):
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose errors are bad input like any other; a verb's parser itself refuses what it does not know."""
+    """A parser that raises its errors as InputError. A verb's parser refuses unknown arguments itself, so that its
+    own usage is shown.
+    """
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         known, unknown = super().parse_known_args(args, namespace)
@@ -231,7 +235,7 @@ def _parser(arguments: Sequence[str]) -> Parser:
 
 
 class Chatter:
-    """A stream that is silent from the moment on at which it can't be written."""
+    """A stream that goes on as /dev/null once writing to it fails: its reader has gone, or its disk is full."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream

@@ -46,7 +46,9 @@ def add_matching(parser: argparse.ArgumentParser) -> None:
 
 
 def add_planning(parser: argparse.ArgumentParser, what_if: str | None = None) -> None:
-    """Options of every verb that plans; `what_if` says when those for supposing are of use, if not always."""
+    """Options of every verb that plans. `what_if` describes the group `--without`, `--with`, `--set` where it is
+    restricted.
+    """
     from cfgplan.api import PLANNER_NAMES
 
     parser.add_argument("--planner", choices=PLANNER_NAMES, default="cpsat", help="who plans (cpsat)")
@@ -206,7 +208,7 @@ def add_out(parser: argparse.ArgumentParser) -> None:
 
 
 def out_file(text: str) -> str:
-    """The name of a file that can be written, which is found out before the work for it is done."""
+    """The name of a file to write, checked before any work is done. Raises ArgumentTypeError."""
     path = Path(text)
     try:
         if path.is_dir():

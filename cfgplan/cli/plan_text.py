@@ -1,4 +1,4 @@
-"""A plan as text for people: what starts, is rewired, stops and stays, and what the configuration after it comes to."""
+"""A plan as text: what it starts, rewires, stops and keeps, and the cost, quality and hosts afterwards."""
 
 from __future__ import annotations
 

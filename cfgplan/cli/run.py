@@ -172,7 +172,7 @@ def _hold(operation: Operation, output: Output, interrupts: Interrupts, span_s: 
 
 
 def _adjusted(options: argparse.Namespace) -> Callable[[World], World]:
-    """What the options say instead of the file, whenever it is read."""
+    """A function that applies the options to the world each time the file is read."""
 
     def adjust(world: World) -> World:
         return replace(
@@ -185,7 +185,7 @@ def _adjusted(options: argparse.Namespace) -> Callable[[World], World]:
 
 
 def _estimates_file(options: argparse.Namespace) -> Path:
-    """Where estimates are kept. What is damaged there is set aside, so it must not be another file by mistake."""
+    """The file of estimates. A damaged one is renamed, so anything but a JSON file is refused. Raises InputError."""
     from cfgplan_runtime.estimating.keeping import default_file
 
     if options.estimates is None:
@@ -260,7 +260,7 @@ def _exit_of(found: BestEffort) -> Exit:
 
 
 def _show_first(found: BestEffort, digest: str, screen: Screen) -> None:
-    """Print it; as JSON it is a plan file."""
+    """Print the first update: as text, or as a plan file (JSON)."""
     if screen.json:
         from cfgplan.formats import dump_plan
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class Output(Protocol):
-    """Entered while a run is held."""
+    """Shows a run; entered as long as the run lasts."""
 
     def __enter__(self) -> Output: ...
 
@@ -25,13 +25,13 @@ class Output(Protocol):
     ) -> None: ...
 
     def update(self, wait_s: float) -> None:
-        """Show what there is to be shown; waits so long at most for it."""
+        """Show the news; wait at most `wait_s` for the first."""
 
     def note(self, text: str) -> None:
         """Say something about the work."""
 
     def sum_up(self) -> None:
-        """Say what it all came to, after the end."""
+        """Print the summary, after the end."""
 
 
 def output_for(screen: Screen, operation: Operation, *, plain: bool) -> Output:

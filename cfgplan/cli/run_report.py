@@ -1,4 +1,4 @@
-"""What every output of a run tells: its news, and what it all came to."""
+"""What every output of a run shares: fetching news, and the summary at the end."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _ESCAPE = re.compile(r"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)|
 
 
 def fetched(operation: Operation, wait_s: float) -> Iterator[News]:
-    """The news that there are, but not without end; waits so long at most for the first of them."""
+    """The waiting news, at most one queue full; waits at most `wait_s` for the first."""
     try:
         yield operation.news.get(timeout=wait_s) if wait_s > 0 else operation.news.get_nowait()
         for _ in range(operation.news.maxsize):
@@ -27,7 +27,7 @@ def fetched(operation: Operation, wait_s: float) -> Iterator[News]:
 
 
 def printable(text: str) -> str:
-    """A text that does nothing to the terminal but to be shown."""
+    """The text without control sequences and other characters that a terminal would obey."""
     return "".join(c if c.isprintable() else " " for c in _ESCAPE.sub("", text).expandtabs())
 
 

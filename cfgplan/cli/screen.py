@@ -27,7 +27,7 @@ def counted(number: int, one: str, many: str | None = None) -> str:
 
 
 class Screen:
-    """The user's terminal, or the program that reads the JSON. Colour is for terminals only."""
+    """Output for a terminal or, as JSON, for a program. Only terminals get colours."""
 
     def __init__(self, *, json: bool) -> None:
         self.json = json
@@ -36,7 +36,7 @@ class Screen:
 
     @contextmanager
     def phase(self, name: str) -> Iterator[None]:
-        """Time a part of the work, to be shown by `times`, and say what it is if it lasts."""
+        """Time a part of the work for `times`; its name is shown while it lasts."""
         start = perf_counter()
         try:
             with self._err.status(f"{name} ..."):
@@ -61,7 +61,7 @@ class Screen:
         sys.stdout.flush()
 
     def tell(self, line: str) -> None:
-        """Print a line at once; a full disk, which is told of once, may lose it: the work goes on."""
+        """Print a line at once. If the disk is full, warn once and go on without the line."""
         try:
             self.write(f"{line}\n")
             self.flush()
@@ -111,7 +111,7 @@ class Screen:
             self._err.print(line, soft_wrap=True)
 
     def internal_error(self, error: Exception) -> None:
-        """Show a mistake of this package; what it was told is not to blame."""
+        """Report a bug of this package: the input is not to blame."""
         bug = "this is a bug in cfgplan: CFGPLAN_TRACEBACK=1 shows where; please report it"
         self.faults([Fault(f"internal error: {type(error).__name__}: {error}", mend=bug)])
 

@@ -17,7 +17,9 @@ from cfgplan.planning import Notion, Plan, Planner, Problem, Status
 from cfgplan.reasons import Givers, startable
 
 FIRST_LOOK_S = 1.0
-"""So long the planner looks at a part at first; then twice as long, but only when its bound is the least."""
+"""Seconds for the planner's first look at a part; each later look, when the part's bound is the least, takes twice
+as long.
+"""
 
 Labels = frozenset[str]
 Key = tuple[int, int, int, int]
@@ -28,10 +30,10 @@ Key = tuple[int, int, int, int]
 class Alternatives:
     """The best `plans` of a problem, no two of which run the same set of transformations, in the order of optimality.
 
-    The first is the optimal one; each of the others is the best of all that run the same transformations. It is
-    `complete` if it was not stopped by the clock, by an open pair of tags, nor by a configuration of which it can't be
-    decided whether something required serves a target in it or only what runs anyway, and `has_more` if there are
-    further configurations.
+    The first is the optimal one; each of the others is the best of all that run the same transformations. `complete`:
+    the list was not cut short by the clock, by an open pair of tags, or by a configuration in which nobody could decide
+    whether something required serves a target or only a unit that runs anyway. `has_more`: there are further
+    configurations.
     """
 
     plans: tuple[Plan, ...]
@@ -125,7 +127,9 @@ class _Ranking:
                     heapq.heappush(heap, (bound, 0, False, sorted(part.within), sorted(part.without), part))
 
     def _rest(self, part: _Part, runs: Labels) -> Iterator[_Part]:
-        """All of a part but what runs exactly this: without one of these, or with another one."""
+        """The rest of a part when the configurations that run exactly these are taken out: parts that lack one of
+        them or have another one.
+        """
         within, without = part.within, part.without
         for label in sorted(runs - within):
             yield _Part(within, without | {label})
@@ -167,7 +171,9 @@ class _Ranking:
         )
 
     def _best_by_use(self, runs: Labels) -> Plan | None:
-        """The best plan in which these serve targets, or what runs anyway: with most of the required ones used."""
+        """The best plan in which each of these serves a target or a unit that runs anyway; it uses as many required
+        ones as possible.
+        """
         others = self._problem.environment.transformation.keys() - runs - self._kept
         required = sorted(self._required & self._kept)
         for size in reversed(range(len(required) + 1)):
@@ -189,9 +195,9 @@ class _Ranking:
     def _plan(
         self, without: Iterable[str], required: Labels, limit_s: float | None = None, *, exempt: Labels = frozenset()
     ) -> Plan:
-        """The best plan without some transformations in which others serve targets, or what runs anyway.
+        """The best plan without some transformations in which certain others serve a target or a unit that runs anyway.
 
-        What runs anyway, but is `exempt`, counts as no target.
+        A unit that runs anyway but is `exempt` does not count as a target.
         """
         restricted = _restricted(self._keeping.serving(exempt), without, required)
         return self._keeping.really(self._planner(restricted, time_limit_s=limit_s), restricted)

@@ -111,7 +111,9 @@ class _Search:
         return self._left_s() == 0.0
 
     def look_at_what_runs(self) -> None:
-        """After the time limit: as many targets as the planner meets at once, the most important ones first."""
+        """After the time limit: add the targets one by one, the most important first, keeping each that the planner
+        can still meet without search.
+        """
         chosen: frozenset[Target] = frozenset()
         for target in self._targets:
             if self._is_met(chosen | {target}):
@@ -120,7 +122,7 @@ class _Search:
             self.best = chosen
 
     def best_plan(self) -> Plan:
-        """The plan for the best set; to give up all targets for want of time is no answer."""
+        """The plan for the best set. Its status is UNKNOWN if time ran out before any target was met."""
         plan = self._plan(self.best)
         return Plan(plan.planner, Status.UNKNOWN) if self._targets and not (self.best or self.is_exact) else plan
 
@@ -129,7 +131,9 @@ class _Search:
         return {target.label: self._why(target) for target in self._targets if target not in self.best}
 
     def _descend(self, chosen: frozenset[Target], ahead: Sequence[Target]) -> None:
-        """Look at all sets that hold the chosen, which may be met, and any of those ahead."""
+        """Search the sets that contain all of `chosen` and any of `ahead`; `chosen` itself is not known to be
+        impossible.
+        """
         if self.is_over:
             self.is_exact = False
             return
@@ -188,7 +192,7 @@ class _Search:
         return self._plans[targets]
 
     def _free_plan(self, targets: frozenset[Target]) -> Plan:
-        """The plan without regard to what is required: no plan for more targets costs less."""
+        """The plan that requires no transformation. Its cost bounds the plans for more targets from below."""
         if self._is_free:
             return self._plan(targets)
         if targets not in self._freely:

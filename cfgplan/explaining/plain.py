@@ -12,7 +12,7 @@ from cfgplan.planning import Plan
 
 
 def plain(value: object) -> Any:
-    """A value of this room as JSON knows it: of a plan what it amounts to; fractions as text."""
+    """An explanation as JSON values. A plan becomes its status, cost and bound; a fraction becomes text."""
     match value:
         case Enum():
             return value.value

@@ -62,7 +62,7 @@ class Sensitivity:
 
     @property
     def breaks(self) -> tuple[Fraction, ...]:
-        """The values at which another plan becomes optimal."""
+        """The values of the parameter at which another plan becomes optimal."""
         return tuple(span.begin for span in self.spans[1:])
 
     @property

@@ -1,4 +1,4 @@
-"""What runs whether a target needs it or not, and a problem in which what feeds that serves a target too."""
+"""Units that run whether a target needs them or not, and a problem in which each of them has a target of its own."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ class Kept:
         return frozenset(label for label, _ in self._stays)
 
     def serving(self, without: Labels = frozenset()) -> Problem:
-        """The problem in which each of them that has inputs is published for a target of its own, at no cost.
+        """The problem in which each such unit that has inputs is published for an artificial target, at no cost.
 
-        What feeds them serves these targets: `required` asks for it as for what serves others. Those `without` have
-        none: if they are required, they have to serve another target.
+        Whatever feeds such a unit then serves a target, so that `required` treats it like any other. Units of the
+        transformations in `without` get no artificial target: if required, they have to serve a real one.
         """
         environment, similarity = self.problem.environment, self.problem.similarity
         names = {
@@ -61,7 +61,7 @@ class Kept:
         )
 
     def really(self, plan: Plan, serving: Problem) -> Plan:
-        """A plan of `serving`, or of a part of it, without what it has of targets that are not there."""
+        """A plan of `serving`, or of a part of it, translated back: without the publications for artificial targets."""
         if plan.change_set is None:
             return plan
         units = [_without(unit) for unit in serving.environment.update(plan.change_set).units]
@@ -69,7 +69,7 @@ class Kept:
 
     @cached_property
     def _stays(self) -> list[tuple[str, str]]:
-        """Each unit of this kind: its transformation, and its id if it runs already, else a number."""
+        """Each unit that always runs: its transformation, and its id if it runs already, else a number."""
         environment = self.problem.environment
         possible = startable(environment, Givers(environment.library, self.problem.similarity))
         found: list[tuple[str, str]] = []

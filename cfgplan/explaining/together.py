@@ -9,7 +9,7 @@ from cfgplan.domain import Environment
 from cfgplan.planning import Plan, Planner, Problem, Status
 
 REFUSED = (Status.INFEASIBLE, Status.TOO_EXPENSIVE)
-"""How a planner says that it has proven that there is no plan."""
+"""The statuses by which a planner says: it is proven that there is no plan."""
 
 
 @dataclass(frozen=True)

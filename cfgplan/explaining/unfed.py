@@ -118,7 +118,9 @@ class DeadEnds:
         )
 
     def _find_dead_ends(self) -> None:
-        """Round by round what fails since all that would feed it has failed, or is too little for a group."""
+        """Round by round: a transformation fails if everything that would feed one of its inputs has failed, or if
+        too few feeders of a distinct group are left.
+        """
         waiting = {t.label: t for t in self._environment.library if t.label not in self.possible}
         users: dict[str, set[str]] = defaultdict(set)
         for transformation in waiting.values():
@@ -137,7 +139,9 @@ class DeadEnds:
             ahead = {user for label in ends for user in users[label] if user not in self._cause}
 
     def _find_rings(self) -> None:
-        """Stage by stage what fails in a ring: its feedback inputs may be fed by all that is still alive."""
+        """Stage by stage: of what is left, everything fails that the forward closure does not reach. Feedback inputs
+        may be fed by anything that has not failed in an earlier stage.
+        """
         alive = frozenset(self._environment.transformation) - self._cause.keys()
         while alive != self.possible:
             reached = forward_closure(self._environment, self._givers, alive)
@@ -149,7 +153,9 @@ class DeadEnds:
     def _failures(
         self, transformation: Transformation, before: Collection[str], anywhere: Collection[str]
     ) -> Iterator[tuple[InputPort, ...]]:
-        """Inputs that those `before`, or for feedback `anywhere`, can't feed: alone, or as a part of a group."""
+        """The inputs that `before` (for feedback inputs: `anywhere`) can't feed: one input alone, or several of a
+        distinct group together.
+        """
         feeders = {
             port.name: [g for g in self._givers.of(port.tag) if g in (anywhere if port.feedback else before)]
             for port in transformation.inputs
@@ -164,7 +170,7 @@ class DeadEnds:
                 yield tuple(port for port in group if port.name in part)
 
     def _blocked(self, tag: str, cause: Mapping[str, tuple[InputPort, ...]]) -> dict[str, tuple[InputPort, ...]]:
-        """What of the causes is needed to tell why nothing gives `tag`, depth first."""
+        """The causes that explain why nothing gives `tag`, depth first."""
         blocked: dict[str, tuple[InputPort, ...]] = {}
         ahead = [*reversed(self._givers.of(tag))]
         while ahead:
