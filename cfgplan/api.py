@@ -166,9 +166,10 @@ def matches(
     use_cache: bool = True,
     most: int | None = FEW_PAIRS,
 ) -> Matches:
-    """What is known of the similarity of a world's tags; open pairs are asked about at once only if they are few.
+    """What is known of the similarity of a world's tags. If at most `most` pairs are open, the reasoner decides them at
+    once.
 
-    At most `most` are few. Give it to what plans as `decider`, so that those that matter are asked about.
+    If there are more, pass the result as `decider` to whatever plans: it decides the pairs that matter to the plan.
     """
     cache = _cache_folder() if use_cache else None
     return Matches(

@@ -15,7 +15,7 @@ def unmet_reasons(
 ) -> dict[str, str]:
     """One short reason for each target, by its label, that no update can meet; empty if all may be met.
 
-    `givers` and what is `startable` may be given by who knows them already.
+    Pass `givers` and what is `startable` if they are known already.
     """
     environment = problem.environment
     givers = Givers(environment.library, problem.similarity.optimistic) if givers is None else givers

@@ -131,9 +131,10 @@ def _sensitivity(envelope: _Envelope, value: int, enough: int, most: int, label:
 
 
 class _Envelope:
-    """The lines of the optimal plans, found where two known lines cross: there another is lower, or none is.
+    """The lines of the optimal plans. The planner is asked where two known lines cross: it finds a lower line there, or
+    there is none.
 
-    Between two values at which one line is optimal it is so all along, since the least cost is concave.
+    A line that is optimal at two values is optimal between them, since the least cost is concave.
     """
 
     def __init__(

@@ -58,9 +58,9 @@ class Clash:
 
 
 def clash(problem: Problem, planner: Planner) -> Clash | None:
-    """The minimal reason why demands can't be met together; None if the planner does not prove that they can't.
+    """A minimal set of demands that can't be met together; None if the planner does not prove that there is one.
 
-    Takes one call of the planner for each demand; what it can't decide counts as necessary.
+    The planner is called once for each demand. A demand that it can't decide stays in the set.
     """
     demands = DemandSet.of(problem.environment)
     plan = planner(problem)

@@ -88,10 +88,10 @@ def named_alone(problem: Problem, target: str, named: Collection[tuple[str, str]
 
 
 class DeadEnds:
-    """What can't run, and for each such transformation the inputs that are told as the reason.
+    """The transformations that can't run, and for each the inputs that are given as the reason.
 
-    Where a choice is, dead ends are told that end soonest at something that is missing; only what has no such
-    end is told as circular.
+    Of several reasons the one with the shortest chain to a missing output is given. A circle is given only where no
+    chain ends at a missing output.
     """
 
     def __init__(
@@ -181,9 +181,9 @@ class DeadEnds:
         return blocked
 
     def _minimal(self, tag: str, kept: Mapping[str, tuple[InputPort, ...]]) -> dict[str, tuple[InputPort, ...]]:
-        """Without the inputs that the reason can do without.
+        """The causes without dispensable inputs.
 
-        Only a distinct group can leave some: what is too little for it may be blocked for another reason.
+        Only a distinct group can have one: its few feeders may be blocked for another reason.
         """
         cause = dict(kept)
         for label, ports in kept.items():

@@ -20,9 +20,9 @@ from cfgplan.matching.session import Matching
 
 _FOLDER: Final = "matching"
 _FORMAT: Final = "cfgplan-matching/3"
-"""To be raised whenever tags or ontologies are read in another way: answers that were kept would be wrong."""
+"""Raise this number whenever tags or ontologies are read differently: kept answers would be wrong."""
 MOST_FILES: Final = 64
-"""So many answers are kept; the oldest go first."""
+"""The number of answers that are kept; the oldest are dropped first."""
 
 
 def key_of(ontology: Ontology, reasoner: str, offered: Collection[str], demanded: Collection[str]) -> str:
@@ -33,7 +33,7 @@ def key_of(ontology: Ontology, reasoner: str, offered: Collection[str], demanded
 
 
 def load(folder: Path, key: str, offered: Collection[str], demanded: Collection[str]) -> Matching | None:
-    """The answer kept under a key; None if there is none that can be used."""
+    """The answer kept under a key; None if there is none or it is damaged."""
     try:
         kept = json.loads((folder / _FOLDER / f"{key}.json").read_text("utf-8"))
         return _matching_of(kept, key, sorted(set(offered)), sorted(set(demanded)))

@@ -40,11 +40,13 @@ from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.structures import LITERAL, Structure, inverse, linked_by, symbols_of
 
 MOST_MODELS: Final = 8
-"""So many models are built for the same tags, each with other parts of unions."""
+"""The number of models built for the same tags; each prefers other parts of unions."""
 MOST_BUILDS: Final = 40
-"""So many models are begun for the tags of one call, those that fail among them."""
+"""The number of models begun for the tags of one call, failed ones included."""
 LEVELS: Final = 3
-"""The things that a restriction needs again for what it gave are others, but after so many the first again."""
+"""A thing that a restriction created, and that falls under the same restriction, gets a thing of the next level;
+after this many levels the first one is used again, so that models stay finite.
+"""
 _XSD: Final = "http://www.w3.org/2001/XMLSchema#"
 
 
@@ -69,7 +71,7 @@ class _RoleInclusion:
 
 
 class _Program:
-    """What the axioms give to things, in the order in which it is given."""
+    """The axioms as rules: what a thing that is in one class expression also gets."""
 
     def __init__(self, trees: Iterable[Tree]) -> None:
         self.trees = [tree for tree in trees if isinstance(tree, tuple) and tree[0] != "Declaration"]
@@ -156,12 +158,12 @@ class _Program:
 
 
 def _some(changes: Iterable[bool]) -> bool:
-    """Whether something changed, after all that is to be changed."""
+    """Whether any of the changes did something; all of them are carried out."""
     return sum(changes) > 0
 
 
 def complement(tree: Tree) -> Tree:
-    """The complement of an expression, with complements as far inside as they go."""
+    """The complement of an expression in negation normal form."""
     if isinstance(tree, str):
         return {THING_IRI: NOTHING_IRI, NOTHING_IRI: THING_IRI}.get(tree) or ("ObjectComplementOf", tree)
     keyword, *parts = tree
@@ -195,7 +197,7 @@ _ORDER: Final = {
     "ObjectHasValue": 0, "ObjectHasSelf": 0, "DataHasValue": 0, "ObjectOneOf": 1, "ObjectSomeValuesFrom": 2,
     "ObjectMinCardinality": 2, "ObjectExactCardinality": 2, "ObjectMaxCardinality": 3, "ObjectUnionOf": 4,
 }  # fmt: skip
-"""What is given first; names before all."""
+"""The order in which rules are applied, by the kind of expression on their right; class names come first."""
 
 
 class _Model:
@@ -238,7 +240,9 @@ class _Model:
         return thing
 
     def new(self, tree: Tree) -> int:
-        """A thing that is to be in a class expression, or the individual that the expression names."""
+        """Create a thing and require that it is in a class expression; if the expression names an individual, take
+        that one.
+        """
         for name in sorted(Signature([("SubClassOf", tree)]).individuals):
             self.individual(name)
         parts = tree[1:] if isinstance(tree, tuple) and tree[0] == "ObjectIntersectionOf" else (tree,)
@@ -252,7 +256,7 @@ class _Model:
         self._rules[order].append(_Inclusion(sub, sup, symbols_of(sub) | symbols_of(sup)))
 
     def saturate(self) -> None:
-        """Give things what axioms say, until nothing is to be given any more. Raises _OutOfTimeError."""
+        """Apply all rules until nothing changes. Raises _OutOfTimeError."""
         while any(step() for step in self._steps()):
             pass
 
@@ -300,7 +304,7 @@ class _Model:
         return changed
 
     def require(self, things: Set[int], tree: Tree) -> bool:
-        """Give things what makes them members of a class expression, if possible; whether something changed."""
+        """Make things members of a class expression, if possible. Returns whether something changed."""
         if isinstance(tree, str):
             return tree not in (THING_IRI, NOTHING_IRI) and self.structure.put(tree, things)
         keyword, *parts = tree
@@ -346,7 +350,7 @@ class _Model:
         return False
 
     def _mark(self, things: Set[int], tree: Tree) -> bool:
-        """Have things get what they need later, when it is known what else they have."""
+        """Delay a requirement by a marker class with a rule, until it is known what else these things have."""
         marker = self._markers.get(tree)
         if marker is None:
             marker = self._markers[tree] = f"\0marker {len(self._markers)}"
@@ -360,7 +364,7 @@ class _Model:
         return self.structure.link(role, thing, self._target(thing, role, filler, number))
 
     def _target(self, thing: int, role: Tree, filler: Tree, number: int) -> int:
-        """The thing that a restriction needs: that of other things with the same restriction, if they are alike."""
+        """The thing that a restriction links to. Things of one level share it."""
         level = self._levels[thing] % LEVELS + 1
         key = (role, filler, number, level)
         known = self._needed.get(key)
@@ -385,7 +389,7 @@ class _Model:
         return False
 
     def _clashes(self, thing: int, part: Tree) -> bool:
-        """Whether what a part of a union says clearly contradicts what is known of a thing."""
+        """Whether a part of a union obviously contradicts what is known of a thing."""
         classes = self.structure.classes
         conjuncts = part[1:] if isinstance(part, tuple) and part[0] == "ObjectIntersectionOf" else (part,)
         for each in conjuncts:
@@ -431,7 +435,7 @@ class _Model:
         return True
 
     def prune(self) -> bool:
-        """Leave out what breaks axioms, until nothing does; whether there is something left for each individual."""
+        """Remove things that break axioms until none does. Returns whether every individual still has its thing."""
         structure = self.structure
         named = {self.find(thing) for thing in structure.individuals.values()}
         broken = True
@@ -456,7 +460,9 @@ class _Batch:
     rows: dict[Concept, frozenset[Concept]] = field(default_factory=dict)
 
     def refuted(self, demanded: Concept) -> frozenset[Concept]:
-        """The offered concepts whose things are no members of a demanded one."""
+        """The offered concepts whose things are not members of the demanded concept: the model refutes that they
+        match.
+        """
         known = self.rows.get(demanded)
         if known is None:
             try:
@@ -490,7 +496,7 @@ class Countermodels:
         return frozenset().union(*(batch.refuted(demanded) for batch in self._batches))
 
     def build(self, offered: Iterable[Concept], demanded: Collection[Concept], time_limit_s: float | None) -> None:
-        """Look for models with offered concepts that are new, until they refute no more pairs or time is over."""
+        """Look for models that have the new offered concepts, until they refute no further pairs or time is over."""
         offered = list(offered)
         new = [concept for concept in offered if concept not in self._tried]
         negative = sorted(filter(_says_not, demanded), key=in_functional_syntax)
@@ -518,7 +524,9 @@ class Countermodels:
                 return
 
     def _exclude(self, offered: Iterable[Concept], demanded: list[Concept], deadline: float | None) -> None:
-        """Build models with things that have offered concepts and no demanded one: none of all, else of each half."""
+        """Build models with things that have offered concepts but none of the demanded ones; if there is none for
+        all demands together, split them in halves.
+        """
         waiting = [demanded] if demanded else []
         while waiting:
             some = waiting.pop(0)
@@ -572,7 +580,7 @@ def _both(tree: Tree, besides: Collection[Tree]) -> Tree:
 
 
 def _says_not(concept: Concept) -> bool:
-    """Whether a concept says what things are not: a model in which nothing is more than needed does not refute it."""
+    """Whether a concept says what a thing is not. A minimal model does not refute such a concept."""
     return isinstance(concept, Complement | Only | AtMost) or any(map(_says_not, _parts_of(concept)))
 
 

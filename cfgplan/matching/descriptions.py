@@ -1,4 +1,4 @@
-"""What follows for the things that a tag describes, put together from what follows for its parts.
+"""What follows for the things that a tag describes, combined from what follows for its parts.
 
 The atoms of a conjunction are those of its conjuncts and what rules with two premises add; its links are theirs. So a
 tag costs a few set unions once the names and restrictions in it are known.
@@ -25,7 +25,7 @@ from cfgplan.matching.rules import BOTTOM_ATOM, Rules
 from cfgplan.matching.saturation import Context, Edge, Saturation
 
 MOST_DISJUNCTS: Final = 64
-"""How many disjuncts a tag may come to before the fast engine leaves it to the reference."""
+"""The largest number of disjuncts of a tag that the fast engine takes; the reference decides tags with more."""
 
 
 class Description:

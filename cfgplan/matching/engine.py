@@ -26,9 +26,10 @@ class Offer:
 
 
 class Engine:
-    """Offers and demands of tags. Whatever it finds to match matches; see `Offer` for what does not.
+    """Offers and demands of tags. Every match that it finds is one; see `Offer` for when the others are none.
 
-    `outside` maps the axioms outside the fragment, and what was dropped, to the reason; with any nothing is certified.
+    `outside` maps every axiom that is outside the fragment or was dropped to the reason. If there is one, nothing is
+    certified.
     """
 
     def __init__(
@@ -82,7 +83,9 @@ class Engine:
         return Offer(possible, certified)
 
     def demands(self, concept: Concept) -> tuple[Demand, ...] | None:
-        """The demands one of which must be met to get what a demanded tag asks for; None if they can't say it."""
+        """The alternatives of a demanded tag: meeting any one of them meets the tag. None if the engine can't
+        express it.
+        """
         parts, exact = disjuncts(concept)
         if not exact or self._is_about_replaced_role(concept):
             return None

@@ -42,7 +42,7 @@ class Context:
 
     @property
     def is_unsatisfiable(self) -> bool:
-        """Whether there can be no such thing."""
+        """Whether no such thing can exist."""
         return BOTTOM_ATOM in self.atoms
 
 

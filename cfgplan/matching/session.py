@@ -1,4 +1,4 @@
-"""A matcher that lives on while tags come and go and the ontology changes, so that nothing is worked out twice."""
+"""A matcher that is kept while tags come and go and the ontology changes, so that nothing is computed twice."""
 
 from __future__ import annotations
 
@@ -191,7 +191,7 @@ class Matcher:
         return asked
 
     def _check(self, rows: Rows | None, time_limit_s: float | None) -> None:
-        """Have the reference look for contradictions in offers, and in the ontology, as far as nobody has."""
+        """Have the reference look for contradictions in offers and in the ontology where that was not done yet."""
         offers = self._offered.names
         doubtful = {offers[name] for name in (offers if rows is None else rows.uncertified)}
         if rows is None or self.outside():
@@ -277,7 +277,7 @@ class Matcher:
         return frozenset(self._offered.name_of(concept) for concept in offered if concept in self._offered)
 
     def _about_open(self, count: int, time_limit_s: float | None) -> Iterable[str]:
-        """What to say of pairs that are not decided."""
+        """The warning about pairs that are not decided."""
         if not count:
             return
         if time_limit_s is not None and self._reference is not None and not self._ontology.dropped:

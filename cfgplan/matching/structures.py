@@ -54,11 +54,11 @@ class Structure:
 
     @property
     def clock(self) -> int:
-        """How often something changed."""
+        """The number of changes so far."""
         return self._clock
 
     def has_changed(self, symbols: Iterable[str], since: int) -> bool:
-        """Whether what some symbols stand for changed after a reading of the clock."""
+        """Whether the extension of any of these symbols changed after `since` (a value of `clock`)."""
         return any(self._changed[symbol] > since for symbol in symbols)
 
     def _touch(self, symbol: str) -> bool:
@@ -67,7 +67,7 @@ class Structure:
         return True
 
     def add_thing(self) -> int:
-        """A new thing, of which nothing is said."""
+        """Add a thing that is in no class and has no links. Returns its number."""
         thing = self._next
         self._next += 1
         self.things.add(thing)

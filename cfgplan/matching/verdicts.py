@@ -1,4 +1,4 @@
-"""What a reference reasoner said about pairs of tags, so that it is asked about each pair once."""
+"""What the reference reasoner said about pairs of tags. It is asked about each pair once."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cfgplan.matching.reference import Reference, classify, satisfiable
 Asked = tuple[Concept, Concept]
 """An offered concept and a demanded one."""
 PAIRS_OF_A_TAG: Final = 4
-"""With more open pairs than this for each of their tags, to classify the tags costs less than to ask for the pairs."""
+"""With more open pairs per tag than this, classifying the tags is cheaper than asking pair by pair."""
 CLASSIFYING: Final = 0.75
 """The share of a time limit that classifying may take before pairs are asked for one by one."""
 PATIENCE: Final = 0.1
@@ -44,7 +44,7 @@ class Verdicts:
         self.unsatisfiable: set[Concept] = set()
         """The offered concepts that nothing can have."""
         self._too_hard: list[tuple[int, float]] = []
-        """How many tags could not be classified in how many seconds."""
+        """Attempts to classify that ran out of time: number of tags, seconds."""
 
     def accepted(self, demanded: Concept) -> frozenset[Concept]:
         """The offered concepts that were found to be below a demanded one."""
@@ -69,10 +69,11 @@ class Verdicts:
             (self.possible if told[concept] else self.unsatisfiable).add(concept)
 
     def ask(self, pairs: Iterable[Asked], time_limit_s: float | None) -> int:
-        """Ask in this order of which pairs the offered concept is below the demanded one; how many were asked.
+        """Ask, in this order, for which pairs the offered concept is below the demanded one. Returns how many were
+        asked.
 
-        Many are asked for by classifying them, and if that took too long, one by one. What time does not suffice for
-        stays open. Raises what the reasoner raises, except ReasonerTimeoutError.
+        Many pairs are decided by classifying their tags, or one by one if that takes too long. What time does not
+        suffice for stays open. Raises what the reasoner raises, except ReasonerTimeoutError.
         """
         left_s = countdown(time_limit_s)
         missing = [] if self._reference is None else self._missing(pairs)
@@ -94,7 +95,7 @@ class Verdicts:
     def _classify(
         self, offered: Collection[Concept], demanded: Collection[Concept], time_limit_s: float | None
     ) -> None:
-        """Ask about all pairs at once, unless as much time was too little for as few tags before."""
+        """Classify all tags together, unless an earlier attempt with no more tags and no less time failed."""
         assert self._reference is not None
         tags = len(offered) + len(demanded)
         if time_limit_s is not None and any(tags >= n and time_limit_s <= s for n, s in self._too_hard):
@@ -111,7 +112,7 @@ class Verdicts:
             )
 
     def _ask_one_by_one(self, pairs: Sequence[Asked], left_s: Callable[[], float | None]) -> None:
-        """Ask pair by pair until time is over. One for which no answer comes waits until others were asked for."""
+        """Ask pair by pair until time is over. A pair that gets no answer is tried again after the others."""
         limit_s = left_s()
         patience_s = PATIENCE_S if limit_s is None else PATIENCE * limit_s
         size = FIRST_PAIRS
@@ -127,7 +128,7 @@ class Verdicts:
     def _ask_some(
         self, pairs: Sequence[Asked], time_limit_s: float | None, patience_s: float
     ) -> tuple[int, Concept | None]:
-        """Ask for pairs in one call; how many questions were answered, and the one that was not."""
+        """Ask about some pairs in one call. Returns how many questions were answered, and the first that was not."""
         assert self._reference is not None
         questions = dict.fromkeys(
             question for pair in pairs for question in _questions(pair) if question not in self.possible
@@ -151,12 +152,14 @@ class Verdicts:
 
 
 def _questions(pair: Asked) -> tuple[Concept, Concept]:
-    """Offered ⊑ demanded if nothing is offered and not demanded, but something is offered."""
+    """The two questions for a pair: can something be offered; can something be offered and not demanded? Offered ⊑
+    demanded if the answers are yes and no.
+    """
     offered, demanded = pair
     return offered, conjunction((offered, negation(demanded)))
 
 
 def countdown(time_limit_s: float | None) -> Callable[[], float | None]:
-    """How much of a time limit that begins now is left, seconds; None of none."""
+    """A function that tells how many seconds are left of a time limit that begins now; None without a limit."""
     deadline = None if time_limit_s is None else time.monotonic() + time_limit_s
     return lambda: None if deadline is None else deadline - time.monotonic()
