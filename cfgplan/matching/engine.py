@@ -16,9 +16,9 @@ from cfgplan.matching.translation import translate
 
 @dataclass(frozen=True, slots=True)
 class Offer:
-    """What follows for an offered tag: one description for each of its satisfiable disjuncts, none if it has none.
+    """What follows for an offered tag: one description for each of its satisfiable disjuncts.
 
-    Only if it is `certified` does it meet no other demands than those that all its disjuncts are found to meet.
+    If `certified`, it meets exactly the demands that all its disjuncts are found to meet; otherwise perhaps more.
     """
 
     disjuncts: tuple[Description, ...]

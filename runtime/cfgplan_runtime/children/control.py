@@ -47,7 +47,7 @@ class ControlConnection(Generic[Incoming]):
         self.flush()
 
     def flush(self) -> bool:
-        """Send what waits; whether nothing is left."""
+        """Send what waits. Returns whether nothing is left."""
         while self._waiting and not self.has_ended:
             data, sockets = self._waiting[0]
             try:

@@ -61,21 +61,21 @@ class Cut(msgspec.Struct, tag=True):
 
 
 class End(msgspec.Struct, tag=True):
-    """An input's source is gone: take what it has sent, then detach, whoever else may hold its socket open."""
+    """An input's source has died: take what it has sent, then detach, even if another process holds its socket open."""
 
     port: str
     wire: int
 
 
 class Unserve(msgspec.Struct, tag=True):
-    """A subscriber of an output is gone, whoever else may hold its socket open."""
+    """A subscriber of an output has died: drop it, even if another process holds its socket open."""
 
     port: str
     wire: int
 
 
 class SwitchNow(msgspec.Struct, tag=True):
-    """Go over to the standby without waiting for the active source any longer."""
+    """Switch to the standby now, without waiting for the active source."""
 
     port: str
 
@@ -91,7 +91,7 @@ class CloseOutlet(msgspec.Struct, tag=True):
 
 
 class Finish(msgspec.Struct, tag=True):
-    """Give what has come already, then end."""
+    """Process what has arrived, then end."""
 
 
 ToChild: TypeAlias = Feed | Serve | Cut | End | Unserve | SwitchNow | OpenOutlet | CloseOutlet | Finish
@@ -130,7 +130,7 @@ class Trouble(msgspec.Struct, tag=True):
 
 
 class Exhausted(msgspec.Struct, tag=True):
-    """A source has no more to give."""
+    """A source has ended: it has no more elements."""
 
 
 class PortCounts(msgspec.Struct, frozen=True):

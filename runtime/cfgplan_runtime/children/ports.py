@@ -36,12 +36,12 @@ class UnitInput:
     name: str
     inlet: Inlet
     take: Callable[[Element], None]
-    """Gets each element that the inlet hands on."""
+    """Called with each element that the inlet hands on."""
     has_room: Callable[[], bool]
-    """False where the producers are to wait."""
+    """False if the producers have to wait."""
     receivers: dict[int, Receiver] = field(default_factory=dict)
     announced: int | None = None
-    """The active source that the supervisor was last told of."""
+    """The active source that was last reported to the supervisor."""
     elements: int = 0
     is_paused: bool = False
 
@@ -76,13 +76,13 @@ class Ports:
             self._selector.unregister(end)
 
     def wait(self, timeout_s: float | None) -> None:
-        """Handle what has come and send what can be sent; wait at most `timeout_s` for the first of it."""
+        """Wait at most `timeout_s` until a socket is ready, then read and write everything that is ready."""
         for key, _ in self._selector.select(timeout_s):
             if key.fileobj.fileno() != -1:  # type: ignore[union-attr]
                 key.data()
 
     def say(self, message: FromChild) -> None:
-        """Tell the supervisor."""
+        """Send a message to the supervisor."""
         self._control.send(message)
         if self._control.is_waiting:
             self._modify(self._control.socket, self._hear)
@@ -99,7 +99,7 @@ class Ports:
 
     @property
     def must_wait(self) -> bool:
-        """Whether a subscriber that blocks has no room."""
+        """Whether a blocking subscriber has no room."""
         return any(sender.is_full for output in self.outputs.values() for sender in output.senders)
 
     @property
@@ -107,7 +107,7 @@ class Ports:
         return not any(sender.depth for output in self.outputs.values() for sender in output.senders)
 
     def drain(self) -> None:
-        """Hand on what has come already, then accept no more."""
+        """Hand on what has arrived, then accept nothing more."""
         for port in self.inputs.values():
             for wire in list(port.receivers):
                 self._read(port, wire)
@@ -128,7 +128,7 @@ class Ports:
             self._close(receiver)
 
     def resume(self) -> None:
-        """Read on from inputs that have room again."""
+        """Resume reading from inputs that have room again."""
         for port in self.inputs.values():
             if port.is_paused and port.has_room():
                 port.is_paused = False
@@ -237,7 +237,9 @@ class Ports:
         receiver.close()
 
     def _peer_spoke(self, output: UnitOutput, sender: Sender) -> None:
-        """What a receiver says is thrown away: it has gone, or its socket takes more now."""
+        """A receiver's socket is ready: discard what it sent; if it has gone, close the sender, else send what
+        waits.
+        """
         try:
             gone = not sender.socket.recv(_MOST_SAID, socket.MSG_DONTWAIT)
         except BlockingIOError:
@@ -270,4 +272,4 @@ class Ports:
 
 
 def _ignore(_: Element) -> None:
-    """Takes what comes after an input was drained."""
+    """Discards the elements that come after an input was drained."""

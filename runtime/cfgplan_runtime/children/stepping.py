@@ -33,12 +33,12 @@ class StepQueue:
         self._tolerance_ns = tolerance_ns
         self._limit = limit
         self.dropped = dict.fromkeys(ports, 0)
-        """By port: what had no room."""
+        """Elements dropped for want of room, by port."""
         self.skipped = dict.fromkeys(ports, 0)
-        """By port: what found no partner of its time."""
+        """Elements without a partner of their time, by port."""
 
     def waiting(self, port: str) -> int:
-        """How many elements of a port wait."""
+        """The number of elements that wait at a port."""
         return len(self._waiting[port])
 
     def is_full(self, port: str) -> bool:
@@ -94,7 +94,7 @@ class StepQueue:
         return Step({name: self._latest[name] for name in self._waiting}, element.moment)
 
     def _latest_of_first_elements(self, ports: Sequence[str]) -> None:
-        """Before the first step, an element that waits counts as the latest of its port."""
+        """Before the first step, take the element that waits at a port as its latest."""
         for port in ports:
             if port not in self._latest and self._waiting[port]:
                 self._latest[port] = self._waiting[port][0]

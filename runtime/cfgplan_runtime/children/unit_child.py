@@ -21,7 +21,7 @@ from cfgplan_runtime.streams.payload import PayloadEncoder, decode
 
 STATUS_PERIOD_S = 1.0
 _LONGEST_WORK_NS = 1_000_000
-"""How long steps follow each other before sockets are looked at again."""
+"""Seconds of back-to-back steps after which sockets are looked at again."""
 _MOST_REPORTS = 5
 """Failures that are reported one by one between two signs of life."""
 _KINDS = ((WrongPortsError, "wrong ports"), (EncodingError, "can't be sent"))
@@ -55,7 +55,7 @@ class UnitChild:
         self._suppressed = ("", "")
         self._is_exhausted = self._is_finishing = False
         self._raised: Exception | None = None
-        """What a source raised last, if it has given nothing since: an end after it is its failure."""
+        """The last exception of a source that has given nothing since. If the source then ends, this is why."""
         self._tick_ns = time.monotonic_ns()
 
     def run(self) -> None:
@@ -125,7 +125,7 @@ class UnitChild:
             self._fail(error)
 
     def _tick(self) -> bool:
-        """Let a source produce if its time has come; whether it had."""
+        """Let a source produce if it is due. Returns whether it was."""
         now = time.monotonic_ns()
         if now < self._tick_ns:
             return False

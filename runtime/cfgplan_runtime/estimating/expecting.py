@@ -1,4 +1,4 @@
-"""What is expected of a transformation: from its own evidence, else its family's, else a guess."""
+"""Expected costs of a transformation: from its own observations, else from its family's, else a guess."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Expectations:
         return Expectation(Forecast(self._guess(own.declared_costs, dearest).of(kind), 0.0), Origin.GUESS)
 
     def _level(self, kind: Kind, evidence: Evidence) -> float:
-        """What is observed of a relative, read once for all its relatives."""
+        """The observed level of a relative, cached because all its relatives read it."""
         known, changes, level = self._levels.get((id(evidence), kind), (None, 0, 0.0))
         if known is not evidence or changes != evidence.changes:
             level = self._forecasters[kind](evidence.samples(kind)).level
@@ -72,7 +72,7 @@ class Expectations:
         )
 
     def _familiar(self, kind: Kind, own: Evidence, known: Sequence[Evidence]) -> float:
-        """As much as relatives were observed to cost, in proportion to what is declared, if all declare something."""
+        """The mean of what relatives cost, scaled by the declared costs if all declare some."""
         levels = [self._level(kind, one) for one in known]
         declared = [one.declared_costs.of(kind) for one in known]
         mean = sum(levels) / len(levels)

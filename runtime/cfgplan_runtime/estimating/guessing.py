@@ -33,7 +33,7 @@ def declared(declared: Costs, dearest: Costs) -> Costs:  # noqa: ARG001
 
 
 def optimistic(declared: Costs, dearest: Costs) -> Costs:  # noqa: ARG001
-    """For nothing: everything is tried once."""
+    """Free: so everything is tried once."""
     return Costs(0, 0)
 
 

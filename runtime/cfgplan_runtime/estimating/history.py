@@ -9,7 +9,7 @@ import msgspec
 Moment: TypeAlias = Annotated[float, msgspec.Meta(ge=-1e12, le=1e12)]
 Amount: TypeAlias = Annotated[float, msgspec.Meta(ge=0, le=1e16)]
 Weight: TypeAlias = Annotated[float, msgspec.Meta(ge=1e-6, le=1e12)]
-"""What may be read from a file; far beyond anything observed."""
+"""Limits for values read from a file, far beyond anything observed."""
 
 
 class CostSample(msgspec.Struct, array_like=True):
@@ -22,7 +22,7 @@ class CostSample(msgspec.Struct, array_like=True):
 
     @property
     def at(self) -> float:
-        """The middle of the time that it is about."""
+        """The middle of the interval."""
         return (self.since + self.until) / 2
 
 
@@ -55,12 +55,12 @@ class History(msgspec.Struct):
         return ends == sorted(ends) and all(one.since <= one.until for one in self.samples)
 
     def take_limits(self, other: History) -> None:
-        """Go on as `other` would."""
+        """Take over the limits of `other`."""
         self.grain, self.most = other.grain, other.most
         del self.samples[: -self.most]
 
     def moved(self, by: float) -> History:
-        """The same on a clock that shows `by` more."""
+        """The same on a clock that is ahead by `by`."""
         moved = [CostSample(one.since + by, one.until + by, one.value, one.weight) for one in self.samples]
         return History(self.grain, self.most, moved)
 

@@ -1,4 +1,4 @@
-"""What was learned is kept in one file between runs. While nothing runs, time stands still for it."""
+"""Estimates are kept in one file between runs. The time between runs does not count."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FORMAT = "cfgplan-estimates/1"
 
 
 class EstimatesError(RuntimeFaultError):
-    """What was learned could not be read or written; the run goes on without."""
+    """Estimates could not be read or written; the run goes on without them."""
 
 
 class _Kept(msgspec.Struct):
@@ -95,7 +95,7 @@ def load(estimator: LearningEstimator, path: Path, now_s: float) -> None:
 
 
 def _refuse_what_is_no_file(path: Path) -> None:
-    """A device, a pipe or a folder must be neither waited for nor replaced by a file."""
+    """Refuse a device, a pipe or a folder: reading could block, writing would replace it."""
     try:
         is_other = path.exists() and not path.is_file()
     except OSError:
@@ -105,7 +105,7 @@ def _refuse_what_is_no_file(path: Path) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Make the renaming last; not every system can."""
+    """Flush the folder, so that the renaming survives a crash; not every system can."""
     with suppress(OSError):
         descriptor = os.open(folder, os.O_RDONLY)
         try:

@@ -1,4 +1,4 @@
-"""Unit code that is edited while its units run: they go on with what they were started with, and that is told."""
+"""Watches the files of unit code: units keep the code that they were started with, and a warning names them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def code_watch(
     running: Callable[[], Iterable[ComputationUnit]],
     tell: Callable[[str], object],
 ) -> FileWatch:
-    """Tells which units were started before a file with their code has changed.
+    """A watch that names the units that were started before a file with their code changed.
 
     `library` and `running` say what can be started and what runs at present; `folder` is what `units.py` in
     `source: units.py:Class` is relative to. Modules that are named with dots are not watched, nor what code imports.

@@ -39,7 +39,7 @@ class Control:
         self._number = 0
         self._is_subscribed = False
         self._heard: deque[Record] = deque()
-        """Events that came while a reply was awaited."""
+        """Events that arrived while waiting for a reply."""
         try:
             self._end.settimeout(_GREETING_S)
             self._end.connect(str(self.path))
@@ -57,7 +57,9 @@ class Control:
         self.system = RunningSystem(hello["run"], hello["environment"], hello["pid"])
 
     def call(self, method: str, *, timeout_s: float | None = None, **params: Any) -> Record:
-        """Have a run do something. Raises RefusedError if it won't, ControlError if it has ended or is silent."""
+        """Call a method of the run. Raises RefusedError if the run refuses, ControlError if it has ended or does not
+        answer.
+        """
         self._number += 1
         self._end.settimeout(timeout_s)
         try:
@@ -80,7 +82,7 @@ class Control:
             self.call("subscribe")
 
     def events(self) -> Iterator[Record]:
-        """What happens from now on, until the run ends; `dropped` in an event counts what was missed before it."""
+        """The events from now on, until the run ends; `dropped` in an event counts those lost before it."""
         self.subscribe()
         self._end.settimeout(None)
         with suppress(OSError):

@@ -60,12 +60,12 @@ class ControlServer:
 
     @property
     def has_subscribers(self) -> bool:
-        """Whether anybody would hear an event."""
+        """Whether anyone has subscribed."""
         with self._lock:
             return any(client.is_subscribed for client in self._clients)
 
     def publish(self, event: Record) -> None:
-        """Tell an event to all subscribers; returns at once."""
+        """Send an event to all subscribers; returns at once."""
         with self._lock:
             clients = [client for client in self._clients if client.is_subscribed]
         for client in clients:
@@ -139,7 +139,7 @@ class _Client:
         self._events: queue.Queue[Record | None] = queue.Queue(MOST_WAITING_EVENTS)
         self._dropped = 0
         self._brought: list[str] = []
-        """What was added for as long as this connection lasts."""
+        """Names of what was added only for the time of this connection."""
         self._answerer = threading.Thread(target=self._answer, name="cfgplan-control-client", daemon=True)
         self._teller = threading.Thread(target=self._tell, name="cfgplan-control-events", daemon=True)
 
@@ -153,7 +153,7 @@ class _Client:
             self._dropped += 1
 
     def close(self) -> None:
-        """Disconnect; the threads end by themselves, as soon as what they do is done."""
+        """Disconnect. The threads end when they have finished what they are doing."""
         with suppress(OSError):
             self._end.shutdown(socket.SHUT_RDWR)
 

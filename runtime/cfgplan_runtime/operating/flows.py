@@ -22,11 +22,13 @@ _DRAIN_LOOK_S = 0.01
 _CLOSE_S = 5.0
 
 Listener = Callable[[str, Element], None]
-"""Gets a topic and an element that came there; from the topic's own thread, so it may take its time."""
+"""Called with a topic and an element of it, from a thread of that topic's own: it may be slow."""
 
 
 class Flows:
-    """What comes on each topic, as the outlets have told last. `hear` is for `Runtime.listen`; for any thread."""
+    """Rate, latency and counts of each topic, as last reported by the outlets. Pass `hear` to `Runtime.listen`.
+    Thread-safe.
+    """
 
     def __init__(self) -> None:
         self._told: tuple[float, dict[str, Flow]] = (time.monotonic(), {})
@@ -37,13 +39,13 @@ class Flows:
             self._told = time.monotonic(), event.flows
 
     def now(self) -> dict[str, Flow]:
-        """What comes on each topic; where the outlets are silent themselves, nothing does."""
+        """The flow of each topic now. If the outlets themselves have been silent, so counts every topic."""
         at_s, flows = self._told
         since_s = time.monotonic() - at_s
         return {topic: _later(flow, since_s) for topic, flow in flows.items()}
 
     def records(self) -> dict[str, Record]:
-        """The same as plain records."""
+        """The flows as dictionaries."""
         return {topic: msgspec.structs.asdict(flow) for topic, flow in self.now().items()}
 
 
@@ -62,12 +64,12 @@ class Following:
         self._listener = listener
         self._watches: dict[str, _Watch] = {}
         self._left: list[_Watch] = []
-        """Those that are about to end."""
+        """Watches that were told to end and have not ended yet."""
         self._dropped = 0
         self._lock = threading.Lock()
 
     def follow(self, topics: Iterable[str]) -> None:
-        """Fetch from these topics from now on, and no others; a topic may come to be later."""
+        """Fetch from exactly these topics from now on; a topic need not exist yet."""
         wanted = set(topics)
         with self._lock:
             for topic in self._watches.keys() - wanted:
@@ -77,12 +79,12 @@ class Following:
 
     @property
     def dropped(self) -> int:
-        """How many elements of all topics, also of those that are no longer followed, were not fetched in time."""
+        """How many elements were not fetched in time, topics that are no longer followed included."""
         with self._lock:
             return self._dropped + sum(watch.dropped for watch in (*self._watches.values(), *self._left))
 
     def drain(self, timeout_s: float) -> None:
-        """Wait until everything has come from topics that are gone; at most so long."""
+        """Wait until everything from topics that have ended was fetched; at most `timeout_s`."""
         deadline = time.monotonic() + timeout_s
         with self._lock:
             watches = list(self._watches.values())
@@ -90,7 +92,7 @@ class Following:
             time.sleep(_DRAIN_LOOK_S)
 
     def close(self) -> None:
-        """Fetch no more; waits until the last listener has returned, but not for one that hangs."""
+        """Stop fetching. Waits until the listeners have returned, except for one that hangs."""
         with self._lock:
             for topic in list(self._watches):
                 self._leave(topic)
@@ -140,7 +142,7 @@ class _Watch:
             self._is_closed.wait(_LOOK_S)
 
     def _follow(self, subscription: SubscriptionToTopic) -> None:
-        """Until the topic is gone, or nobody wants to know any more."""
+        """Fetch until the topic has ended or this watch is closed."""
         before = self.dropped
         while not self._is_closed.is_set() and subscription.is_connected:
             with suppress(TimeoutError):

@@ -18,7 +18,7 @@ class LedgerEntry:
 
 
 class Ledger:
-    """The units that were there at the last look; for any thread."""
+    """What each unit used, as of the last observation. Thread-safe."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -26,7 +26,9 @@ class Ledger:
         self._entries: tuple[LedgerEntry, ...] = ()
 
     def note(self, observations: Iterable[Observation], now_s: float) -> None:
-        """Units as they are now; one that is not among them has ended. None at all is no news."""
+        """Note an observation of all units; a unit that is missing has ended. An observation without units is
+        ignored.
+        """
         found = tuple(observations)
         if not found:
             return
@@ -37,7 +39,7 @@ class Ledger:
             self._entries = tuple(LedgerEntry(seen, self._upkeep_us(seen, now_s)) for seen in found)
 
     def entries(self) -> tuple[LedgerEntry, ...]:
-        """The units of the last look, by id."""
+        """The units of the last observation, by id."""
         with self._lock:
             return self._entries
 

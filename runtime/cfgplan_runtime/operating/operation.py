@@ -1,4 +1,4 @@
-"""A run as the product in operation: a manager of real processes, with everything that looks at it and steers it."""
+"""A run in operation: a manager of real processes, and everything that observes and steers it."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ if TYPE_CHECKING:
 
 MOST_WAITING = 10_000
 SILENT_S = 5.0
-"""It is told of a met target when nothing comes for so long; of one that says how long it may be silent, then."""
+"""Seconds of silence after which a met target is reported, unless the target says itself how long it may be silent."""
 KEEP_ESTIMATES_S = 10.0
-"""What was learned is brought to the disk so often at most, and at the end."""
+"""Estimates are saved at most this often, and at the end."""
 _DRAIN_S = 2.0
 
 News: TypeAlias = "Report | str"
-"""What is to be shown: a report, or a warning."""
+"""Something to show: a report, or a warning as text."""
 
 
 @dataclass(frozen=True)
@@ -86,19 +86,19 @@ class Operation:
         self.metrics_port: int | None = None
         self.ledger = Ledger()
         self._unmet: frozenset[str] | None = None
-        """The targets that the last review that decided something has given up."""
+        """The targets that the last decisive review gave up."""
         self._silent: frozenset[str] = frozenset()
         """The targets that count as unmet, since nothing comes for them."""
         self._quiet_s: dict[str, float] = {}
-        """By topic of a target that is met: since when nothing comes; inf once that was told."""
+        """For the topic of each met target: since when nothing has come; inf once that was reported."""
         self.failure = ""
-        """Why the manager has ended unasked."""
+        """Why the manager ended without being asked; empty otherwise."""
         self.begun = threading.Event()
         """Set when the first review is over."""
         self._settings = settings
         self._path = path
         self._following: Following | None = None
-        """Where elements are recorded from."""
+        """Fetches the elements to record."""
         self._is_closed_at_once = False
         self._full: set[Path] = set()
         self._kept_s = time.monotonic()
@@ -128,16 +128,18 @@ class Operation:
 
     @property
     def all_met(self) -> bool:
-        """Whether every target is met: by the last review that decided something, and by what has come since."""
+        """Whether every target is met: none was given up by the last decisive review, and none is silent."""
         return self._unmet is not None and not self._unmet | self._silent
 
     def observe(self) -> None:
-        """Have the ledger note how units stand now. Does nothing after the end."""
+        """Note in the ledger what units have used by now. Does nothing after the end."""
         with contextlib.suppress(RuntimeFaultError):
             self.ledger.note(self.runtime.observe(), time.monotonic())
 
     def stop(self) -> None:
-        """Stop: units give what they have taken in, and files are finished. Returns at once; `wait` waits."""
+        """Begin to stop: units finish what they have taken in, and files are completed. Returns at once; call
+        `wait`.
+        """
         threading.Thread(target=self.manager.stop, name="cfgplan-stopping", daemon=True).start()
 
     def stop_at_once(self) -> None:
@@ -146,11 +148,11 @@ class Operation:
         self.runtime.close()
 
     def wait(self, timeout_s: float | None = None) -> bool:
-        """Wait for the end of the manager, for whatever reason; whether it has come."""
+        """Wait until the manager has ended, for whatever reason. Returns whether it has."""
         return self.manager.wait(timeout_s)
 
     def close(self) -> None:
-        """Stop, unless that was done, and leave nothing behind."""
+        """Stop, if not stopped yet, and remove everything the run made."""
         self._stack.close()
 
     def __enter__(self) -> Operation:
@@ -234,14 +236,14 @@ class Operation:
         self._show(report)
 
     def _tell_of_full_disks(self) -> None:
-        """Say once of each file that it takes no more; what is lost of it is counted."""
+        """Warn once for each file that can't be written any more; what it loses is counted."""
         for file in (self.log, None if self.recorder is None else self.recorder.recording):
             if file is not None and file.failure is not None and file.path not in self._full:
                 self._full.add(file.path)
                 self._show(f"{file.path} takes no more: {file.failure}; what is lost is counted")
 
     def _tell_of_silence(self) -> None:
-        """Say once of each target that nothing comes for it though a stream meets it, until something comes."""
+        """Warn once for each target that a stream meets but for which nothing comes, and again after something came."""
         now, flows = time.monotonic(), self.flows.now()
         for target in self.manager.snapshot().targets:
             silent_s = flows.get(target.topic, Flow()).silent_s

@@ -1,4 +1,4 @@
-"""Fills a recording: elements as they come, reports through a queue, everything on the disk soon after."""
+"""Fills a recording: elements at once, reports through a queue; everything is soon on the disk."""
 
 from __future__ import annotations
 
@@ -50,11 +50,11 @@ class Recorder:
 
     @property
     def lost(self) -> int:
-        """How much was not recorded, because the disk was too slow or took no more."""
+        """How many messages were not recorded because the disk was too slow or full."""
         return self.lost_reports + self.recording.lost
 
     def close(self) -> bool:
-        """Record what waits, and finish the file. False if the disk hangs: the file is not finished then."""
+        """Record what still waits and finish the file. Returns False, with the file unfinished, if the disk hangs."""
         deadline = time.monotonic() + CLOSE_S
         while True:
             try:

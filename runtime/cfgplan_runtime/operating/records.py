@@ -1,4 +1,4 @@
-"""What happens and what there is, as plain records: for the control socket, JSON lines and recordings.
+"""Reports and snapshots as plain records, for the control socket, JSON lines and recordings.
 
 Times are in seconds, costs in microseconds of CPU time, and names say so. Everything that is a
 `kind` is the name of a type in `cfgplan_runtime.lifecycle` or `cfgplan_runtime.supervision.events`.

@@ -24,9 +24,9 @@ class ChildProcess:
     """The CPU time of its start, once it is ready."""
     is_stopping: bool = False
     steps: int = 0
-    """How many it had begun at its last sign of life."""
+    """The number of steps begun, by its last sign of life."""
     trouble: str = ""
-    """What it said about its end."""
+    """The cause of its end, as it told it."""
     _line: bytearray = field(default_factory=bytearray)
 
     def printed_lines(self) -> tuple[list[str], bool]:

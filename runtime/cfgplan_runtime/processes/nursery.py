@@ -1,6 +1,6 @@
-"""The process that makes the children: it has everything imported, so that a child is ready at once.
+"""The process that forks the children. It has imported everything, so that a child is ready at once.
 
-It ends when the supervisor is gone, however that ended, and takes all children with it.
+However the supervisor ends, the nursery ends too and kills all children.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ class Nursery:
 
 
 def be_child(order: UnitOrder | OutletOrder, control_end: socket.socket, printed: socket.socket) -> int:
-    """Be a unit, or the outlets, until told to finish; the exit status."""
+    """Run as a unit or as the outlets until told to finish. Returns the exit status."""
     _redirect(printed)
     random.seed()
     control: ControlConnection[ToChild] = ControlConnection(control_end, ToChild)
@@ -192,9 +192,9 @@ def _limit_memory(limit: int | None) -> None:
 
 
 def _end_of(pid: int) -> int | None:
-    """The exit status of a child that has ended, whose own children are killed then; None while it lives.
+    """The exit status of a child that has ended; None while it lives. Processes that the child had started are killed.
 
-    Its process group is killed before it is reaped, where that can be told apart: afterwards the number is free.
+    Its process group is killed before the child is reaped, where the system allows that: afterwards the number is free.
     """
     if hasattr(os, "waitid"):
         if os.waitid(os.P_PID, pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
@@ -212,7 +212,9 @@ def _kill_group(pid: int) -> None:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Be a nursery: the number of the control socket, the supervisor's process id, the run's id, modules to import."""
+    """Run as a nursery. Arguments: number of the control socket, supervisor's process id, run's id, modules to
+    import.
+    """
     number, parent, run, *preload = arguments
     setproctitle(f"cfgplan {run} nursery")
     die_with_parent(int(parent))

@@ -29,7 +29,7 @@ class NurseryLink:
         return self._control is not None
 
     def open(self) -> socket.socket:
-        """Make a nursery; what is to be watched for `hear`. Raises OSError."""
+        """Start a nursery. Returns the socket to watch; call `hear` when it is readable. Raises OSError."""
         ours, theirs = socket.socketpair()
         number = theirs.fileno()
         try:
@@ -57,14 +57,14 @@ class NurseryLink:
             self._control.send(Kill(serial, dump))
 
     def hear(self) -> Iterator[FromNursery]:
-        """What the nursery says; afterwards, `has_died` may be so."""
+        """Read the nursery's messages. Sets `has_died` if the connection has ended."""
         assert self._control is not None
         self._control.flush()
         for message, _ in self._control.receive():
             yield message
 
     def end(self) -> None:
-        """Kill a nursery that does not answer, and with it all its children; `has_died` will be so."""
+        """Kill a nursery that does not answer, and with it all its children; `has_died` becomes true."""
         if self._process is not None:
             self._process.kill()
 
@@ -73,7 +73,7 @@ class NurseryLink:
         return self._control is not None and self._control.has_ended
 
     def close(self) -> None:
-        """Let the nursery and all its children go, and wait until it is gone."""
+        """End the nursery and all its children, and wait until it is gone."""
         if self._control is None or self._process is None:
             return
         self._control.close()

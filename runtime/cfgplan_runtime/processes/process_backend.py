@@ -70,9 +70,9 @@ OUTLETS = ""
 _NO_DESCRIPTOR = (errno.EMFILE, errno.ENFILE)
 OUTLETS_HELPER, NURSERY_HELPER = "outlets", "nursery"
 HELPER_S = 10.0
-"""How long a helper may be silent."""
+"""Seconds that the nursery or the outlets may be silent."""
 _HELPER_START_S = 60.0
-"""How long it may take until its first sign of life: the nursery imports what is preloaded."""
+"""Seconds until the first sign of life: the nursery imports modules first."""
 _OUTLET_QUEUE = 1024
 _AGAIN_S, _MOST_AGAIN_S, _GOOD_LIFE_S = 0.1, 5.0, 10.0
 """Outlets that are lost again and again are made anew after the first, twice that ... at most the second, unless they
@@ -259,7 +259,7 @@ class ProcessBackend:
             self._outlets_due_s = self.now() + doubling_s(self._outlets_lost, _AGAIN_S, _MOST_AGAIN_S)
 
     def _fork(self, name: str, order: UnitOrder | OutletOrder) -> ChildProcess | None:
-        """Have a child made; if there is no room for it, that is told, and it is as if it had died."""
+        """Have a child made. If the system has no room for it, report it as dead, with that cause."""
         ends: list[socket.socket] = []
         try:
             if not self._nursery.is_open:
@@ -313,7 +313,7 @@ class ProcessBackend:
             self._bury(child, 0)
 
     def _bury(self, child: ChildProcess, status: int) -> None:
-        """Hear a dead child's last words, then say that it is gone."""
+        """Read the last messages of a dead child, then report its death."""
         for message, _ in child.control.receive():
             self._understand(child, message)
         while self._hear_print(child):

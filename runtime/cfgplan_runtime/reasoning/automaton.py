@@ -40,7 +40,7 @@ class Automaton:
 
     @property
     def remembered(self) -> int:
-        """How many obligations and transitions are held in memory."""
+        """The number of obligations and transitions in memory."""
         return self._remembered + len(self._store)
 
     @property
@@ -184,7 +184,7 @@ class Automaton:
         return least
 
     def forget(self, situation: Situation) -> Situation:
-        """Begin anew with nothing but the present situation, so that memory is bounded."""
+        """Forget everything but the present situation, so that memory stays bounded."""
         self._store = self._new_store()
         obligation = situation.obligation
         assert obligation is not None

@@ -33,7 +33,7 @@ _OWN_CLOCK_NS = 60 * 1_000_000_000
 
 
 class _Ended(NamedTuple):
-    """A feature's stream has come to its end."""
+    """The stream of a feature has ended."""
 
     feature: str
 
@@ -95,7 +95,7 @@ class Engine:
         return answer
 
     def stop(self) -> None:
-        """Have `run` end soon, with the answer that is known by then; from any thread."""
+        """End `run` soon with the answer known by then. Thread-safe."""
         self._is_over.set()
 
     def _target(self, feature: Feature, topic: str) -> Target:
@@ -165,7 +165,7 @@ class Engine:
         return self._answer()
 
     def _pause_s(self) -> float:
-        """How long nothing needs to be done unless a sample comes."""
+        """Seconds for which there is nothing to do unless a sample comes."""
         if self._streams is None:
             return _LOOK_S
         return max(0.0, (self._streams.due_ns() - self._now_ns()) / 1e9)

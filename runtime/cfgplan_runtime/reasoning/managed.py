@@ -104,7 +104,7 @@ class RemoteSubscriptions:
         return subscribe(topic, run=self._control.system.run, wait_s=wait_s, timeout_s=_LOOK_S)
 
     def listen(self, tell: Callable[[str], None]) -> None:
-        """What happens in another process is its operator's to watch."""
+        """Nothing to report: events of another process are its operator's business."""
 
     def _call(self, method: str, **params: Any) -> Any:
         from cfgplan_runtime.operating.protocol import RefusedError

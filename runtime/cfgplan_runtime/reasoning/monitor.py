@@ -52,7 +52,7 @@ class Monitor:
 
     @property
     def verdict(self) -> Verdict:
-        """What is known by now."""
+        """The verdict so far."""
         return self._situation.verdict
 
     @property
@@ -66,7 +66,7 @@ class Monitor:
 
     @property
     def size(self) -> int:
-        """How many nodes the present obligation has, and moments."""
+        """The number of nodes and moments of the present obligation."""
         obligation = self._situation.obligation
         return 1 if obligation is None else obligation.size + sum(map(len, self._moments))
 

@@ -196,7 +196,9 @@ class Store:
         return kept
 
     def _reduced(self, context: _Context, part: Obligation) -> Obligation:
-        """A member without what the others imply (in a conjunction), or are implied by (in a disjunction)."""
+        """A member simplified: parts are removed that the other members imply (conjunction) or are implied by
+        (disjunction).
+        """
         parts = [self._within(context, each) for each in part.parts]
         same = all(new is old for new, old in zip(parts, part.parts, strict=True))
         return part if same else self._join(part.kind, parts)
@@ -266,7 +268,7 @@ class Store:
 
 
 def bound(obligation: Obligation, pending: Truth) -> Truth:
-    """Its truth if every pending obligation has the truth given: FALSE gives the least possible, TRUE the greatest."""
+    """Its truth if all pending obligations had this truth: with FALSE the least possible, with TRUE the greatest."""
     match obligation.kind:
         case Kind.VALUE:
             return obligation.value

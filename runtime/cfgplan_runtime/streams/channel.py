@@ -14,7 +14,7 @@ from cfgplan_runtime.streams.element import HEADER, LONGEST_PAYLOAD, Element, Ou
 from cfgplan_runtime.streams.payload import Buffer
 
 MOST_WAITING_BYTES = 32 << 20
-"""What may wait for one subscriber, whatever the queue's length."""
+"""The most bytes that may wait for one subscriber, whatever the queue's length."""
 
 SOCKET_BUFFER = 1 << 20
 _CHUNK = 1 << 16
@@ -29,7 +29,7 @@ def socket_pair() -> tuple[socket.socket, socket.socket]:
 
 
 def widen(sender: socket.socket) -> None:
-    """Let a socket take an image at once, as far as the system allows."""
+    """Enlarge a socket's buffers, as far as the system allows, so that it takes an image at once."""
     sender.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SOCKET_BUFFER)
 
 
@@ -60,7 +60,7 @@ class Sender:
         return len(self._waiting) + (self._rest is not None)
 
     def offer(self, element: Outgoing) -> None:
-        """Send an element, or as much as fits; the rest waits for `flush`."""
+        """Send an element. What does not fit waits for `flush`."""
         if self.is_closed:
             return
         number = self._number
@@ -79,7 +79,7 @@ class Sender:
                 self.dropped += 1
 
     def flush(self) -> bool:
-        """Send what waits; whether nothing is left."""
+        """Send what waits. Returns whether nothing is left."""
         while not self.is_closed and self.depth:
             if self._rest is not None:
                 sent = self._try([self._rest])

@@ -17,20 +17,20 @@ _BEFORE_ALL: Moment = (-(1 << 63), -1)
 
 @dataclass(slots=True)
 class Inlet:
-    """One input. Sources are named by the numbers of their wires; it knows no socket."""
+    """One input. A source is named by the number of its wire; sockets are handled elsewhere."""
 
     limit: int
     active: int | None = None
     standby: int | None = None
     dropped: int = 0
     stale: int = 0
-    """Elements that were not newer than what had been handed on."""
+    """How many elements were not newer than the last one handed on."""
     last: Moment = _BEFORE_ALL
     _held: deque[Element] = field(default_factory=deque)
     _next_number: dict[int, int] = field(default_factory=dict)
 
     def attach(self, wire: int) -> bool:
-        """Add a source; whether it is the active one at once. An earlier standby gives way to it."""
+        """Add a source. Returns whether it is active at once; otherwise it replaces the standby, if there is one."""
         if self.active is None:
             self.active = wire
             return True
@@ -39,7 +39,7 @@ class Inlet:
         return False
 
     def accept(self, wire: int, element: Element) -> list[Element]:
-        """What is to be handed on now that `element` came from `wire`."""
+        """Take an element from `wire`. Returns the elements to hand on now."""
         if wire == self.active:
             self._count_drops(wire, element)
             handed_on = self._newer([element])
@@ -53,7 +53,7 @@ class Inlet:
         return []
 
     def end(self, wire: int) -> list[Element]:
-        """What is to be handed on now that `wire` has ended."""
+        """Note the end of `wire`. Returns the elements to hand on now."""
         if wire == self.standby:
             self._forget_standby()
         elif wire == self.active:
@@ -64,7 +64,7 @@ class Inlet:
         return []
 
     def switch(self) -> list[Element]:
-        """Make the standby the active source, whatever the active one has still to give."""
+        """Make the standby the active source at once. Returns the elements to hand on now."""
         if self.standby is None:
             return []
         if self.active is not None:

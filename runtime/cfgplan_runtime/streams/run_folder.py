@@ -114,7 +114,7 @@ def is_alive(run: Path) -> bool:
 
 
 def remove_dead_runs(base: Path) -> None:
-    """Remove what killed runtimes have left; only for who is alone in making and removing folders there."""
+    """Remove the folders of runs whose process is gone. Call it under the lock."""
     for path in base.iterdir():
         if path.is_dir() and not is_alive(path):
             shutil.rmtree(path, ignore_errors=True)
@@ -135,7 +135,7 @@ def address(run: Path, topic: str) -> Path:
 
 @contextmanager
 def _alone(base: Path) -> Iterator[None]:
-    """Be the only process that makes or removes runs' folders."""
+    """Hold the lock under which folders of runs are made and removed."""
     lock = os.open(base, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
         fcntl.flock(lock, fcntl.LOCK_EX)

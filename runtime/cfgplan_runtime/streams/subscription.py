@@ -63,7 +63,7 @@ class SubscriptionToTopic:
 
     @property
     def is_connected(self) -> bool:
-        """Whether more may come."""
+        """Whether the topic's run is still connected."""
         return self._receiver is not None
 
     def __enter__(self) -> SubscriptionToTopic:
