@@ -7,12 +7,10 @@ from math import inf
 from cfgplan_runtime import Patience, Policy
 from cfgplan_runtime.lifecycle.back_off import BackOffRules, BackOffs
 from cfgplan_runtime.lifecycle.changes import AddTargets, AddTransformations, ReviewNow, Stop
-from cfgplan_runtime.lifecycle.configuration import Situation
-from cfgplan_runtime.lifecycle.noticing import Noticing
-from cfgplan_runtime.lifecycle.perturbations import MayStartAgain, SubscriptionLost, UpdateFailed
+from cfgplan_runtime.lifecycle.deliberation import without_stopping
+from cfgplan_runtime.lifecycle.perturbations import MayStartAgain, UpdateFailed
 from cfgplan_runtime.lifecycle.reports import BackedOff, Decision, Phase
 from cfgplan_runtime.lifecycle.seams import DeclaredCosts
-from cfgplan_runtime.lifecycle.waiting import without_stopping
 from cfgplan_runtime.supervision.events import UnitReady
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
 from living import Life, source, started, worker
@@ -33,11 +31,9 @@ def test_the_first_failure_costs_no_time_and_each_further_one_twice_as_much() ->
 def test_a_unit_that_had_lived_well_fails_as_if_for_the_first_time() -> None:
     back_offs = BackOffs(BackOffRules(good_life_s=60))
     for _ in range(3):
-        back_offs.failed("work", 1.0, 0.0, "crash")
-    assert back_offs.avoided == {"work"}
-    assert back_offs.ended(100.0) == ("work",)
-    back_offs.failed("work", 61.0, 161.0, "crash")
-    assert back_offs.avoided == frozenset()
+        back_offs = back_offs.after_failure("work", 1.0, 0.0, "crash")
+    assert back_offs.avoided == back_offs.at(1.9).avoided == {"work"}
+    assert back_offs.at(100.0).after_failure("work", 61.0, 161.0, "crash").avoided == frozenset()
 
 
 def test_what_became_cheaper_while_it_was_left_alone_is_used_when_it_may_start_again() -> None:
@@ -208,14 +204,6 @@ def test_a_slow_start_does_not_hold_up_a_repair() -> None:
     life.pass_time(30)
     assert (life.met, life.manager.snapshot().backing_off) == ({"result", "other"}, ())
     assert life.starts("slow") == 2
-
-
-def test_an_input_that_is_lost_again_and_again_waits_ever_longer() -> None:
-    policy = Policy(explain_s=0.02, retry_s=0.1, most_loss_s=1.0)
-    noticing, lost = Noticing(Situation(BackOffs(BackOffRules())), policy), SubscriptionLost("work.1", "x")
-    assert [noticing.delay_s(lost, at_s) for at_s in range(7)] == [0.02, 0.02, 0.1, 0.2, 0.4, 0.8, 1.0]
-    assert noticing.delay_s(SubscriptionLost("work.1", "z"), 7) == 0.02
-    assert noticing.delay_s(lost, 100) == 0.02
 
 
 def test_the_end_does_not_wait_for_a_slow_start() -> None:

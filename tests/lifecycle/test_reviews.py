@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 from cfgplan_runtime import Policy, SimulatedRuntime
-from cfgplan_runtime.lifecycle.back_off import BackOffRules, BackOffs
 from cfgplan_runtime.lifecycle.changes import (
     AddTargets,
     AddTransformations,
@@ -20,8 +19,6 @@ from cfgplan_runtime.lifecycle.changes import (
     ReplaceWorld,
     ReviewNow,
 )
-from cfgplan_runtime.lifecycle.configuration import Running, Situation
-from cfgplan_runtime.lifecycle.noticing import Noticing
 from cfgplan_runtime.lifecycle.perturbations import (
     HorizonReached,
     SubscriptionLost,
@@ -31,7 +28,6 @@ from cfgplan_runtime.lifecycle.perturbations import (
 )
 from cfgplan_runtime.lifecycle.reports import PHASES, Decision
 from cfgplan_runtime.operating.records import review_record
-from cfgplan_runtime.supervision.events import UnitStatus, UnitStopped
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
 from living import HORIZON_S, RESULT, Life, source, started, worker
 
@@ -89,15 +85,6 @@ def test_a_unit_that_keeps_failing_is_given_up() -> None:
     life.pass_time(20)
     assert life.perturbations(UnitKeepsFailing)[0].transformation == "work"
     assert (life.met, life.units) == ({"result"}, {"count.1", "dear.1"})
-
-
-def test_a_unit_is_not_judged_by_what_another_of_its_id_has_done() -> None:
-    situation = Situation(BackOffs(BackOffRules()), {"work.1": Running(worker(), 0.0)})
-    noticing = Noticing(situation, Policy())
-    assert noticing.perturbation(UnitStatus("work.1", 100, 0, {}, {}), 1.0) is None
-    noticing.perturbation(UnitStopped("work.1"), 2.0)
-    assert noticing.perturbation(UnitStatus("work.1", 10, 10, {}, {}), 9.0) is None
-    assert noticing.perturbation(UnitStatus("work.1", 20, 20, {}, {}), 12.0) is not None
 
 
 def test_a_lost_subscription_is_made_anew() -> None:

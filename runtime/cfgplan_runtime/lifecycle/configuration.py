@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Transformation
@@ -23,16 +23,16 @@ class Running:
     since_s: float
 
 
-@dataclass
+@dataclass(frozen=True, slots=True)
 class Situation:
-    """The state that a manager's parts share. Only its thread changes it; `back_offs` and `lost_hosts` are for all."""
+    """What is known of what runs, beyond its configuration."""
 
     back_offs: BackOffs
-    units: dict[str, Running] = field(default_factory=dict)
+    units: Mapping[str, Running] = field(default_factory=dict)
     """By unit id; those of which the death has not been noticed yet, too."""
-    failing: set[str] = field(default_factory=set)
+    failing: frozenset[str] = frozenset()
     """Ids of units that are given up though they run."""
-    killed: set[str] = field(default_factory=set)
+    killed: frozenset[str] = frozenset()
     """Ids of units whose end was asked for."""
     lost_hosts: frozenset[str] = frozenset()
     silences: tuple[Silence, ...] = ()
@@ -43,17 +43,20 @@ class Situation:
         running = self.units.get(unit)
         return None if running is None else running.transformation.label
 
-    def forget(self, unit: str) -> None:
-        """A unit is gone."""
-        self.units.pop(unit, None)
-        self.failing.discard(unit)
-        self.killed.discard(unit)
+    def without(self, *gone: str) -> Situation:
+        """Units are gone."""
+        left = {unit: running for unit, running in self.units.items() if unit not in gone}
+        return replace(self, units=left, failing=self.failing.difference(gone), killed=self.killed.difference(gone))
 
-    def note(self, environment: Environment, now_s: float) -> None:
-        """Units that run and were not started here run as the environment's library says."""
-        for unit in environment.units:
-            if unit.id not in self.units and unit.transformation in environment.transformation:
-                self.units[unit.id] = Running(environment.transformation[unit.transformation], now_s)
+    def with_started(self, units: Iterable[ComputationUnit], library: Environment, now_s: float) -> Situation:
+        """Units that were not known run as a library says, from now on."""
+        known = library.transformation
+        new = {
+            unit.id: Running(known[unit.transformation], now_s)
+            for unit in units
+            if unit.id not in self.units and unit.transformation in known
+        }
+        return replace(self, units={**self.units, **new}) if new else self
 
 
 class EstimatedLibrary:

@@ -2,35 +2,41 @@
 
 from __future__ import annotations
 
+import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Set
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
+from importlib import import_module
 from operator import is_
 
 from cfgplan import validity
 from cfgplan.api import World
 from cfgplan.costs import keep_cost_us
-from cfgplan.domain import ChangeSet, Environment, Similarity, Transformation
+from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Transformation
 from cfgplan.errors import CfgplanError
 from cfgplan.explaining.best_effort import BestEffort, best_effort
 from cfgplan.planners.undecided import Deciding
-from cfgplan.planning import Decider, Pair, Planner, Problem, Status
+from cfgplan.planning import Pair, Plan, Planner, Problem, Progress, Status
 from cfgplan.reasons import unmet_reasons
 from cfgplan.validity import Rule
 from cfgplan_runtime.lifecycle.configuration import EstimatedLibrary, Situation, avoided_now, environment_to_plan
+from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Decision
 from cfgplan_runtime.lifecycle.seams import Estimator
+from cfgplan_runtime.lifecycle.warm_matching import WarmMatching
+
+_MOST_NAMED = 4
 
 
-@dataclass
+@dataclass(frozen=True)
 class Thought:
-    """What a review has found out so far. `change_set` is over units only."""
+    """What a review has found out. `change_set` is over units only."""
 
     running: Environment
     planned: Environment
-    cost_before_us: int
-    avoided: Mapping[str, str]
+    cost_before_us: int = 0
+    avoided: Mapping[str, str] = field(default_factory=dict)
     decision: Decision = Decision.UNDECIDED
     cause: str = ""
     change_set: ChangeSet | None = None
@@ -41,16 +47,10 @@ class Thought:
     met: tuple[str, ...] = ()
     unmet: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
-    seconds: dict[str, float] = field(default_factory=dict)
-
-    @contextmanager
-    def timed(self, phase: str) -> Iterator[None]:
-        """Count the wall time of a phase."""
-        start = time.perf_counter()
-        try:
-            yield
-        finally:
-            self.seconds[phase] = self.seconds.get(phase, 0.0) + time.perf_counter() - start
+    hurried: tuple[str, ...] = ()
+    """Transformations that are avoided though nothing can take their place."""
+    seconds: Mapping[str, float] = field(default_factory=dict, compare=False)
+    """Wall time of each phase."""
 
 
 @dataclass(frozen=True)
@@ -71,64 +71,107 @@ class Reach:
         )
 
 
+class WarmPlanner:
+    """The planner's session as a planner; setting `stop` ends a plan early."""
+
+    def __init__(self) -> None:
+        from cfgplan.planners.cpsat.session import PlannerSession
+
+        self._session = PlannerSession()
+        self.stop: threading.Event | None = None
+
+    def warm_up(self) -> None:
+        """Import the solver, which takes long, before a plan needs it."""
+        import_module("cfgplan.planners.fleet.search")
+
+    def __call__(
+        self,
+        problem: Problem,
+        *,
+        time_limit_s: float | None = None,
+        report: Callable[[Progress], None] | None = None,
+    ) -> Plan:
+        return self._session.plan(problem, time_limit_s=time_limit_s, report=report, stop=self.stop)
+
+
 class Deliberation:
     """Plans updates, one after the other, with a planner that may remember.
 
-    The decider is asked about open pairs of tags that matter: where a review optimises, and where there is no plan
+    The reasoner is asked about open pairs of tags that matter: where a review optimises, and where there is no plan
     else, unless `is_stopped`.
     """
 
     def __init__(
         self,
-        planner: Planner,
+        planner: Planner | None,
         estimator: Estimator,
-        time_limit_s: float | None,
-        decider: Decider,
+        policy: Policy,
+        matching: WarmMatching,
         is_stopped: Callable[[], bool],
     ) -> None:
-        self._planner = Deciding(planner, decider, is_stopped)
+        self._warm = WarmPlanner() if planner is None else None
+        chosen = planner or self._warm
+        assert chosen is not None
+        self._planner = Deciding(chosen, matching, is_stopped)
         self._estimator = estimator
-        self._time_limit_s = time_limit_s
+        self._time_limit_s = policy.time_limit_s
+        self._matching = matching
         self._library = EstimatedLibrary()
         self._reach: Reach | None = None
 
+    def warm_up(self) -> None:
+        """Do in a thread of its own what the first difficult plan would have to wait for."""
+        if self._warm is not None:
+            threading.Thread(target=self._warm.warm_up, name="cfgplan-warm-up", daemon=True).start()
+
     def think(
-        self, world: World, similarity: Similarity, running: Environment, situation: Situation, *, optimises: bool
+        self, world: World, running: Environment, situation: Situation, *, optimises: bool, stop: threading.Event
     ) -> Thought:
         """The best update of what runs, and whether to carry it out now.
 
-        One that only saves cost is put off, unless the review `optimises`.
+        One that only saves cost is put off, unless the review `optimises`. `stop` ends it early.
         """
-        start = time.perf_counter()
-        avoided, costs, planned = self._planned(world, running, situation)
-        cost_before_us = sum(
-            keep_cost_us(costs[u.transformation], world.horizon_s) for u in running.units if u.transformation in costs
-        )
-        thought = Thought(running, planned, cost_before_us, avoided)
-        thought.seconds["estimate"] = time.perf_counter() - start
-        with thought.timed("plan"):
-            try:
-                problem = Problem(planned, similarity, world.horizon_s, world.max_cost_us)
-                found = self._plan(problem, optimises=optimises)
-            except CfgplanError as error:
-                thought.cause = str(error)
-                return thought
-            except Exception as error:  # a planner's own fault must not end the life-cycle
-                thought.cause = f"{type(error).__name__}: {error}"
-                return thought
-        with thought.timed("judge"):
-            try:
-                self._judge(thought, found, optimises=optimises)
-            except Exception as error:  # what nobody has judged is not carried out
-                thought.decision, thought.change_set = Decision.UNDECIDED, None
-                thought.cause = f"the judge failed: {type(error).__name__}: {error}"
-        return thought
+        if self._warm is not None:
+            self._warm.stop = stop
+        thought = self._think(world, running, situation, optimises=optimises)
+        thought = self._letting_wait(thought, world, situation)
+        warnings = (*self._matching.warnings, *thought.warnings)
+        return replace(thought, unmet=self._reasons(thought, world), warnings=warnings)
 
-    def prepare(self, world: World, similarity: Similarity, running: Environment, situation: Situation) -> None:
+    def prepare(self, world: World, running: Environment, situation: Situation, *, stop: threading.Event) -> None:
         """Plan for what runs as it is: a planner that remembers finds out what repairs will need."""
+        if self._warm is None:
+            return
+        self._warm.stop = stop
         _, _, planned = self._planned(world, running, situation)
         with suppress(Exception):  # a review would meet it again, and tell
-            self._plan(Problem(planned, similarity, world.horizon_s, world.max_cost_us), optimises=False)
+            self._plan(self._problem(planned, world), optimises=False)
+
+    def _think(self, world: World, running: Environment, situation: Situation, *, optimises: bool) -> Thought:
+        seconds: dict[str, float] = {}
+        with _timed("estimate", seconds):
+            avoided, costs, planned = self._planned(world, running, situation)
+            cost_before_us = sum(
+                keep_cost_us(costs[unit.transformation], world.horizon_s)
+                for unit in running.units
+                if unit.transformation in costs
+            )
+        thought = Thought(running, planned, cost_before_us, avoided, seconds=seconds)
+        with _timed("plan", seconds):
+            try:
+                found = self._plan(self._problem(planned, world), optimises=optimises)
+            except CfgplanError as error:
+                return replace(thought, cause=str(error))
+            except Exception as error:  # a planner's own fault must not end the life-cycle
+                return replace(thought, cause=f"{type(error).__name__}: {error}")
+        with _timed("judge", seconds):
+            try:
+                return _judged(thought, found, optimises=optimises)
+            except Exception as error:  # what nobody has judged is not carried out
+                return replace(thought, cause=f"the judge failed: {type(error).__name__}: {error}")
+
+    def _problem(self, planned: Environment, world: World) -> Problem:
+        return Problem(planned, self._matching.similarity, world.horizon_s, world.max_cost_us)
 
     def _plan(self, problem: Problem, *, optimises: bool) -> BestEffort:
         if self._reach is None or not self._reach.holds_for(problem):
@@ -148,41 +191,112 @@ class Deliberation:
         costs = {t.label: self._library.estimated(t, self._estimator, world.horizon_s) for t in wanted.library}
         return avoided, costs, environment_to_plan(wanted, running, situation, avoided, costs)
 
-    def _judge(self, thought: Thought, found: BestEffort, *, optimises: bool) -> None:
-        plan = found.plan
-        thought.undecided = found.undecided
-        # The planner does not know of what is left out, which may be all that is missing.
-        left_out = f" (left out for now: {', '.join(sorted(thought.avoided))})" if thought.avoided else ""
-        given_up = {label: f"{reason}{left_out}" for label, reason in found.given_up.items()}
-        thought.warnings = tuple(why for name, why in plan.reasons.items() if name not in found.given_up)
-        violations = validity.violations(thought.planned, found.problem.similarity)
-        unmet_now = {violation.target for violation in violations if violation.rule is Rule.MET}
-        thought.unmet = {label: why for label, why in given_up.items() if label in unmet_now}
-        if plan.change_set is None:
-            thought.cause = f"the plan is {plan.status}"
-            if plan.status is Status.UNKNOWN:
-                thought.cause = (
-                    "it is not decided whether there is a plan" if found.undecided else "no plan was found in time"
-                )
-            return
-        wrong = validity.plan_violations(found.problem, plan)
-        if wrong:
-            thought.cause = f"the answer of planner {plan.planner} is wrong: {'; '.join(map(str, wrong))}"
-            return
-        thought.change_set, thought.cost_us, thought.bound_us = plan.change_set, plan.cost_us, plan.bound_us
-        thought.is_proven = found.exact and plan.status is Status.OPTIMAL and plan.required_proven
-        met_now = [target.label for target in thought.planned.targets if target.label not in unmet_now]
-        met_then = [target.label for target in found.problem.environment.targets]
-        thought.decision = _decision(
+    def _letting_wait(self, thought: Thought, world: World, situation: Situation) -> Thought:
+        """Where targets are given up for what may start again, keep units that only wait for it, and hurry it on."""
+        refusals = situation.back_offs.refusals()
+        avoided = situation.back_offs.avoided - refusals.avoided
+        if thought.change_set is None or not thought.unmet or avoided.isdisjoint(thought.avoided):
+            return thought
+        hopeful = replace(situation, back_offs=refusals)
+        hoped = self._think(world, thought.running, hopeful, optimises=True)
+        plan_s = thought.seconds["plan"] + hoped.seconds["plan"]
+        thought = replace(thought, seconds={**thought.seconds, "plan": plan_s})
+        if hoped.change_set is None or not set(hoped.met) - set(thought.met):
+            return thought
+        assert thought.change_set is not None
+        spared = set(thought.change_set.stopped).difference(hoped.change_set.stopped, situation.failing)
+        change_set = without_stopping(thought.change_set, thought.running, spared)
+        is_kept = not change_set and thought.decision is Decision.APPLIED
+        return replace(
             thought,
-            _served(thought.planned, met_now, thought.planned),
-            _served(thought.planned, met_then, found.problem.environment.update(plan.change_set)),
-            is_sound=all(violation.rule is Rule.MET for violation in violations),
-            optimises=optimises,
+            change_set=change_set,
+            decision=Decision.KEPT if is_kept else thought.decision,
+            hurried=tuple(sorted({unit.transformation for unit in hoped.change_set.started} & avoided)),
         )
-        is_kept = thought.decision is Decision.KEPT
-        thought.met = tuple(met_now if is_kept else met_then)
-        thought.unmet = thought.unmet if is_kept else given_up
+
+    def _reasons(self, thought: Thought, world: World) -> Mapping[str, str]:
+        """Why targets are given up; where all that is missing is left out for now, that is the reason."""
+        if not (thought.unmet and thought.avoided):
+            return thought.unmet
+        impossible, impossible_now = (
+            unmet_reasons(self._problem(environment, world)) for environment in (world.environment, thought.planned)
+        )
+        some = [f"{label} ({thought.avoided[label]})" for label in sorted(thought.avoided)[:_MOST_NAMED]]
+        more = len(thought.avoided) - len(some)
+        left_out = f"left out for now: {', '.join(some)}{f' and {more} more' if more else ''}"
+        return {
+            label: left_out if label in impossible_now.keys() - impossible.keys() else reason
+            for label, reason in thought.unmet.items()
+        }
+
+
+@contextmanager
+def _timed(phase: str, seconds: dict[str, float]) -> Iterator[None]:
+    """Note the wall time of a phase."""
+    start = time.perf_counter()
+    try:
+        yield
+    finally:
+        seconds[phase] = time.perf_counter() - start
+
+
+def without_stopping(change_set: ChangeSet, running: Environment, spared: Set[str]) -> ChangeSet:
+    """The change set without the stops of `spared` units. They keep what feeds them, and their topics."""
+    stopped = tuple(unit for unit in change_set.stopped if unit not in spared)
+    taken = {p.topic for unit in (*change_set.started, *change_set.rewired) for p in unit.publications}
+    waiting = [_waiting(unit, set(stopped), taken) for unit in running.units if unit.id in spared]
+    rewired = tuple(unit for unit in waiting if unit != running.unit[unit.id])
+    return replace(change_set, stopped=stopped, rewired=(*change_set.rewired, *rewired))
+
+
+def _waiting(unit: ComputationUnit, gone: Set[str], taken: Set[str]) -> ComputationUnit:
+    subscriptions = tuple(s for s in unit.subscriptions if s.stream.unit not in gone)
+    publications = tuple(p for p in unit.publications if p.topic not in taken)
+    return replace(unit, subscriptions=subscriptions, publications=publications)
+
+
+def _judged(thought: Thought, found: BestEffort, *, optimises: bool) -> Thought:
+    plan, planned = found.plan, thought.planned
+    # The planner does not know of what is left out, which may be all that is missing.
+    left_out = f" (left out for now: {', '.join(sorted(thought.avoided))})" if thought.avoided else ""
+    given_up = {label: f"{reason}{left_out}" for label, reason in found.given_up.items()}
+    violations = validity.violations(planned, found.problem.similarity)
+    unmet_now = {violation.target for violation in violations if violation.rule is Rule.MET}
+    thought = replace(
+        thought,
+        undecided=found.undecided,
+        warnings=tuple(why for name, why in plan.reasons.items() if name not in found.given_up),
+        unmet={label: why for label, why in given_up.items() if label in unmet_now},
+    )
+    if plan.change_set is None:
+        if plan.status is not Status.UNKNOWN:
+            return replace(thought, cause=f"the plan is {plan.status}")
+        is_open = bool(found.undecided)
+        cause = "it is not decided whether there is a plan" if is_open else "no plan was found in time"
+        return replace(thought, cause=cause)
+    wrong = validity.plan_violations(found.problem, plan)
+    if wrong:
+        cause = f"the answer of planner {plan.planner} is wrong: {'; '.join(map(str, wrong))}"
+        return replace(thought, cause=cause)
+    thought = replace(
+        thought,
+        change_set=plan.change_set,
+        cost_us=plan.cost_us,
+        bound_us=plan.bound_us,
+        is_proven=found.exact and plan.status is Status.OPTIMAL and plan.required_proven,
+    )
+    met_now = [target.label for target in planned.targets if target.label not in unmet_now]
+    met_then = [target.label for target in found.problem.environment.targets]
+    decision = _decision(
+        thought,
+        _served(planned, met_now, planned),
+        _served(planned, met_then, found.problem.environment.update(plan.change_set)),
+        is_sound=all(violation.rule is Rule.MET for violation in violations),
+        optimises=optimises,
+    )
+    if decision is Decision.KEPT:
+        return replace(thought, decision=decision, met=tuple(met_now))
+    return replace(thought, decision=decision, met=tuple(met_then), unmet=given_up)
 
 
 def _decision(

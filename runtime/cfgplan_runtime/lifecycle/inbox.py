@@ -5,9 +5,10 @@ from __future__ import annotations
 import threading
 from collections import deque
 from concurrent.futures import Future
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TypeAlias
 
+from cfgplan.errors import Fault
 from cfgplan_runtime.lifecycle.changes import Change
 from cfgplan_runtime.lifecycle.reports import Review
 from cfgplan_runtime.supervision.events import Event
@@ -15,12 +16,28 @@ from cfgplan_runtime.supervision.events import Event
 Outcome: TypeAlias = "Future[Review | None]"
 
 
-@dataclass(frozen=True)
-class Request:
-    """A change that somebody asks for, and what is to be told when the review that took it in is over."""
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """Somebody asks for a change, and is told when the review that took it in is over."""
 
     change: Change
-    outcome: Outcome = field(default_factory=Future, compare=False)
+    outcome: Outcome
+
+
+@dataclass(frozen=True, slots=True)
+class Unusable:
+    """A new state of the world's file can't be used; without faults, it is well again."""
+
+    by: str
+    faults: tuple[Fault, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Closing:
+    """The manager is to end, and leave the units to the middleware."""
+
+
+Item: TypeAlias = Event | Asked | Unusable | Closing
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +45,7 @@ class Arrival:
     """Something at the time at which it was noticed."""
 
     at_s: float
-    item: Event | Request
+    item: Item
 
 
 class Inbox:
@@ -39,7 +56,7 @@ class Inbox:
         self._lock = threading.Lock()
         self._arrivals: deque[Arrival] = deque()
 
-    def put(self, item: Event | Request, at_s: float, *, is_urgent: bool = True) -> None:
+    def put(self, item: Item, at_s: float, *, is_urgent: bool = True) -> None:
         with self._lock:
             self._arrivals.append(Arrival(at_s, item))
             if is_urgent:

@@ -1,34 +1,69 @@
 """The manager: keeps what runs the best that the world allows (paper, Figure 1 and section IV-C).
 
 One thread waits for perturbations (stable interval) and answers them (review interval). Units run on in the threads
-or processes of the middleware meanwhile, and what happens there is never lost: it waits in the inbox.
+or processes of the middleware meanwhile, and what happens there is never lost: it waits in the inbox. What is done
+about it is decided by `decisions.decide`; the manager carries out the effects.
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
 from math import inf
 from types import TracebackType
 
 from cfgplan.api import World
 from cfgplan.costs import keep_cost_us
 from cfgplan.domain import Environment
-from cfgplan.errors import Fault
+from cfgplan.errors import Fault, InputError
 from cfgplan.planning import Planner
-from cfgplan_runtime.errors import RuntimeFaultError
+from cfgplan_runtime.errors import (
+    ApplyError,
+    NoSourceError,
+    RuntimeFaultError,
+    StaleChangeSetError,
+)
 from cfgplan_runtime.lifecycle.changes import Change, Stop
-from cfgplan_runtime.lifecycle.inbox import Outcome
-from cfgplan_runtime.lifecycle.intake import Intake
-from cfgplan_runtime.lifecycle.perturbations import HorizonReached, Started
+from cfgplan_runtime.lifecycle.decisions import BreakIn, breaks_in, decide, first_state
+from cfgplan_runtime.lifecycle.deliberation import Deliberation
+from cfgplan_runtime.lifecycle.inbox import Asked, Closing, Inbox, Item, Outcome, Unusable
 from cfgplan_runtime.lifecycle.policy import Policy
-from cfgplan_runtime.lifecycle.reports import Decision, Ended, Observed, Phase, Report, Review, Snapshot
-from cfgplan_runtime.lifecycle.reviewing import Reviewing
+from cfgplan_runtime.lifecycle.reports import Report, Snapshot, UnitEvent
 from cfgplan_runtime.lifecycle.seams import Clock, DeclaredCosts, Estimator, Middleware, SystemClock
 from cfgplan_runtime.lifecycle.showing import saving_us, target_views, unit_views
-from cfgplan_runtime.supervision.observation import Observation
+from cfgplan_runtime.lifecycle.state import State
+from cfgplan_runtime.lifecycle.turns import (
+    ApplyUpdate,
+    Begun,
+    Effect,
+    Finished,
+    Happened,
+    Happening,
+    Kill,
+    Learn,
+    LearnOfFailure,
+    MakePlan,
+    Match,
+    Matched,
+    Observe,
+    Planned,
+    Prepare,
+    Refuse,
+    Resolve,
+    Seen,
+    StopAll,
+    Tell,
+    Tick,
+    Updated,
+)
+from cfgplan_runtime.lifecycle.warm_matching import WarmMatching
+from cfgplan_runtime.supervision.events import SIGNS, Event
 
 _LONG_S = 3600.0
+_UNDONE = (ApplyError, NoSourceError, StaleChangeSetError)
+"""What `Middleware.apply` may raise while it goes on."""
 
 
 class Manager:
@@ -52,24 +87,29 @@ class Manager:
         report: Callable[[Report], None] | None = None,
     ) -> None:
         self._middleware = middleware
-        self._policy = policy or Policy()
         self._clock = clock or SystemClock()
         self._estimator = estimator or DeclaredCosts()
         self._listeners = () if report is None else (report,)
-        self._intake = Intake(world, middleware, self._estimator, self._clock, self._policy, self._tell)
-        self._reviewing = Reviewing(
-            middleware, planner, self._estimator, self._clock, self._policy, self._intake, self._tell
+        self._inbox = Inbox()
+        self._interrupt, self._ending = threading.Event(), threading.Event()
+        """Set when something comes that a plan in the making can't know, and when the end is asked for."""
+        policy = policy or Policy()
+        self._state = first_state(world, policy)
+        self._matching = WarmMatching(policy.reasoner, policy.match_limit_s)
+        self._matching.take(self.world)
+        self._deliberation = Deliberation(
+            planner,
+            self._estimator,
+            policy,
+            self._matching,
+            lambda: self._interrupt.is_set() or self._ending.is_set(),
         )
-        self._reviews: tuple[Review, ...] = ()
-        self._phase = Phase.STABLE
-        self._observations: Mapping[str, Observation] = {}
-        self._cycle_began_s = inf
-        self._observe_at_s = inf
-        self._is_busy = self._is_closing = False
+        self._is_busy = False
         self._thread: threading.Thread | None = None
         self._quiet = threading.Condition()
-        self._intake.perturb(Started(), self._clock.now())
-        middleware.listen(self._intake.hear)
+        self._turning_away = threading.Lock()
+        self._decide(Begun())
+        middleware.listen(self._hear)
 
     # What others ask, from any thread.
 
@@ -79,14 +119,16 @@ class Manager:
         None comes of what changes nothing. The future raises InputError for a bad change, and RuntimeFaultError
         if the manager ends before.
         """
-        outcome = self._intake.request(change)
-        if self._phase is Phase.STOPPED:
+        outcome: Outcome = Future()
+        outcome.set_running_or_notify_cancel()  # who asks can't take it back
+        self._put(Asked(change, outcome))
+        if self._state.is_over:
             self._turn_away()
         return outcome
 
     def refuse(self, by: str, faults: tuple[Fault, ...]) -> None:
         """Note that a new state of the world's file can't be used; without faults, that it is well again."""
-        self._intake.refuse(by, faults)
+        self._put(Unusable(by, faults))
 
     def listen(self, listener: Callable[[Report], None]) -> None:
         """Have everything told that happens, from several threads; `listener` returns at once and never raises."""
@@ -94,41 +136,41 @@ class Manager:
 
     def snapshot(self) -> Snapshot:
         """Everything there is to know now."""
-        running, world, reviews = self._middleware.environment, self.world, self._reviews
-        now, situation = self._clock.now(), self._intake.situation
+        state, running, now = self._state, self._middleware.environment, self._clock.now()
+        world, situation = state.living.world, state.situation
         return Snapshot(
             now,
-            self._phase,
+            state.phase,
             Environment(running.units, world.environment.library, world.environment.targets),
-            target_views(world.environment, running, reviews, situation.silences, now),
-            unit_views(running, situation, self._observations),
-            tuple(entry.perturbation for entry in self._intake.pending.entries),
-            reviews,
+            target_views(world.environment, running, state.reviews, situation.silences, now),
+            unit_views(running, situation, state.observations),
+            tuple(entry.perturbation for entry in state.entries),
+            state.reviews,
             situation.back_offs.view(now),
             tuple(sorted(situation.lost_hosts)),
-            tuple(sorted(self._intake.living.declared)),
+            tuple(sorted(state.living.declared)),
             world.horizon_s,
-            max(0.0, self._horizon_at_s - now),
-            self._running_cost_us(running, world),
-            saving_us(reviews),
-            self._intake.faults,
-            self._intake.living.removed,
+            max(0.0, state.horizon_at_s - now),
+            _running_cost_us(running, state),
+            saving_us(state.reviews),
+            state.faults,
+            state.living.removed,
         )
 
     @property
     def world(self) -> World:
         """The world that holds now."""
-        return self._intake.living.world
+        return self._state.living.world
 
     @property
     def silent(self) -> frozenset[str]:
         """Labels of targets that count as unmet, since nothing comes for them."""
-        return frozenset(silence.target for silence in self._intake.situation.silences)
+        return frozenset(silence.target for silence in self._state.situation.silences)
 
     @property
     def is_settled(self) -> bool:
         """Whether nothing is to be reviewed."""
-        return self._intake.inbox.is_empty and not self._is_busy and self._intake.pending.is_empty
+        return self._inbox.is_empty and not self._is_busy and self._state.is_settled
 
     def settle(self, timeout_s: float | None = None) -> bool:
         """Wait until nothing is to be reviewed; whether that is so."""
@@ -138,7 +180,7 @@ class Manager:
     def wait(self, timeout_s: float | None = None) -> bool:
         """Wait for the manager's end; whether it has come."""
         with self._quiet:
-            return self._quiet.wait_for(lambda: self._phase is Phase.STOPPED, timeout_s)
+            return self._quiet.wait_for(lambda: self._state.is_over, timeout_s)
 
     # The thread.
 
@@ -155,8 +197,7 @@ class Manager:
 
     def close(self) -> None:
         """End after the step that is under way; units are left to the middleware."""
-        self._is_closing = True
-        self._intake.hurry()
+        self._put(Closing())
         if self._thread is not None:
             self._thread.join()
 
@@ -177,86 +218,113 @@ class Manager:
     def run(self, for_s: float = inf) -> None:
         """Work in the calling thread, for so long or until stopped."""
         end = self._clock.now() + for_s
-        while self._phase is not Phase.STOPPED and self._clock.now() < end:
+        while not self._state.is_over and self._clock.now() < end:
             self.step(end - self._clock.now())
 
     def step(self, timeout_s: float = 0.0) -> None:
         """Wait for a perturbation at most so long, and answer it if one comes."""
-        intake = self._intake
-        if intake.inbox.is_empty and not self._is_closing:
+        if self._inbox.is_empty:
             self._wait(self._clock.now() + timeout_s)
         self._is_busy = True
         self._take_in()
-        now = self._clock.now()
-        if self._is_closing or intake.stops:
-            self._end()
-        elif intake.pending.due_s <= now:
-            self._phase = Phase.REVIEW
-            self._gather()
-            self._review()
-        elif self._observe_at_s <= now:
-            self._observe()
+        while self._state.doing is not None:  # a review that gathers what comes
+            self._wait(inf)
+            self._take_in()
         self._is_busy = False
         with self._quiet:
             self._quiet.notify_all()
 
-    @property
-    def _horizon_at_s(self) -> float:
-        return self._cycle_began_s + (self.world.horizon_s or inf)
-
     def _wait(self, until_s: float) -> None:
         """Wait until something comes in, or is due."""
-        due_s = min(self._intake.pending.due_s, self._intake.situation.back_offs.next_end_s)
-        until_s = min(until_s, due_s, self._horizon_at_s, self._observe_at_s, self._clock.now() + _LONG_S)
-        if until_s > self._clock.now():
-            self._clock.wait(self._intake.inbox.bell, until_s - self._clock.now())
+        now = self._clock.now()
+        until_s = min(until_s, self._state.wake_s, now + _LONG_S)
+        if until_s > now:
+            self._clock.wait(self._inbox.bell, until_s - now)
 
     def _take_in(self) -> None:
-        self._intake.take_in()
-        if self._horizon_at_s <= self._clock.now():
-            self._intake.perturb(HorizonReached(self.world.horizon_s), self._horizon_at_s)
-            self._cycle_began_s = inf
+        """Decide about everything that has come, then about what is due."""
+        self._interrupt.clear()
+        self._decide_arrivals()
+        if not self._state.is_over:
+            self._decide(Tick(time.time()))
 
-    def _gather(self) -> None:
-        """What comes shortly after the first perturbation has the same origin, often enough."""
-        end = self._clock.now() + self._policy.gather_s
-        while self._clock.now() < end:
-            self._clock.wait(self._intake.inbox.bell, end - self._clock.now())
-            self._take_in()
+    def _decide_arrivals(self) -> None:
+        for arrival in self._inbox.take():
+            self._decide(arrival.item, arrival.at_s)
 
-    def _review(self) -> None:
-        if any(isinstance(entry.perturbation, HorizonReached) for entry in self._intake.pending.entries):
-            self._observe()
-        review = self._reviewing.review(lambda: self._is_closing)
-        if review is not None:
-            self._reviews = (*self._reviews, review)[-self._policy.reviews_kept :]
-            if self._reviewing.optimised:
-                self._cycle_began_s = self._clock.now()
-        if self._observe_at_s == inf:
-            self._observe_at_s = self._clock.now() + self._policy.observe_every_s
-        self._phase = Phase.STABLE
-        self._reviewing.settle_outcomes()
-        if review is not None and review.decision is Decision.APPLIED:
-            self._reviewing.prepare()
+    def _decide(self, what: Happening, at_s: float | None = None) -> None:
+        """Decide about something that happens now, or has come at `at_s`, and do what follows."""
+        at_s = self._clock.now() if at_s is None else at_s
+        self._state, effects = decide(self._state, Happened(at_s, what, self._middleware.environment))
+        for effect in effects:
+            self._carry_out(effect)
 
-    def _observe(self) -> None:
-        now = self._clock.now()
-        found = tuple(self._middleware.observe())
-        self._observe_at_s = now + self._policy.observe_every_s
-        self._observations = {seen.unit: seen for seen in found}
-        self._estimator.observe(found, now)
-        self._tell(Observed(found))
+    def _carry_out(self, effect: Effect) -> None:
+        match effect:
+            case Tell(report):
+                self._tell(report)
+            case Resolve(outcome, review):
+                outcome.set_result(review)
+            case Refuse(outcome, error):
+                outcome.set_exception(error)
+            case Match():
+                self._decide(self._matched(effect))
+            case Kill(unit):
+                self._middleware.kill(unit)
+            case Observe():
+                self._decide(Seen(tuple(self._middleware.observe())))
+            case LearnOfFailure(label):
+                self._estimator.failed(label, self._clock.now())
+            case Learn(observations):
+                self._estimator.observe(observations, self._clock.now())
+            case MakePlan():
+                self._plan(effect)
+            case ApplyUpdate():
+                self._apply(effect)
+            case Prepare(world, situation):
+                self._interrupt.clear()
+                if self._inbox.is_empty:
+                    running = self._middleware.environment
+                    self._deliberation.prepare(world, running, situation, stop=self._interrupt)
+            case StopAll():
+                self._middleware.stop()
+                self._decide(Finished())
 
-    def _running_cost_us(self, running: Environment, world: World) -> int:
-        library, estimated = world.environment.transformation, self._reviewing.costs
-        return sum(
-            keep_cost_us(estimated.get(unit.transformation, library[unit.transformation]), world.horizon_s)
-            for unit in running.units
-            if unit.transformation in library
-        )
+    def _matched(self, order: Match) -> Matched:
+        start = time.perf_counter()
+        try:
+            living = order.living.after(order.change)
+            self._matching.take(living.world)
+        except InputError as error:
+            return Matched(order.asked, error)
+        return Matched(order.asked, living, time.perf_counter() - start)
+
+    def _plan(self, order: MakePlan) -> None:
+        stop = self._ending if order.is_last else self._interrupt
+        running = self._middleware.environment
+        thought = self._deliberation.think(order.world, running, order.situation, optimises=order.optimises, stop=stop)
+        was_interrupted = self._interrupt.is_set()
+        self._interrupt.clear()
+        self._decide_arrivals()
+        self._decide(Planned(thought, was_interrupted))
+
+    def _apply(self, order: ApplyUpdate) -> None:
+        failed: Exception | None = None
+        start = time.perf_counter()
+        try:
+            self._middleware.apply(order.change_set, basis=order.basis, keeps_new=True)
+        except _UNDONE as error:
+            failed = error
+        except RuntimeFaultError:
+            raise  # nothing runs any more
+        except Exception as error:
+            failed = error
+        seconds = time.perf_counter() - start
+        self._decide_arrivals()
+        self._decide(Updated(seconds, failed))
 
     def _work(self) -> None:
-        self._reviewing.warm_up()
+        self._deliberation.warm_up()
         try:
             self.run()
         except RuntimeFaultError as error:
@@ -264,23 +332,51 @@ class Manager:
         except BaseException as error:
             self._finish(f"{type(error).__name__}: {error}")
             raise
-
-    def _end(self) -> None:
-        if not self._is_closing:
-            self._middleware.stop()
-        self._finish("")
+        self._turn_away()
 
     def _finish(self, cause: str) -> None:
-        self._phase = Phase.STOPPED
+        self._decide(Finished(cause))
         self._turn_away()
-        self._tell(Ended(cause))
         with self._quiet:
             self._quiet.notify_all()
 
     def _turn_away(self) -> None:
-        """Whoever still waits is told that there is no manager any more."""
-        self._intake.turn_away(RuntimeFaultError("the manager has ended"))
+        """Whoever comes after the end is told that there is no manager any more. For any thread."""
+        with self._turning_away:
+            for arrival in self._inbox.take():
+                if isinstance(arrival.item, Asked):
+                    arrival.item.outcome.set_exception(RuntimeFaultError("the manager has ended"))
+
+    # From any thread.
+
+    def _hear(self, event: Event) -> None:
+        is_sign = isinstance(event, SIGNS)
+        self._put(event, is_urgent=not is_sign)
+        if not is_sign:
+            self._tell(UnitEvent(event))
+
+    def _put(self, item: Item, *, is_urgent: bool = True) -> None:
+        """Let something be taken in, and break into what is under way if it can't wait."""
+        self._inbox.put(item, self._clock.now(), is_urgent=is_urgent)
+        how = breaks_in(self._state.doing, item)
+        if BreakIn.END in how:
+            self._ending.set()
+        if BreakIn.INTERRUPT in how:
+            self._interrupt.set()
+        if BreakIn.ABANDON in how:
+            self._middleware.abandon()
 
     def _tell(self, report: Report) -> None:
         for listener in self._listeners:
             listener(report)
+
+
+def _running_cost_us(running: Environment, state: State) -> int:
+    """What letting it run costs over the horizon, by the estimates of the last review."""
+    world = state.living.world
+    library = {**world.environment.transformation, **state.costs}
+    return sum(
+        keep_cost_us(library[unit.transformation], world.horizon_s)
+        for unit in running.units
+        if unit.transformation in world.environment.transformation
+    )

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from cfgplan.domain import Environment, Stream
+from cfgplan.domain import ComputationUnit, Environment, Stream
 from cfgplan_runtime.children.messages import Flow
 from cfgplan_runtime.supervision.events import UnitStatus
 from cfgplan_runtime.supervision.wiring import starved_units
@@ -35,11 +35,14 @@ class Giving:
     """What units and topics were last known to give; a value, of which `after_...` give the next.
 
     By unit: how many elements it has given, and since when it is so many. By topic: the stream that is published on
-    it, and since when.
+    it, and since when. By silent target: since when it is silent, or a review was last asked for, or what
+    runs has changed.
     """
 
     units: Mapping[str, tuple[int, float]] = field(default_factory=dict)
     topics: Mapping[str, tuple[Stream, float]] = field(default_factory=dict)
+    silent_s: Mapping[str, float] = field(default_factory=dict)
+    looked_at: tuple[ComputationUnit, ...] = ()
 
     def after_status(self, status: UnitStatus, at_s: float) -> Giving:
         """A unit has told its counts."""
@@ -58,7 +61,16 @@ class Giving:
             for topic, stream in published.items()
         }
         units = {unit: gave for unit, gave in self.units.items() if unit in running.unit}
-        return Giving(units, topics)
+        is_new = running.units != self.looked_at
+        return Giving(units, topics, dict.fromkeys(self.silent_s, at_s) if is_new else self.silent_s, running.units)
+
+    def after_silences(self, silences: Sequence[Silence]) -> Giving:
+        """Only these targets are silent."""
+        return replace(self, silent_s={one.target: self.silent_s.get(one.target, one.since_s) for one in silences})
+
+    def after_asking(self, target: str, at_s: float) -> Giving:
+        """A review is asked for since a target is silent."""
+        return replace(self, silent_s={**self.silent_s, target: at_s})
 
     def silences(
         self, wanted: Environment, running: Environment, flows: Mapping[str, Flow], at_s: float

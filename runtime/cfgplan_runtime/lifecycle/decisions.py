@@ -1,0 +1,373 @@
+"""What a manager does about what happens: a pure function from a state and an event to the next state and effects.
+
+A review is one way through the cases: it is due, gathers what comes shortly after, plans until nothing breaks in,
+updates what runs, and is put on record.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from enum import Flag, auto
+from math import inf
+
+from cfgplan.api import World
+from cfgplan.domain import ChangeSet
+from cfgplan_runtime.errors import (
+    AbandonedError,
+    ApplyError,
+    NoSourceError,
+    RuntimeFaultError,
+    StaleChangeSetError,
+)
+from cfgplan_runtime.lifecycle import intake
+from cfgplan_runtime.lifecycle.back_off import BackOffs
+from cfgplan_runtime.lifecycle.changes import Stop
+from cfgplan_runtime.lifecycle.configuration import Situation, with_world
+from cfgplan_runtime.lifecycle.deliberation import Thought
+from cfgplan_runtime.lifecycle.inbox import Asked, Closing, Item, Unusable
+from cfgplan_runtime.lifecycle.perturbations import (
+    HorizonReached,
+    MayStartAgain,
+    ReviewRequested,
+    Started,
+    UpdateFailed,
+)
+from cfgplan_runtime.lifecycle.policy import Policy
+from cfgplan_runtime.lifecycle.reports import Decision, Ended, Observed, Review, ReviewBegan, Reviewed
+from cfgplan_runtime.lifecycle.showing import silence_reason
+from cfgplan_runtime.lifecycle.state import Doing, Gathering, Planning, State, Updating
+from cfgplan_runtime.lifecycle.turns import (
+    ApplyUpdate,
+    Begun,
+    Effect,
+    Finished,
+    Happened,
+    Happening,
+    Learn,
+    MakePlan,
+    Matched,
+    Observe,
+    Planned,
+    Prepare,
+    Refuse,
+    Resolve,
+    Seen,
+    StopAll,
+    Tell,
+    Tick,
+    Turn,
+    Updated,
+)
+from cfgplan_runtime.lifecycle.worlds import LivingWorld
+from cfgplan_runtime.supervision.delays import doubling_s
+from cfgplan_runtime.supervision.events import InputLost, UnitDied
+
+_OPTIMISING = (Started, HorizonReached, ReviewRequested, MayStartAgain)
+
+
+class BreakIn(Flag):
+    """What becomes of what is under way."""
+
+    INTERRUPT = auto()
+    """The plan can't know what has happened: it is made anew."""
+    ABANDON = auto()
+    """The update waits for new units, and what has happened is more urgent: it is given up."""
+    END = auto()
+    """Nobody wants it any more."""
+
+
+def breaks_in(doing: Doing, item: Item) -> BreakIn:
+    """What something that comes means for what is under way, before it is taken in."""
+    starting = doing.starting if isinstance(doing, Updating) else frozenset()
+    abandon = BreakIn.ABANDON if starting else BreakIn(0)
+    match item:
+        case Closing() | Asked(Stop()):
+            return BreakIn.INTERRUPT | abandon | BreakIn.END
+        case Asked():
+            return BreakIn.INTERRUPT
+        case UnitDied() | InputLost():
+            return BreakIn.INTERRUPT if item.unit in starting else BreakIn.INTERRUPT | abandon
+    return BreakIn(0)
+
+
+def first_state(world: World, policy: Policy) -> State:
+    """Nothing has happened yet."""
+    return State(policy, LivingWorld(world), Situation(BackOffs(policy.back_off)))
+
+
+def decide(state: State, happened: Happened) -> tuple[State, tuple[Effect, ...]]:
+    """The state after something has happened, and what is to be done, in this order.
+
+    MakePlan, ApplyUpdate and StopAll come last, and one at a time: none before the last one's answer. Where Matched or
+    Seen is to follow, it does before anything else.
+    """
+    turn = _case(Turn(replace(state, running=happened.running), happened.at_s), happened.what)
+    return turn.state, turn.effects
+
+
+def _case(turn: Turn, what: Happening) -> Turn:
+    match what:
+        case Begun():
+            return turn.perturbed(Started())
+        case Tick():
+            return _tick(turn, what.time_s)
+        case Asked():
+            return intake.asked(turn, what)
+        case Matched():
+            return intake.matched(turn, what)
+        case Unusable():
+            return intake.refused(turn, what.by, what.faults)
+        case Closing():
+            return turn.to(replace(turn.state, is_closing=True))
+        case Seen():
+            return _seen(turn, what)
+        case Planned():
+            return _planned(turn, what)
+        case Updated():
+            return _updated(turn, what)
+        case Finished():
+            return _finished(turn, what.cause)
+        case _:
+            return intake.heard(turn, what)
+
+
+def _tick(turn: Turn, time_s: float) -> Turn:
+    """Begin what is due."""
+    state, at_s = turn.state, turn.at_s
+    if state.is_closing or state.stops:
+        return _ended(turn)
+    back_offs = state.situation.back_offs.at(at_s)
+    ended = state.situation.back_offs.avoided - back_offs.avoided
+    if ended:
+        turn = turn.situated(replace(state.situation, back_offs=back_offs))
+        turn = turn.perturbed(MayStartAgain(tuple(sorted(ended))))
+    if state.horizon_at_s <= at_s:
+        turn = turn.to(replace(turn.state, cycle_began_s=inf)).perturbed(HorizonReached(state.living.world.horizon_s))
+    state = turn.state
+    if state.doing is None and state.due_s <= at_s:
+        turn = turn.to(replace(state, doing=Gathering(at_s + state.policy.gather_s)))
+    match turn.state.doing:
+        case Gathering(until_s) if until_s <= at_s:
+            return _begun(turn, time_s)
+        case None if state.observe_at_s <= at_s:
+            return turn.also(Observe())
+    return turn
+
+
+def _begun(turn: Turn, time_s: float) -> Turn:
+    """A review begins."""
+    state, number = turn.state, turn.state.number + 1
+    detect_s = turn.at_s - min(entry.at_s for entry in state.entries)
+    planning = Planning(number, turn.at_s, time_s, detect_s, state.living.world)
+    perturbations = tuple(entry.perturbation for entry in state.entries)
+    if any(isinstance(perturbation, HorizonReached) for perturbation in perturbations):
+        turn = turn.also(Observe())
+    turn = turn.also(Tell(ReviewBegan(number, perturbations)))
+    return _planning(turn.to(replace(state, number=number, doing=planning)), planning)
+
+
+def _planning(turn: Turn, planning: Planning) -> Turn:
+    """Have everything that has happened answered by one plan."""
+    state = turn.state
+    entries = (*planning.entries, *state.entries)
+    world, running = state.living.world, state.running
+    planning = replace(
+        planning,
+        world=world,
+        entries=entries,
+        plans=planning.plans + 1,
+        optimises=state.owes_optimising or any(isinstance(each.perturbation, _OPTIMISING) for each in entries),
+    )
+    situation = state.situation.with_started(running.units, running, turn.at_s)
+    turn = turn.to(replace(state, doing=planning, entries=(), situation=situation))
+    return turn.also(MakePlan(world, situation, planning.optimises, _is_last(planning, state)))
+
+
+def _is_last(planning: Planning, state: State) -> bool:
+    return planning.plans > state.policy.interruptions
+
+
+def _planned(turn: Turn, planned: Planned) -> Turn:
+    """A plan was made: carry it out, unless something has come in between."""
+    state, thought, planning = turn.state, planned.thought, turn.state.doing
+    assert isinstance(planning, Planning)
+    if state.is_closing or state.stops:
+        return _ended(turn)
+    if not _is_last(planning, state) and (state.entries or planned.was_interrupted):
+        return _planning(turn, planning)
+    for label in thought.hurried:
+        turn = _shortened(turn, label)
+    if thought.change_set is None:
+        return _reviewed(turn, planning, thought, UpdateFailed(thought.cause))
+    wanted, library = thought.change_set, planning.world.environment
+    change_set = with_world(wanted if thought.decision is Decision.APPLIED else ChangeSet(), library, state.running)
+    if not change_set:
+        return _prepared(_reviewed(turn, planning, thought, None))
+    situation = turn.state.situation.without(*(unit.id for unit in change_set.started))
+    turn = turn.situated(situation.with_started(change_set.started, library, turn.at_s))
+    turn = turn.to(replace(turn.state, doing=Updating(planning, thought, change_set)))
+    return turn.also(ApplyUpdate(change_set, thought.running))
+
+
+def _shortened(turn: Turn, label: str) -> Turn:
+    """Nothing else can take the place of a transformation that is left alone: it may start again sooner."""
+    situation = turn.state.situation
+    back_offs = situation.back_offs.shortening(label, turn.at_s)
+    if back_offs is situation.back_offs:
+        return turn
+    return turn.situated(replace(situation, back_offs=back_offs)).telling_back_off(label)
+
+
+def _updated(turn: Turn, updated: Updated) -> Turn:
+    """An update was carried out or not."""
+    updating = turn.state.doing
+    assert isinstance(updating, Updating)
+    thought = replace(updating.thought, seconds={**updating.thought.seconds, "apply": updated.seconds})
+    if updated.error is not None:
+        turn, failed = _failed(turn, updating, updated.error)
+        return _reviewed(turn, updating.planning, thought, failed)
+    turn = turn.situated(turn.state.situation.without(*updating.change_set.stopped))
+    turn = _reviewed(turn, updating.planning, thought, None)
+    for gone, at_s in updating.gone:
+        turn = intake.died(turn, gone, at_s)
+    return _prepared(turn)
+
+
+def _failed(turn: Turn, updating: Updating, error: Exception) -> tuple[Turn, UpdateFailed]:
+    """Why an update failed; whoever is to blame is."""
+    slow: tuple[str, ...] = ()
+    match error:
+        case StaleChangeSetError():
+            failed = UpdateFailed(str(error), is_stale=True)
+        case NoSourceError(transformations=labels, cause=cause):
+            failed = UpdateFailed(str(error), labels)
+            for label in labels:
+                situation = turn.state.situation
+                refusing = situation.back_offs.refusing(label, cause)
+                turn = turn.situated(replace(situation, back_offs=refusing)).telling_back_off(label)
+        case AbandonedError(units=slow):
+            turn, postponed = _postponed(turn, slow)
+            failed = UpdateFailed(str(error), postponed)
+        case ApplyError(units=slow):
+            turn, blamed = _blamed(turn, updating, slow, str(error))
+            failed = UpdateFailed(str(error), blamed)
+        case _:
+            failed = UpdateFailed(f"the middleware failed: {type(error).__name__}: {error}", is_fault=True)
+    gone = updating.starting.union(slow).difference(turn.state.running.unit)
+    return turn.situated(turn.state.situation.without(*gone)), failed
+
+
+def _postponed(turn: Turn, units: tuple[str, ...]) -> tuple[Turn, tuple[str, ...]]:
+    """The transformations whose units were starting when the update was given up for something urgent."""
+    situation, until_s = turn.state.situation, turn.at_s + turn.state.policy.postpone_s
+    labels = sorted({label for unit in units if (label := situation.label_of(unit)) is not None})
+    for label in labels:
+        situation = replace(situation, back_offs=situation.back_offs.postponing(label, until_s))
+    return turn.situated(situation), tuple(labels)
+
+
+def _blamed(turn: Turn, updating: Updating, units: tuple[str, ...], cause: str) -> tuple[Turn, tuple[str, ...]]:
+    """The transformations whose units did not start; each is blamed for it."""
+    labels = [gone.transformation for gone, _ in updating.gone]
+    for gone, at_s in updating.gone:
+        turn = intake.died(turn, gone, at_s, is_costly=True)
+    for unit in units:
+        label = turn.state.situation.label_of(unit)
+        if label is not None and label not in labels:  # it was too slow, but has not died
+            turn = turn.blamed(label, 0.0, cause, is_costly=True)
+            labels.append(label)
+    return turn, tuple(sorted(set(labels)))
+
+
+def _reviewed(turn: Turn, planning: Planning, thought: Thought, failed: UpdateFailed | None) -> Turn:
+    """A review is over: put it on record, tell who waits, and let another follow if it has failed."""
+    review = _record(turn.state, planning, thought, failed)
+    turn = _followed_up(turn, planning, failed)
+    state, at_s = turn.state, turn.at_s
+    optimised = failed is None and (planning.optimises or review.decision is Decision.APPLIED)
+    turn = turn.to(
+        replace(
+            state,
+            doing=None,
+            reviews=(*state.reviews, review)[-state.policy.reviews_kept :],
+            costs=thought.planned.transformation,
+            match_s=0.0,
+            cycle_began_s=at_s if optimised else state.cycle_began_s,
+            observe_at_s=at_s + state.policy.observe_every_s if state.observe_at_s == inf else state.observe_at_s,
+        )
+    )
+    outcomes = [outcome for entry in planning.entries for outcome in entry.outcomes]
+    return turn.also(Tell(Reviewed(review)), *(Resolve(outcome, review) for outcome in outcomes))
+
+
+def _record(state: State, planning: Planning, thought: Thought, failed: UpdateFailed | None) -> Review:
+    silent = {one.target: silence_reason(one, planning.at_s) for one in state.situation.silences}
+    is_failed = failed is not None and thought.change_set is not None
+    return Review(
+        planning.number,
+        planning.at_s,
+        planning.time_s,
+        tuple(entry.perturbation for entry in planning.entries),
+        Decision.FAILED if is_failed else thought.decision,
+        planning.world.horizon_s,
+        thought.cost_before_us,
+        thought.cost_us,
+        thought.bound_us,
+        thought.is_proven,
+        thought.change_set,
+        tuple(label for label in thought.met if label not in silent),
+        {**{label: reason for label, reason in silent.items() if label in thought.met}, **thought.unmet},
+        tuple(sorted(thought.avoided)),
+        {"detect": planning.detect_s, "match": state.match_s, **thought.seconds},
+        thought.warnings,
+        "" if failed is None else failed.cause,
+        thought.undecided,
+    )
+
+
+def _followed_up(turn: Turn, planning: Planning, failed: UpdateFailed | None) -> Turn:
+    """After a failure comes another review: at once if the next plan is sure to be another one, else later."""
+    if failed is None:
+        return turn.to(replace(turn.state, failures=0, owes_optimising=False))
+    failures, policy = turn.state.failures + 1, turn.state.policy
+    is_other = bool(failed.transformations) or (failed.is_stale and failures == 1)
+    delay_s = 0.0 if is_other else doubling_s(failures + 1, policy.retry_s, policy.most_retry_s)
+    turn = turn.to(replace(turn.state, failures=failures, owes_optimising=planning.optimises))
+    return turn.perturbed(failed, delay_s=delay_s)
+
+
+def _prepared(turn: Turn) -> Turn:
+    """After an update: let the planner see what runs now, unless there is something to do."""
+    state = turn.state
+    if state.reviews[-1].decision is not Decision.APPLIED or state.due_s <= turn.at_s:
+        return turn
+    return turn.also(Prepare(state.living.world, state.situation))
+
+
+def _seen(turn: Turn, seen: Seen) -> Turn:
+    """Units were observed."""
+    found, state = seen.observations, turn.state
+    next_s = turn.at_s + state.policy.observe_every_s
+    state = replace(state, observations={one.unit: one for one in found}, observe_at_s=next_s)
+    return turn.to(state).also(Learn(found), Tell(Observed(found)))
+
+
+def _ended(turn: Turn) -> Turn:
+    """The end was asked for."""
+    return _finished(turn, "") if turn.state.is_closing else turn.also(StopAll())
+
+
+def _finished(turn: Turn, cause: str) -> Turn:
+    """Whoever still waits is told that there is no manager any more."""
+    state = turn.state
+    match state.doing:
+        case Planning(entries=begun) | Updating(Planning(entries=begun)):
+            entries = (*begun, *state.entries)
+        case _:
+            entries = state.entries
+    left = [outcome for outcomes in state.waiting.values() for outcome in outcomes]
+    left += [outcome for entry in entries for outcome in entry.outcomes]
+    error = RuntimeFaultError("the manager has ended")
+    turn = turn.to(replace(state, doing=None, entries=(), waiting={}, stops=(), is_over=True))
+    turn = turn.also(*(Resolve(outcome) for outcome in state.stops))
+    return turn.also(*(Refuse(outcome, error) for outcome in left)).also(Tell(Ended(cause)))

@@ -1,0 +1,150 @@
+"""What a manager knows, as one value: the world, what runs, what has happened, and what it is doing about it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from math import inf
+from typing import Literal, TypeAlias
+
+from cfgplan.api import World
+from cfgplan.domain import ChangeSet, Environment, Transformation
+from cfgplan.errors import Fault
+from cfgplan_runtime.lifecycle.configuration import Situation
+from cfgplan_runtime.lifecycle.deliberation import Thought
+from cfgplan_runtime.lifecycle.inbox import Outcome
+from cfgplan_runtime.lifecycle.perturbations import Perturbation, SubscriptionLost, UnitGone, UpdateFailed
+from cfgplan_runtime.lifecycle.policy import Policy
+from cfgplan_runtime.lifecycle.reports import Phase, Review
+from cfgplan_runtime.lifecycle.silence import Giving
+from cfgplan_runtime.lifecycle.worlds import LivingWorld
+from cfgplan_runtime.supervision.observation import Observation
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A perturbation, when it was noticed, when a review is due, and who waits for that review."""
+
+    perturbation: Perturbation
+    at_s: float
+    due_s: float
+    outcomes: tuple[Outcome, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """What was noticed of a unit: what it is killed for, its last error, and its last step without one.
+
+    That is when it was told, with the steps and errors until then.
+    """
+
+    end: Literal["hung", "too large"] | None = None
+    error: str = ""
+    well: tuple[float, int, int] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Gathering:
+    """A review is due: what happens until `until_s` is part of it."""
+
+    until_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Planning:
+    """A review is under way: its `plans`-th plan, of what runs in `world`, is being made."""
+
+    number: int
+    at_s: float
+    time_s: float
+    detect_s: float
+    world: World
+    entries: tuple[Entry, ...] = ()
+    plans: int = 0
+    optimises: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Updating:
+    """An update is under way. `gone` are new units of it that have died, and when."""
+
+    planning: Planning
+    thought: Thought
+    change_set: ChangeSet
+    gone: tuple[tuple[UnitGone, float], ...] = ()
+
+    @property
+    def starting(self) -> frozenset[str]:
+        """The new units. That they die is a part of the update's failure; what else dies can't wait."""
+        return frozenset(unit.id for unit in self.change_set.started)
+
+
+Doing: TypeAlias = Gathering | Planning | Updating | None
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """All that decides what a manager does next; a value. Times are in seconds on the manager's clock."""
+
+    policy: Policy
+    living: LivingWorld
+    situation: Situation
+    running: Environment = field(default_factory=Environment)
+    """What runs, as of the last event."""
+    doing: Doing = None
+    entries: tuple[Entry, ...] = ()
+    """The perturbations that no review has begun to answer."""
+    waiting: Mapping[str, tuple[Outcome, ...]] = field(default_factory=dict)
+    """By unit: who waits for the review that follows its end."""
+    notes: Mapping[str, Note] = field(default_factory=dict)
+    losses: Mapping[SubscriptionLost, tuple[int, float]] = field(default_factory=dict)
+    """How often each has been lost in a row, and when last."""
+    giving: Giving = field(default_factory=Giving)
+    faults: tuple[Fault, ...] = ()
+    """Why the last state of the world's file can't be used."""
+    stops: tuple[Outcome, ...] = ()
+    """Who has asked for the end."""
+    is_closing: bool = False
+    is_over: bool = False
+    number: int = 0
+    """Of the last review."""
+    failures: int = 0
+    """How many updates have failed in a row."""
+    owes_optimising: bool = False
+    """Whether a review that was to optimise has failed."""
+    reviews: tuple[Review, ...] = ()
+    costs: Mapping[str, Transformation] = field(default_factory=dict)
+    """The library of the last review, with estimated costs, by label."""
+    match_s: float = 0.0
+    """Wall time that matching has taken since the last review."""
+    cycle_began_s: float = inf
+    observe_at_s: float = inf
+    observations: Mapping[str, Observation] = field(default_factory=dict)
+
+    @property
+    def phase(self) -> Phase:
+        if self.is_over:
+            return Phase.STOPPED
+        return Phase.STABLE if self.doing is None else Phase.REVIEW
+
+    @property
+    def due_s(self) -> float:
+        """When the next review is due; inf if there is no perturbation."""
+        return min((entry.due_s for entry in self.entries), default=inf)
+
+    @property
+    def horizon_at_s(self) -> float:
+        return self.cycle_began_s + (self.living.world.horizon_s or inf)
+
+    @property
+    def wake_s(self) -> float:
+        """When there is something to do though nothing happens."""
+        if isinstance(self.doing, Gathering):
+            return self.doing.until_s
+        return min(self.due_s, self.situation.back_offs.next_end_s, self.horizon_at_s, self.observe_at_s)
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether nothing is pending but what a faulty middleware is asked again, and no end of a unit is awaited."""
+        faults = (isinstance(each.perturbation, UpdateFailed) and each.perturbation.is_fault for each in self.entries)
+        return self.doing is None and all(faults) and not self.waiting

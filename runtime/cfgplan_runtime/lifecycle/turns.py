@@ -1,0 +1,242 @@
+"""The vocabulary of decisions: what happens to a manager, what it is to do, and a turn from the one to the other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+from cfgplan.api import World
+from cfgplan.domain import ChangeSet, Environment
+from cfgplan.errors import InputError
+from cfgplan_runtime.lifecycle.changes import WorldChange
+from cfgplan_runtime.lifecycle.configuration import Situation
+from cfgplan_runtime.lifecycle.deliberation import Thought
+from cfgplan_runtime.lifecycle.inbox import Asked, Item, Outcome
+from cfgplan_runtime.lifecycle.perturbations import Perturbation
+from cfgplan_runtime.lifecycle.reports import BackedOff, Perturbed, Report, Review
+from cfgplan_runtime.lifecycle.state import Entry, State
+from cfgplan_runtime.lifecycle.worlds import LivingWorld
+from cfgplan_runtime.supervision.observation import Observation
+
+# What happens, besides what comes into the inbox.
+
+
+@dataclass(frozen=True, slots=True)
+class Begun:
+    """The manager has begun its work."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """Everything that has come is taken in; `time_s` is the time since 1970."""
+
+    time_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Matched:
+    """The world after a change was matched, which took `seconds`; or the change is bad, and `error` says why."""
+
+    asked: Asked
+    found: LivingWorld | InputError
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """Units were observed."""
+
+    observations: tuple[Observation, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """A plan was made; if it `was_interrupted`, for something that it does not know."""
+
+    thought: Thought
+    was_interrupted: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Updated:
+    """An update was carried out within so much wall time, or was not: by `error`."""
+
+    seconds: float = 0.0
+    error: Exception | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Finished:
+    """Nothing is worked on any more: all units are stopped, or something has gone wrong that `cause` names."""
+
+    cause: str = ""
+
+
+Happening: TypeAlias = Item | Begun | Tick | Matched | Seen | Planned | Updated | Finished
+
+
+@dataclass(frozen=True, slots=True)
+class Happened:
+    """Something at a time on the manager's clock, and what runs then."""
+
+    at_s: float
+    what: Happening
+    running: Environment
+
+
+# What is to be done about it.
+
+
+@dataclass(frozen=True, slots=True)
+class Tell:
+    """Report something."""
+
+    report: Report
+
+
+@dataclass(frozen=True, slots=True)
+class Resolve:
+    """Tell who asked that the review is over; None: that there will be none."""
+
+    outcome: Outcome
+    review: Review | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Refuse:
+    """Tell who asked why it is not done."""
+
+    outcome: Outcome
+    error: Exception
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """Make and match the world after a change: Matched follows at once."""
+
+    living: LivingWorld
+    asked: Asked
+    change: WorldChange
+
+
+@dataclass(frozen=True, slots=True)
+class Kill:
+    """End a unit at once."""
+
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class Observe:
+    """Look at all units: Seen follows at once."""
+
+
+@dataclass(frozen=True, slots=True)
+class Learn:
+    """Let the estimator learn from what was seen."""
+
+    observations: tuple[Observation, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class LearnOfFailure:
+    """Let the estimator learn that a unit of a transformation has failed."""
+
+    transformation: str
+
+
+@dataclass(frozen=True, slots=True)
+class MakePlan:
+    """Plan an update: Planned follows. The last plan of a review is interrupted by the end only."""
+
+    world: World
+    situation: Situation
+    optimises: bool
+    is_last: bool
+
+
+@dataclass(frozen=True, slots=True)
+class ApplyUpdate:
+    """Carry out an update of `basis`: Updated follows."""
+
+    change_set: ChangeSet
+    basis: Environment
+
+
+@dataclass(frozen=True, slots=True)
+class Prepare:
+    """Let the planner see what runs now, so that it repairs that fast, unless something has come."""
+
+    world: World
+    situation: Situation
+
+
+@dataclass(frozen=True, slots=True)
+class StopAll:
+    """Stop every unit: Finished follows."""
+
+
+Effect: TypeAlias = (
+    Tell
+    | Resolve
+    | Refuse
+    | Match
+    | Kill
+    | Observe
+    | Learn
+    | LearnOfFailure
+    | MakePlan
+    | ApplyUpdate
+    | Prepare
+    | StopAll
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """A state at a time, and what is to be done on the way to it; a value that each case extends."""
+
+    state: State
+    at_s: float
+    effects: tuple[Effect, ...] = ()
+
+    def to(self, state: State) -> Turn:
+        """With another state."""
+        return replace(self, state=state)
+
+    def also(self, *effects: Effect) -> Turn:
+        """With more to do."""
+        return replace(self, effects=(*self.effects, *effects))
+
+    def situated(self, situation: Situation) -> Turn:
+        """With another situation."""
+        return self.to(replace(self.state, situation=situation))
+
+    def perturbed(self, perturbation: Perturbation, outcomes: Iterable[Outcome] = (), *, delay_s: float = 0.0) -> Turn:
+        """With a review that is due, at once or later."""
+        entry = Entry(perturbation, self.at_s, self.at_s + delay_s, tuple(outcomes))
+        entries = (*self.state.entries, entry)
+        return self.to(replace(self.state, entries=entries)).also(Tell(Perturbed(perturbation)))
+
+    def blamed(self, label: str, lived_s: float, cause: str, *, is_costly: bool = False) -> Turn:
+        """With a failure of a transformation whose unit has lived so long; see `BackOffs.after_failure`."""
+        situation = self.state.situation
+        back_offs = situation.back_offs.after_failure(label, lived_s, self.at_s, cause, is_costly=is_costly)
+        turn = self.also(LearnOfFailure(label)).situated(replace(situation, back_offs=back_offs))
+        return turn.telling_back_off(label)
+
+    def telling_back_off(self, label: str) -> Turn:
+        """Report how it stands with a transformation, if it is not to be started for now."""
+        views = self.state.situation.back_offs.view(self.at_s)
+        return self.also(*(Tell(BackedOff(view)) for view in views if view.transformation == label))
+
+    def answered(self, unit: str) -> Turn:
+        """Tell those who wait for a unit's end that no review will follow."""
+        outcomes = self.state.waiting.get(unit, ())
+        return self.no_more_awaited(unit).also(*(Resolve(outcome) for outcome in outcomes))
+
+    def no_more_awaited(self, unit: str) -> Turn:
+        """Nobody waits for a unit's end."""
+        left = {other: outcomes for other, outcomes in self.state.waiting.items() if other != unit}
+        return self.to(replace(self.state, waiting=left)) if len(left) < len(self.state.waiting) else self
