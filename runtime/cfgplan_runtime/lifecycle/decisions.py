@@ -37,8 +37,8 @@ from cfgplan_runtime.lifecycle.reports import Decision, Ended, Observed, Review,
 from cfgplan_runtime.lifecycle.showing import silence_reason
 from cfgplan_runtime.lifecycle.state import Doing, Gathering, Planning, State, Updating
 from cfgplan_runtime.lifecycle.turns import (
+    Answer,
     ApplyUpdate,
-    Begun,
     Effect,
     Finished,
     Happened,
@@ -49,8 +49,6 @@ from cfgplan_runtime.lifecycle.turns import (
     Observe,
     Planned,
     Prepare,
-    Refuse,
-    Resolve,
     Seen,
     StopAll,
     Tell,
@@ -107,8 +105,8 @@ def decide(state: State, happened: Happened) -> tuple[State, tuple[Effect, ...]]
 
 def _case(turn: Turn, what: Happening) -> Turn:
     match what:
-        case Begun():
-            return turn.perturbed(Started())
+        case Started():
+            return turn.perturbed(what)
         case Tick():
             return _tick(turn, what.time_s)
         case Asked():
@@ -180,7 +178,7 @@ def _planning(turn: Turn, planning: Planning) -> Turn:
     )
     situation = state.situation.with_started(running.units, running, turn.at_s)
     turn = turn.to(replace(state, doing=planning, entries=(), situation=situation))
-    return turn.also(MakePlan(world, situation, planning.optimises, _is_last(planning, state)))
+    return turn.also(MakePlan(world, running, situation, planning.optimises, _is_last(planning, state)))
 
 
 def _is_last(planning: Planning, state: State) -> bool:
@@ -228,8 +226,8 @@ def _updated(turn: Turn, updated: Updated) -> Turn:
         return _reviewed(turn, updating.planning, thought, failed)
     turn = turn.situated(turn.state.situation.without(*updating.change_set.stopped))
     turn = _reviewed(turn, updating.planning, thought, None)
-    for gone, at_s in updating.gone:
-        turn = intake.died(turn, gone, at_s)
+    for gone, lived_s in updating.gone:
+        turn = intake.died(turn, gone, lived_s)
     return _prepared(turn)
 
 
@@ -269,8 +267,9 @@ def _postponed(turn: Turn, units: tuple[str, ...]) -> tuple[Turn, tuple[str, ...
 def _blamed(turn: Turn, updating: Updating, units: tuple[str, ...], cause: str) -> tuple[Turn, tuple[str, ...]]:
     """The transformations whose units did not start; each is blamed for it."""
     labels = [gone.transformation for gone, _ in updating.gone]
-    for gone, at_s in updating.gone:
-        turn = intake.died(turn, gone, at_s, is_costly=True)
+    for gone, lived_s in updating.gone:
+        if lived_s is not None:
+            turn = turn.blamed(gone.transformation, lived_s, gone.cause, is_costly=True)
     for unit in units:
         label = turn.state.situation.label_of(unit)
         if label is not None and label not in labels:  # it was too slow, but has not died
@@ -297,7 +296,7 @@ def _reviewed(turn: Turn, planning: Planning, thought: Thought, failed: UpdateFa
         )
     )
     outcomes = [outcome for entry in planning.entries for outcome in entry.outcomes]
-    return turn.also(Tell(Reviewed(review)), *(Resolve(outcome, review) for outcome in outcomes))
+    return turn.also(Tell(Reviewed(review)), *(Answer(outcome, review) for outcome in outcomes))
 
 
 def _record(state: State, planning: Planning, thought: Thought, failed: UpdateFailed | None) -> Review:
@@ -341,7 +340,7 @@ def _prepared(turn: Turn) -> Turn:
     state = turn.state
     if state.reviews[-1].decision is not Decision.APPLIED or state.due_s <= turn.at_s:
         return turn
-    return turn.also(Prepare(state.living.world, state.situation))
+    return turn.also(Prepare(state.living.world, state.running, state.situation))
 
 
 def _seen(turn: Turn, seen: Seen) -> Turn:
@@ -369,5 +368,5 @@ def _finished(turn: Turn, cause: str) -> Turn:
     left += [outcome for entry in entries for outcome in entry.outcomes]
     error = RuntimeFaultError("the manager has ended")
     turn = turn.to(replace(state, doing=None, entries=(), waiting={}, stops=(), is_over=True))
-    turn = turn.also(*(Resolve(outcome) for outcome in state.stops))
-    return turn.also(*(Refuse(outcome, error) for outcome in left)).also(Tell(Ended(cause)))
+    turn = turn.also(*(Answer(outcome) for outcome in state.stops))
+    return turn.also(*(Answer(outcome, error) for outcome in left)).also(Tell(Ended(cause)))

@@ -22,7 +22,7 @@ from cfgplan_runtime.lifecycle.perturbations import (
 )
 from cfgplan_runtime.lifecycle.reports import WorldRefused
 from cfgplan_runtime.lifecycle.state import Note, State, Updating
-from cfgplan_runtime.lifecycle.turns import Kill, Match, Matched, Refuse, Resolve, Tell, Turn
+from cfgplan_runtime.lifecycle.turns import Answer, Kill, Match, Matched, Tell, Turn
 from cfgplan_runtime.supervision.delays import doubling_s
 from cfgplan_runtime.supervision.events import (
     Event,
@@ -66,17 +66,12 @@ def heard(turn: Turn, event: Event) -> Turn:
     return turn
 
 
-def died(turn: Turn, gone: UnitGone, at_s: float, *, is_costly: bool = False) -> Turn:
-    """A unit has ended unasked at `at_s`: whoever is to blame is, and who waits for it is told by the review."""
-    situation, unit = turn.state.situation, gone.unit
-    if gone.how != "killed" and unit not in situation.failing:
-        lived_s = at_s - situation.units[unit].since_s
-        turn = turn.blamed(gone.transformation, lived_s, gone.cause, is_costly=is_costly)
-    turn = turn.situated(turn.state.situation.without(unit))
-    if is_costly:
-        return turn
-    outcomes = turn.state.waiting.get(unit, ())
-    return turn.no_more_awaited(unit).perturbed(gone, outcomes)
+def died(turn: Turn, gone: UnitGone, lived_s: float | None) -> Turn:
+    """A unit has ended unasked: it is blamed unless `lived_s` is None, and who waits for it is told by the review."""
+    if lived_s is not None:
+        turn = turn.blamed(gone.transformation, lived_s, gone.cause)
+    outcomes = turn.state.waiting.get(gone.unit, ())
+    return turn.no_more_awaited(gone.unit).perturbed(gone, outcomes)
 
 
 def asked(turn: Turn, request: Asked) -> Turn:
@@ -103,7 +98,7 @@ def asked(turn: Turn, request: Asked) -> Turn:
             case change:
                 return turn.also(Match(state.living, request, change))
     except InputError as error:
-        return turn.also(Refuse(request.outcome, error))
+        return turn.also(Answer(request.outcome, error))
 
 
 def matched(turn: Turn, result: Matched) -> Turn:
@@ -112,7 +107,7 @@ def matched(turn: Turn, result: Matched) -> Turn:
     if isinstance(found, InputError):
         if isinstance(change, ReplaceWorld):
             turn = refused(turn, change.by, found.faults)
-        return turn.also(Refuse(outcome, found))
+        return turn.also(Answer(outcome, found))
     state, situation = turn.state, turn.state.situation
     differs = difference(state.living.world, found.world)
     is_new = (*differs.replaced_transformations, *differs.removed_transformations)
@@ -121,7 +116,7 @@ def matched(turn: Turn, result: Matched) -> Turn:
     if isinstance(change, ReplaceWorld):
         turn = refused(turn, change.by, ())
     if not differs:
-        return turn.also(Resolve(outcome))
+        return turn.also(Answer(outcome))
     by = change.by if isinstance(change, ReplaceWorld) else type(change).__name__
     return turn.perturbed(WorldChanged(by, differs), [outcome])
 
@@ -148,16 +143,18 @@ def _unnoted(turn: Turn, unit: str) -> Turn:
 
 
 def _gone(turn: Turn, unit: str, cause: str) -> Turn:
-    state, label = turn.state, turn.state.situation.label_of(unit)
+    state, situation, note = turn.state, turn.state.situation, _note(turn.state, unit)
     turn = _unnoted(turn, unit)
-    if label is None:
+    if unit not in situation.units:
         return turn.answered(unit)
-    how = "killed" if unit in state.situation.killed else _note(state, unit).end or "died"
-    gone = UnitGone(unit, label, how, cause)
+    running, is_killed = situation.units[unit], unit in situation.killed
+    gone = UnitGone(unit, running.transformation.label, "killed" if is_killed else note.end or "died", cause)
+    lived_s = None if is_killed or unit in situation.failing else turn.at_s - running.since_s
+    turn = turn.situated(situation.without(unit))
     if isinstance(state.doing, Updating) and unit in state.doing.starting:  # the update's end tells what it means
-        doing = replace(state.doing, gone=(*state.doing.gone, (gone, turn.at_s)))
+        doing = replace(state.doing, gone=(*state.doing.gone, (gone, lived_s)))
         return turn.to(replace(turn.state, doing=doing)).answered(unit)
-    return died(turn, gone, turn.at_s)
+    return died(turn, gone, lived_s)
 
 
 def _lost(turn: Turn, lost: SubscriptionLost) -> Turn:

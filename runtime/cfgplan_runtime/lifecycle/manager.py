@@ -25,40 +25,20 @@ from cfgplan_runtime.errors import (
     RuntimeFaultError,
     StaleChangeSetError,
 )
+from cfgplan_runtime.lifecycle import turns
 from cfgplan_runtime.lifecycle.changes import Change, Stop
 from cfgplan_runtime.lifecycle.decisions import BreakIn, breaks_in, decide, first_state
 from cfgplan_runtime.lifecycle.deliberation import Deliberation
 from cfgplan_runtime.lifecycle.inbox import Asked, Closing, Inbox, Item, Outcome, Unusable
+from cfgplan_runtime.lifecycle.perturbations import Started
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Report, Snapshot, UnitEvent
 from cfgplan_runtime.lifecycle.seams import Clock, DeclaredCosts, Estimator, Middleware, SystemClock
 from cfgplan_runtime.lifecycle.showing import saving_us, target_views, unit_views
 from cfgplan_runtime.lifecycle.state import State
-from cfgplan_runtime.lifecycle.turns import (
-    ApplyUpdate,
-    Begun,
-    Effect,
-    Finished,
-    Happened,
-    Happening,
-    Kill,
-    Learn,
-    LearnOfFailure,
-    MakePlan,
-    Match,
-    Matched,
-    Observe,
-    Planned,
-    Prepare,
-    Refuse,
-    Resolve,
-    Seen,
-    StopAll,
-    Tell,
-    Tick,
-    Updated,
-)
+from cfgplan_runtime.lifecycle.turns import Effect, Happened, Happening
 from cfgplan_runtime.lifecycle.warm_matching import WarmMatching
+from cfgplan_runtime.lifecycle.worlds import LivingWorld
 from cfgplan_runtime.supervision.events import SIGNS, Event
 
 _LONG_S = 3600.0
@@ -108,7 +88,7 @@ class Manager:
         self._thread: threading.Thread | None = None
         self._quiet = threading.Condition()
         self._turning_away = threading.Lock()
-        self._decide(Begun())
+        self._decide(Started())
         middleware.listen(self._hear)
 
     # What others ask, from any thread.
@@ -230,9 +210,7 @@ class Manager:
         while self._state.doing is not None:  # a review that gathers what comes
             self._wait(inf)
             self._take_in()
-        self._is_busy = False
-        with self._quiet:
-            self._quiet.notify_all()
+        self._come_to_rest()
 
     def _wait(self, until_s: float) -> None:
         """Wait until something comes in, or is due."""
@@ -246,7 +224,7 @@ class Manager:
         self._interrupt.clear()
         self._decide_arrivals()
         if not self._state.is_over:
-            self._decide(Tick(time.time()))
+            self._decide(turns.Tick(time.time()))
 
     def _decide_arrivals(self) -> None:
         for arrival in self._inbox.take():
@@ -261,67 +239,66 @@ class Manager:
 
     def _carry_out(self, effect: Effect) -> None:
         match effect:
-            case Tell(report):
+            case turns.Tell(report):
                 self._tell(report)
-            case Resolve(outcome, review):
-                outcome.set_result(review)
-            case Refuse(outcome, error):
-                outcome.set_exception(error)
-            case Match():
-                self._decide(self._matched(effect))
-            case Kill(unit):
+            case turns.Answer(outcome, answer):
+                if isinstance(answer, Exception):
+                    outcome.set_exception(answer)
+                else:
+                    outcome.set_result(answer)
+            case turns.Match():
+                self._match(effect)
+            case turns.Kill(unit):
                 self._middleware.kill(unit)
-            case Observe():
-                self._decide(Seen(tuple(self._middleware.observe())))
-            case LearnOfFailure(label):
+            case turns.Observe():
+                self._decide(turns.Seen(tuple(self._middleware.observe())))
+            case turns.LearnOfFailure(label):
                 self._estimator.failed(label, self._clock.now())
-            case Learn(observations):
+            case turns.Learn(observations):
                 self._estimator.observe(observations, self._clock.now())
-            case MakePlan():
+            case turns.MakePlan():
                 self._plan(effect)
-            case ApplyUpdate():
+            case turns.ApplyUpdate():
                 self._apply(effect)
-            case Prepare(world, situation):
+            case turns.Prepare(world, running, situation):
                 self._interrupt.clear()
                 if self._inbox.is_empty:
-                    running = self._middleware.environment
                     self._deliberation.prepare(world, running, situation, stop=self._interrupt)
-            case StopAll():
+            case turns.StopAll():
                 self._middleware.stop()
-                self._decide(Finished())
+                self._decide(turns.Finished())
 
-    def _matched(self, order: Match) -> Matched:
+    def _match(self, order: turns.Match) -> None:
         start = time.perf_counter()
+        found: LivingWorld | InputError
         try:
-            living = order.living.after(order.change)
-            self._matching.take(living.world)
+            found = order.living.after(order.change)
+            self._matching.take(found.world)
         except InputError as error:
-            return Matched(order.asked, error)
-        return Matched(order.asked, living, time.perf_counter() - start)
+            found = error
+        self._decide(turns.Matched(order.asked, found, time.perf_counter() - start))
 
-    def _plan(self, order: MakePlan) -> None:
+    def _plan(self, order: turns.MakePlan) -> None:
         stop = self._ending if order.is_last else self._interrupt
-        running = self._middleware.environment
-        thought = self._deliberation.think(order.world, running, order.situation, optimises=order.optimises, stop=stop)
+        thought = self._deliberation.think(
+            order.world, order.running, order.situation, optimises=order.optimises, stop=stop
+        )
         was_interrupted = self._interrupt.is_set()
         self._interrupt.clear()
         self._decide_arrivals()
-        self._decide(Planned(thought, was_interrupted))
+        self._decide(turns.Planned(thought, was_interrupted))
 
-    def _apply(self, order: ApplyUpdate) -> None:
-        failed: Exception | None = None
-        start = time.perf_counter()
+    def _apply(self, order: turns.ApplyUpdate) -> None:
+        start, failed = time.perf_counter(), None
         try:
             self._middleware.apply(order.change_set, basis=order.basis, keeps_new=True)
-        except _UNDONE as error:
-            failed = error
-        except RuntimeFaultError:
-            raise  # nothing runs any more
         except Exception as error:
+            if isinstance(error, RuntimeFaultError) and not isinstance(error, _UNDONE):
+                raise  # nothing runs any more
             failed = error
         seconds = time.perf_counter() - start
         self._decide_arrivals()
-        self._decide(Updated(seconds, failed))
+        self._decide(turns.Updated(seconds, failed))
 
     def _work(self) -> None:
         self._deliberation.warm_up()
@@ -332,11 +309,16 @@ class Manager:
         except BaseException as error:
             self._finish(f"{type(error).__name__}: {error}")
             raise
-        self._turn_away()
 
     def _finish(self, cause: str) -> None:
-        self._decide(Finished(cause))
-        self._turn_away()
+        self._decide(turns.Finished(cause))
+        self._come_to_rest()
+
+    def _come_to_rest(self) -> None:
+        """Whoever waits for a state of the manager looks again."""
+        self._is_busy = False
+        if self._state.is_over:
+            self._turn_away()
         with self._quiet:
             self._quiet.notify_all()
 

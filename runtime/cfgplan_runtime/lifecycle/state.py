@@ -66,12 +66,12 @@ class Planning:
 
 @dataclass(frozen=True, slots=True)
 class Updating:
-    """An update is under way. `gone` are new units of it that have died, and when."""
+    """An update is under way. `gone` are new units of it that have died, with how long each lived (None: blameless)."""
 
     planning: Planning
     thought: Thought
     change_set: ChangeSet
-    gone: tuple[tuple[UnitGone, float], ...] = ()
+    gone: tuple[tuple[UnitGone, float | None], ...] = ()
 
     @property
     def starting(self) -> frozenset[str]:

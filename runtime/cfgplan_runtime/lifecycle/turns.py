@@ -13,18 +13,13 @@ from cfgplan_runtime.lifecycle.changes import WorldChange
 from cfgplan_runtime.lifecycle.configuration import Situation
 from cfgplan_runtime.lifecycle.deliberation import Thought
 from cfgplan_runtime.lifecycle.inbox import Asked, Item, Outcome
-from cfgplan_runtime.lifecycle.perturbations import Perturbation
+from cfgplan_runtime.lifecycle.perturbations import Perturbation, Started
 from cfgplan_runtime.lifecycle.reports import BackedOff, Perturbed, Report, Review
 from cfgplan_runtime.lifecycle.state import Entry, State
 from cfgplan_runtime.lifecycle.worlds import LivingWorld
 from cfgplan_runtime.supervision.observation import Observation
 
 # What happens, besides what comes into the inbox.
-
-
-@dataclass(frozen=True, slots=True)
-class Begun:
-    """The manager has begun its work."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +68,7 @@ class Finished:
     cause: str = ""
 
 
-Happening: TypeAlias = Item | Begun | Tick | Matched | Seen | Planned | Updated | Finished
+Happening: TypeAlias = Item | Started | Tick | Matched | Seen | Planned | Updated | Finished
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,19 +91,11 @@ class Tell:
 
 
 @dataclass(frozen=True, slots=True)
-class Resolve:
-    """Tell who asked that the review is over; None: that there will be none."""
+class Answer:
+    """Tell who asked that the review is over; None: that there will be none, an error: why not."""
 
     outcome: Outcome
-    review: Review | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Refuse:
-    """Tell who asked why it is not done."""
-
-    outcome: Outcome
-    error: Exception
+    answer: Review | Exception | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,6 +138,7 @@ class MakePlan:
     """Plan an update: Planned follows. The last plan of a review is interrupted by the end only."""
 
     world: World
+    running: Environment
     situation: Situation
     optimises: bool
     is_last: bool
@@ -169,6 +157,7 @@ class Prepare:
     """Let the planner see what runs now, so that it repairs that fast, unless something has come."""
 
     world: World
+    running: Environment
     situation: Situation
 
 
@@ -178,18 +167,7 @@ class StopAll:
 
 
 Effect: TypeAlias = (
-    Tell
-    | Resolve
-    | Refuse
-    | Match
-    | Kill
-    | Observe
-    | Learn
-    | LearnOfFailure
-    | MakePlan
-    | ApplyUpdate
-    | Prepare
-    | StopAll
+    Tell | Answer | Match | Kill | Observe | Learn | LearnOfFailure | MakePlan | ApplyUpdate | Prepare | StopAll
 )
 
 
@@ -234,7 +212,7 @@ class Turn:
     def answered(self, unit: str) -> Turn:
         """Tell those who wait for a unit's end that no review will follow."""
         outcomes = self.state.waiting.get(unit, ())
-        return self.no_more_awaited(unit).also(*(Resolve(outcome) for outcome in outcomes))
+        return self.no_more_awaited(unit).also(*(Answer(outcome) for outcome in outcomes))
 
     def no_more_awaited(self, unit: str) -> Turn:
         """Nobody waits for a unit's end."""

@@ -1,0 +1,622 @@
+"""What a manager decides: states and events in, states and effects out. Nothing runs, and no time passes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from concurrent.futures import Future
+from dataclasses import replace
+from math import inf
+from typing import Any, TypeVar
+
+import pytest
+from cfgplan_runtime import ApplyError, Policy, StaleChangeSetError
+from cfgplan_runtime.errors import AbandonedError, NoSourceError
+from cfgplan_runtime.lifecycle.changes import (
+    AddTargets,
+    Change,
+    KillUnit,
+    LoseHost,
+    RegainHost,
+    RemoveTargets,
+    ReviewNow,
+    Stop,
+)
+from cfgplan_runtime.lifecycle.decisions import BreakIn, breaks_in, decide, first_state
+from cfgplan_runtime.lifecycle.deliberation import Thought
+from cfgplan_runtime.lifecycle.inbox import Asked, Closing, Item, Unusable
+from cfgplan_runtime.lifecycle.perturbations import (
+    HorizonReached,
+    HostGone,
+    MayStartAgain,
+    Perturbation,
+    ReviewRequested,
+    Started,
+    SubscriptionLost,
+    TargetSilent,
+    UnitGone,
+    UnitKeepsFailing,
+    UpdateFailed,
+)
+from cfgplan_runtime.lifecycle.reports import Decision, Ended, Perturbed, ReviewBegan, Reviewed, WorldRefused
+from cfgplan_runtime.lifecycle.state import Gathering, Planning, State, Updating
+from cfgplan_runtime.lifecycle.turns import (
+    Answer,
+    ApplyUpdate,
+    Effect,
+    Finished,
+    Happened,
+    Happening,
+    Kill,
+    Learn,
+    LearnOfFailure,
+    MakePlan,
+    Match,
+    Matched,
+    Observe,
+    Planned,
+    Prepare,
+    Seen,
+    StopAll,
+    Tell,
+    Tick,
+    Updated,
+)
+from cfgplan_runtime.supervision.events import (
+    InputLost,
+    TopicsStatus,
+    UnitDied,
+    UnitFailed,
+    UnitHung,
+    UnitReady,
+    UnitStatus,
+    UnitStopped,
+    UnitTooLarge,
+)
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+from living import RESULT, source, worker
+
+from cfgplan import api
+from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Publication, Stream, Subscription, Target
+from cfgplan.errors import Fault, InputError
+
+E = TypeVar("E")
+LIBRARY = (source(), worker(host="far"))
+POLICY = Policy(gather_s=0.0, explain_s=0.02, retry_s=0.1, most_loss_s=1.0)
+COUNT = ComputationUnit("count.1", "count")
+WORK = ComputationUnit("work.1", "work", (Subscription("x", Stream("count.1", "n")),), (Publication("y", "/result"),))
+RUNNING = Environment((COUNT, WORK), LIBRARY, (RESULT,))
+EMPTY = Environment((), LIBRARY, (RESULT,))
+START = ChangeSet(started=(COUNT, WORK))
+
+
+def world(*, targets: tuple[Target, ...] = (RESULT,), horizon_s: int = 60) -> api.World:
+    return api.world(Environment((), LIBRARY, targets), horizon_s=horizon_s)
+
+
+def after(state: State, at_s: float, *what: Happening, running: Environment = RUNNING) -> tuple[State, list[Effect]]:
+    """The state after things that happen at one time, and all effects."""
+    effects: list[Effect] = []
+    for one in what:
+        state, more = decide(state, Happened(at_s, one, running))
+        effects += more
+    return state, effects
+
+
+def found(effects: Iterable[Effect], kind: type[E]) -> list[E]:
+    return [effect for effect in effects if isinstance(effect, kind)]
+
+
+def perturbations(effects: Iterable[Effect]) -> list[Perturbation]:
+    return [told.report.perturbation for told in found(effects, Tell) if isinstance(told.report, Perturbed)]
+
+
+def asked(change: Change) -> Asked:
+    return Asked(change, Future())
+
+
+def thought(**more: Any) -> Thought:
+    """A plan that starts what is to run, unless it is said otherwise."""
+    more = {
+        "running": EMPTY,
+        "decision": Decision.APPLIED,
+        "change_set": START,
+        "cost_us": 1,
+        "met": ("result",),
+        **more,
+    }
+    return Thought(planned=EMPTY, **more)
+
+
+def stable(policy: Policy = POLICY, **more: Any) -> State:
+    """After the first review, with both units running since 0."""
+    state, _ = after(first_state(world(**more), POLICY), 0.0, Started(), Tick(0.0), Planned(thought()), running=EMPTY)
+    return replace(after(state, 0.0, Updated())[0], policy=policy)
+
+
+def planning() -> State:
+    return after(stable(), 1.0, asked(ReviewNow()), Tick(0.0))[0]
+
+
+def updating(**more: Any) -> State:
+    """While another work.2 is started in the place of work.1."""
+    started = (replace(WORK, id="work.2"),)
+    swap = thought(running=RUNNING, change_set=ChangeSet(started=started, stopped=("work.1",)), **more)
+    return after(planning(), 2.0, Planned(swap))[0]
+
+
+def test_the_first_review_plans_updates_and_is_put_on_record() -> None:
+    state, effects = after(first_state(world(), POLICY), 5.0, Started(), Tick(100.0), running=EMPTY)
+    assert perturbations(effects) == [Started()]
+    (plan,) = found(effects, MakePlan)
+    assert (plan.running, plan.optimises, plan.is_last) == (EMPTY, True, False)
+    state, effects = after(state, 6.0, Planned(thought()), running=EMPTY)
+    assert effects == [ApplyUpdate(START, EMPTY)]
+    state, effects = after(state, 7.0, Updated(0.5))
+    (review,) = state.reviews
+    assert (review.number, review.at_s, review.time_s, review.decision) == (1, 5.0, 100.0, Decision.APPLIED)
+    assert review.seconds == {"detect": 0.0, "match": 0.0, "apply": 0.5}
+    assert effects == [Tell(Reviewed(review)), Prepare(state.living.world, RUNNING, state.situation)]
+    assert (state.doing, state.horizon_at_s, state.observe_at_s) == (None, 67.0, 8.0)
+    assert {unit: known.since_s for unit, known in state.situation.units.items()} == {"count.1": 6.0, "work.1": 6.0}
+
+
+def test_nothing_is_changed_in_place() -> None:
+    state = stable()
+    before = repr(state)
+    for what in (UnitDied("work.1", "crash"), InputLost("work.1", "x", 1), UnitFailed("work.1", "raised", 1, "bad")):
+        decide(state, Happened(1.0, what, RUNNING))
+    assert repr(state) == before
+
+
+@pytest.mark.parametrize(
+    ("what", "perturbation", "delay_s"),
+    [
+        ([UnitDied("work.1", "crash")], UnitGone("work.1", "work", "died", "crash"), 0.0),
+        ([UnitHung("work.1", 9.0), UnitDied("work.1", "k")], UnitGone("work.1", "work", "hung", "k"), 0.0),
+        ([UnitTooLarge("work.1", 9), UnitDied("work.1", "k")], UnitGone("work.1", "work", "too large", "k"), 0.0),
+        ([asked(KillUnit("work.1")), UnitDied("work.1", "k")], UnitGone("work.1", "work", "killed", "k"), 0.0),
+        (
+            [UnitHung("work.1", 9.0), UnitReady("work.1", 1), UnitDied("work.1", "k")],
+            UnitGone("work.1", "work", "died", "k"),
+            0.0,
+        ),
+        ([InputLost("work.1", "x", 1)], SubscriptionLost("work.1", "x"), 0.02),
+        ([InputLost(None, "/result", 1)], SubscriptionLost(None, "/result"), 0.02),
+        ([asked(LoseHost("far", "no answer"))], HostGone("far", "no answer"), 0.0),
+        ([asked(ReviewNow("me"))], ReviewRequested("me"), 0.0),
+    ],
+)
+def test_what_happens_is_a_perturbation_and_a_review_is_due(
+    what: list[Happening], perturbation: Perturbation, delay_s: float
+) -> None:
+    state, effects = after(stable(), 3.0, *what)
+    assert perturbations(effects) == [perturbation]
+    assert state.due_s == 3.0 + delay_s
+    state, effects = after(state, state.due_s, Tick(0.0))
+    assert [type(effect) for effect in effects] == [Tell, MakePlan]
+    assert effects[0] == Tell(ReviewBegan(2, (perturbation,)))
+
+
+@pytest.mark.parametrize(
+    "what",
+    [
+        UnitDied("stranger.1", "crash"),
+        UnitStopped("work.1"),
+        UnitFailed("work.1", "raised", 3, "bad"),
+        Unusable("f", ()),
+    ],
+)
+def test_what_is_no_perturbation_makes_no_review(what: Happening) -> None:
+    state, effects = after(stable(), 3.0, what)
+    assert (effects, state.due_s) == ([], inf)
+
+
+def test_a_unit_without_a_good_step_for_long_is_given_up_and_blamed() -> None:
+    state, failed = stable(Policy(failing_steps=5, failing_s=3.0)), UnitFailed("work.1", "raised", 12, "bad luck")
+    told: list[Effect] = []
+    for at_s, steps, errors in ((1, 10, 0), (2, 12, 2), (3, 16, 6), (5, 17, 7), (6, 18, 8)):
+        state, effects = after(state, at_s, failed, UnitStatus("work.1", steps, errors, {}, {}))
+        told += effects
+    assert perturbations(told) == [UnitKeepsFailing("work.1", "work", 7, "bad luck")]
+    assert found(told, LearnOfFailure) == [LearnOfFailure("work")]
+    assert state.situation.failing == {"work.1"}
+
+
+def test_a_unit_is_not_judged_by_what_another_of_its_id_has_done() -> None:
+    def status(steps: int, errors: int) -> UnitStatus:
+        return UnitStatus("work.1", steps, errors, {}, {})
+
+    state, _ = after(stable(), 1.0, status(100, 0), UnitReady("work.1", 1))
+    assert perturbations(after(state, 9.0, status(10, 10))[1]) == []
+    state, _ = after(state, 9.0, status(10, 10))
+    assert [type(one) for one in perturbations(after(state, 12.0, status(20, 20))[1])] == [UnitKeepsFailing]
+
+
+def test_an_input_that_is_lost_again_and_again_waits_ever_longer() -> None:
+    state, delays = stable(), []
+    lost = InputLost("work.1", "x", 1)
+    for at_s in (*range(1, 8), 100):
+        state, _ = after(replace(state, entries=()), at_s, lost)
+        delays.append(state.due_s - at_s)
+    assert delays == pytest.approx([0.02, 0.02, 0.1, 0.2, 0.4, 0.8, 1.0, 0.02])
+    state, _ = after(replace(state, entries=()), 8.0, InputLost("work.1", "z", 1))
+    assert state.due_s == pytest.approx(8.02)
+
+
+def test_the_second_failure_in_a_row_is_waited_after_and_then_it_may_start_again() -> None:
+    state = stable()
+    for at_s in (1.0, 2.0):
+        state, effects = after(state, at_s, UnitDied("work.1", "crash"))
+        state = replace(state, entries=(), situation=state.situation.with_started((WORK,), RUNNING, at_s))
+        assert found(effects, LearnOfFailure) == [LearnOfFailure("work")]
+    assert (state.situation.back_offs.avoided, state.wake_s) == ({"work"}, 1.0)
+    state, effects = after(replace(state, observe_at_s=inf), 3.0, Tick(0.0))
+    assert perturbations(effects) == [MayStartAgain(("work",))]
+    assert state.situation.back_offs.avoided == frozenset()
+
+
+def test_at_the_horizon_units_are_observed_before_it_is_planned() -> None:
+    _, effects = after(stable(), 60.0, Tick(0.0))
+    assert perturbations(effects) == [HorizonReached(60)]
+    assert [type(effect) for effect in effects] == [Tell, Observe, Tell, MakePlan]
+    assert found(effects, MakePlan)[0].optimises
+
+
+def test_between_reviews_units_are_observed_and_the_estimator_learns() -> None:
+    state, effects = after(stable(), 1.0, Tick(0.0))
+    assert effects == [Observe()]
+    state, effects = after(state, 1.0, Seen(()))
+    assert found(effects, Learn) == [Learn(())]
+    assert state.observe_at_s == 2.0
+
+
+def test_what_comes_shortly_after_is_part_of_the_same_review() -> None:
+    state, effects = after(stable(replace(POLICY, gather_s=0.5)), 1.0, UnitDied("work.1", "k"), Tick(0.0))
+    assert (state.doing, state.wake_s, found(effects, MakePlan)) == (Gathering(1.5), 1.5, [])
+    state, effects = after(state, 1.2, UnitDied("count.1", "k"), Tick(0.0))
+    assert found(effects, MakePlan) == []
+    state, effects = after(state, 1.5, Tick(0.0))
+    assert len(found(effects, MakePlan)) == 1
+    assert isinstance(state.doing, Planning)
+    assert len(state.doing.entries) == 2
+
+
+def test_what_comes_while_it_plans_makes_it_plan_anew_but_not_for_ever() -> None:
+    state, request = planning(), asked(ReviewNow("late"))
+    state, _ = after(state, 1.0, request)
+    for number in range(2, POLICY.interruptions + 2):
+        state, effects = after(state, 1.0, Planned(thought(), was_interrupted=True))
+        (plan,) = effects
+        assert isinstance(plan, MakePlan)
+        assert plan.is_last is (number > POLICY.interruptions)
+    state, effects = after(state, 1.0, Planned(thought(running=RUNNING, change_set=ChangeSet()), was_interrupted=True))
+    assert Answer(request.outcome, state.reviews[-1]) in effects
+    assert found(effects, MakePlan) == []
+
+
+@pytest.mark.parametrize(
+    ("made", "decision", "cause"),
+    [
+        (thought(change_set=ChangeSet(), decision=Decision.KEPT), Decision.KEPT, ""),
+        (thought(decision=Decision.DEFERRED), Decision.DEFERRED, ""),
+        (thought(change_set=None, decision=Decision.UNDECIDED, cause="no time"), Decision.UNDECIDED, "no time"),
+    ],
+)
+def test_where_nothing_is_to_be_changed_nothing_is_applied(made: Thought, decision: Decision, cause: str) -> None:
+    state, effects = after(planning(), 2.0, Planned(made))
+    assert found(effects, ApplyUpdate) == found(effects, Prepare) == []
+    assert (state.reviews[-1].decision, state.reviews[-1].cause) == (decision, cause)
+    assert state.due_s == (2.1 if cause else inf)
+
+
+def test_reviews_that_come_to_nothing_are_repeated_later_and_later() -> None:
+    state, at_s, waits = planning(), 2.0, []
+    for _ in range(5):
+        state, _ = after(state, at_s, Planned(thought(change_set=None, decision=Decision.UNDECIDED, cause="no time")))
+        waits.append(state.due_s - at_s)
+        at_s = state.due_s
+        state, effects = after(state, at_s, Tick(0.0))
+        assert found(effects, MakePlan)[0].optimises  # the review that was asked for is still owed
+    assert waits == pytest.approx([0.1, 0.2, 0.4, 0.8, 1.6])
+
+
+@pytest.mark.parametrize(
+    ("error", "failed", "avoided"),
+    [
+        (StaleChangeSetError("others run"), UpdateFailed("others run", is_stale=True), set()),
+        (NoSourceError("no code", ("work",), "none"), UpdateFailed("no code", ("work",)), {"work"}),
+        (AbandonedError("given up", ("work.2",)), UpdateFailed("given up", ("work",)), {"work"}),
+        (ApplyError("too slow", ("work.2",)), UpdateFailed("too slow", ("work",)), {"work"}),
+        (
+            ZeroDivisionError("bug"),
+            UpdateFailed("the middleware failed: ZeroDivisionError: bug", is_fault=True),
+            set(),
+        ),
+    ],
+)
+def test_an_update_that_fails_is_followed_by_another_review(
+    error: Exception, failed: UpdateFailed, avoided: set[str]
+) -> None:
+    state, effects = after(updating(), 3.0, Updated(0.1, error))
+    assert perturbations(effects) == [failed]
+    assert (state.reviews[-1].decision, state.reviews[-1].cause) == (Decision.FAILED, failed.cause)
+    assert state.situation.back_offs.avoided == avoided
+    assert "work.2" not in state.situation.units
+    assert state.due_s == (3.1 if failed.is_fault else 3.0)
+
+
+def test_a_new_unit_that_dies_counts_once_however_its_update_ends() -> None:
+    state, effects = after(updating(), 2.5, UnitDied("work.2", "no camera"))
+    assert effects == []
+    failed, effects = after(state, 3.0, Updated(0.1, ApplyError("undone", ("work.2",))))
+    assert found(effects, LearnOfFailure) == [LearnOfFailure("work")]
+    assert perturbations(effects) == [UpdateFailed("undone", ("work",))]
+    assert failed.situation.back_offs.avoided == {"work"}
+    state, effects = after(state, 3.0, Updated(0.1))
+    assert found(effects, LearnOfFailure) == [LearnOfFailure("work")]
+    assert perturbations(effects) == [UnitGone("work.2", "work", "died", "no camera")]
+    assert (state.situation.back_offs.avoided, found(effects, Prepare)) == (frozenset(), [])
+
+
+def test_where_nothing_else_can_help_what_is_left_alone_may_start_sooner() -> None:
+    state = stable()
+    for at_s in range(1, 6):
+        state, _ = after(state, at_s, UnitDied("work.1", "crash"))
+        state = replace(state, situation=state.situation.with_started((WORK,), RUNNING, at_s))
+    assert state.situation.back_offs.next_end_s == 5 + 8.0
+    state, _ = after(state, 5.0, Tick(0.0))
+    state, _ = after(state, 5.0, Planned(thought(change_set=ChangeSet(), decision=Decision.KEPT, hurried=("work",))))
+    assert state.situation.back_offs.next_end_s == 5 + 3.0
+
+
+@pytest.mark.parametrize(
+    ("change", "part"),
+    [
+        (KillUnit("nobody.1"), "no unit 'nobody.1' runs"),
+        (LoseHost("near"), "there is no host 'near'"),
+        (RegainHost("far"), "host 'far' is not gone"),
+    ],
+)
+def test_a_bad_request_is_refused_at_once(change: Change, part: str) -> None:
+    request = asked(change)
+    before = stable()
+    state, (answer,) = after(before, 1.0, request)
+    assert isinstance(answer, Answer)
+    assert (answer.outcome, part in str(answer.answer)) == (request.outcome, True)
+    assert state == before
+
+
+def test_a_world_is_matched_before_anything_else_is_decided() -> None:
+    state, request = stable(), asked(RemoveTargets(("result",)))
+    state, effects = after(state, 1.0, request)
+    assert effects == [Match(state.living, request, request.change)]  # type: ignore[arg-type]
+    gone, effects = after(state, 1.0, Matched(request, state.living.after(RemoveTargets(("result",))), 0.25))
+    assert [type(one).__name__ for one in perturbations(effects)] == ["WorldChanged"]
+    assert (gone.living.world.environment.targets, gone.match_s) == ((), 0.25)
+    _, effects = after(state, 1.0, Matched(request, InputError.of("bad")))
+    assert [str(answer.answer) for answer in found(effects, Answer)] == ["bad"]
+    _, effects = after(state, 1.0, Matched(request, state.living))
+    assert effects == [Answer(request.outcome)]
+
+
+def test_a_file_that_can_not_be_used_is_told_until_it_is_well_again() -> None:
+    faults = (Fault("bad"),)
+    state, effects = after(stable(), 1.0, Unusable("env.yaml", faults))
+    assert (state.faults, effects) == (faults, [Tell(WorldRefused("env.yaml", faults))])
+    state, effects = after(state, 1.0, Unusable("env.yaml", ()), Unusable("env.yaml", ()))
+    assert (state.faults, effects) == ((), [Tell(WorldRefused("env.yaml", ()))])
+
+
+def test_a_killed_unit_is_nobodys_failure_and_who_asked_is_told_by_the_review() -> None:
+    request = asked(KillUnit("work.1"))
+    state, effects = after(stable(), 1.0, request)
+    assert (effects, state.is_settled) == ([Kill("work.1")], False)
+    state, effects = after(state, 1.5, UnitDied("work.1", "killed"), running=replace(RUNNING, units=(COUNT,)))
+    assert found(effects, LearnOfFailure) == []
+    assert state.entries[0].outcomes == (request.outcome,)
+
+
+def test_a_silent_target_makes_a_review_again_and_again() -> None:
+    state, silent = stable(targets=(replace(RESULT, silent_us=5_000_000),)), []
+    for at_s in range(1, 21):
+        state, effects = after(replace(state, entries=()), at_s, TopicsStatus({}))
+        silent += [(at_s, one.target) for one in perturbations(effects) if isinstance(one, TargetSilent)]
+    assert silent == [(7, "result"), (13, "result"), (19, "result")]
+    assert [one.target for one in state.situation.silences] == ["result"]
+
+
+@pytest.mark.parametrize(
+    ("doing", "item", "how"),
+    [
+        (None, asked(ReviewNow()), BreakIn.INTERRUPT),
+        (planning().doing, UnitDied("work.1", "k"), BreakIn.INTERRUPT),
+        (updating().doing, UnitDied("work.1", "k"), BreakIn.INTERRUPT | BreakIn.ABANDON),
+        (updating().doing, UnitDied("work.2", "k"), BreakIn.INTERRUPT),
+        (updating().doing, InputLost(None, "/result", 1), BreakIn.INTERRUPT | BreakIn.ABANDON),
+        (updating().doing, asked(ReviewNow()), BreakIn.INTERRUPT),
+        (updating().doing, asked(Stop()), BreakIn.INTERRUPT | BreakIn.ABANDON | BreakIn.END),
+        (planning().doing, Closing(), BreakIn.INTERRUPT | BreakIn.END),
+        (updating().doing, UnitReady("work.2", 1), BreakIn(0)),
+        (planning().doing, Unusable("f", ()), BreakIn(0)),
+    ],
+)
+def test_what_can_not_wait_breaks_in(doing: Any, item: Item, how: BreakIn) -> None:
+    assert breaks_in(doing, item) == how
+
+
+@pytest.mark.parametrize("state", [stable(), planning()], ids=["stable", "planning"])
+def test_the_end_stops_all_units_and_tells_everybody(state: State) -> None:
+    stop, kill, late = asked(Stop()), asked(KillUnit("work.1")), asked(ReviewNow())
+    state, _ = after(state, 3.0, kill, late, stop)
+    over = Planned(thought()) if isinstance(state.doing, Planning) else Tick(0.0)
+    state, effects = after(state, 3.0, over)
+    assert effects == [StopAll()]
+    state, effects = after(state, 4.0, Finished())
+    answers = {answer.outcome: str(answer.answer) for answer in found(effects, Answer)}
+    assert answers[stop.outcome] == "None"
+    assert answers[kill.outcome] == answers[late.outcome] == "the manager has ended"
+    assert (state.is_over, effects[-1]) == (True, Tell(Ended("")))
+
+
+def test_a_manager_that_is_closed_leaves_the_units_alone() -> None:
+    state, effects = after(stable(), 3.0, Closing(), Tick(0.0))
+    assert (state.is_over, effects) == (True, [Tell(Ended(""))])
+
+
+OTHERS = tuple(Target(f"other{number}", "Y", f"/other{number}") for number in range(3))
+
+
+class Deciding(RuleBasedStateMachine):
+    """A manager's loop in which anything may happen between two steps, with a planner that meets every target.
+
+    What is to run is a unit for each target. Plans, updates and the end are answered only when the machine comes to it.
+    """
+
+    @initialize()
+    def begin(self) -> None:
+        self.at_s, self.number = 0.0, 0
+        self.running = Environment((), (source(tag="Y"),), ())
+        self.state = first_state(api.world(Environment((), self.running.library, OTHERS[:1]), horizon_s=60), POLICY)
+        self.pending: MakePlan | ApplyUpdate | StopAll | None = None
+        self.requests_made: list[Asked] = []
+        self.answers: list[Any] = []
+        self.decide(Started())
+
+    def decide(self, what: Happening) -> None:
+        self.state, effects = decide(self.state, Happened(self.at_s, what, self.running))
+        for position, effect in enumerate(effects):
+            match effect:
+                case Answer(outcome):
+                    self.answers.append(outcome)
+                case Match(living, request, change):
+                    try:
+                        self.decide(Matched(request, living.after(change)))
+                    except InputError as error:
+                        self.decide(Matched(request, error))
+                case Observe():
+                    self.decide(Seen(()))
+                case MakePlan() | ApplyUpdate() | StopAll():
+                    assert self.pending is None, "two things are asked for at once"
+                    assert position == len(effects) - 1, "something comes after what has to be waited for"
+                    self.pending = effect
+                case Tell(Reviewed(review)):
+                    wanted = {target.label for target in self.running.targets}
+                    assert review.decision is Decision.FAILED or set(review.met) <= wanted, "a dropped target is met"
+
+    def ask(self, change: Change) -> None:
+        request = asked(change)
+        self.requests_made.append(request)
+        self.decide(request)
+
+    @rule(seconds=st.sampled_from([0.0, 0.01, 1.0, 70.0]))
+    def time_passes(self, seconds: float) -> None:
+        self.at_s += seconds
+        if self.pending is None and not self.state.is_over:
+            self.decide(Tick(0.0))
+
+    @precondition(lambda self: not self.state.is_over)
+    @rule(target_number=st.integers(0, 2), comes=st.booleans())
+    def somebody_asks_for_a_target(self, target_number: int, comes: bool) -> None:
+        target = OTHERS[target_number]
+        self.ask(AddTargets((target,)) if comes else RemoveTargets((target.label,)))
+
+    @precondition(lambda self: not self.state.is_over)
+    @rule(change=st.sampled_from([ReviewNow(), LoseHost("far"), KillUnit("nobody.1")]))
+    def somebody_asks_for_something_else(self, change: Change) -> None:
+        self.ask(change)
+
+    @precondition(lambda self: not self.state.is_over and self.running.units)
+    @rule(data=st.data(), was_asked=st.booleans())
+    def a_unit_dies(self, data: st.DataObject, was_asked: bool) -> None:
+        unit = data.draw(st.sampled_from(sorted(self.running.unit)))
+        if was_asked:
+            self.ask(KillUnit(unit))
+        self.running = replace(self.running, units=tuple(u for u in self.running.units if u.id != unit))
+        self.decide(UnitDied(unit, "crash"))
+
+    @precondition(lambda self: not self.state.is_over and isinstance(self.pending, ApplyUpdate))
+    @rule()
+    def a_new_unit_dies(self) -> None:
+        assert isinstance(self.pending, ApplyUpdate)
+        for unit in self.pending.change_set.started[:1]:
+            self.decide(UnitDied(unit.id, "no camera"))
+
+    @precondition(lambda self: isinstance(self.pending, MakePlan))
+    @rule(finds=st.booleans(), was_interrupted=st.booleans())
+    def a_plan_is_made(self, finds: bool, was_interrupted: bool) -> None:
+        order, self.pending = self.pending, None
+        assert isinstance(order, MakePlan)
+        self.number += 1
+        targets = order.world.environment.targets
+        started = tuple(
+            ComputationUnit(f"count.{self.number}-{one.label}", "count", (), (Publication("n", one.topic),))
+            for one in targets
+        )
+        change_set = ChangeSet(started, stopped=tuple(order.running.unit)) if finds else None
+        met = tuple(target.label for target in targets)
+        decision = Decision.APPLIED if finds else Decision.UNDECIDED
+        made = Thought(order.running, self.running, decision=decision, change_set=change_set, met=met if finds else ())
+        self.decide(Planned(made, was_interrupted))
+
+    @precondition(lambda self: isinstance(self.pending, ApplyUpdate))
+    @rule(error=st.sampled_from([None, None, ApplyError("slow", ()), AbandonedError("late", ()), OSError("bug")]))
+    def an_update_ends(self, error: Exception | None) -> None:
+        order, self.pending = self.pending, None
+        assert isinstance(order, ApplyUpdate)
+        if order.basis.units != self.running.units:
+            error = StaleChangeSetError("others run")
+        if error is None:
+            self.running = self.running.update(order.change_set)
+        self.decide(Updated(0.1, error))
+
+    @precondition(lambda self: not self.state.is_over)
+    @rule(is_closed=st.booleans())
+    def the_end_is_asked_for(self, is_closed: bool) -> None:
+        if is_closed:
+            self.decide(Closing())
+        else:
+            self.ask(Stop())
+
+    @precondition(lambda self: isinstance(self.pending, StopAll))
+    @rule()
+    def all_units_are_stopped(self) -> None:
+        self.pending = None
+        self.decide(Finished())
+
+    @invariant()
+    def no_question_is_answered_twice(self) -> None:
+        assert len(self.answers) == len(set(map(id, self.answers)))
+
+    @invariant()
+    def what_is_under_way_is_what_is_known_to_be(self) -> None:
+        state, pending = getattr(self, "state", None), getattr(self, "pending", None)
+        if state is None or isinstance(pending, StopAll):
+            return
+        assert isinstance(pending, MakePlan) == isinstance(state.doing, Planning)
+        assert isinstance(pending, ApplyUpdate) == isinstance(state.doing, Updating)
+
+    def teardown(self) -> None:
+        """Whatever has happened, the end comes, and then every question has had its answer."""
+        if not hasattr(self, "state"):
+            return
+        if not self.state.is_over:
+            self.ask(Stop())
+        for _ in range(5):
+            match self.pending:
+                case MakePlan():
+                    self.a_plan_is_made(finds=True, was_interrupted=False)
+                case ApplyUpdate():
+                    self.an_update_ends(error=None)
+                case StopAll():
+                    self.all_units_are_stopped()
+                case None if not self.state.is_over:
+                    self.decide(Tick(0.0))
+        assert self.state.is_over
+        assert {id(one) for one in self.answers} == {id(one.outcome) for one in self.requests_made}
+        assert (self.state.entries, self.state.waiting, self.state.stops) == ((), {}, ())
+
+
+TestDeciding = Deciding.TestCase
+TestDeciding.settings = settings(max_examples=100, stateful_step_count=40, deadline=None)
