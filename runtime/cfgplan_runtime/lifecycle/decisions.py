@@ -99,7 +99,9 @@ def decide(state: State, happened: Happened) -> tuple[State, tuple[Effect, ...]]
     MakePlan, ApplyUpdate and StopAll come last, and one at a time: none before the last one's answer. Where Matched or
     Seen is to follow, it does before anything else.
     """
-    turn = _case(Turn(replace(state, running=happened.running), happened.at_s), happened.what)
+    if state.running is not happened.running:
+        state = replace(state, running=happened.running)
+    turn = _case(Turn(state, happened.at_s), happened.what)
     return turn.state, turn.effects
 
 
