@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields
 from operator import index
 from typing import Any, TypeVar
@@ -33,6 +33,20 @@ def store_whole(holder: object, name: str) -> None:
         object.__setattr__(holder, name, index(value))
     except TypeError:
         raise InvalidValueError(f"{name} must be a whole number, but is {value!r}") from None
+
+
+def store_resources(holder: object, name: str, fields: Mapping[str, str]) -> None:
+    """Put amounts of resources in order, and those with a field of their own there. Raises InvalidValueError."""
+    amounts = dict(sorted(getattr(holder, name).items()))
+    for resource, field in fields.items():
+        if resource in amounts:
+            if getattr(holder, field) is not None:
+                raise InvalidValueError(f"`{resource}` is said twice, by itself and in `{name}`")
+            object.__setattr__(holder, field, amounts.pop(resource))
+    for resource, amount in amounts.items():
+        if type(amount) is not int or amount < 0:
+            raise InvalidValueError(f"`{name}` has {amount} {resource}: write a whole number of 0 or more")
+    object.__setattr__(holder, name, amounts)
 
 
 def fields_of(value: Any) -> dict[str, Any]:

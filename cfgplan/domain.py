@@ -13,14 +13,17 @@ from operator import attrgetter
 from types import MappingProxyType
 from typing import TypeVar
 
-from cfgplan.canonical import fields_of, refuse_duplicates, store_sorted, store_whole
+from cfgplan.canonical import fields_of, refuse_duplicates, store_resources, store_sorted, store_whole
 from cfgplan.errors import InvalidValueError
 from cfgplan.qualities import QualityAttribute, Wish
+from cfgplan.transformations import CPU as CPU
+from cfgplan.transformations import MEMORY as MEMORY
 from cfgplan.transformations import START_MODES as START_MODES
 from cfgplan.transformations import InputPort as InputPort
 from cfgplan.transformations import OutputPort as OutputPort
 from cfgplan.transformations import RunOptions as RunOptions
 from cfgplan.transformations import Transformation as Transformation
+from cfgplan.transformations import amount_of as amount_of
 
 T = TypeVar("T")
 
@@ -113,13 +116,26 @@ class Target:
             refuse_duplicates(f"quality attribute of target {self.label!r}", [q.attribute for q in self.quality])
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Host:
-    """A computer: the CPU time (microseconds each second) and megabytes that units may take; None: no limit."""
+    """A computer: the CPU time (microseconds each second) and megabytes that units may take; None: no limit.
+
+    `offers` says how much it has of other resources, in whole numbers: of what is not there it has nothing.
+    """
 
     name: str
     cpu_us: int | None = None
     memory_mb: int | None = None
+    offers: Mapping[str, int] = field(default_factory=dict, hash=False)
+
+    def __post_init__(self) -> None:
+        store_resources(self, "offers", {CPU: "cpu_us", MEMORY: "memory_mb"})
+
+    def room(self, resource: str) -> int | None:
+        """How much units may take there in all of what `Transformation.takes` names; None: no limit."""
+        if resource in (CPU, MEMORY):
+            return self.cpu_us if resource == CPU else self.memory_mb
+        return self.offers.get(resource, 0)
 
 
 @dataclass(frozen=True)

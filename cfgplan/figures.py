@@ -5,11 +5,12 @@ For planners and for those who show plans; the judge reckons for itself.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from cfgplan.costs import keep_cost_us, standby_cost_us, transfer_cost_us
-from cfgplan.domain import ComputationUnit, Environment, Stream
+from cfgplan.domain import CPU, MEMORY, ComputationUnit, Environment, Stream
 from cfgplan.planning import Problem
 from cfgplan.qualities import QualityAttribute, price_us, propagated
 
@@ -37,14 +38,6 @@ class Transfer:
     origin: str | None
     to: str
     cost_us: int
-
-
-@dataclass(frozen=True, slots=True)
-class Load:
-    """What the units on a host take, in microseconds of CPU time a second and in megabytes; cold spares too."""
-
-    cpu_us: int
-    memory_mb: int
 
 
 def cost_parts(problem: Problem, units: Collection[ComputationUnit]) -> CostParts:
@@ -91,13 +84,12 @@ def transfers(problem: Problem, units: Collection[ComputationUnit]) -> list[Tran
     ]
 
 
-def loads(environment: Environment, units: Collection[ComputationUnit]) -> Mapping[str, Load]:
-    """What the units take on each host."""
-    library = environment.transformation
-    found = {}
-    for host in environment.hosts:
-        there = [library[u.transformation] for u in units if u.host == host.name and u.transformation in library]
-        found[host.name] = Load(sum(t.upkeep_us for t in there), sum(t.needs_mb for t in there))
+def loads(environment: Environment, units: Collection[ComputationUnit]) -> Mapping[str, Counter[str]]:
+    """What the units on each host take of each resource (see `Transformation.takes`); cold spares too."""
+    found: dict[str, Counter[str]] = {host.name: Counter({CPU: 0, MEMORY: 0}) for host in environment.hosts}
+    for unit in units:
+        if unit.host in found and unit.transformation in environment.transformation:
+            found[unit.host].update(environment.transformation[unit.transformation].takes)
     return found
 
 

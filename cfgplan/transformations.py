@@ -8,7 +8,7 @@ from functools import cached_property
 from operator import attrgetter
 from types import MappingProxyType
 
-from cfgplan.canonical import fields_of, refuse_duplicates, store_sorted, store_whole
+from cfgplan.canonical import fields_of, refuse_duplicates, store_resources, store_sorted, store_whole
 from cfgplan.errors import InvalidValueError
 from cfgplan.qualities import Contribution
 
@@ -54,6 +54,16 @@ class OutputPort:
         return -(-self.rate_uhz * self.size_bytes // 1_000_000)
 
 
+CPU, MEMORY = "cpu", "memory"
+"""The resources of hosts that have units of their own, and no limit where a host does not say one."""
+
+
+def amount_of(resource: str, amount: int) -> str:
+    """An amount of a resource for people: `300 MB of memory`, `1 gpu`."""
+    unit = {CPU: "us of CPU time each second", MEMORY: "MB of memory"}.get(resource, resource)
+    return f"{amount} {unit}"
+
+
 START_MODES = ("all", "any", "aligned")
 LEAST_HANG_S = 2
 
@@ -96,9 +106,9 @@ class Transformation:
     wherever that is possible at all (section V-C).
 
     Where an environment has hosts, units run on `host`, or on one of `hosts` if that is None, or anywhere if
-    both are empty, and take `needs_mb` megabytes there. No unit is beside one of a transformation in `conflicts`.
-    At least `min_instances` units run; at most `max_instances` are there, cold spares counted. A cold spare takes
-    `standby_us` each second; None: it has none.
+    both are empty, and take there what `takes` says: CPU time, memory and `needs`, whole numbers of other resources.
+    No unit is beside one of a transformation in `conflicts`. At least `min_instances` units run; at most
+    `max_instances` are there, cold spares counted. A cold spare takes `standby_us` each second; None: it has none.
     """
 
     label: str
@@ -119,6 +129,7 @@ class Transformation:
     min_instances: int = 0
     max_instances: int | None = None
     standby_us: int | None = None
+    needs: Mapping[str, int] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
         store_sorted(self, "inputs", self.inputs, attrgetter("name"))
@@ -139,6 +150,9 @@ class Transformation:
             raise InvalidValueError(f"transformation {self.label!r} has a host and a choice of hosts")
         if (self.memory_mb or 0) < 0 or (self.standby_us or 0) < 0:
             raise InvalidValueError(f"transformation {self.label!r} takes less than nothing")
+        if CPU in self.needs:
+            raise InvalidValueError(f"transformation {self.label!r} needs cpu: what a unit takes is its upkeep")
+        store_resources(self, "needs", {MEMORY: "memory_mb"})
         if self.min_instances < 0 or (self.max_instances is not None and self.max_instances < self.min_instances):
             raise InvalidValueError(f"transformation {self.label!r} asks for more instances than it allows")
 
@@ -148,6 +162,11 @@ class Transformation:
     def needs_mb(self) -> int:
         """The megabytes that a unit takes on its host: `memory_mb`, or else the most that it may take."""
         return (self.run.memory_mb or 0) if self.memory_mb is None else self.memory_mb
+
+    @cached_property
+    def takes(self) -> Mapping[str, int]:
+        """What a unit takes of its host: CPU in microseconds each second, memory in megabytes, and what it `needs`."""
+        return MappingProxyType({CPU: self.upkeep_us, MEMORY: self.needs_mb, **self.needs})
 
     @cached_property
     def input(self) -> Mapping[str, InputPort]:

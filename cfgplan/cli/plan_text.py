@@ -9,7 +9,7 @@ from rich.text import Text
 
 from cfgplan.cli.screen import counted
 from cfgplan.costs import keep_cost_us, seconds
-from cfgplan.domain import ComputationUnit, Environment, Target
+from cfgplan.domain import CPU, MEMORY, ComputationUnit, Environment, Host, Target
 from cfgplan.figures import cost_parts, loads, qualities_of_targets, transfers
 from cfgplan.planners import IGNORING_REQUIRED
 from cfgplan.planning import Failures, Plan, Problem, Status
@@ -258,14 +258,20 @@ def _reached(environment: Environment, target: Target, name: str, value: int) ->
     return f"{name} {quality(attribute, value)}{asked}"
 
 
+def _amount(host: Host, resource: str, taken: int) -> str:
+    """What units take of a resource, and of how much: `0.1 s of 0.2 s CPU/s`, `300 of 500 MB`, `1 of 2 gpu`."""
+    shown, unit = (cpu, "CPU/s") if resource == CPU else (str, "MB" if resource == MEMORY else resource)
+    room = host.room(resource)
+    return f"{shown(taken)}{'' if room is None else f' of {shown(room)}'} {unit}"
+
+
 def _hosts(problem: Problem, after: Environment) -> Iterator[Text]:
     for name, load in loads(after, after.units).items():
         host = after.host[name]
         number = sum(unit.host == name for unit in after.units)
-        cpu_limit = "" if host.cpu_us is None else f" of {cpu(host.cpu_us)}"
-        memory_limit = "" if host.memory_mb is None else f" of {host.memory_mb}"
         counted = "1 unit" if number == 1 else f"{number} units"
-        yield Text(f"Host {name}: {counted}, {cpu(load.cpu_us)}{cpu_limit} CPU/s, {load.memory_mb}{memory_limit} MB.")
+        amounts = [_amount(host, resource, load[resource]) for resource in dict.fromkeys([*load, *host.offers])]
+        yield Text(f"Host {name}: {', '.join([counted, *amounts])}.")
     carried = transfers(problem, after.units)
     for transfer in carried[:MOST_TRANSFERS]:
         dear = f", {cpu(transfer.cost_us)}" if transfer.cost_us else ""

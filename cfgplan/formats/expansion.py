@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from math import prod
 from typing import Any
 
-from cfgplan.domain import START_MODES, InputPort, OutputPort, RunOptions, Transformation
+from cfgplan.domain import CPU, MEMORY, START_MODES, InputPort, OutputPort, RunOptions, Transformation
 from cfgplan.errors import Fault
 from cfgplan.formats.fields import (
     DEFAULT_LABOR_US,
@@ -146,7 +146,7 @@ class Expander:
             return
         ports = {key: tuple(self._ports(source, path, key, part, filled, values)) for key in _PORTS}
         hosts = self._hosts(source, (*path, "host"), filled.host)
-        if self._is_misnumbered(source, path, part):
+        if self._is_misnumbered(source, path, part) or self._needs_twice(source, path, part):
             self._left_out.add("transformations", filled.label)
             return
         run = self._run_options(source, (*path, "run", "start"), filled)
@@ -167,6 +167,13 @@ class Expander:
             message = f"it asks for {part.min_instances} units, but allows {part.max_instances}"
             self._faults.append(source.fault((*path, "max_instances"), message, "raise max_instances"))
         return wrong
+
+    def _needs_twice(self, source: Source, path: Path, part: TransformationPart) -> bool:
+        wrong = {CPU} if part.memory is None else {CPU, MEMORY}
+        for resource in sorted(wrong.intersection(part.needs or ())):
+            message = f"the {resource} that a unit takes is said by `{'upkeep' if resource == CPU else resource}`"
+            self._faults.append(source.fault((*path, "needs", resource), message, "remove it here", at_key=True))
+        return not wrong.isdisjoint(part.needs or ())
 
     def _run_options(self, source: Source, path: Path, filled: TransformationPart) -> RunOptions:
         if filled.run is None:

@@ -29,6 +29,7 @@ from cfgplan.formats.schema_values import (
     PortName,
     PositiveMicro,
     Rate,
+    Resources,
     RuleName,
     Seconds,
     Silence,
@@ -267,6 +268,7 @@ class TransformationPart(Part):
     memory: int | None = row(
         "megabytes that a unit takes on its host; run.memory if absent", None, "memory_mb", ge=0, le=LONGEST_QUEUE
     )
+    needs: Resources | None = row("how much of other resources of its host a unit takes, by name: whole numbers")
     conflicts: list[Name] | None = row("transformations that may not be there beside it")
     min_instances: int = row("at least so many of its units run", 0, ge=0, le=MOST_INSTANCES)
     max_instances: int | None = row("at most so many of its units are there", ge=0)
@@ -321,6 +323,7 @@ class HostPart(Part):
     name: Name
     cpu: Cost | None = row("CPU seconds per second that units may take; no limit if absent", to="cpu_us")
     memory: int | None = row("megabytes that units may take; no limit if absent", to="memory_mb", ge=0)
+    offers: Resources | None = row("how much it has of other resources, by name; nothing of what is absent")
 
 
 class AttributePart(Part):

@@ -28,7 +28,11 @@ class Fleet:
         main = document.files[0].source if document.files else None
         for index, host in enumerate(document.hosts):
             if main is not None and self._is_new(main, ("hosts", index), host.name, self.hosts):
-                self.hosts[host.name] = Host(**host.values())
+                try:
+                    self.hosts[host.name] = Host(**host.values())
+                except InvalidValueError as error:
+                    self._faults.append(main.fault(("hosts", index, "offers"), str(error), "remove one of the two"))
+                    left_out.add("hosts", host.name)
         for index, part in enumerate(document.qualities):
             if main is not None and self._is_new(main, ("qualities", index), part.name, self.attributes):
                 try:

@@ -15,7 +15,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from cfgplan.costs import seconds
-from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Publication, Stream, Subscription
+from cfgplan.domain import CPU, MEMORY, ChangeSet, ComputationUnit, Environment, Publication, Stream, Subscription
 from cfgplan.errors import InputError, InvalidValueError
 from cfgplan.figures import cost_parts, loads, qualities_of_targets, transfers
 from cfgplan.formats.fields import json_schema
@@ -194,7 +194,7 @@ def _figures(problem: Problem, after: Environment) -> dict[str, Any]:
             label: {name: float(units(value)) for name, value in values.items()} for label, values in reached.items()
         },
         "hosts": {
-            name: {"cpu_us": load.cpu_us, "memory_mb": load.memory_mb}
+            name: {{CPU: "cpu_us", MEMORY: "memory_mb"}.get(resource, resource): load[resource] for resource in load}
             for name, load in loads(after, after.units).items()
         },
         "transfers": [

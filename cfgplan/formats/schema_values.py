@@ -16,8 +16,9 @@ from cfgplan.canonical import normal
 from cfgplan.costs import microseconds, seconds
 from cfgplan.errors import InvalidValueError
 from cfgplan.qualities import Better, Rule, micro_units, units
-from cfgplan.transformations import LEAST_HANG_S, RunOptions
+from cfgplan.transformations import CPU, LEAST_HANG_S, RunOptions
 
+LARGEST_AMOUNT = 1_000_000_000
 LARGEST_RATE_HZ = 100_000
 NAME = r"^[^\s\x00-\x1f\x7f]([^\x00-\x1f\x7f]*[^\s\x00-\x1f\x7f])?$"
 PORT = r"^[^\s\x00-\x1f\x7f/]([^\x00-\x1f\x7f/]*[^\s\x00-\x1f\x7f/])?$"
@@ -134,6 +135,18 @@ def _params(value: object) -> object:
     return _finite(value)
 
 
+def _resources(value: object) -> dict[str, int]:
+    """Whole amounts of resources by name, but for CPU time: microseconds of it each second."""
+    if type(value) is not dict:
+        raise PydanticCustomError("dict_type", "resources must be a mapping")
+    amounts = {normal(name): _cost(amount) if name == CPU else amount for name, amount in value.items()}
+    for name, amount in amounts.items():
+        if not re.fullmatch(NAME, name) or type(amount) is not int or not 0 <= amount <= LARGEST_AMOUNT:
+            text, mend = f"there can't be {amount} of `{name}`", f"write a whole number from 0 to {LARGEST_AMOUNT:,}"
+            raise PydanticCustomError("amount", "{text}", {"text": text, "mend": mend})
+    return amounts
+
+
 def form_of(value: object) -> str:
     """Which of two forms an author chose, so that errors are about that one only."""
     return FULL_FORM if isinstance(value, dict | list | BaseModel) else SHORT_FORM
@@ -190,6 +203,11 @@ Rate = Annotated[
 ]
 Micro = Annotated[int, PlainValidator(_micro), WithJsonSchema({"type": "number"}), Written(plain_quality)]
 PositiveMicro = Annotated[int, PlainValidator(_positive_micro), WithJsonSchema(_NUMBER), Written(plain_quality)]
+Resources = Annotated[
+    dict[str, int],
+    PlainValidator(_resources),
+    WithJsonSchema({"type": "object", "additionalProperties": {**_NUMBER, "maximum": LARGEST_AMOUNT}}),
+]
 Params = Annotated[dict[str, Any], PlainValidator(_params), WithJsonSchema({"type": ["object", "null"]})]
 BetterName = Annotated[Literal["lower", "higher"], AfterValidator(Better), Written(str)]
 RuleName = Annotated[Literal["add", "limit", "scale", "set"], AfterValidator(Rule), Written(str)]

@@ -159,10 +159,10 @@ def _is_allowed(problem: Problem, units: Units) -> bool:
             return False
     for host in environment.hosts:
         on_it = [library[unit.transformation] for unit in units if unit.host == host.name]
-        if host.cpu_us is not None and sum(t.upkeep_us for t in on_it) > host.cpu_us:
-            return False
-        if host.memory_mb is not None and sum(t.needs_mb for t in on_it) > host.memory_mb:
-            return False
+        for resource in {resource for t in on_it for resource in t.takes}:
+            room = host.room(resource)
+            if room is not None and sum(t.takes.get(resource, 0) for t in on_it) > room:
+                return False
     pinned = {u.id for u in environment.units if _may_stay(problem, u) and library[u.transformation].pinned}
     if pinned:
         possible = runnable(problem, [ComputationUnit(t.label, t.label) for t in environment.library])

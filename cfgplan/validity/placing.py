@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from cfgplan.domain import Environment
+from cfgplan.domain import Environment, amount_of
 from cfgplan.validity.reading import known_units
 from cfgplan.validity.rules import Rule, Violation
 
@@ -23,13 +23,11 @@ def placing_violations(environment: Environment) -> Iterator[Violation]:
             yield Violation(Rule.PLACED, text, unit.id)
     for host in environment.hosts:
         there = [transformation for unit, transformation in known_units(environment) if unit.host == host.name]
-        cpu_us, memory_mb = sum(t.upkeep_us for t in there), sum(t.needs_mb for t in there)
-        if host.cpu_us is not None and cpu_us > host.cpu_us:
-            text = f"the units on {host.name} take {cpu_us} us of CPU time each second, but it has {host.cpu_us} us"
-            yield Violation(Rule.CAPACITY, text)
-        if host.memory_mb is not None and memory_mb > host.memory_mb:
-            text = f"the units on {host.name} take {memory_mb} MB of memory, but it has {host.memory_mb} MB"
-            yield Violation(Rule.CAPACITY, text)
+        for resource in sorted({resource for transformation in there for resource in transformation.takes}):
+            taken, room = sum(transformation.takes.get(resource, 0) for transformation in there), host.room(resource)
+            if room is not None and taken > room:
+                text = f"the units on {host.name} take {amount_of(resource, taken)}, but it has {room}"
+                yield Violation(Rule.CAPACITY, text)
 
 
 def carried_us(environment: Environment, horizon_s: int) -> int:

@@ -19,7 +19,7 @@ class Rule(StrEnum):
     PUBLISHED = "a topic carries only what a target asks for"
     QUALITY = "every target's stream is as good as the target asks"
     PLACED = "every unit runs on a host that its transformation allows"
-    CAPACITY = "the units on a host take no more CPU time and memory than it has"
+    CAPACITY = "the units on a host take no more of any resource than it has"
     APART = "units of transformations that conflict are not there together"
     INSTANCES = "of each transformation as many units run as it asks for and allows"
     SURVIVES = "no single failure leaves a target without a stream"

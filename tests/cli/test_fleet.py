@@ -41,7 +41,7 @@ def test_what_is_to_be_survived_can_be_said_at_the_command_line(run: Run) -> Non
 def test_check_tells_what_a_fleet_violates(run: Run) -> None:
     result = run("check", FLEET / "5-memory-taken.yaml")
     assert result.code == 1
-    assert "capacity: the units on r2 take 460 MB of memory, but it has 300 MB" in result.out
+    assert "capacity: the units on r2 take 460 MB of memory, but it has 300" in result.out
     survived = run("check", FLEET / "5-memory-taken.yaml", "--survive", "units", "--json").document
     assert {"capacity", "survives"} == {violation["rule"] for violation in survived["violations"]}
 
@@ -76,6 +76,35 @@ def test_explain_names_the_bound_that_no_wiring_meets(run: Run, tmp_path: Path) 
     result = run("explain", path)
     assert result.code == 10
     assert "asks for error of at most 0.1, but the best that any wiring reaches is 0.18" in result.out
+
+
+GPUS = """\
+format: cfgplan/1
+hosts: [{name: big, offers: {gpu: 2}}, {name: small}]
+transformations:
+  - {label: detector, needs: {gpu: 2}, outputs: {out: Boxes}}
+  - {label: camera, outputs: {out: Image}}
+targets:
+  - {label: boxes, topic: /boxes, tag: Boxes}
+  - {label: image, topic: /image, tag: Image}
+"""
+
+
+def test_a_resource_that_no_host_has_is_named(run: Run, tmp_path: Path) -> None:
+    path = tmp_path / "env.yaml"
+    path.write_text(GPUS)
+    out = run("solve", path).out
+    assert "Host big: " in out and " MB, 2 of 2 gpu." in out
+    path.write_text(GPUS.replace("gpu: 2}}, {name", "gpu: 1}}, {name"))
+    result = run("explain", path)
+    assert result.code == 10
+    assert "target boxes would have no stream: no host where detector may run has 2 gpu" in result.out
+
+
+def test_units_that_take_more_of_a_resource_than_their_host_has_are_named(run: Run, tmp_path: Path) -> None:
+    path = tmp_path / "env.yaml"
+    path.write_text(GPUS + "units: [{id: detector.1, transformation: detector, host: small, topics: {out: [/boxes]}}]")
+    assert "capacity: the units on small take 2 gpu, but it has 0" in run("check", path).out
 
 
 def test_explain_tells_a_spare_and_a_failure_that_nothing_survives(run: Run) -> None:

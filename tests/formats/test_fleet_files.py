@@ -71,6 +71,21 @@ def test_all_that_a_fleet_says_is_read(tmp_path: Path) -> None:
     assert wishes == (Wish("error", 300_000, 2_000_000), Wish("rate", 10_000_000))
 
 
+def test_cpu_and_memory_are_resources_among_others(tmp_path: Path) -> None:
+    hosts = "[{name: base, offers: {gpu: 2, memory: 100, cpu: 1.5}}, {name: piff}]"
+    text = TEXT.replace("[{name: base, cpu: 1.5, memory: 100}, {name: piff}]", hosts)
+    text = text.replace("    memory: 20\n", "    needs: {memory: 20, gpu: 1}\n")
+    world = load_text(tmp_path, text)
+    assert world.environment.hosts == (Host("base", 1_500_000, 100, {"gpu": 2}), Host("piff"))
+    assert [world.environment.host["piff"].room(resource) for resource in ("cpu", "memory", "gpu")] == [None, None, 0]
+    camera = world.environment.transformation["camera(piff)"]
+    assert (camera.memory_mb, camera.needs) == (20, {"gpu": 1})
+    assert camera.takes == {"cpu": 0, "memory": 20, "gpu": 1}
+    again = dump_environment(world.environment, horizon_s=world.horizon_s, survive=world.survive)
+    assert "cpu: 1.5\n  memory: 100\n  offers:\n    gpu: 2\n" in again
+    assert load_text(tmp_path, again, "again.yaml").digest == world.digest != load_text(tmp_path, TEXT).digest
+
+
 def test_a_fleet_is_the_same_written_and_read_again(tmp_path: Path) -> None:
     world = load_text(tmp_path, TEXT)
     text = dump_environment(world.environment, horizon_s=world.horizon_s, survive=world.survive)
@@ -130,6 +145,13 @@ def test_a_library_may_say_more_of_quality_and_hosts_than_an_environment_asks(tm
         ("worst: 5", "worst: 5, best: 6", "the scale of error is wrong", "exchange worst and best"),
         ("{name: piff}]", "{name: piff}, {name: base}]", "`base` stands here twice", "remove one of them"),
         ("standby: true}", "standby: true, topics: {image: [/t]}}", "it can't have inputs or topics", None),
+        ("memory: 20", "memory: 20\n    needs: {memory: 3}", "is said by `memory`", "remove it here"),
+        ("memory: 20", "needs: {cpu: 3}", "the cpu that a unit takes is said by `upkeep`", "remove it here"),
+        ("memory: 20", "needs: {gpu: 0.5}", "there can't be 0.5 of `gpu`", "write a whole number from 0 to"),
+        ("memory: 20", "needs: {gpu: -1}", "there can't be -1 of `gpu`", "write a whole number from 0 to"),
+        ("memory: 20", "needs: [gpu]", "this must be a mapping of keys to values", None),
+        ("memory: 100}", "memory: 100, offers: {memory: 3}}", "`memory` is said twice", "remove one of the two"),
+        ("memory: 100}", "offers: {memory: 0.5}}", "there can't be 0.5 of `memory`", None),
         ("host: base, quality", "host: moon, quality", "there is no host `moon`", None),
     ],
 )

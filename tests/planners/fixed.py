@@ -249,7 +249,7 @@ PLAIN_OUTPUT = OutputPort("x", "")
 
 def kind(
     label: str,
-    needs: str = "",
+    wants: str = "",
     gives: str = "",
     labor_us: int = 1,
     *,
@@ -258,9 +258,9 @@ def kind(
     output: OutputPort = PLAIN_OUTPUT,
     **more: object,
 ) -> Transformation:
-    """A transformation with inputs in0, in1 ... for the letters of `needs`, outputs x0, x1 ... for those of `gives`."""
+    """A transformation with inputs in0, in1 ... for the letters of `wants`, outputs x0, x1 ... for those of `gives`."""
     inputs = tuple(
-        InputPort(f"in{i}", tag, "g" if i in distinct else None, i in feedback) for i, tag in enumerate(needs)
+        InputPort(f"in{i}", tag, "g" if i in distinct else None, i in feedback) for i, tag in enumerate(wants)
     )
     outputs = tuple(replace(output, name=f"x{i}", tag=tag) for i, tag in enumerate(gives))
     return Transformation(label, inputs, outputs, labor_us, **more)  # type: ignore[arg-type]

@@ -12,7 +12,7 @@ from cfgplan.planning import Failures, Notion, Problem
 from cfgplan.qualities import Better, Contribution, Over, QualityAttribute, Rule, Wish
 
 MICRO = 1_000_000
-HOSTS = (Host("h0", 9, 4), Host("h1", 6, None), Host("h2"))
+HOSTS = (Host("h0", 9, 4, {"gpu": 1}), Host("h1", 6, None, {"gpu": 3}), Host("h2"))
 VALUES = st.sampled_from([0, 1, 2, 3, 5, 8])
 FACTORS = st.sampled_from([0, MICRO // 3, MICRO // 2, MICRO, 3 * MICRO // 2])
 
@@ -83,6 +83,7 @@ def transformations(
         changes["host"] = draw(st.sampled_from(names)) if choice == "one" else None
         changes["hosts"] = tuple(draw(st.sets(st.sampled_from(names), min_size=1))) if choice == "some" else ()
         changes["memory_mb"] = draw(st.sampled_from([None, 0, 1, 2, 3]))
+        changes["needs"] = draw(st.sampled_from([{}, {}, {}, {"gpu": 0}, {"gpu": 1}, {"gpu": 2}]))
     if Notion.CONFLICTS in notions:
         changes["conflicts"] = tuple(draw(st.sets(st.sampled_from(labels), max_size=1)) - {plain.label})
     if Notion.INSTANCES in notions:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from fixed import Anywhere, Apart, Fixed, Flat, Hubs, kind, on, publishes, runs, unit, waits, world
 
@@ -46,19 +48,32 @@ def test_a_running_unit_stays_on_its_host(model: type[Fixed]) -> None:
 
 @every_model
 @pytest.mark.parametrize(
-    ("small", "takes"), [(Host("h0", cpu_us=5), {"upkeep_us": 3}), (Host("h0", memory_mb=5), {"memory_mb": 3})]
+    ("small", "takes"),
+    [
+        (Host("h0", cpu_us=5), {"upkeep_us": 3}),
+        (Host("h0", memory_mb=5), {"memory_mb": 3}),
+        (Host("h0", offers={"gpu": 5}), {"needs": {"gpu": 3}}),
+    ],
 )
-def test_a_host_bears_its_units(model: type[Fixed], small: Host, takes: dict[str, int]) -> None:
-    fixed = model(placed(small, Host("h1"), **takes))
+def test_a_host_bears_its_units(model: type[Fixed], small: Host, takes: dict[str, Any]) -> None:
+    fixed = model(placed(small, Host("h1", offers={"gpu": 6}), **takes))
     assert fixed.allows(on("s.1", "h0"), on("f.1", "h1"))
     assert fixed.allows(on("s.1", "h1"), on("f.1", "h1"))
     assert not fixed.allows(on("s.1", "h0"), on("f.1", "h0"))
 
 
-@pytest.mark.parametrize("takes", [{"upkeep_us": 3}, {"memory_mb": 3}])
-def test_a_host_bears_its_cold_spares(takes: dict[str, int]) -> None:
+@every_model
+def test_what_a_host_does_not_offer_it_has_not(model: type[Fixed]) -> None:
+    fixed = model(world("A", kind("s", gives="A", needs={"gpu": 1}), hosts=(Host("h0"), Host("h1", offers={"gpu": 1}))))
+    assert fixed.allows(on("s.1", "h1"))
+    assert not fixed.allows(on("s.1", "h0"))
+
+
+@pytest.mark.parametrize("takes", [{"upkeep_us": 3}, {"memory_mb": 3}, {"needs": {"gpu": 3}}])
+def test_a_host_bears_its_cold_spares(takes: dict[str, Any]) -> None:
     source = kind("s", gives="A", standby_us=1, **takes)
-    fixed = Apart(world("A", source, hosts=(Host("h0", 5, 5), Host("h1", 5, 5)), survive=Failures.UNITS))
+    hosts = tuple(Host(name, 5, 5, {"gpu": 5}) for name in ("h0", "h1"))
+    fixed = Apart(world("A", source, hosts=hosts, survive=Failures.UNITS))
     assert fixed.allows(waits("s.1"), on("s.1", "h0"), on("s.2", "h1"))
     assert not fixed.allows(waits("s.1"), on("s.1", "h0"), on("s.2", "h0"))
 

@@ -60,6 +60,7 @@ def with_less_forbidden(problem: Problem) -> Iterator[tuple[str, Problem]]:
             "least number": replace(t, min_instances=0),
             "most": replace(t, max_instances=None if t.max_instances is None else t.max_instances + 1),
             "hosts": replace(t, host=None, hosts=()),
+            "needs": replace(t, needs={}),
         }.items():
             if freer != t:
                 library = [*environment.library[:i], freer, *environment.library[i + 1 :]]

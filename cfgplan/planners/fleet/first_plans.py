@@ -86,9 +86,10 @@ class FirstPlans:
         attribute, transformations = self._attribute, self.network.transformations
         if attribute is None:
             hosts = self.candidates.environment.hosts
-            cpu_us = sum(host.cpu_us or 0 for host in hosts) or np.inf
-            memory_mb = sum(host.memory_mb or 0 for host in hosts) or np.inf
-            return np.array([t.upkeep_us / cpu_us + t.needs_mb / memory_mb for t in transformations], np.float64)
+            resources = sorted({resource for t in transformations for resource in t.takes})
+            have = {resource: sum(host.room(resource) or 0 for host in hosts) or np.inf for resource in resources}
+            shares = [sum(amount / have[resource] for resource, amount in t.takes.items()) for t in transformations]
+            return np.array(shares, np.float64)
         self.candidates.watch()
         sign = 1 if attribute.better is Better.LOWER else -1
         stated = [
@@ -145,7 +146,6 @@ class FirstPlans:
     def is_valid(self, units: list[ComputationUnit]) -> bool:
         """Whether a configuration that is wired keeps the bounds, the limits of hosts, numbers and failures."""
         environment = self.candidates.environment
-        load = loads(environment, units)
         reached = qualities_of_targets(environment, units)
         there = Counter(unit.transformation for unit in units)
         running = Counter(unit.transformation for unit in units if not unit.standby)
@@ -156,8 +156,12 @@ class FirstPlans:
                 for target in environment.targets
                 for wish in target.quality
             )
-            and all(host.cpu_us is None or load[host.name].cpu_us <= host.cpu_us for host in environment.hosts)
-            and all(host.memory_mb is None or load[host.name].memory_mb <= host.memory_mb for host in environment.hosts)
+            and all(
+                room is None or taken <= room
+                for name, load in loads(environment, units).items()
+                for resource, taken in load.items()
+                for room in [environment.host[name].room(resource)]
+            )
             and all(running[t.label] >= t.min_instances for t in self._numbered)
             and all(t.max_instances is None or there[t.label] <= t.max_instances for t in kinds)
             and not any(other != t.label and other in there for t in kinds for other in t.conflicts)

@@ -102,10 +102,10 @@ def hosts_bear_their_units(model: FlatModel) -> None:
     units = model.candidates.all
     for host in model.environment.hosts:
         here = [(model.uses[n], units[label.unit].transformation) for n, label in placed if label.host == host.name]
-        if host.cpu_us is not None:
-            model.cp.add(sum(t.upkeep_us * uses for uses, t in here) <= host.cpu_us)
-        if host.memory_mb is not None:
-            model.cp.add(sum(t.needs_mb * uses for uses, t in here) <= host.memory_mb)
+        for resource in sorted({resource for _, t in here for resource in t.takes}):
+            room = host.room(resource)
+            if room is not None:
+                model.cp.add(sum(t.takes.get(resource, 0) * uses for uses, t in here) <= room)
 
 
 def numbers_and_conflicts_are_kept(model: FlatModel) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Iterable
 
 from cfgplan.costs import transfer_cost_us
@@ -19,9 +20,7 @@ class Places:
         self.host_of: dict[int, Host] = {}
         self.feeds: dict[tuple[int, str], Stream] = {}
         self.published: dict[str, Stream] = {}
-        hosts = candidates.environment.hosts
-        self._cpu_us = {host.name: host.cpu_us for host in hosts}
-        self._memory_mb = {host.name: host.memory_mb for host in hosts}
+        self._taken: Counter[tuple[Host, str]] = Counter()
         self._price_us: dict[Stream, int] = {}
 
     def put_all(self, grounded: Grounded, but_on: Host = None) -> bool:
@@ -42,7 +41,8 @@ class Places:
         """Place a unit on the first of some hosts that has room for it."""
         for host in hosts:
             if self._has_room(unit, host):
-                self._take(unit, host)
+                for resource, amount in self.candidates.all[unit].transformation.takes.items():
+                    self._taken[host, resource] += amount
                 self.host_of[unit] = host
                 return True
         return False
@@ -50,19 +50,12 @@ class Places:
     def _has_room(self, unit: int, host: Host) -> bool:
         if host is None:
             return True
-        transformation = self.candidates.all[unit].transformation
-        cpu_us, memory_mb = self._cpu_us[host], self._memory_mb[host]
-        return (cpu_us is None or transformation.upkeep_us <= cpu_us) and (
-            memory_mb is None or transformation.needs_mb <= memory_mb
+        takes, room = self.candidates.all[unit].transformation.takes, self.candidates.environment.host[host].room
+        return all(
+            most is None or self._taken[host, resource] + amount <= most
+            for resource, amount in takes.items()
+            for most in [room(resource)]
         )
-
-    def _take(self, unit: int, host: Host) -> None:
-        if host is None:
-            return
-        transformation = self.candidates.all[unit].transformation
-        cpu_us, memory_mb = self._cpu_us[host], self._memory_mb[host]
-        self._cpu_us[host] = None if cpu_us is None else cpu_us - transformation.upkeep_us
-        self._memory_mb[host] = None if memory_mb is None else memory_mb - transformation.needs_mb
 
     def _carry_us(self, grounded: Grounded, unit: int, host: Host) -> int:
         """What it costs to carry a unit's inputs to a host, where their feeders are placed."""

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 
-from cfgplan.domain import Environment, Target, Transformation
+from cfgplan.domain import Environment, Target, Transformation, amount_of
 from cfgplan.planning import Failures, Problem
 from cfgplan.qualities import Better, is_met, propagated, units
 from cfgplan.reasons import Givers, startable
@@ -18,7 +18,9 @@ def joint_reasons(problem: Problem) -> dict[str, str]:
     unreachable = {
         target.label: reason
         for target in problem.environment.targets
-        for reason in [_missed_bound(problem, target, best) or _fatal_failure(problem, target)]
+        for reason in [
+            _missed_bound(problem, target, best) or _missing_room(problem, target) or _fatal_failure(problem, target)
+        ]
         if reason
     }
     asked = ", ".join(sorted(problem.notions))
@@ -41,6 +43,32 @@ def _missed_bound(problem: Problem, target: Target, best: Mapping[str, Mapping[s
     return None
 
 
+def _missing_room(problem: Problem, target: Target) -> str | None:
+    """The transformations too large for every host that they may run on, if there is no stream without them."""
+    library = problem.environment.library
+    too_large = {t.label: lack for t in library for lack in [_lack(problem.environment, t)] if lack}
+    if not too_large or _has_stream(problem, target, too_large):
+        return None
+    alone = [lack for label, lack in too_large.items() if not _has_stream(problem, target, {label})]
+    return f"target {target.label} would have no stream: {(alone or list(too_large.values()))[0]}"
+
+
+def _lack(environment: Environment, t: Transformation) -> str | None:
+    hosts = [environment.host[name] for name in environment.hosts_for(t) if name is not None]
+    for resource, amount in sorted(t.takes.items()):
+        rooms = [host.room(resource) for host in hosts]
+        if hosts and all(room is not None and amount > room for room in rooms):
+            return f"no host where {t.label} may run has {amount_of(resource, amount)}"
+    return None
+
+
+def _has_stream(problem: Problem, target: Target, without: Collection[str]) -> bool:
+    """Whether some units that there could be give a target a stream if some transformations are gone."""
+    library = tuple(t for t in problem.environment.library if t.label not in without)
+    givers = Givers(library, problem.similarity)
+    return not startable(Environment((), library), givers).isdisjoint(givers.of(target.tag))
+
+
 def _fatal_failure(problem: Problem, target: Target) -> str | None:
     """A failure after which no units that there could be give a target's stream."""
     environment = problem.environment
@@ -57,9 +85,7 @@ def _fatal_failure(problem: Problem, target: Target) -> str | None:
         if t.max_instances == 1 or number[t.label] + problem.most_new(t) == 1:
             lost[f"the only unit of {t.label} fails"] = {t.label}
     for what, labels in lost.items():
-        library = tuple(t for t in environment.library if t.label not in labels)
-        givers = Givers(library, problem.similarity)
-        if startable(Environment((), library), givers).isdisjoint(givers.of(target.tag)):
+        if not _has_stream(problem, target, labels):
             return f"target {target.label} would have no stream if {what}"
     return None
 

@@ -238,7 +238,7 @@ def required_transformations_serve_a_target(model: Model) -> None:
 
 
 def hosts_bear_their_units(model: Model) -> None:
-    """CPU time and memory; cold spares count as if they ran, since they must be able to."""
+    """In each resource; cold spares count as if they ran, since they must be able to."""
     candidates = model.candidates.all
     for host in model.environment.hosts:
         here = [
@@ -247,10 +247,11 @@ def hosts_bear_their_units(model: Model) -> None:
             for i, on in places.items()
             for literal in ([on[host.name]] if host.name in on else [])
         ]
-        if host.cpu_us is not None:
-            model.cp.add(LinearExpr.sum([t.upkeep_us * literal for literal, t in here]) <= host.cpu_us)
-        if host.memory_mb is not None:
-            model.cp.add(LinearExpr.sum([t.needs_mb * literal for literal, t in here]) <= host.memory_mb)
+        for resource in sorted({resource for _, t in here for resource in t.takes}):
+            room = host.room(resource)
+            if room is not None:
+                taken = [t.takes.get(resource, 0) * literal for literal, t in here]
+                model.cp.add(LinearExpr.sum(taken) <= room)
 
 
 def units_that_conflict_are_not_there_together(model: Model) -> None:
