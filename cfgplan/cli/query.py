@@ -145,7 +145,7 @@ def _own(options: argparse.Namespace, screen: Screen, asked: Query, world: World
 def _read(options: argparse.Namespace, screen: Screen, known: DeclaredFeatures) -> Query:
     """The query that the options say, over the features that are known and those that they declare."""
     from cfgplan_runtime.reasoning import features
-    from cfgplan_runtime.reasoning.parsing import FILE
+    from cfgplan_runtime.reasoning.parser import FILE
     from cfgplan_runtime.reasoning.queries import query
     from cfgplan_runtime.reasoning.states import Timing
 

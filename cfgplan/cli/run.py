@@ -186,7 +186,7 @@ def _adjusted(options: argparse.Namespace) -> Callable[[World], World]:
 
 def _estimates_file(options: argparse.Namespace) -> Path:
     """The file of estimates. A damaged one is renamed, so anything but a JSON file is refused. Raises InputError."""
-    from cfgplan_runtime.estimating.keeping import default_file
+    from cfgplan_runtime.estimating.estimates_file import default_file
 
     if options.estimates is None:
         return default_file(Path(options.env))
@@ -233,8 +233,8 @@ def _planner(name: str) -> Planner:
 
 def first_update(problem: Problem, settings: Settings, decider: Decider) -> BestEffort:
     """What the first review of a run would decide, by the costs that are known by now."""
+    from cfgplan_runtime.estimating.estimates_file import load
     from cfgplan_runtime.estimating.estimator import make_estimator
-    from cfgplan_runtime.estimating.keeping import load
 
     from cfgplan.explaining.best_effort import best_effort
     from cfgplan.planners import PLANNERS

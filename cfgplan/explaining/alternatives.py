@@ -11,7 +11,7 @@ from itertools import combinations
 
 from cfgplan.costs import keep_cost_us, start_cost_us
 from cfgplan.errors import InputError
-from cfgplan.explaining.serving import Kept, unused_required
+from cfgplan.explaining.kept import Kept, unused_required
 from cfgplan.explaining.together import REFUSED
 from cfgplan.planning import Notion, Plan, Planner, Problem, Status
 from cfgplan.reasons import Givers, startable

@@ -13,7 +13,7 @@ from cfgplan.domain import Environment
 from cfgplan.errors import InputError
 from cfgplan.explaining.why_this import after_update
 from cfgplan.planning import Plan, Planner, Problem, Status
-from cfgplan.validity.placing import carried_us
+from cfgplan.validity.hosts import carried_us
 
 
 @dataclass(frozen=True, order=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment
-from cfgplan.explaining.serving import Kept, unused_required
+from cfgplan.explaining.kept import Kept, unused_required
 from cfgplan.explaining.why_not import requiring
 from cfgplan.planning import Notion, Plan, Planner, Problem, Status
 

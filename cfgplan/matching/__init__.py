@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from cfgplan.matching.explaining import MatchExplanation, Nearest, explain_match, nearest_offers
+    from cfgplan.matching.explanation import MatchExplanation, Nearest, explain_match, nearest_offers
     from cfgplan.matching.faults import (
         InconsistentOntologyError,
         MatchingError,
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
         TagError,
         UnknownNameError,
     )
-    from cfgplan.matching.loading import load_ontology, read_owlready
     from cfgplan.matching.matrix import Matches, instances, match
     from cfgplan.matching.ontology import Ontology
+    from cfgplan.matching.ontology_files import load_ontology, read_owlready
     from cfgplan.matching.reasoners import REASONERS
     from cfgplan.matching.session import Matcher, Matching
     from cfgplan.matching.syntax import check_tag
@@ -48,12 +48,12 @@ __all__ = [
 ]
 
 _MODULES = {
-    "explaining": ("MatchExplanation", "Nearest", "explain_match", "nearest_offers"),
+    "explanation": ("MatchExplanation", "Nearest", "explain_match", "nearest_offers"),
     "faults": (
         *("InconsistentOntologyError", "MatchingError", "ReasonerError", "ReasonerTimeoutError"),
         *("TagError", "UnknownNameError"),
     ),
-    "loading": ("load_ontology", "read_owlready"),
+    "ontology_files": ("load_ontology", "read_owlready"),
     "matrix": ("Matches", "instances", "match"),
     "ontology": ("Ontology",),
     "reasoners": ("REASONERS",),

@@ -11,6 +11,7 @@ from cfgplan.domain import Similarity
 from cfgplan.errors import Fault, InputError
 from cfgplan.matching.concepts import TOP, Concept
 from cfgplan.matching.countermodels import Countermodels
+from cfgplan.matching.derivations import contradiction
 from cfgplan.matching.engine import Engine, roles_in
 from cfgplan.matching.faults import InconsistentOntologyError, MatchingError
 from cfgplan.matching.functional import parse
@@ -19,7 +20,6 @@ from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.reasoners import reference_named
 from cfgplan.matching.registry import TagRegistry
 from cfgplan.matching.rows import Rows
-from cfgplan.matching.tracing import contradiction
 from cfgplan.matching.verdicts import Asked, Verdicts, countdown
 from cfgplan.planning import Pair
 

@@ -8,7 +8,7 @@ from graphlib import CycleError, TopologicalSorter
 
 from cfgplan.domain import Environment, Similarity, Stream
 from cfgplan.planning import Failures
-from cfgplan.validity.placing import placing_violations
+from cfgplan.validity.hosts import placing_violations
 from cfgplan.validity.quality import quality_violations
 from cfgplan.validity.reading import known_units, needed_by, publishers, tag_of
 from cfgplan.validity.rules import Rule, Violation

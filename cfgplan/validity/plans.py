@@ -8,7 +8,7 @@ from cfgplan.domain import ComputationUnit, Environment, Transformation
 from cfgplan.errors import InvalidValueError
 from cfgplan.planning import Plan, Problem, Status
 from cfgplan.validity.environments import violations
-from cfgplan.validity.placing import carried_us
+from cfgplan.validity.hosts import carried_us
 from cfgplan.validity.quality import priced_us
 from cfgplan.validity.reading import known_units, needed_by, publishers
 from cfgplan.validity.rules import Rule, Violation

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from cfgplan_runtime.reasoning.monitor import Monitor
-from cfgplan_runtime.reasoning.naming import Vocabulary
-from cfgplan_runtime.reasoning.parsing import parse
+from cfgplan_runtime.reasoning.parser import parse
+from cfgplan_runtime.reasoning.vocabulary import Vocabulary
 from formulas import SECOND, ticks
 from speed import rtamt_monitor
 

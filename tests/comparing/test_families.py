@@ -6,7 +6,7 @@ import pytest
 
 from cfgplan.comparing.families import FAMILIES, adversarial, nao, random_library, replanning
 from cfgplan.comparing.families.adversarial import KINDS
-from cfgplan.comparing.families.running import cheap_configuration
+from cfgplan.comparing.families.configurations import cheap_configuration
 from cfgplan.comparing.suites import wsc_sets
 from cfgplan.errors import InputError
 from cfgplan.planners import PLANNERS

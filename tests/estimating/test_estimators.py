@@ -9,7 +9,7 @@ import pytest
 from cfgplan_runtime.children.messages import PortCounts
 from cfgplan_runtime.estimating.estimator import ESTIMATORS, LearningEstimator, make_estimator
 from cfgplan_runtime.estimating.evidence import family
-from cfgplan_runtime.estimating.expecting import Origin
+from cfgplan_runtime.estimating.expectations import Origin
 from cfgplan_runtime.estimating.settings import Learning
 from cfgplan_runtime.supervision.simulated_backend import Behaviour, SimulatedBackend
 from hypothesis import given, settings

@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 
 import pytest
-from cfgplan_runtime.estimating.forecasting import FORECASTERS, Average, Damped, Forecast, Holt, Latest, Trend, damped
+from cfgplan_runtime.estimating.forecasters import FORECASTERS, Average, Damped, Forecast, Holt, Latest, Trend, damped
 from cfgplan_runtime.estimating.history import CostSample, History
 from hypothesis import given
 from hypothesis import strategies as st

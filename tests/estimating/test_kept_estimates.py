@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from cfgplan_runtime.estimating.estimates_file import EstimatesError, default_file, load, save
 from cfgplan_runtime.estimating.estimator import make_estimator
-from cfgplan_runtime.estimating.keeping import EstimatesError, default_file, load, save
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from observing import HORIZON_S, WORK, Watched

@@ -6,8 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from cfgplan_runtime import Manager, SimulatedRuntime
+from cfgplan_runtime.estimating.estimates_file import load, save
 from cfgplan_runtime.estimating.estimator import LearningEstimator, make_estimator
-from cfgplan_runtime.estimating.keeping import load, save
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
 
 from cfgplan import api

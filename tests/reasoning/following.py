@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from cfgplan_runtime.reasoning.compiling import truth_of
 from cfgplan_runtime.reasoning.monitor import Monitor
+from cfgplan_runtime.reasoning.program import truth_of
 from cfgplan_runtime.reasoning.truth import FALSE, TRUE, UNKNOWN, Truth, Verdict
 from direct import State
 

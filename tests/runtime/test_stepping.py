@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from cfgplan_runtime.children.stepping import StepQueue
+from cfgplan_runtime.children.steps import StepQueue
 from cfgplan_runtime.streams.element import Element
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from random import Random
 
-from cfgplan.comparing.families.running import cheap_configuration, without
+from cfgplan.comparing.families.configurations import cheap_configuration, without
 from cfgplan.costs import MICROSECONDS
 from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Target, Transformation
 from cfgplan.errors import InvalidValueError

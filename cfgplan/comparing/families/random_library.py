@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from random import Random
 
-from cfgplan.comparing.families.running import cheap_configuration, wired_where_possible, without
+from cfgplan.comparing.families.configurations import cheap_configuration, wired_where_possible, without
 from cfgplan.costs import MICROSECONDS
 from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Target, Transformation
 from cfgplan.errors import InvalidValueError

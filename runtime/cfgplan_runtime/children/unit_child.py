@@ -12,7 +12,7 @@ import msgspec
 from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.messages import Exhausted, Finish, PortCounts, Ready, Status, ToChild, Trouble, UnitOrder
 from cfgplan_runtime.children.ports import Ports, UnitInput, UnitOutput
-from cfgplan_runtime.children.stepping import Step, StepQueue
+from cfgplan_runtime.children.steps import Step, StepQueue
 from cfgplan_runtime.children.unit_code import Given, UnitCode
 from cfgplan_runtime.errors import EncodingError, WrongPortsError
 from cfgplan_runtime.streams.element import Element, Moment, Outgoing

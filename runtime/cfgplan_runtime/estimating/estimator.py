@@ -10,9 +10,9 @@ from types import MappingProxyType
 from cfgplan.costs import LARGEST_COST_US
 from cfgplan.domain import Transformation
 from cfgplan_runtime.estimating.evidence import Evidence, declaration, family
-from cfgplan_runtime.estimating.expecting import Expectations, Origin
-from cfgplan_runtime.estimating.forecasting import FORECASTERS, Forecaster, Trend
-from cfgplan_runtime.estimating.guessing import GUESSES, Costs, Guess, declared
+from cfgplan_runtime.estimating.expectations import Expectations, Origin
+from cfgplan_runtime.estimating.forecasters import FORECASTERS, Forecaster, Trend
+from cfgplan_runtime.estimating.guesses import GUESSES, Costs, Guess, declared
 from cfgplan_runtime.estimating.settings import Learning
 from cfgplan_runtime.supervision.observation import Observation
 

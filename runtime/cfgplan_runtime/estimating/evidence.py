@@ -7,7 +7,7 @@ import hashlib
 import msgspec
 
 from cfgplan.domain import Transformation
-from cfgplan_runtime.estimating.guessing import Costs, Kind
+from cfgplan_runtime.estimating.guesses import Costs, Kind
 from cfgplan_runtime.estimating.history import Amount, CostSample, FailureHistory, History, Moment
 
 

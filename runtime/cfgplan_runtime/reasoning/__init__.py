@@ -12,14 +12,13 @@ if TYPE_CHECKING:
     from cfgplan_runtime.reasoning.answers import Answer as Answer
     from cfgplan_runtime.reasoning.answers import UnmetTargetsError as UnmetTargetsError
     from cfgplan_runtime.reasoning.engine import Engine as Engine
-    from cfgplan_runtime.reasoning.evaluating import Evaluator as Evaluator
+    from cfgplan_runtime.reasoning.evaluator import Evaluator as Evaluator
     from cfgplan_runtime.reasoning.features import DeclaredFeatures as DeclaredFeatures
     from cfgplan_runtime.reasoning.features import Feature as Feature
     from cfgplan_runtime.reasoning.managed import ManagedSubscriptions as ManagedSubscriptions
     from cfgplan_runtime.reasoning.managed import RemoteSubscriptions as RemoteSubscriptions
     from cfgplan_runtime.reasoning.monitor import Monitor as Monitor
-    from cfgplan_runtime.reasoning.naming import Vocabulary as Vocabulary
-    from cfgplan_runtime.reasoning.parsing import parse as parse
+    from cfgplan_runtime.reasoning.parser import parse as parse
     from cfgplan_runtime.reasoning.queries import Query as Query
     from cfgplan_runtime.reasoning.queries import query as query
     from cfgplan_runtime.reasoning.regions import Region as Region
@@ -28,17 +27,18 @@ if TYPE_CHECKING:
     from cfgplan_runtime.reasoning.states import Synchroniser as Synchroniser
     from cfgplan_runtime.reasoning.states import Timing as Timing
     from cfgplan_runtime.reasoning.truth import Verdict as Verdict
+    from cfgplan_runtime.reasoning.vocabulary import Vocabulary as Vocabulary
 
 _HOMES = {
     "answers": "Answer UnmetTargetsError",
     "engine": "Engine",
-    "evaluating": "Evaluator",
+    "evaluator": "Evaluator",
     "features": "DeclaredFeatures Feature",
     "managed": "ManagedSubscriptions RemoteSubscriptions",
     "monitor": "Monitor",
-    "parsing": "parse",
+    "parser": "parse",
     "queries": "Query query",
-    "naming": "Vocabulary",
+    "vocabulary": "Vocabulary",
     "regions": "Region rcc8 region_from",
     "states": "Synchroniser Timing",
     "truth": "Verdict",

@@ -5,8 +5,8 @@ from __future__ import annotations
 from bisect import bisect_right
 from typing import Final
 
-from cfgplan_runtime.reasoning.compiling import Program
 from cfgplan_runtime.reasoning.obligations import Kind, Obligation, Store, TooManyObligationsError
+from cfgplan_runtime.reasoning.program import Program
 from cfgplan_runtime.reasoning.progression import NOW, Progression
 from cfgplan_runtime.reasoning.situations import (
     QUEUES,

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 from cfgplan.domain import Target
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.reasoning.answers import Answer, Noted, Progressed, Report, SetUp, UnmetTargetsError
-from cfgplan_runtime.reasoning.evaluating import Evaluator
+from cfgplan_runtime.reasoning.evaluator import Evaluator
 from cfgplan_runtime.reasoning.features import Feature
 from cfgplan_runtime.reasoning.monitor import Monitor
 from cfgplan_runtime.reasoning.queries import Query

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Final
 
 from cfgplan.errors import InvalidValueError
 from cfgplan_runtime.reasoning.automaton import NEVER, Automaton
-from cfgplan_runtime.reasoning.compiling import Program, compiled
 from cfgplan_runtime.reasoning.obligations import Kind, Obligation, bound
+from cfgplan_runtime.reasoning.program import Program, compiled
 from cfgplan_runtime.reasoning.situations import Situation, moved, pending_of
 from cfgplan_runtime.reasoning.syntax import Formula
 from cfgplan_runtime.reasoning.truth import FALSE, TRUE, UNKNOWN, VERDICT_OF, Truth, Verdict

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from cfgplan_runtime.reasoning.compiling import Fixed, Joined, Literal, Program, Step
 from cfgplan_runtime.reasoning.obligations import Kind, Obligation, Store
+from cfgplan_runtime.reasoning.program import Fixed, Joined, Literal, Program, Step
 from cfgplan_runtime.reasoning.truth import FALSE, TRUE, Truth
 
 NOW: Final = 1 << 62

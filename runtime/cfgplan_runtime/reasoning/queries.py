@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, is_dataclass, replace
 
-from cfgplan_runtime.reasoning.compiling import Program, compiled
 from cfgplan_runtime.reasoning.conditions import Field
 from cfgplan_runtime.reasoning.features import DeclaredFeatures, Feature
-from cfgplan_runtime.reasoning.naming import Vocabulary
-from cfgplan_runtime.reasoning.parsing import parse
+from cfgplan_runtime.reasoning.parser import parse
+from cfgplan_runtime.reasoning.program import Program, compiled
 from cfgplan_runtime.reasoning.states import Timing
 from cfgplan_runtime.reasoning.syntax import Formula
+from cfgplan_runtime.reasoning.vocabulary import Vocabulary
 
 _SHORTEST_BEAT_NS = 10_000_000
 

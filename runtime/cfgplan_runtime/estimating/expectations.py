@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from cfgplan_runtime.estimating.evidence import Evidence
-from cfgplan_runtime.estimating.forecasting import Average, Damped, Forecast, Forecaster
-from cfgplan_runtime.estimating.guessing import Costs, Guess, Kind
+from cfgplan_runtime.estimating.forecasters import Average, Damped, Forecast, Forecaster
+from cfgplan_runtime.estimating.guesses import Costs, Guess, Kind
 from cfgplan_runtime.estimating.settings import Learning
 
 

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from typing import Final
 
 from cfgplan.matching.concepts import Concept, Intersection, in_functional_syntax
+from cfgplan.matching.derivations import derivation
 from cfgplan.matching.faults import ReasonerError
 from cfgplan.matching.matrix import match
 from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.reasoners import reference_named
 from cfgplan.matching.reference import Reference, classify
 from cfgplan.matching.syntax import parse_tag
-from cfgplan.matching.tracing import derivation
 
 
 @dataclass(frozen=True)

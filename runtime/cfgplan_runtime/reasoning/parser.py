@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 from cfgplan.errors import Fault, InputError
 from cfgplan_runtime.reasoning.grammar import GRAMMAR, SPELLED
-from cfgplan_runtime.reasoning.naming import Vocabulary
-from cfgplan_runtime.reasoning.reading import Reader
+from cfgplan_runtime.reasoning.reader import Reader
 from cfgplan_runtime.reasoning.syntax import Formula
+from cfgplan_runtime.reasoning.vocabulary import Vocabulary
 
 if TYPE_CHECKING:
     from lark import Lark

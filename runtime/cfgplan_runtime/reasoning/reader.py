@@ -19,7 +19,6 @@ from cfgplan_runtime.reasoning.conditions import (
     Relation,
     Value,
 )
-from cfgplan_runtime.reasoning.naming import FUNCTIONS, Names, Vocabulary
 from cfgplan_runtime.reasoning.syntax import (
     Always,
     And,
@@ -32,6 +31,7 @@ from cfgplan_runtime.reasoning.syntax import (
     Or,
     Until,
 )
+from cfgplan_runtime.reasoning.vocabulary import FUNCTIONS, Names, Vocabulary
 
 if TYPE_CHECKING:
     from lark import Token, Tree

@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, TypeAlias
 
 from cfgplan.errors import CfgplanError
-from cfgplan_runtime.reasoning.compiling import Program, truth_of
 from cfgplan_runtime.reasoning.conditions import (
     Absolute,
     Arithmetic,
@@ -23,6 +22,7 @@ from cfgplan_runtime.reasoning.conditions import (
     Relation,
     Value,
 )
+from cfgplan_runtime.reasoning.program import Program, truth_of
 from cfgplan_runtime.reasoning.regions import (
     NotAPointError,
     NotARegionError,
