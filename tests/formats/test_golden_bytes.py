@@ -1,6 +1,6 @@
 """The bytes of the schema, of digests and dumps: what was written by an earlier cfgplan means the same to this one.
 
-`python tests/formats/test_golden.py` writes them anew, for a change of the format that is meant.
+`python tests/formats/test_golden_bytes.py` writes them anew, for a change of the format that is meant.
 """
 
 from __future__ import annotations
