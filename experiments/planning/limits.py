@@ -1,5 +1,7 @@
 """How well time limits are kept: `python experiments/planning/limits.py` writes `limits.md` beside this file.
 
+With `depth` it prints the same for chains and rows of pairs, and what they take without a limit.
+
 The planner's clock is one of CPU time here, because the machine may be shared; each row is made in a process of its
 own. A limit is kept if the plan takes no more than a tenth, or 10 ms, longer.
 """
@@ -7,13 +9,16 @@ own. A limit is kept if the plan takes no more than a tenth, or 10 ms, longer.
 from __future__ import annotations
 
 import gc
+import math
 import multiprocessing
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
+from typing import TypeAlias
 from unittest.mock import patch
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "fleet"))
@@ -22,13 +27,18 @@ import instances
 
 import cfgplan.planners.fleet.search  # noqa: F401 - the solver takes 0.2 s to import, which is not to be measured
 from cfgplan.comparing.families.random_library import random_library
+from cfgplan.domain import Environment, Host, InputPort, OutputPort, Similarity, Target, Transformation
 from cfgplan.planners.cpsat import plan
 from cfgplan.planners.solving import clock
 from cfgplan.planning import Problem
+from cfgplan.qualities import Better, Contribution, QualityAttribute, Rule, Wish
 
 HERE = Path(__file__).parent
 SIZES = (50, 500, 5_000, 50_000)
 LIMITS_S = (0.02, 0.05, 0.1, 0.3, 1, 3)
+DEPTHS = (1_000, 2_000, 5_000)
+DEPTH_LIMITS_S = (0.5, 1, 2, math.inf)
+Limits: TypeAlias = tuple[float, ...]
 
 
 def required(transformations: int) -> Problem:
@@ -51,6 +61,37 @@ KINDS: dict[str, Callable[[int], Problem]] = {
 }
 
 
+def chain(size: int, *, pairs: bool = False, hosts: tuple[Host, ...] = (), quality: bool = False) -> Problem:
+    """Each unit needs the one before; with `pairs` each of two needs both before, as different ones."""
+    error = QualityAttribute("error", Better.LOWER, worst=2 * size)
+    adds = (Contribution("error", Rule.ADD, 1),) if quality else ()
+    width = 2 if pairs else 1
+    library = tuple(
+        Transformation(
+            f"t{at}_{k}",
+            tuple(InputPort(f"i{j}", f"T{at - 1}", "both" if pairs else None) for j in range(width if at else 0)),
+            (OutputPort("o", f"T{at}", adds),),
+            labor_us=5 + k,
+            upkeep_us=1,
+        )
+        for at in range(size // width)
+        for k in range(width)
+    )
+    last = f"T{size // width - 1}"
+    wish = (Wish("error", 3 * size // 2, 1_000_000),) if quality else ()
+    qualities = (error,) if quality else ()
+    environment = Environment((), library, (Target("t", last, "/t", 0, wish),), hosts, qualities, 3 if hosts else 0)
+    return Problem(environment, Similarity({f"T{at}": frozenset({f"T{at}"}) for at in range(size // width)}), 1)
+
+
+DEEP: dict[str, Callable[[int], Problem]] = {
+    "chain": chain,
+    "chain, 2 hosts": partial(chain, hosts=(Host("left"), Host("right"))),
+    "chain, quality": partial(chain, quality=True),
+    "row of pairs": partial(chain, pairs=True),
+}
+
+
 class CpuClock:
     """CPU time of the process, read at most once in a millisecond of wall time, since reading it takes long."""
 
@@ -64,27 +105,27 @@ class CpuClock:
         return self._cpu_s
 
 
-def rows() -> Iterator[str]:
-    yield f"| problem | size | {' | '.join(f'{limit_s:g} s' for limit_s in LIMITS_S)} |"
-    yield f"|---|---|{'---|' * len(LIMITS_S)}"
-    for kind in KINDS:
-        for size in SIZES:
+def rows(kinds: Mapping[str, Callable[[int], Problem]], sizes: Limits, limits_s: Limits) -> Iterator[str]:
+    yield f"| problem | size | {' | '.join(f'{s:g} s' if s < math.inf else 'no limit' for s in limits_s)} |"
+    yield f"|---|---|{'---|' * len(limits_s)}"
+    for kind, make in kinds.items():
+        for size in map(int, sizes):
             with multiprocessing.get_context("fork").Pool(1) as pool:
-                yield f"| {kind} | {size:,} | {' | '.join(pool.apply(measured, (kind, size)))} |"
+                yield f"| {kind} | {size:,} | {' | '.join(pool.apply(measured, (make, size, limits_s)))} |"
 
 
-def measured(kind: str, size: int) -> list[str]:
+def measured(make: Callable[[int], Problem], size: int, limits_s: Limits) -> list[str]:
     """For each limit the CPU seconds it took, in bold if that is too long, and whether there is a plan."""
-    for warm in (KINDS[kind](30), random_library(0)):  # neither are other imports
+    for warm in (make(30), random_library(0)):  # neither are other imports
         plan(warm, time_limit_s=5)
-    problem = KINDS[kind](size)
+    problem = make(size)
     gc.collect()
     gc.freeze()
     cells = []
     with patch.object(clock, "time", SimpleNamespace(monotonic=CpuClock().monotonic)):
-        for limit_s in LIMITS_S:
+        for limit_s in limits_s:
             began = time.process_time()
-            found = plan(problem, time_limit_s=limit_s)
+            found = plan(problem, time_limit_s=limit_s if limit_s < math.inf else None)
             took_s = time.process_time() - began
             is_kept = took_s <= limit_s + max(0.01, 0.1 * limit_s)
             took = f"{took_s:.2f}" if is_kept else f"**{took_s:.2f}**"
@@ -93,8 +134,12 @@ def measured(kind: str, size: int) -> list[str]:
 
 
 def main() -> None:
+    if sys.argv[1:] == ["depth"]:
+        for row in rows(DEEP, DEPTHS, DEPTH_LIMITS_S):
+            print(row, flush=True)
+        return
     with (HERE / "limits.md").open("w", encoding="utf-8") as table:
-        for row in rows():
+        for row in rows(KINDS, SIZES, LIMITS_S):
             print(row, flush=True)
             print(row, file=table, flush=True)
 

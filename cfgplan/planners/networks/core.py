@@ -27,7 +27,7 @@ NEVER = np.int64(2**60)
 MOST_PASSES = 60
 """After so many passes over a whole core the way is so deep that facts are better followed one by one."""
 LINK_S = 5e-6
-"""About how long it takes to follow one offer or need by itself (experiments/planning, rows of pairs)."""
+"""About how long it takes to follow one offer or need by itself (`experiments/planning/limits.py depth`)."""
 
 
 @dataclass(frozen=True)
