@@ -53,7 +53,7 @@ def _version(distribution: str) -> str:
 def _registered(name: str) -> Entrant:
     module = f"cfgplan.planners.{name.replace('-', '_')}"
     if name == "cpsat":
-        engines = ("ortools.sat.python.cp_model", "ortools.linear_solver.pywraplp", "cfgplan.planners.fleet.search")
+        engines = ("ortools.sat.python.cp_model", "ortools.linear_solver.pywraplp", "cfgplan.planners.exact.search")
         return Entrant(name, engines=engines, distributions=("ortools",))
     return Entrant(name, engines=(module,) if find_spec(module) else ())
 

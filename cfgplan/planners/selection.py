@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterator, Mapping
 
 from cfgplan.domain import ComputationUnit, InputPort, Publication, Stream, Subscription
 from cfgplan.errors import InputError
-from cfgplan.planners.fleet.candidates import Candidates
+from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planning import Plan, Problem, Status
 from cfgplan.reasons import assign_different
 

@@ -21,7 +21,7 @@ def _room(folder: str, tests: tuple[str, ...], *mutants: tuple[str, str, str, st
 
 
 MODEL = _room(
-    "cfgplan/planners/fleet",
+    "cfgplan/planners/exact",
     ("tests/planners/test_fleet_rules.py", "tests/planners/test_rules.py"),
     (
         "a unit is in two places, or runs and waits",

@@ -83,7 +83,7 @@ def changes(limit_s: float) -> Iterator[str]:
 
 
 def changed(seed: int, parameters: dict[str, float], limit_s: float) -> dict[str, list[float]]:
-    import cfgplan.planners.fleet.search  # noqa: F401 - the solver's import is not to be measured
+    import cfgplan.planners.exact.search  # noqa: F401 - the solver's import is not to be measured
 
     session = PlannerSession()
     problem, _ = at_rest(session, seed, parameters, limit_s)

@@ -17,8 +17,8 @@ from pathlib import Path
 from cfgplan.comparing.families.random_library import random_library
 from cfgplan.domain import Environment, Host
 from cfgplan.planners.cpsat import plan
-from cfgplan.planners.fleet.best_case import best_values
-from cfgplan.planners.fleet.candidates import Candidates
+from cfgplan.planners.exact.best_case import best_values
+from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planning import Problem
 from cfgplan.qualities import MICRO, Better, Contribution, QualityAttribute, Rule, Wish
 
@@ -91,8 +91,8 @@ FAMILIES: dict[str, Callable[[int], Problem]] = {
 
 
 def measured(family: str, seed: int, limit_s: float) -> str:
-    import cfgplan.planners.fleet.flat_search
-    import cfgplan.planners.fleet.search  # noqa: F401 - the solver's import is not to be measured
+    import cfgplan.planners.exact.flat_search
+    import cfgplan.planners.exact.search  # noqa: F401 - the solver's import is not to be measured
 
     problem = FAMILIES[family](seed)
     began = time.process_time()

@@ -8,7 +8,7 @@ from __future__ import annotations
 import networkx as nx
 from ortools.sat.python.cp_model import IntVar
 
-from cfgplan.planners.fleet.model import Model
+from cfgplan.planners.exact.model import Model
 
 
 def everything_rests_on_something_lower(model: Model) -> None:

@@ -25,7 +25,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "fleet"))
 
 import instances
 
-import cfgplan.planners.fleet.search  # noqa: F401 - the solver takes 0.2 s to import, which is not to be measured
+import cfgplan.planners.exact.search  # noqa: F401 - the solver takes 0.2 s to import, which is not to be measured
 from cfgplan.comparing.families.random_library import random_library
 from cfgplan.domain import Environment, Host, InputPort, OutputPort, Similarity, Target, Transformation
 from cfgplan.planners.cpsat import plan

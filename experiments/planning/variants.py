@@ -7,11 +7,11 @@ from contextlib import suppress
 
 from ortools.sat.python.cp_model import CpSolver
 
-from cfgplan.planners.fleet.candidates import Candidates, Closure
-from cfgplan.planners.fleet.model import Rule
-from cfgplan.planners.fleet.rules import RULES
-from cfgplan.planners.fleet.search import Search
-from cfgplan.planners.fleet.standing import Standing
+from cfgplan.planners.exact.candidates import Candidates, Closure
+from cfgplan.planners.exact.model import Rule
+from cfgplan.planners.exact.rules import RULES
+from cfgplan.planners.exact.search import Search
+from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.solving.clock import Clock, OutOfTimeError
 from cfgplan.planning import Plan, Problem, Progress, Status
 from cfgplan.reasons import unmet_reasons

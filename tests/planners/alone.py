@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import inf
 
-from cfgplan.planners.fleet.candidates import Candidates
-from cfgplan.planners.fleet.flat import Flat
-from cfgplan.planners.fleet.flat_search import FlatSearch
-from cfgplan.planners.fleet.flatness import is_flat
-from cfgplan.planners.fleet.model import Rule
-from cfgplan.planners.fleet.rules import RULES
-from cfgplan.planners.fleet.search import Search
-from cfgplan.planners.fleet.standing import Standing
+from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.exact.flat import Flat
+from cfgplan.planners.exact.flat_search import FlatSearch
+from cfgplan.planners.exact.flatness import is_flat
+from cfgplan.planners.exact.model import Rule
+from cfgplan.planners.exact.rules import RULES
+from cfgplan.planners.exact.search import Search
+from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Plan, Problem, Status
 from cfgplan.reasons import unmet_reasons

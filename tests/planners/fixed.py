@@ -24,13 +24,13 @@ from cfgplan.domain import (
     Target,
     Transformation,
 )
-from cfgplan.planners.fleet.anywhere import Anywhere as WithoutHosts
-from cfgplan.planners.fleet.candidates import Candidates
-from cfgplan.planners.fleet.flat import Flat as Labels
-from cfgplan.planners.fleet.flat import Met
-from cfgplan.planners.fleet.flat_decode import decoded
-from cfgplan.planners.fleet.flat_model import FlatModel
-from cfgplan.planners.fleet.rules import RULES, one_of_new_units_alike_is_enough
+from cfgplan.planners.exact.anywhere import Anywhere as WithoutHosts
+from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.exact.flat import Flat as Labels
+from cfgplan.planners.exact.flat import Met
+from cfgplan.planners.exact.flat_decode import decoded
+from cfgplan.planners.exact.flat_model import FlatModel
+from cfgplan.planners.exact.rules import RULES, one_of_new_units_alike_is_enough
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Problem
 

@@ -14,7 +14,7 @@ from worlds import problems
 
 from cfgplan.planners.closing.alike import alike
 from cfgplan.planners.closing.program import LandmarkProgram
-from cfgplan.planners.cpsat.structure import Structure
+from cfgplan.planners.exact.structure import Structure
 from cfgplan.planners.networks.core import Core, Rows
 from cfgplan.planners.networks.network import Graph
 from cfgplan.planners.solving.clock import Clock

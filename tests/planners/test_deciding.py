@@ -18,9 +18,9 @@ from cfgplan.planners.bounding.bounds import cheapest_way
 from cfgplan.planners.bounding.branching import Branching
 from cfgplan.planners.bounding.ways import LEFT_OUT, Links, Ways
 from cfgplan.planners.cpsat import PlannerSession
-from cfgplan.planners.cpsat.deciding import decide
-from cfgplan.planners.cpsat.structure import Structure
-from cfgplan.planners.fleet.standing import Standing
+from cfgplan.planners.exact.deciding import decide
+from cfgplan.planners.exact.standing import Standing
+from cfgplan.planners.exact.structure import Structure
 from cfgplan.planners.networks.greedy import is_plan
 from cfgplan.planners.networks.keys import Key
 from cfgplan.planners.networks.weighing import Weighing

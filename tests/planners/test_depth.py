@@ -27,7 +27,7 @@ from cfgplan.planners.bounding.bounds import Bound, cheapest_way
 from cfgplan.planners.bounding.landmarks import ways_into
 from cfgplan.planners.bounding.tightening import tightened
 from cfgplan.planners.cpsat import plan
-from cfgplan.planners.fleet import wiring
+from cfgplan.planners.exact import wiring
 from cfgplan.planners.networks.greedy import first_plan, plan_at
 from cfgplan.planners.networks.network import Network
 from cfgplan.planning import Problem, Status
@@ -188,7 +188,7 @@ def test_no_more_landmarks_are_looked_for_than_pay_where_the_way_is_deep() -> No
 
     with (
         patch("cfgplan.planners.bounding.bounds.ways_into", wraps=ways_into) as landmarks,
-        patch("cfgplan.planners.cpsat.preparing.tightened", first),
+        patch("cfgplan.planners.exact.preparing.tightened", first),
     ):
         found = plan(problem, report=lambda progress: costs.append(progress.cost_us))
     assert (found.status, found.cost_us) == (Status.OPTIMAL, 99 * 11 + 5)

@@ -16,11 +16,11 @@ from worlds import problems
 
 from cfgplan.domain import Environment, InputPort
 from cfgplan.planners import PLANNERS
-from cfgplan.planners.fleet.candidates import Candidates
-from cfgplan.planners.fleet.first_plans import ATTEMPTS, FirstPlans
-from cfgplan.planners.fleet.grounded import Grounded
-from cfgplan.planners.fleet.reach import Reach
-from cfgplan.planners.fleet.standing import Standing
+from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.exact.first_plans import ATTEMPTS, FirstPlans
+from cfgplan.planners.exact.grounded import Grounded
+from cfgplan.planners.exact.reach import Reach
+from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Failures, Notion, Plan, Problem, Status
 from cfgplan.reasons import startable, unmet_reasons

@@ -16,9 +16,10 @@ from hypothesis import strategies as st
 from worlds import oracle_of, problems
 
 from cfgplan.errors import InputError
-from cfgplan.planners import PLANNERS, exhaustive_fleet, fleet
-from cfgplan.planners.fleet.candidates import Candidates
-from cfgplan.planners.fleet.flatness import is_flat
+from cfgplan.planners import PLANNERS, exhaustive_fleet
+from cfgplan.planners.exact import fleet
+from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.exact.flatness import is_flat
 from cfgplan.planning import Notion, Plan, Problem, Status
 from cfgplan.qualities import Better, Wish
 from cfgplan.reasons import unmet_reasons

@@ -15,12 +15,11 @@ from hypothesis import assume, given, settings
 from test_fleets_against_the_oracle import EXAMPLES, agree_with_the_explicit_model, some
 
 from cfgplan.domain import Environment, Host, InputPort, OutputPort, Similarity, Target, Transformation
-from cfgplan.planners import fleet
-from cfgplan.planners.fleet import kernels
-from cfgplan.planners.fleet.anywhere import Anywhere
-from cfgplan.planners.fleet.candidates import Candidates
-from cfgplan.planners.fleet.flat import Flat
-from cfgplan.planners.fleet.flatness import is_flat
+from cfgplan.planners.exact import fleet, kernels
+from cfgplan.planners.exact.anywhere import Anywhere
+from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.exact.flat import Flat
+from cfgplan.planners.exact.flatness import is_flat
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Notion, Problem, Status
 from cfgplan.reasons import unmet_reasons

@@ -12,8 +12,8 @@ from cfgplan.planners import PLANNERS
 from cfgplan.planners.bounding.bounds import Bound, cheapest_way
 from cfgplan.planners.bounding.chains import chained_bound
 from cfgplan.planners.cpsat import PlannerSession
-from cfgplan.planners.fleet.candidates import Candidates, relevant
-from cfgplan.planners.fleet.wiring import wire
+from cfgplan.planners.exact.candidates import Candidates, relevant
+from cfgplan.planners.exact.wiring import wire
 from cfgplan.planners.networks.greedy import first_plan, is_plan
 from cfgplan.planners.networks.network import Network
 from cfgplan.planners.networks.weighing import Weighing

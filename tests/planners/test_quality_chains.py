@@ -13,15 +13,15 @@ from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Targe
 from cfgplan.errors import InputError
 from cfgplan.figures import qualities_of_targets
 from cfgplan.planners import PLANNERS
-from cfgplan.planners.fleet.best_case import leave_out_what_is_too_bad
-from cfgplan.planners.fleet.candidates import Candidates
-from cfgplan.planners.fleet.first_plans import FirstPlans
-from cfgplan.planners.fleet.flat import Flat
-from cfgplan.planners.fleet.flatness import is_flat
-from cfgplan.planners.fleet.quality_chains import Chains
-from cfgplan.planners.fleet.quality_cuts import QUICK, chain_cuts
-from cfgplan.planners.fleet.quality_plan import QualityPlanner, can_be_planned
-from cfgplan.planners.fleet.standing import Standing
+from cfgplan.planners.exact.best_case import leave_out_what_is_too_bad
+from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.exact.first_plans import FirstPlans
+from cfgplan.planners.exact.flat import Flat
+from cfgplan.planners.exact.flatness import is_flat
+from cfgplan.planners.exact.quality_chains import Chains
+from cfgplan.planners.exact.quality_cuts import QUICK, chain_cuts
+from cfgplan.planners.exact.quality_plan import QualityPlanner, can_be_planned
+from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Notion, Problem
 from cfgplan.qualities import MICRO, Better, Contribution, QualityAttribute, Rule, Wish
@@ -122,7 +122,7 @@ def test_a_plan_without_search_costs_what_it_says(problem: Problem) -> None:
     said_us = planner.total_us(plan)
     assert standing.best is not None
     assert said_us is not None
-    assert standing.best[0][1] <= said_us
+    assert standing.best.key.cost_us <= said_us
 
 
 def test_a_fleet_too_large_for_the_relaxation_gets_no_cuts() -> None:

@@ -34,7 +34,7 @@ from cfgplan.domain import (
 )
 from cfgplan.planners import PLANNERS
 from cfgplan.planners.cpsat import PlannerSession, plan
-from cfgplan.planners.cpsat.structure import Structure
+from cfgplan.planners.exact.structure import Structure
 from cfgplan.planning import Problem, Progress, Status
 from cfgplan.validity import plan_violations
 

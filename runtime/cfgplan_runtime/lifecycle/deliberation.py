@@ -75,14 +75,14 @@ class WarmPlanner:
     """The planner's session as a planner; setting `stop` ends a plan early."""
 
     def __init__(self) -> None:
-        from cfgplan.planners.cpsat.session import PlannerSession
+        from cfgplan.planners.cpsat import PlannerSession
 
         self._session = PlannerSession()
         self.stop: threading.Event | None = None
 
     def warm_up(self) -> None:
         """Import the solver, which takes long, before a plan needs it."""
-        import_module("cfgplan.planners.fleet.search")
+        import_module("cfgplan.planners.exact.search")
 
     def __call__(
         self,

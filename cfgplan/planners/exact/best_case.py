@@ -1,0 +1,218 @@
+"""How good streams can be at best, and how bad they may be at worst, attribute by attribute.
+
+At best all that can run runs. What would miss every bound even then is of no use anywhere.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+
+from cfgplan.domain import Stream
+from cfgplan.planners.exact.candidates import Candidate, Candidates
+from cfgplan.planning import Notion
+from cfgplan.qualities import MICRO, Better, Contribution, Over, QualityAttribute, Rule, price_us, propagated
+
+
+def leave_out_what_is_too_bad(candidates: Candidates) -> None:
+    """Streams that no plan can take where a tag is demanded, since they would miss the bounds of all targets."""
+    for name in sorted({attribute for _, attribute in candidates.bounds}):
+        attribute = candidates.environment.quality[name]
+        best = best_values(candidates, attribute)
+        allowed = worst_of_use(candidates, attribute)
+        candidates.leave_out(
+            {
+                (tag, stream)
+                for tag, worst in allowed.items()
+                for stream in candidates.streams(tag)
+                if stream not in best or attribute.is_better(worst, best[stream])
+            }
+        )
+
+
+def range_of_use(candidates: Candidates, attribute: QualityAttribute) -> dict[Stream, tuple[int, int]]:
+    """For each stream that a plan may use its best value, and the worst with which its unit is of use.
+
+    That is the worst there is for spares, which may get any quality, for units that are asked for whatever
+    they give, and for those of which another stream may be used instead.
+    """
+    best = best_values(candidates, attribute)
+    allowed = worst_of_use(candidates, attribute) if Notion.SURVIVAL not in candidates.problem.notions else {}
+    used: dict[Stream, int] = {}
+    ports = [port for candidate in candidates.all for port in candidate.transformation.inputs]
+    for tag in {*(port.tag for port in ports), *(target.tag for target in candidates.environment.targets)}:
+        for stream in candidates.streams(tag):
+            worst = allowed.get(tag, attribute.worst)
+            if stream in best and (stream not in used or attribute.is_better(used[stream], worst)):
+                used[stream] = worst
+    streams_of = Counter(stream.unit for stream in used)
+    for stream, worst in used.items():
+        candidates.watch()
+        i = candidates.index_of[stream.unit]
+        if candidates.is_asked_for(i) or streams_of[stream.unit] > 1 or attribute.is_better(worst, best[stream]):
+            used[stream] = attribute.worst
+    return {stream: (best[stream], worst) for stream, worst in used.items()}
+
+
+def least_prices_us(candidates: Candidates) -> dict[tuple[str, str], int]:
+    """What each target charges for an attribute at least, whatever the plan."""
+    prices: dict[tuple[str, str], int] = {}
+    for attribute in candidates.environment.qualities:
+        weighed = [
+            (target, wish)
+            for target in candidates.environment.targets
+            for wish in target.quality
+            if wish.attribute == attribute.name and wish.weight_us
+        ]
+        best = best_values(candidates, attribute) if weighed else {}
+        for target, wish in weighed:
+            values = [best[stream] for stream in candidates.streams(target.tag) if stream in best]
+            found = min((price_us(attribute, wish, value) for value in values), default=0)
+            prices[target.label, attribute.name] = found
+    return prices
+
+
+def least_of_all(candidates: Candidates) -> tuple[int, int]:
+    """What every plan costs at least, and how many units it starts at least.
+
+    It runs a unit of each transformation that no plan does without, and no target gets more than the best quality.
+    """
+    network = candidates.network
+    indispensable = [[c for c in candidates.of(network.labels[n]) if c.may_run] for n in network.pinned]
+    cost_us = sum(min((c.cost_us for c in units), default=0) for units in indispensable)
+    started = sum(all(c.running is None for c in units) for units in indispensable if units)
+    return cost_us + sum(least_prices_us(candidates).values()), started
+
+
+def bound_by_price(candidates: Candidates, most_us: int) -> None:
+    """Bound what targets weigh, where all else and the best quality leave at most `most_us` for all prices."""
+    least = least_prices_us(candidates)
+    for target in candidates.environment.targets:
+        for wish in target.quality:
+            place = target.label, wish.attribute
+            if place not in least:
+                continue
+            attribute = candidates.environment.quality[wish.attribute]
+            missed_by = (most_us - sum(least.values()) + least[place]) * MICRO // wish.weight_us
+            is_low = attribute.better is Better.LOWER
+            value = attribute.best + missed_by if is_low else attribute.best - missed_by
+            low, high = sorted((attribute.best, attribute.worst))
+            known = candidates.bounds.get(place, attribute.worst)
+            candidates.bounds[place] = min(known, max(value, low)) if is_low else max(known, min(value, high))
+    leave_out_what_is_too_bad(candidates)
+
+
+def best_values(candidates: Candidates, attribute: QualityAttribute) -> dict[Stream, int]:
+    """No wiring gives a stream a better value. Streams that nothing can feed are left out."""
+    if attribute not in candidates.best:
+        candidates.best[attribute] = _best_values(candidates, attribute)
+    return candidates.best[attribute]
+
+
+def _best_values(candidates: Candidates, attribute: QualityAttribute) -> dict[Stream, int]:
+    """Round by round for one more unit in a row; no row is longer than there are units."""
+    best: dict[Stream, int] = {}
+    at: dict[str, int] = {}
+    demands = _demands(candidates)
+    ordinary = [[port.tag for port in c.transformation.inputs if not port.feedback] for c in candidates.all]
+    needing: dict[str, list[int]] = defaultdict(list)
+    for i, tags in enumerate(ordinary):
+        for tag in set(tags):
+            needing[tag].append(i)
+    ahead = [i for i, candidate in enumerate(candidates.all) if candidate.may_run]
+    for _ in candidates.all:
+        better: set[str] = set()
+        for i in ahead:
+            candidates.watch()
+            candidate = candidates.all[i]
+            fed = [at[tag] for tag in ordinary[i] if tag in at]
+            if len(fed) < len(ordinary[i]) or not candidate.may_run:
+                continue
+            for port in candidate.transformation.outputs:
+                value = propagated(attribute, {c.attribute: c for c in port.quality}.get(attribute.name), fed)
+                stream = Stream(candidate.id, port.name)
+                if stream not in best or attribute.is_better(value, best[stream]):
+                    best[stream] = value
+                    for tag in demands.get(port.tag, ()):
+                        if tag not in at or attribute.is_better(value, at[tag]):
+                            at[tag] = value
+                            better.add(tag)
+        ahead = sorted({i for tag in better for i in needing[tag]})
+        if not ahead:
+            break
+    return best
+
+
+def _demands(candidates: Candidates) -> dict[str, list[str]]:
+    """For each offered tag the demanded ones that it meets."""
+    demands: dict[str, list[str]] = defaultdict(list)
+    for tag, offered in candidates.problem.similarity.offers.items():
+        for one in offered:
+            demands[one].append(tag)
+    return demands
+
+
+def worst_of_use(candidates: Candidates, attribute: QualityAttribute) -> dict[str, int]:
+    """For each demanded tag the worst value that anybody who demands it may take, if it is of use at all."""
+    key = attribute, *sorted(candidates.bounds.items())
+    if key not in candidates.allowed:
+        candidates.allowed[key] = _worst_of_use(candidates, attribute)
+    return candidates.allowed[key]
+
+
+def _worst_of_use(candidates: Candidates, attribute: QualityAttribute) -> dict[str, int]:
+    allowed: dict[str, int] = {}
+
+    def allow(tag: str, value: int) -> bool:
+        if tag in allowed and not attribute.is_better(allowed[tag], value):
+            return False
+        allowed[tag] = value
+        return True
+
+    for target in candidates.environment.targets:
+        allow(target.tag, candidates.bounds.get((target.label, attribute.name), attribute.worst))
+    asked = [i for i in range(len(candidates.all)) if candidates.is_asked_for(i)]
+    for i in asked:
+        for port in candidates.all[i].transformation.inputs:
+            allow(port.tag, attribute.worst)
+    demands = _demands(candidates)
+    worst_of = max if attribute.better is Better.LOWER else min
+    fed = [
+        (demands[output.tag], {c.attribute: c for c in output.quality}.get(attribute.name), candidate)
+        for candidate in candidates.all
+        for output in candidate.transformation.outputs
+        if output.tag in demands and candidate.transformation.inputs
+    ]
+    meeting: dict[str, list[int]] = defaultdict(list)
+    for number, (tags, _, _) in enumerate(fed):
+        for tag in tags:
+            meeting[tag].append(number)
+    ahead = set(allowed)
+    while ahead:
+        worse: set[str] = set()
+        for number in sorted({number for tag in ahead for number in meeting[tag]}):
+            candidates.watch()
+            tags, stated, candidate = fed[number]
+            wanted = worst_of([allowed[tag] for tag in tags if tag in allowed])
+            ordinary = _allowed_before(attribute, candidate, stated, wanted)
+            for port in candidate.transformation.inputs:
+                if allow(port.tag, attribute.worst if port.feedback else ordinary):
+                    worse.add(port.tag)
+        ahead = worse
+    return allowed
+
+
+def _allowed_before(attribute: QualityAttribute, candidate: Candidate, stated: Contribution | None, out: int) -> int:
+    """The worst value of an input with which an output is still good enough, as far as the rule says that."""
+    if stated is None:
+        return out
+    ordinary = sum(not port.feedback for port in candidate.transformation.inputs)
+    if out == attribute.worst or (stated.over is not Over.WORST and ordinary > 1):
+        return attribute.worst
+    match stated.rule:
+        case Rule.ADD:
+            low, high = sorted((attribute.worst, attribute.best))
+            return min(max(out - stated.value, low), high)
+        case Rule.LIMIT:
+            return out
+        case Rule.SCALE | Rule.SET:
+            return attribute.worst

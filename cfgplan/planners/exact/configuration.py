@@ -1,0 +1,164 @@
+"""A configuration made of chosen units: placed, wired, and with spares for the failures that it has to survive.
+
+Failure by failure, what would then meet the targets most cheaply is added to what is left, cold where that is enough.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+
+from cfgplan.domain import ComputationUnit, Publication, Subscription, Target
+from cfgplan.planners.exact.candidates import Candidate, Candidates
+from cfgplan.planners.exact.decode import lean, named
+from cfgplan.planners.exact.flat import Host
+from cfgplan.planners.exact.grounded import Grounded
+from cfgplan.planners.exact.places import Places
+from cfgplan.planners.exact.reach import Reach
+from cfgplan.planners.exact.survivors import Failure, unmet
+from cfgplan.planners.networks.core import Floats
+from cfgplan.planners.networks.greedy import FREE, plan_at
+from cfgplan.planning import Failures
+from cfgplan.qualities import QualityAttribute
+
+
+def spare_prices(candidates: Candidates) -> Floats:
+    """What a spare of each transformation in the network costs where no unit of it is there; 0 if none is needed."""
+    if candidates.problem.survive is None:
+        return np.zeros(len(candidates.network.labels))
+    units = [candidates.of(label) for label in candidates.network.labels]
+    return np.array([min(map(_spare_us, these), default=np.inf) for these in units], np.float64)
+
+
+def _spare_us(candidate: Candidate) -> int:
+    return candidate.waiting_cost_us if candidate.may_wait else candidate.cost_us
+
+
+class Configuration:
+    """Chosen units on their way to a valid configuration: `hot` ones run, `cold` ones wait."""
+
+    def __init__(
+        self,
+        candidates: Candidates,
+        hot: Collection[int],
+        attribute: QualityAttribute | None,
+        spare_us: Floats,
+        is_quick: bool,
+    ) -> None:
+        """Inputs take the streams with the best of an `attribute`; `spare_us` are the `spare_prices`.
+
+        If it has to be quick, spares are of the transformations that are lost.
+        """
+        self.candidates = candidates
+        self._spare_us = spare_us
+        self._is_quick = is_quick
+        self.hot = set(hot)
+        self.cold: set[int] = set()
+        self._attribute = attribute
+        self._places = Places(candidates)
+        self._grounded = Grounded(candidates, (), attribute)
+
+    def units(self) -> list[ComputationUnit] | None:
+        """The lean configuration; None if there is no room or no way to survive a failure."""
+        if not (self._bears_lost_units() and self._place(None)):
+            return None
+        if self.candidates.problem.survive is Failures.HOSTS and not self._bears_lost_hosts():
+            return None
+        all_of, places = self.candidates.all, self._places
+        if len(places.published) < len(self.candidates.environment.targets):
+            return None
+        topics: dict[str, list[Publication]] = {}
+        for topic, stream in places.published.items():
+            topics.setdefault(stream.unit, []).append(Publication(stream.port, topic))
+        units = []
+        for i in self._grounded.order:
+            id_, transformation = all_of[i].id, all_of[i].transformation
+            subscriptions = tuple(Subscription(p.name, places.feeds[i, p.name]) for p in transformation.inputs)
+            published = tuple(topics.get(id_, ()))
+            units.append(ComputationUnit(id_, transformation.label, subscriptions, published, places.host_of[i]))
+        for i in sorted(self.cold):
+            spare = ComputationUnit(all_of[i].id, all_of[i].transformation.label, host=places.host_of[i], standby=True)
+            units.append(spare)
+        return named(self.candidates, lean(self.candidates, units))
+
+    def _place(self, but_on: Host) -> bool:
+        self._grounded = Grounded(self.candidates, self.hot, self._attribute)
+        self.hot &= set(self._grounded.order)
+        places, all_of = self._places, self.candidates.all
+        return places.put_all(self._grounded, but_on) and all(
+            places.put(i, [host for host in all_of[i].hosts if but_on is None or host != but_on])
+            for i in sorted(self.cold)
+            if i not in places.host_of
+        )
+
+    def _bears_lost_units(self) -> bool:
+        all_of, targets = self.candidates.all, self.candidates.environment.targets
+        if self.candidates.problem.survive is None:
+            return True
+        for i in sorted(self.hot, key=lambda i: (-all_of[i].cost_us, i)):
+            label = all_of[i].transformation.label
+            left = [one for one in self.hot | self.cold if one != i]
+            if label not in self._labels(left) and not self._bears(None, left, targets):
+                return False
+        return True
+
+    def _bears_lost_hosts(self) -> bool:
+        environment, host_of = self.candidates.environment, self._places.host_of
+        for host in environment.hosts:
+            left = [i for i in self.hot | self.cold if host_of[i] != host.name]
+            targets = tuple(target for target in environment.targets if target.host != host.name)
+            if not (self._bears(host.name, left, targets) and self._place(host.name)):
+                return False
+        return True
+
+    def _labels(self, units: Collection[int]) -> frozenset[str]:
+        return frozenset(self.candidates.all[i].transformation.label for i in units)
+
+    def _bears(self, host: str | None, left: Collection[int], targets: tuple[Target, ...]) -> bool:
+        """Add what targets need of what is not left after a failure."""
+        candidates, labels = self.candidates, self._labels(left)
+        if not unmet(candidates, Failure(host, labels, targets)):
+            return True
+        candidates.watch()
+        if self._is_quick and self._doubled(labels, host):
+            return True
+        network = candidates.network
+        there = candidates.numbers(labels)
+        price = self._spare_us + 1
+        lost = self._labels(self.hot | self.cold) - labels
+        bound = {c.transformation.label for c in candidates.all if c.hosts == (host,)} if host is not None else set()
+        for label in (lost | bound) & network.number.keys():
+            one = self._spare(label, host)
+            price[network.number[label]] = np.inf if one is None else _spare_us(candidates.all[one]) + 1
+        price[there] = FREE
+        support = plan_at(network, np.where(np.isfinite(price), price, 0).astype(np.int64), price)
+        more = [] if support is None else [self._spare(network.labels[n], host) for n in sorted(support - set(there))]
+        self._add([one for one in more if one is not None])
+        return support is not None
+
+    def _doubled(self, left: frozenset[str], host: str | None) -> bool:
+        """Add one more unit of each transformation that is not left; False if there is none."""
+        twins = [self._spare(label, host) for label in sorted(self._labels(self.hot | self.cold) - left)]
+        found = [twin for twin in twins if twin is not None]
+        if len(found) == len(twins):
+            self._add(found)
+        return len(found) == len(twins)
+
+    def _spare(self, label: str, host: str | None) -> int | None:
+        """The cheapest further candidate of a transformation that may be on another host."""
+        candidates = self.candidates
+        numbers = [candidates.index_of[c.id] for c in candidates.of(label) if host is None or c.hosts != (host,)]
+        further = [i for i in numbers if i not in self.hot and i not in self.cold]
+        return min(further, key=lambda i: (_spare_us(candidates.all[i]), i), default=None)
+
+    def _add(self, spares: Collection[int]) -> None:
+        """Those that can't wait run; what is to feed them then runs too."""
+        all_of, network = self.candidates.all, self.candidates.network
+        hot = {i for i in spares if not all_of[i].may_wait}
+        if hot:
+            reach = Reach(network, self.candidates.numbers(self._labels(self.hot | hot)))
+            if not all(reach.runs(network.number[label]) for label in self._labels(hot)):
+                hot = {i for i in spares if all_of[i].may_run}
+        self.hot |= hot
+        self.cold |= set(spares) - hot

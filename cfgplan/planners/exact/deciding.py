@@ -1,0 +1,145 @@
+"""Small problems, and what bounds leave of others, are decided by a search of the planner's own.
+
+Building a model and calling the solver takes longer there than looking at all that may be in a better plan.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import replace
+
+import numpy as np
+
+from cfgplan.planners.bounding.bounds import Bound
+from cfgplan.planners.bounding.branching import Branching
+from cfgplan.planners.bounding.chains import chained_bound
+from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.exact.prepared import Prepared
+from cfgplan.planners.exact.standing import Standing
+from cfgplan.planners.exact.structure import Structure
+from cfgplan.planners.networks.core import Core, Ints
+from cfgplan.planners.networks.greedy import first_plan, without_redundant
+from cfgplan.planners.networks.network import Network
+from cfgplan.planners.networks.weighing import Weighing
+
+SMALL, LEFT, FILTERED, CHAINED = 600, 200, 120, 16
+"""So many labels a network may have that is searched, or so many may be left of one.
+
+Of more than so many those that are too dear by themselves are left out first; of more than so many chains are charged.
+"""
+FIRST, STEPS, SOON = 300, 1500, 0.01
+"""So many steps a search may take at first, and in all if so much of it is done by then."""
+
+
+def decide(
+    standing: Standing, structure: Structure, steps: int, among: Collection[str] | None = None
+) -> Candidates | None:
+    """Look for a better plan in so many steps; no labels but `among` these can be in one.
+
+    Returns the candidates of a better plan if all is proven or, where only the cost is, all that one can have; None if
+    more is open. A plan must be no more than its labels, without distinct and feedback inputs, else nothing is done.
+    """
+    network = structure.network
+    is_large = len(network.labels) > SMALL if among is None else len(among) > LEFT
+    if not steps or is_large or network.special:
+        return None
+    weighing = Weighing.with_changes(standing.problem, network, structure.pinned)
+    if weighing is None:
+        return None
+    plans: list[set[int]] = []
+    if standing.best is not None:
+        plans.append({network.number[unit.transformation] for unit in standing.best.units}.union(network.pinned))
+    if among is None:
+        first = first_plan(network, weighing.weight, 0, standing.clock.is_over)
+        plans += [] if first is None else [first]
+    if not plans:
+        return None
+    plan = min(plans, key=lambda one: weighing.of_plan(_numbers(one)))
+    return _Deciding(standing, structure, weighing, among).run(plan, steps)
+
+
+class _Deciding:
+    """A search for what weighs less than a plan, and what its answer means for a standing."""
+
+    def __init__(
+        self, standing: Standing, structure: Structure, weighing: Weighing, among: Collection[str] | None
+    ) -> None:
+        self._standing, self._structure, self._weighing = standing, structure, weighing
+        self._core, self._weight = structure.network.core, weighing.weight
+        self._is_part = among is not None
+        if among is not None:
+            keep = np.zeros(self._core.goal, np.bool_)
+            keep[[structure.network.number[label] for label in among]] = True
+            self._core, self._weight = self._core.restricted(keep), self._weight[keep]
+
+    def run(self, plan: set[int], steps: int) -> Candidates | None:
+        network, weighing, standing = self._structure.network, self._weighing, self._standing
+        limit, nodes = weighing.of_plan(_numbers(plan)), 0
+        least, is_proven = limit, False
+        if not self._is_part and self._core.goal > CHAINED:
+            chained = chained_bound(self._core, self._weight, network.pinned, standing.clock.is_over)
+            is_proven = weighing.least(chained) >= limit
+        if not is_proven:
+            core, search = self._below(limit)
+            is_proven = search.run(min(steps, FIRST)) or (search.done >= SOON and search.run(max(0, steps - FIRST)))
+            nodes, least = search.nodes, search.least
+            if not self._structure.has_landmarks:
+                self._structure.remember(search.bound, weighing.scale)
+            if search.best is not None:
+                plan = set(core.labels[sorted(search.best)].tolist()).union(network.pinned)
+        plan = _lean(network, weighing.weight, plan)
+        value = weighing.of_plan(_numbers(plan)) if is_proven else weighing.least(least)
+        labels = [network.labels[i] for i in sorted(plan)]
+        prepared = Prepared(
+            labels,
+            labels,
+            bound_us=weighing.cost_us(value),
+            counts={"nodes": nodes, "left by bounds": len(labels)},
+            fewest_changes=weighing.changes(value),
+            is_complete=False,
+        )
+        candidates = self._told(prepared)
+        if not is_proven:
+            return None
+        return candidates if standing.is_over else self._all(prepared, plan, steps)
+
+    def _told(self, prepared: Prepared) -> Candidates:
+        candidates = self._structure.candidates(self._standing.problem, prepared.labels)
+        prepared.tell(self._standing, candidates)
+        return candidates
+
+    def _all(self, prepared: Prepared, plan: set[int], steps: int) -> Candidates | None:
+        """What plans have that change less than the incumbent, which is a cheapest one; None if that is not known."""
+        network, standing = self._structure.network, self._standing
+        if standing.best is None:
+            return None
+        core, search = self._below(self._weighing.of_key(standing.best.key))
+        others = search.others(np.flatnonzero(np.isin(core.labels, _numbers(plan))).tolist(), steps)
+        if others is None:
+            return None
+        labels = [network.labels[i] for i in sorted(plan.union(core.labels[sorted(others)].tolist()))]
+        counts = {**prepared.counts, "left by bounds": len(labels)}
+        return self._told(replace(prepared, labels=labels, counts=counts, is_complete=True))
+
+    def _below(self, limit: int) -> tuple[Core, Branching]:
+        """A search for plans that weigh less, and the core that it looks at."""
+        core, weight, step = self._core, self._weight, self._weighing.step
+        if not self._is_part and core.goal > FILTERED:
+            bound = Bound(core, weight)
+            part = bound.restricted(bound.may_be_used(limit - step))
+            core, weight = part.core, part.cost
+        return core, Branching(core, weight, limit, step, self._standing.clock.is_over)
+
+
+def _numbers(labels: set[int]) -> Ints:
+    return np.array(sorted(labels), np.int64)
+
+
+def _lean(network: Network, weight: Ints, plan: set[int]) -> set[int]:
+    """The plan without what it can do without for nothing."""
+    while not weight[_numbers(plan)].all():
+        lean = without_redundant(network, weight, plan)
+        if lean == plan:
+            break
+        plan = lean
+    return plan

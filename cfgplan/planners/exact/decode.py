@@ -1,0 +1,197 @@
+"""From a solution to units: wired, named, and without what nothing needs."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Collection, Iterable
+from dataclasses import replace
+
+from cfgplan.domain import ComputationUnit, InputPort, Publication, Stream, Subscription, Target
+from cfgplan.planners.exact.candidates import Candidates, Host
+from cfgplan.planners.exact.model import Model
+from cfgplan.planners.exact.survivors import can_do_without
+from cfgplan.planners.exact.wiring import published_stream
+from cfgplan.planning import Notion, Problem, fresh_units
+
+MAY_RUN_FOR_NOBODY = {Notion.SURVIVAL, Notion.INSTANCES}
+
+
+def decode(model: Model, true: Collection[int]) -> list[ComputationUnit] | None:
+    """The units of a solution that something may need, wired; None if one that is needed is not grounded.
+
+    `true` holds the indices of the true booleans. Units keep the streams they have wherever these are still there.
+    """
+    return _Decoding(model, true).units()
+
+
+class _Decoding:
+    def __init__(self, model: Model, true: Collection[int]) -> None:
+        self.model, self.true = model, true
+        self.candidates = model.candidates
+        self.rank = model.support.grounded(true)
+        self.host_of: dict[int, Host] = {
+            i: host for i, places in model.runs_on.items() for host, on in places.items() if on.index in self.rank
+        }
+
+    def units(self) -> list[ComputationUnit] | None:
+        model, all_of = self.model, self.candidates.all
+        topics: dict[int, list[Publication]] = defaultdict(list)
+        for target in model.environment.targets:
+            stream = self._published(target)
+            if stream is None:
+                return None
+            topics[model.unit_of(stream)].append(Publication(stream.port, target.topic))
+        ahead = sorted({*topics, *filter(self.candidates.is_pinned, model.runs)})
+        if MAY_RUN_FOR_NOBODY & model.problem.notions:
+            ahead += sorted(self.host_of.keys() - set(ahead))
+        found: dict[int, ComputationUnit] = {}
+        for i in ahead:
+            if i in found:
+                continue
+            streams = {port.name: self._fed(i, port) for port in all_of[i].transformation.inputs}
+            if i not in self.host_of or None in streams.values():
+                return None
+            subscriptions = tuple(Subscription(name, stream) for name, stream in streams.items() if stream is not None)
+            label = all_of[i].transformation.label
+            found[i] = ComputationUnit(all_of[i].id, label, subscriptions, tuple(topics[i]), self.host_of[i])
+            ahead += [model.unit_of(s.stream) for s in subscriptions]
+        if not self._are_enough(found):
+            return None
+        return [*found.values(), *self._spares()]
+
+    def _spares(self) -> list[ComputationUnit]:
+        all_of = self.candidates.all
+        return [
+            ComputationUnit(all_of[i].id, all_of[i].transformation.label, host=host, standby=True)
+            for i, places in self.model.waits_on.items()
+            for host, waits in places.items()
+            if waits.index in self.true
+        ]
+
+    def _are_enough(self, units: Collection[int]) -> bool:
+        """Whether as many units are grounded of each transformation as it asks for."""
+        if Notion.INSTANCES not in self.model.problem.notions:
+            return True
+        running = Counter(self.candidates.all[i].transformation.label for i in units)
+        return all(running[t.label] >= t.min_instances for t in self.model.environment.library)
+
+    def _published(self, target: Target) -> Stream | None:
+        model = self.model
+        choices = model.publishes[target.label]
+        taken = next((stream for stream, publishes in choices.items() if publishes.index in self.true), None)
+        if taken is None:
+            there = [
+                s for s in model.choices(target.tag) if s not in choices and self._place(s, target.host) is not None
+            ]
+            taken = min(there, key=model.unit_of, default=None)
+        elif model.unit_of(taken) not in self.host_of:
+            return None
+        if taken is None or model.tells_ports:
+            return taken
+        return published_stream(self.candidates, model.unit_of(taken), target)
+
+    def _fed(self, unit: int, port: InputPort) -> Stream | None:
+        """The stream by which an input is fed; the one it has already if that is there."""
+        model, host = self.model, self.host_of.get(unit)
+        running = self.candidates.all[unit].running
+        old = None if running is None else running.feeds.get(port.name)
+        if (unit, port.name) in model.connects:
+            connects = model.connects[unit, port.name]
+            there = [stream for stream, connected in connects.items() if connected.index in self.true][:1]
+        elif unit in model.stays and model.stays[unit].index in self.true and old is not None:
+            return old if self._place(old, host) is not None else None
+        else:
+            limit = len(self.rank) if port.feedback else self._wired_at(unit)
+            streams = model.choices(port.tag)
+            there = [s for s in streams if (place := self._place(s, host)) is not None and place < limit]
+        if model.tells_ports:
+            return old if old in there else next(iter(there), None)
+        same = [stream for stream in there if old is not None and stream.unit == old.unit]
+        if same and old is not None and self.candidates.gives(old, port.tag):
+            return old
+        return self.candidates.stream_of(model.unit_of(there[0]), port.tag) if there else None
+
+    def _wired_at(self, unit: int) -> int:
+        """The place in the order of derivation at which a unit is wired: what feeds it comes before."""
+        return max((self.rank.get(wired.index, 0) for wired in self.model.wired_on(unit).values()), default=0)
+
+    def _place(self, stream: Stream, host: Host) -> int | None:
+        """The place in the order of derivation at which a stream is there on a host."""
+        ways = [self.rank[way.index] for way in self.model.known_ways(stream, host) if way.index in self.rank]
+        return min(ways, default=None)
+
+
+def lean(candidates: Candidates, units: Collection[ComputationUnit]) -> list[ComputationUnit]:
+    """The units less those that no target, pin, number or failure needs, taken away one after the other.
+
+    What has to survive failures does so before.
+    """
+    problem, left = candidates.problem, list(units)
+    spares: set[str] = set()
+    while True:
+        roots = [u for u in left if u.publications or u.id in spares or _is_asked_for(problem, left, u)]
+        needed = _needed(left, roots)
+        needless = [unit for unit in left if unit.id not in needed]
+        if not needless:
+            return left
+        # A unit that feeds another needless one goes after it; new units go before kept ones.
+        fed_from = {s.stream.unit for unit in needless for s in unit.subscriptions if s.stream.unit != unit.id}
+        last = [unit for unit in needless if unit.id not in fed_from] or needless
+        goes = min(last, key=lambda unit: (unit.id in problem.environment.unit, unit.id))
+        if can_do_without(candidates, left, goes):
+            left = without_broken([unit for unit in left if unit is not goes])
+        else:
+            spares.add(goes.id)
+
+
+def without_broken(units: list[ComputationUnit]) -> list[ComputationUnit]:
+    """The units less those whose feeders are gone, as in a ring through feedback inputs that went."""
+    while True:
+        there = {unit.id for unit in units}
+        whole = [unit for unit in units if all(s.stream.unit in there for s in unit.subscriptions)]
+        if len(whole) == len(units):
+            return units
+        units = whole
+
+
+def _is_asked_for(problem: Problem, units: Iterable[ComputationUnit], unit: ComputationUnit) -> bool:
+    transformation = problem.environment.transformation[unit.transformation]
+    if unit.standby or not (transformation.pinned or transformation.min_instances):
+        return False
+    if transformation.pinned and unit.id in problem.environment.unit:
+        return True
+    number = sum(other.transformation == unit.transformation and not other.standby for other in units)
+    return number <= transformation.min_instances
+
+
+def _needed(units: Iterable[ComputationUnit], roots: Iterable[ComputationUnit]) -> set[str]:
+    by_id = {unit.id: unit for unit in units}
+    ahead = [root.id for root in roots]
+    needed = set(ahead)
+    for unit_id in ahead:
+        new = {s.stream.unit for s in by_id[unit_id].subscriptions} - needed
+        needed |= new
+        ahead += sorted(new)
+    return needed
+
+
+def named(candidates: Candidates, units: list[ComputationUnit]) -> list[ComputationUnit]:
+    """New units with the first free ids, in canonical order of what they are."""
+    new: dict[str, list[ComputationUnit]] = defaultdict(list)
+    for unit in sorted(units, key=lambda unit: candidates.index_of[unit.id]):
+        if candidates.all[candidates.index_of[unit.id]].running is None:
+            new[unit.transformation].append(unit)
+    ids = fresh_units(candidates.environment, {label: len(these) for label, these in sorted(new.items())})
+    name = {u.id: new_id for label, these in new.items() for u, new_id in zip(these, ids[label], strict=True)}
+
+    def renamed(stream: Stream) -> Stream:
+        return Stream(name.get(stream.unit, stream.unit), stream.port)
+
+    return [
+        replace(
+            unit,
+            id=name.get(unit.id, unit.id),
+            subscriptions=tuple(Subscription(s.port, renamed(s.stream)) for s in unit.subscriptions),
+        )
+        for unit in units
+    ]

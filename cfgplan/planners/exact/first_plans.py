@@ -1,0 +1,178 @@
+"""Plans for a fleet before any model is built: cheapest supports by h_add, placed, wired and given spares.
+
+What that takes for granted is looked at in the end: a configuration that breaks a rule is not offered.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Iterable
+
+import numpy as np
+
+from cfgplan.domain import ComputationUnit
+from cfgplan.figures import loads, qualities_of_targets
+from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.exact.configuration import Configuration, spare_prices
+from cfgplan.planners.exact.standing import Standing
+from cfgplan.planners.exact.survivors import bears_all_failures
+from cfgplan.planners.networks.core import Floats
+from cfgplan.planners.networks.greedy import FREE, plan_at
+from cfgplan.qualities import Better, QualityAttribute, Rule, is_met
+
+ATTEMPTS = 30
+"""How many transformations of a plan are tried to be done without."""
+SHARES = (0.0, 0.5, 2.0, 8.0, 32.0)
+"""How much dearer transformations are, as a part of what they usually cost, until a plan keeps all bounds."""
+
+
+class FirstPlans:
+    """Offers plans made of chosen transformations or candidates."""
+
+    def __init__(self, candidates: Candidates, standing: Standing) -> None:
+        self.candidates, self.standing = candidates, standing
+        self.network = candidates.network
+        self._spare_us = spare_prices(candidates)
+        units = [[c.cost_us for c in candidates.of(label) if c.may_run] for label in self.network.labels]
+        candidates.watch()
+        self._run_us = np.array([min(these, default=np.inf) for these in units], np.float64)
+        self._cost = np.where(np.isfinite(self._run_us), self._run_us, 0).astype(np.int64)
+        self._numbered = [t for t in candidates.environment.library if t.min_instances]
+        self._pinned = {candidate.id for i, candidate in enumerate(candidates.all) if candidates.is_pinned(i)}
+        self._attribute = _asked(candidates)
+        self._is_weighed = any(wish.weight_us for target in candidates.environment.targets for wish in target.quality)
+
+    def look(self, attempts: int) -> None:
+        """Offer a plan of cheap transformations, and better ones after attempts to do without some of its dearest."""
+        candidates, standing = self.candidates, self.standing
+        if len(self.network.targets) < len(candidates.environment.targets):
+            return
+        price = self._first()
+        tried: set[str] = set()
+        while price is not None and standing.best is not None and len(tried) < attempts:
+            if standing.clock.is_over() or standing.is_at_bound:
+                break
+            labels = {unit.transformation for unit in standing.best.units if not unit.standby}
+            ahead = sorted(candidates.numbers(labels - tried), key=lambda n: (-self._cost[n], n))
+            if not ahead:
+                break
+            tried.add(self.network.labels[ahead[0]])
+            around = price.copy()
+            around[candidates.numbers(labels)] = FREE
+            around[ahead[0]] = np.inf
+            self._offer_supports(around)
+
+    def _first(self) -> Floats | None:
+        """The prices at which there is a plan first, of costs alone and of more and more for what bounds are on.
+
+        Where quality has a price, those with the best plan.
+        """
+        price = self._run_us + 1
+        if self.candidates.problem.survive is not None:
+            price += np.minimum(self._spare_us, self._run_us)
+        burden = self._burden()
+        usual = price[np.isfinite(price)].mean() / burden[burden > 0].mean() if (burden > 0).any() else 0.0
+        found: Floats | None = None
+        for share in SHARES if usual else SHARES[:1]:
+            priced, before = price + share * usual * burden, self.standing.best
+            if self._offer_supports(priced) and (found is None or self.standing.best is not before):
+                found = priced
+            if self.standing.is_at_bound or (found is not None and not self._is_weighed):
+                break
+        return found
+
+    def _burden(self) -> Floats:
+        """What each transformation adds to the badness of what it is made of, or takes of what hosts have."""
+        attribute, transformations = self._attribute, self.network.transformations
+        if attribute is None:
+            hosts = self.candidates.environment.hosts
+            resources = sorted({resource for t in transformations for resource in t.takes})
+            have = {resource: sum(host.room(resource) or 0 for host in hosts) or np.inf for resource in resources}
+            shares = [sum(amount / have[resource] for resource, amount in t.takes.items()) for t in transformations]
+            return np.array(shares, np.float64)
+        self.candidates.watch()
+        sign = 1 if attribute.better is Better.LOWER else -1
+        stated = [
+            [c for port in t.outputs for c in port.quality if c.attribute == attribute.name] for t in transformations
+        ]
+        added = [max((sign * c.value for c in these if c.rule is Rule.ADD), default=0) for these in stated]
+        return np.maximum(np.array(added, np.float64), 0.0)
+
+    def _offer_supports(self, price: Floats) -> bool:
+        """Offer the cheapest support; where transformations conflict, without the dearer of the two."""
+        for _ in self.candidates.environment.library:
+            support = plan_at(self.network, self._cost, price)
+            if support is None:
+                return False
+            labels = {self.network.labels[n] for n in support}
+            dearer = self._dearer_in_conflict(labels)
+            if dearer is None:
+                return self.offer(self.units_of(labels))
+            price = price.copy()
+            price[dearer] = np.inf
+        return False
+
+    def _dearer_in_conflict(self, labels: Collection[str]) -> int | None:
+        number, library = self.network.number, self.candidates.environment.transformation
+        for label in sorted(labels):
+            for other in library[label].conflicts:
+                if other in labels and other != label:
+                    return max(number[label], number[other], key=lambda n: (self._cost[n], n))
+        return None
+
+    def units_of(self, labels: Iterable[str]) -> set[int]:
+        """As many candidates of each transformation as have to run, the cheapest first."""
+        candidates = self.candidates
+        chosen: set[int] = set()
+        for label in sorted(labels):
+            numbers = [candidates.index_of[c.id] for c in candidates.of(label) if c.may_run]
+            numbers.sort(key=lambda i: (not candidates.is_pinned(i), candidates.all[i].cost_us, i))
+            pinned = sum(map(candidates.is_pinned, numbers))
+            chosen.update(numbers[: max(1, pinned, candidates.environment.transformation[label].min_instances)])
+        return chosen
+
+    def offer(self, hot: Collection[int]) -> bool:
+        """Offer a configuration in which these candidates run; False if there is none."""
+        is_offered = False
+        ways = (True, False) if self.candidates.problem.survive is not None and self.standing.best is None else (False,)
+        for is_quick in ways:
+            self.candidates.watch()
+            units = Configuration(self.candidates, hot, self._attribute, self._spare_us, is_quick).units()
+            if units is not None and self.is_valid(units):
+                self.standing.offer(units)
+                is_offered = True
+        return is_offered
+
+    def is_valid(self, units: list[ComputationUnit]) -> bool:
+        """Whether a configuration that is wired keeps the bounds, the limits of hosts, numbers and failures."""
+        environment = self.candidates.environment
+        reached = qualities_of_targets(environment, units)
+        there = Counter(unit.transformation for unit in units)
+        running = Counter(unit.transformation for unit in units if not unit.standby)
+        kinds = [environment.transformation[label] for label in there]
+        return (
+            all(
+                is_met(environment.quality[wish.attribute], wish, reached[target.label][wish.attribute])
+                for target in environment.targets
+                for wish in target.quality
+            )
+            and all(
+                room is None or taken <= room
+                for name, load in loads(environment, units).items()
+                for resource, taken in load.items()
+                for room in [environment.host[name].room(resource)]
+            )
+            and all(running[t.label] >= t.min_instances for t in self._numbered)
+            and all(t.max_instances is None or there[t.label] <= t.max_instances for t in kinds)
+            and not any(other != t.label and other in there for t in kinds for other in t.conflicts)
+            and self._pinned <= {unit.id for unit in units}
+            and bears_all_failures(self.candidates, units)
+        )
+
+
+def _asked(candidates: Candidates) -> QualityAttribute | None:
+    """The attribute that targets ask for, rather one that they bound."""
+    wishes = [wish for target in candidates.environment.targets for wish in target.quality]
+    bounded = [wish.attribute for wish in wishes if wish.bound is not None]
+    names = bounded or [wish.attribute for wish in wishes]
+    return candidates.environment.quality[names[0]] if names else None

@@ -1,0 +1,140 @@
+"""Good plans for a fleet before anything is proven: the problem among few units, then among more (kernel search).
+
+First come the units that a cheap plan may have, as far as landmarks say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+
+from cfgplan.planners.bounding.bounds import Bound, cheapest_way
+from cfgplan.planners.bounding.tightening import tightened
+from cfgplan.planners.exact.best_case import least_prices_us, leave_out_what_is_too_bad
+from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.exact.first_plans import ATTEMPTS, FirstPlans
+from cfgplan.planners.exact.flat import Flat
+from cfgplan.planners.exact.flat_search import FlatSearch
+from cfgplan.planners.exact.standing import Standing
+
+MANY = 400
+"""Fewer labels than these are soon looked through all at once where there are no hosts."""
+SIZES = (50, 100, 200)
+"""Among so many units is looked, one after the other, if there are twice as many."""
+STEPS = 4
+"""Plans are looked for that close this part of the gap, before plans that are just better."""
+SLICE_S = 0.5
+"""The engine's own seconds for each."""
+
+
+def look_among_few(flat: Flat, standing: Standing) -> Bound:
+    """Offer plans made of the best plan's transformations and of more and more others.
+
+    Returns the bound that says which are more likely.
+    """
+    candidates = flat.candidates
+    _look_among(_best(standing), candidates, standing, None)
+    bound = Bound(flat.graph().core, flat.costs())
+    most = sum(flat.cost_us)
+    if standing.best is not None:
+        most = standing.best.key.cost_us - sum(least_prices_us(candidates).values())
+    bound = tightened(bound, most, most, standing.clock)
+    order = _by_least_cost(flat, bound)
+    for size in SIZES:
+        if 2 * size > len(order) or standing.clock.is_over():
+            break
+        more = {candidates.all[unit].transformation.label for unit in order[:size]}
+        limit_us = well_below_best_us(standing) if candidates.environment.hosts else None
+        _look_among(_best(standing) | more, candidates, standing, limit_us)
+    return bound
+
+
+def _look_among(labels: Collection[str], candidates: Candidates, standing: Standing, limit_us: int | None) -> None:
+    few = Candidates(candidates.problem, candidates.closure, labels, candidates.watch)
+    leave_out_what_is_too_bad(few)
+    flat = Flat(few)
+    if not flat.is_impossible:
+        FlatSearch(flat, standing, SLICE_S, is_all=False, limit_us=limit_us).run()
+
+
+@dataclass(frozen=True)
+class Left:
+    """The transformations that a plan no dearer than the best may have, and landmarks that every such plan hits.
+
+    `order` has those first that a cheaper plan is more likely to have.
+    """
+
+    labels: frozenset[str]
+    order: tuple[str, ...] = ()
+    landmarks: tuple[tuple[list[str], int], ...] = ()
+
+
+def left_by_bounds(candidates: Candidates, standing: Standing) -> Left:
+    """What landmarks leave; the proven bound is raised.
+
+    Hosts, transfers, failures, conflicts and numbers only add to the cost, and quality adds at least its least price.
+    """
+    network = candidates.network
+    everything = frozenset(candidate.transformation.label for candidate in candidates.all)
+    if len(network.targets) < len(candidates.environment.targets):
+        return Left(everything)
+    cost = np.array([min(c.cost_us for c in candidates.of(label)) for label in network.labels], np.int64)
+    prices_us = sum(least_prices_us(candidates).values())
+    most = int(cost.sum()) if standing.best is None else standing.best.key.cost_us - prices_us
+    bound = tightened(Bound(network.core, cost), most, most, standing.clock)
+    standing.raise_bound(bound.value + prices_us)
+    names = [network.labels[i] for i in bound.core.labels.tolist()]
+    landmarks = tuple(([names[i] for i in one.counted.tolist()], one.least) for one in bound.short())
+    _, before = cheapest_way(bound.core, bound.residual)
+    least = (before[:-1] + bound.residual).tolist()
+    order = tuple(name for _, name in sorted(zip(least, names, strict=True)))
+    standing.counts["landmarks"] = len(landmarks)
+    if standing.best is None or any(t.required for t in network.transformations):
+        return Left(everything, order, landmarks)
+    left = {name for name, may in zip(names, bound.may_be_used(most).tolist(), strict=True) if may}
+    left |= {network.labels[i] for i in network.pinned}
+    left |= {c.transformation.label for c in candidates.all if c.may_wait and bound.value + c.waiting_cost_us <= most}
+    standing.counts["left by bounds"] = len(left)
+    return Left(frozenset(left), order, landmarks)
+
+
+def look_among_few_of(candidates: Candidates, standing: Standing, first: FirstPlans) -> None:
+    """Offer plans made of the best plan's transformations and of more and more others; raise the bound."""
+    from cfgplan.planners.exact.search import Search
+
+    order = left_by_bounds(candidates, standing).order
+    sizes = [size for size in SIZES if 2 * size <= len(order)]
+
+    def among(size: int) -> Candidates:
+        return candidates.among(_best(standing).union(order[:size]))
+
+    if sizes:
+        FirstPlans(among(sizes[0]), standing).look(ATTEMPTS)
+    first.look(ATTEMPTS)
+    for size in sizes:
+        standing.clock.check()
+        Search(among(size), standing, is_all=False).run(SLICE_S)
+
+
+def _best(standing: Standing) -> set[str]:
+    """The best plan's transformations."""
+    return set() if standing.best is None else {unit.transformation for unit in standing.best.units}
+
+
+def well_below_best_us(standing: Standing) -> int | None:
+    """A cost whose plans, if there are none, are soon known not to be there; None without a plan."""
+    if standing.best is None:
+        return None
+    return standing.best.key.cost_us - (standing.best.key.cost_us - standing.bound_us) // STEPS - 1
+
+
+def _by_least_cost(flat: Flat, bound: Bound) -> list[int]:
+    """The units, those first that a cheaper plan may have."""
+    _, before = cheapest_way(bound.core, bound.residual)
+    least: dict[int, int] = {}
+    for label, us in zip(bound.core.labels.tolist(), (before[:-1] + bound.residual).tolist(), strict=True):
+        unit = flat.labels[label].unit
+        least[unit] = min(us, least.get(unit, us))
+    return sorted(least, key=lambda unit: (least[unit], unit))

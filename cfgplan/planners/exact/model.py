@@ -1,0 +1,229 @@
+"""The constraint model of an update: its booleans. `rules` says what they must be.
+
+Booleans say which candidates run, where, and which of them stay as they are. Inputs that do not care who feeds them
+share one boolean for each demand and host (a *hub*), so that the model grows with the ports and not with inputs times
+outputs. Where the feeder matters an input is *told apart*: each stream that may feed it has a boolean.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Sequence
+
+from ortools.sat.python.cp_model import CpModel, IntVar, LinearExpr, LinearExprT
+
+from cfgplan.costs import transfer_cost_us
+from cfgplan.domain import InputPort, Stream
+from cfgplan.planners.exact.candidates import Candidates, Host
+from cfgplan.planners.solving.engine import at_least
+from cfgplan.planners.solving.support import Support
+from cfgplan.planning import Notion
+
+Rule = Callable[["Model"], None]
+
+
+class Model:
+    """The booleans of a problem's candidates, by their index; streams and ports by name.
+
+    With `is_apart`, and where targets ask for quality, every input and target is told apart.
+    """
+
+    def __init__(self, candidates: Candidates, rules: Iterable[Rule], *, is_apart: bool = False) -> None:
+        self.candidates = candidates
+        self.problem = candidates.problem
+        self.environment = candidates.environment
+        self.is_apart = is_apart or Notion.QUALITY in self.problem.notions
+        self.cp = CpModel()
+        self.support = Support()
+        self.anywhere = Support()
+        """The same with hosts forgotten: what is not grounded there is cut by fewer and stronger clauses."""
+        self.literals: list[IntVar] = []
+        self.runs: dict[int, IntVar] = {}
+        self.waits: dict[int, IntVar] = {}
+        self.is_there: dict[int, IntVar] = {}
+        self.runs_on: dict[int, dict[Host, IntVar]] = {}
+        self.waits_on: dict[int, dict[Host, IntVar]] = {}
+        self.stays: dict[int, IntVar] = {}
+        self.is_wired: dict[int, IntVar] = {}
+        self.hubs: dict[tuple[int, Host], IntVar] = {}
+        self.connects: dict[tuple[int, str], dict[Stream, IntVar]] = {}
+        self.publishes: dict[str, dict[Stream, IntVar]] = {}
+        self.carried: dict[tuple[Stream, Host], IntVar] = {}
+        self.serves: dict[int, IntVar] = {}
+        self.uses_required: dict[str, IntVar] = {}
+        self.more_costs: list[LinearExprT] = []
+        self.tracked = _downstream_of_required(candidates)
+        self._demand_of_tag: dict[str, int] = {}
+        self._demand_of_streams: dict[tuple[Stream, ...], int] = {}
+        self._streams: list[tuple[Stream, ...]] = []
+        self._price_us = {
+            Stream(c.id, port.name): transfer_cost_us(port, self.problem.horizon_s, self.environment.transfer_us)
+            for c in (candidates.all if self.environment.hosts else ())
+            for port in c.transformation.outputs
+        }
+        self.tells_ports = self.is_apart or any(self._price_us.values())
+        """Whether it matters which stream of a unit is taken."""
+        self._any_stream = [Stream(candidate.id, "") for candidate in candidates.all]
+        self.needing = self._units_by_demand()
+        for rule in rules:
+            rule(self)
+
+    def boolean(self) -> IntVar:
+        literal = self.cp.new_bool_var("")
+        self.literals.append(literal)
+        return literal
+
+    def needs_any(self, literal: IntVar, choices: Sequence[IntVar]) -> None:
+        self.cp.add_bool_or([literal.negated(), *choices])
+
+    def rests_on_any(self, literal: IntVar, choices: Sequence[IntVar]) -> None:
+        """The literal needs one of the choices, and one that comes before it."""
+        self.needs_any(literal, choices)
+        self.support.rests_on_any(literal.index, [choice.index for choice in choices])
+
+    def rests_on_all(self, literal: IntVar, parts: Iterable[IntVar]) -> None:
+        """The literal needs all parts, and all before it."""
+        parts = list(parts)
+        for part in parts:
+            self.cp.add_implication(literal, part)
+        self.support.rests_on_all(literal.index, [part.index for part in parts])
+
+    def choices(self, tag: str) -> tuple[Stream, ...]:
+        """The streams that match a demanded tag; where it does not matter which, one without a port for each unit."""
+        if self.tells_ports:
+            return self.candidates.streams(tag)
+        return tuple([self._any_stream[feeder] for feeder in self.candidates.feeders(tag)])
+
+    def demand(self, tag: str) -> int:
+        """The number of a demand: tags that the same streams match are one."""
+        if tag not in self._demand_of_tag:
+            streams = self.choices(tag)
+            demand = self._demand_of_tag[tag] = self._demand_of_streams.setdefault(streams, len(self._streams))
+            if demand == len(self._streams):
+                self._streams.append(streams)
+        return self._demand_of_tag[tag]
+
+    def streams_of(self, demand: int) -> tuple[Stream, ...]:
+        """The streams that meet a demand."""
+        return self._streams[demand]
+
+    def _units_by_demand(self) -> dict[int, set[int]]:
+        """The candidates that need each demand before they run, told apart or not."""
+        needing: dict[int, set[int]] = defaultdict(set)
+        for i, candidate in enumerate(self.candidates.all):
+            self.candidates.watch()
+            for port in candidate.transformation.inputs if candidate.may_run else ():
+                if not port.feedback:
+                    needing[self.demand(port.tag)].add(i)
+        for target in self.environment.targets:
+            self.demand(target.tag)
+        return needing
+
+    def unit_of(self, stream: Stream) -> int:
+        return self.candidates.index_of[stream.unit]
+
+    def is_told_apart(self, unit: int, port: InputPort) -> bool:
+        """Whether it matters who feeds the input: a distinct one, or one that a required unit could reach."""
+        return (
+            self.is_apart
+            or port.distinct is not None
+            or (unit in self.tracked and not self.tracked.isdisjoint(self.candidates.feeders(port.tag)))
+        )
+
+    def hub(self, tag: str, host: Host) -> IntVar:
+        """The boolean that what the tag demands is there on a host; on no host in particular, if it is made at all."""
+        key = self.hub_key(tag, host)
+        if key not in self.hubs:
+            self.hubs[key] = self.boolean()
+        return self.hubs[key]
+
+    def hub_key(self, tag: str, host: Host) -> tuple[int, Host]:
+        """What a hub is known by: where nothing that meets the demand costs to be carried, hosts do not matter."""
+        demand = self.demand(tag)
+        is_carried = host is not None and any(map(self.price_us, self._streams[demand]))
+        return demand, host if is_carried else None
+
+    def price_us(self, stream: Stream) -> int:
+        """What it costs to carry a stream to one more host."""
+        return self._price_us.get(stream, 0)
+
+    def ways(self, stream: Stream, host: Host) -> list[IntVar]:
+        """Booleans one of which holds if the stream is there on a host."""
+        unit = self.unit_of(stream)
+        is_made_elsewhere = self.runs_on[unit].keys() != {host}
+        if host is not None and self.price_us(stream) and is_made_elsewhere and (stream, host) not in self.carried:
+            carried = self.carried[stream, host] = self.boolean()
+            self.more_costs.append(self.price_us(stream) * carried)
+            self.rests_on_all(carried, [self.runs[unit]])
+        return self.known_ways(stream, host)
+
+    def known_ways(self, stream: Stream, host: Host) -> list[IntVar]:
+        """Those of the booleans that the model has: a stream may be there by no other way."""
+        unit = self.unit_of(stream)
+        if host is None or not self.price_us(stream):
+            return [self.runs[unit]]
+        ways = (self.runs_on[unit].get(host), self.carried.get((stream, host)))
+        return [way for way in ways if way is not None]
+
+    def ways_to_run(self, unit: int) -> list[IntVar]:
+        """Booleans one of which holds if the candidate runs."""
+        return [self.runs[unit]] if unit in self.runs else []
+
+    def present(self, stream: Stream, host: Host) -> IntVar:
+        """The boolean that the stream is there on a host."""
+        ways = self.ways(stream, host)
+        if len(ways) == 1:
+            return ways[0]
+        present = self.boolean()
+        self.rests_on_any(present, ways)
+        return present
+
+    def wired_on(self, unit: int) -> dict[Host, IntVar]:
+        """For each host the boolean that the candidate is wired anew there."""
+        places = self.runs_on[unit]
+        return dict.fromkeys(places, self.is_wired[unit]) if len(places) == 1 else places
+
+    def enough_of_each_run(self, landmarks: Iterable[tuple[Iterable[str], int]]) -> None:
+        """Every plan has so many transformations of each landmark, or more; each counts as often as it is named."""
+        for labels, least in landmarks:
+            units = [i for label in labels for i in self.candidates.units_of(label)]
+            at_least(self.cp, least, [self.runs[i] for i in units if i in self.runs])
+
+    def cost(self) -> LinearExprT:
+        """Labor, upkeep and standby, and what rules have added."""
+        candidates = self.candidates.all
+        terms: list[LinearExprT] = [candidates[i].cost_us * runs for i, runs in self.runs.items()]
+        terms += [candidates[i].waiting_cost_us * waits for i, waits in self.waits.items()]
+        return LinearExpr.sum([*terms, *self.more_costs])
+
+    def changes(self) -> LinearExprT:
+        """Rewired kept units, then started ones: one rewired unit outweighs all that can be started."""
+        rewired = [self.is_wired[i] for i in self.runs if self.candidates.all[i].running is not None]
+        started = self.started()
+        return (len(started) + 1) * LinearExpr.sum(rewired) + LinearExpr.sum(started)
+
+    def started(self) -> list[IntVar]:
+        """The booleans of new units."""
+        return [there for i, there in self.is_there.items() if self.candidates.all[i].running is None]
+
+
+def _downstream_of_required(candidates: Candidates) -> frozenset[int]:
+    """The running candidates of required transformations and all that they may feed, directly or through others."""
+    ahead = [i for i, c in enumerate(candidates.all) if c.may_run and c.transformation.required]
+    if not ahead:
+        return frozenset()
+    needing: dict[str, list[int]] = defaultdict(list)
+    for i, candidate in enumerate(candidates.all):
+        for port in candidate.transformation.inputs if candidate.may_run else ():
+            needing[port.tag].append(i)
+    fed_by: dict[int, list[str]] = defaultdict(list)
+    for tag in needing:
+        for feeder in candidates.feeders(tag):
+            fed_by[feeder].append(tag)
+    found = set(ahead)
+    for i in ahead:
+        for tag in fed_by[i]:
+            new = [consumer for consumer in needing.pop(tag, ()) if consumer not in found]
+            found.update(new)
+            ahead += new
+    return frozenset(found)

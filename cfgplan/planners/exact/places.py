@@ -1,0 +1,99 @@
+"""Hosts for chosen units, one after the other, so that they have room and little is carried."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Iterable
+
+from cfgplan.costs import transfer_cost_us
+from cfgplan.domain import Stream
+from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.exact.flat import Host
+from cfgplan.planners.exact.grounded import Grounded
+
+
+class Places:
+    """What is placed so far: the host of each unit, cold spares included, and what feeds each input."""
+
+    def __init__(self, candidates: Candidates) -> None:
+        self.candidates = candidates
+        self.host_of: dict[int, Host] = {}
+        self.feeds: dict[tuple[int, str], Stream] = {}
+        self.published: dict[str, Stream] = {}
+        self._taken: Counter[tuple[Host, str]] = Counter()
+        self._price_us: dict[Stream, int] = {}
+
+    def put_all(self, grounded: Grounded, but_on: Host = None) -> bool:
+        """Place and feed all that runs and is not placed, but not on one host; False if there is no room."""
+        new = [unit for unit in grounded.order if unit not in self.host_of]
+        hosts_of = {unit: [h for h in self.candidates.all[unit].hosts if h is None or h != but_on] for unit in new}
+        if not all(self.put(unit, hosts) for unit, hosts in hosts_of.items() if len(hosts) <= 1):
+            return False
+        for unit in new:
+            if unit not in self.host_of:
+                by_price = sorted(hosts_of[unit], key=lambda host: (self._carry_us(grounded, unit, host), host or ""))
+                if not self.put(unit, by_price):
+                    return False
+        self._feed(grounded)
+        return True
+
+    def put(self, unit: int, hosts: Iterable[Host]) -> bool:
+        """Place a unit on the first of some hosts that has room for it."""
+        for host in hosts:
+            if self._has_room(unit, host):
+                for resource, amount in self.candidates.all[unit].transformation.takes.items():
+                    self._taken[host, resource] += amount
+                self.host_of[unit] = host
+                return True
+        return False
+
+    def _has_room(self, unit: int, host: Host) -> bool:
+        if host is None:
+            return True
+        takes, room = self.candidates.all[unit].transformation.takes, self.candidates.environment.host[host].room
+        return all(
+            most is None or self._taken[host, resource] + amount <= most
+            for resource, amount in takes.items()
+            for most in [room(resource)]
+        )
+
+    def _carry_us(self, grounded: Grounded, unit: int, host: Host) -> int:
+        """What it costs to carry a unit's inputs to a host, where their feeders are placed."""
+        return sum(
+            min(self._price_to(stream, host) for stream in grounded.choices(unit, port))
+            for port in self.candidates.all[unit].transformation.inputs
+        )
+
+    def _price_to(self, stream: Stream, host: Host) -> int:
+        """What it costs to have a stream on a host; nothing where its unit is not placed yet."""
+        at = self.host_of.get(self.candidates.index_of[stream.unit])
+        return 0 if host is None or at is None or at == host else self._price(stream)
+
+    def _price(self, stream: Stream) -> int:
+        if stream not in self._price_us:
+            problem = self.candidates.problem
+            port = self.candidates.all[self.candidates.index_of[stream.unit]].transformation.output[stream.port]
+            self._price_us[stream] = transfer_cost_us(port, problem.horizon_s, problem.environment.transfer_us)
+        return self._price_us[stream]
+
+    def _feed(self, grounded: Grounded) -> None:
+        """Each input takes a stream that is on its host already if it can, or one that is cheap to carry there."""
+        carried: set[tuple[Stream, Host]] = set()
+
+        def taken(choices: Collection[Stream], host: Host, now: Stream | None) -> Stream:
+            def cost(stream: Stream) -> tuple[int, bool]:
+                return 0 if (stream, host) in carried else self._price_to(stream, host), stream != now
+
+            stream = min(choices, key=cost)
+            carried.add((stream, host))
+            return stream
+
+        for target in self.candidates.environment.targets:
+            if choices := grounded.published(target.tag):
+                self.published[target.topic] = taken(choices, target.host, None)
+        for unit in grounded.order:
+            candidate = self.candidates.all[unit]
+            feeds = candidate.running.feeds if candidate.running is not None else {}
+            for port in candidate.transformation.inputs:
+                choices = grounded.choices(unit, port)
+                self.feeds[unit, port.name] = taken(choices, self.host_of[unit], feeds.get(port.name))

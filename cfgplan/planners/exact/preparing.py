@@ -1,0 +1,108 @@
+"""What is known about a problem's costs before the solver is called, and between its attempts."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from functools import cached_property
+
+import numpy as np
+
+from cfgplan.planners.bounding.bounds import Bound
+from cfgplan.planners.bounding.tightening import tightened
+from cfgplan.planners.closing.gap import Closing
+from cfgplan.planners.closing.separation import Separator
+from cfgplan.planners.exact.prepared import Prepared
+from cfgplan.planners.exact.rest import Left
+from cfgplan.planners.exact.structure import Structure
+from cfgplan.planners.networks.core import Ints
+from cfgplan.planners.networks.greedy import FREE, plan_at
+from cfgplan.planners.networks.weighing import Weighing
+from cfgplan.planners.solving.clock import Clock
+
+
+class Preparation:
+    """Labels that may be used, a plan, a bound, landmarks: handed to the search, and brought closer if it takes long.
+
+    Where `left` is given it is all that is known, else `begin` has to be called. No plan weighs less than `least`.
+    """
+
+    def __init__(
+        self, structure: Structure, weighing: Weighing, plan: Ints | None, left: Left | None, least: int
+    ) -> None:
+        self._structure = structure
+        self._weighing = weighing
+        self._plan = plan
+        self._left = left
+        self._least = least
+        self._closing: Closing | None = None
+
+    def begin(self, bound: Bound, clock: Clock) -> None:
+        """Raise the bound by landmarks, charged greedily if closing may follow and there are no crowds.
+
+        Charged best, what they leave for nothing often is a cheaper plan where inputs are distinct.
+        """
+        weighing, plan = self._weighing, self._plan
+        limit = int(weighing.weight.sum()) if plan is None else weighing.of_plan(plan)
+        is_crowded = bound.core.crowds is not None
+        greedily = plan is not None and not is_crowded
+        bound = tightened(bound, limit - weighing.step + 1, limit, clock, greedily=greedily)
+        if plan is not None and bound.value <= limit - weighing.step and is_crowded and not clock.is_over():
+            self._plan = plan = self._at_what_is_left(bound, plan)
+            limit = weighing.of_plan(plan)
+        self._structure.remember(lambda: bound, weighing.scale)
+        self._left = Left.by(bound, limit)
+        is_open = plan is not None and weighing.least(max(bound.value, self._least)) < limit
+        if plan is not None and is_open and not clock.is_over():
+            self._closing = Closing(self._structure.network, bound, weighing.weight, plan, weighing.step)
+
+    def _at_what_is_left(self, bound: Bound, plan: Ints) -> Ints:
+        """The plan, or a cheaper one made of labels that landmarks charge all they cost, as far as possible."""
+        network, weight = self._structure.network, self._weighing.weight
+        price = np.full(len(weight), np.inf)
+        price[bound.core.labels] = bound.residual + FREE
+        found = plan_at(network, weight, price)
+        other = plan if found is None else np.array(sorted(found), np.int64)
+        return min(plan, other, key=self._weighing.of_plan)
+
+    @property
+    def may_go_on(self) -> bool:
+        """Whether there is something left to be found out."""
+        return self._closing is not None and not self._closing.is_closed
+
+    def go_on(self, label_s: float, clock: Clock) -> None:
+        """Bring bound and plan closer (`Closing.go_on`)."""
+        assert self._closing is not None
+        self._closing.go_on(label_s, clock)
+        self._plan = self._closing.plan
+        bound, limit = self._closing.bound, self._closing.limit
+        self._left = Left.by(bound.restricted(bound.may_be_used(limit)), limit)
+
+    def prepared(self, clock: Clock) -> Prepared:
+        """What is handed to the search; after the time limit no labels but the plan's."""
+        assert self._left is not None, "begin was called"
+        network, weighing, plan, left = self._structure.network, self._weighing, self._plan, self._left
+        value = weighing.least(max(left.value, self._least))
+        labels = left.labels
+        if plan is not None and value < weighing.of_plan(plan) and clock.is_over():
+            labels = plan
+        return Prepared(
+            [network.labels[i] for i in labels.tolist()],
+            None if plan is None else [network.labels[i] for i in plan.tolist()],
+            None if plan is None else weighing.cost_us(weighing.of_plan(plan)),
+            weighing.cost_us(value),
+            lambda: left.landmarks(labels, network.labels),
+            {"landmarks": left.known, "left by bounds": len(labels)},
+            fewest_changes=weighing.changes(value),
+        )
+
+    def missed(self, labels: Collection[str], clock: Clock) -> list[tuple[list[str], int]]:
+        """Landmarks that some labels do not hit; none if they can be grounded and meet what is wanted."""
+        network = self._structure.network
+        uses = np.zeros(len(network.labels))
+        uses[[network.number[label] for label in labels]] = 1.0
+        found = self._separator.missed(uses, np.random.default_rng(len(labels)), is_over=clock.is_over)
+        return [([network.labels[i] for i in one.counted.tolist()], one.least) for one in found]
+
+    @cached_property
+    def _separator(self) -> Separator:
+        return Separator(self._structure.network.core)

@@ -1,0 +1,219 @@
+"""Which cuts on chains of streams help: those that the linear relaxation of a flat fleet violates.
+
+The relaxation has landmarks, what units need and the cuts so far. Its solution runs each unit to some share, and a
+chain that goes by the best streams first, as far as their shares reach, says what potentials to choose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cfgplan.domain import Target
+from cfgplan.planners.closing.program import FROM_THE_LAST_BASIS
+from cfgplan.planners.exact.flat import Flat
+from cfgplan.planners.exact.quality_chains import ChainCut, Chains, Root
+from cfgplan.planners.networks.core import Floats, Ints
+from cfgplan.planners.solving.clock import Clock
+from cfgplan.qualities import MICRO, Wish
+
+Spreads = Sequence[float]
+
+ROUNDS = 40
+"""At most so many times the relaxation is solved."""
+GUESSES = 4
+"""How many potentials are tried for each target in a round."""
+QUICK, CLOSE = (0.0,), (0.0, 1.0)
+"""Ways in which inputs share in deciding, one after the other."""
+ENOUGH = 0.02
+"""No other way is tried when a cut is violated by this share of what is known."""
+PASSES = 4
+"""How often potentials are made to follow from each other."""
+LEAST = 1e-3
+"""A cut that is violated by less than this share of the target's badness is none."""
+WAIT, PATIENCE = 4, 5e-4
+"""There are enough cuts when so many rounds raise the bound by less than this share."""
+LARGEST = 300_000
+"""With more coefficients than this the relaxation takes longer than it helps."""
+
+
+def chain_cuts(flat: Flat, landmarks: list[list[int]], clock: Clock, spreads: Spreads) -> tuple[list[ChainCut], Floats]:
+    """Cuts for all that targets ask, and the share to which the relaxation runs each candidate; none if it is large."""
+    if sum(len(flat.givers[fact]) for needs in flat.needs for fact in needs) > LARGEST:
+        return [], np.zeros(len(flat.candidates.all))
+    relaxation = Relaxation(flat, landmarks)
+    values: list[float] = []
+    while len(values) < ROUNDS and not clock.is_over() and relaxation.solve(clock.left_s()):
+        values.append(relaxation.value_us)
+        if not relaxation.cut(spreads) or (
+            len(values) > WAIT and values[-1] - values[-1 - WAIT] < PATIENCE * values[-1]
+        ):
+            break
+    return relaxation.cuts, relaxation.share
+
+
+class _Asked:
+    """What a target asks of an attribute, and its badness in the relaxation."""
+
+    def __init__(self, flat: Flat, chains: Chains, target: Target, wish: Wish) -> None:
+        self.chains, self.target, self.wish = chains, target.label, wish
+        self.root: Root = chains.root(target.tag)
+        self.least = int(chains.best[self.root.demand])
+        bound = flat.candidates.bounds.get((target.label, wish.attribute), chains.attribute.worst)
+        self.most = max(self.least, chains.badness(bound))
+        self.unit = float(max(1, self.least, self.most - self.least))
+
+
+class Relaxation:
+    """A flat fleet's linear relaxation; `value_us` is the solver's bound on the cost, as exact as its floats are."""
+
+    def __init__(self, flat: Flat, landmarks: list[list[int]]) -> None:
+        from ortools.linear_solver import pywraplp  # type: ignore[import-untyped]
+
+        self._flat = flat
+        self._optimal = pywraplp.Solver.OPTIMAL
+        self.lp = pywraplp.Solver.CreateSolver("GLOP")
+        self.lp.SuppressOutput()
+        self.lp.SetSolverSpecificParametersAsString(FROM_THE_LAST_BASIS)
+        self.cuts: list[ChainCut] = []
+        self.value_us = 0.0
+        self.share = np.zeros(len(flat.candidates.all))
+        self._unit_us = float(max(1, *flat.cost_us))
+        flat.candidates.watch()
+        self._uses = [self.lp.NumVar(0.0, 1.0, "") for _ in flat.labels]
+        flat.candidates.watch()
+        self._places = [[self._uses[n] for n in flat.places(unit)] for unit in range(len(flat.candidates.all))]
+        objective = self.lp.Objective()
+        objective.SetMinimization()
+        for uses, cost_us in zip(self._uses, flat.cost_us, strict=True):
+            objective.SetCoefficient(uses, cost_us / self._unit_us)
+        self._asked: list[_Asked] = []
+        self._badness = []
+        environment = flat.candidates.environment
+        for attribute in environment.qualities:
+            wishes = [(t, w) for t in environment.targets for w in t.quality if w.attribute == attribute.name]
+            chains = Chains(flat.candidates, attribute) if wishes else None
+            for target, wish in wishes:
+                assert chains is not None
+                asked = _Asked(flat, chains, target, wish)
+                badness = self.lp.NumVar(asked.least / asked.unit, asked.most / asked.unit, "")
+                objective.SetCoefficient(badness, asked.unit * wish.weight_us / MICRO / self._unit_us)
+                self._asked.append(asked)
+                self._badness.append(badness)
+        self._need(landmarks)
+
+    def _need(self, landmarks: list[list[int]]) -> None:
+        flat = self._flat
+        for members in landmarks:
+            flat.candidates.watch()
+            self._any_of(members)
+        for fact in flat.wanted:
+            self._any_of(list(flat.givers[fact]))
+        for label, needs in enumerate(flat.needs):
+            flat.candidates.watch()
+            for fact in needs:
+                self._any_of([giver for giver in flat.givers[fact] if fact not in flat.needs[giver]], label)
+
+    def _any_of(self, labels: list[int], unless_without: int | None = None) -> None:
+        """One of some labels is used, if another one is used."""
+        row = self.lp.Constraint(1.0 if unless_without is None else 0.0, self.lp.infinity())
+        for label in labels:
+            row.SetCoefficient(self._uses[label], 1.0)
+        if unless_without is not None and unless_without not in labels:
+            row.SetCoefficient(self._uses[unless_without], -1.0)
+
+    def solve(self, time_limit_s: float | None) -> bool:
+        if time_limit_s is not None:
+            self.lp.SetTimeLimit(1 + int(900 * time_limit_s))
+        if self.lp.Solve() != self._optimal:
+            return False
+        self.value_us = self.lp.Objective().Value() * self._unit_us
+        return True
+
+    def cut(self, spreads: Spreads) -> bool:
+        """Add the cuts that are violated; False if there are none."""
+        self.share = share = np.array([sum(uses.solution_value() for uses in places) for places in self._places])
+        now = [badness.solution_value() for badness in self._badness]
+        is_cut = False
+        for asked, badness, value in zip(self._asked, self._badness, now, strict=True):
+            potential, violation = _best_potential(asked.root, share, value * asked.unit, spreads)
+            if violation - value * asked.unit > LEAST * max(1.0, value * asked.unit):
+                potential = asked.root.lifted(potential)
+                ahead = asked.root.ahead(potential)
+                units = np.flatnonzero(ahead)
+                least = int(potential[asked.root.demand])
+                self.cuts.append(ChainCut(asked.target, asked.wish.attribute, least, units, ahead[units]))
+                row = self.lp.Constraint(least / asked.unit, self.lp.infinity())
+                row.SetCoefficient(badness, 1.0)
+                for unit in units.tolist():
+                    for uses in self._places[unit]:
+                        row.SetCoefficient(uses, float(ahead[unit]) / asked.unit)
+                is_cut = True
+        return is_cut
+
+
+def _best_potential(root: Root, share: Floats, known: float, spreads: Spreads) -> tuple[Ints, float]:
+    """Potentials with which a target's badness is bounded by much at these shares of units, and by how much.
+
+    The search ends when the bound is well above what is `known`.
+    """
+    best, most = root.chains.best, -np.inf
+    for spread in spreads:
+        amount = np.where(root.is_before, 1.0, 0.0)
+        for _ in range(GUESSES):
+            potential = _reached(root, share, amount)
+            bounded = float(potential[root.demand] - root.ahead(potential) @ share)
+            if bounded > most:
+                best, most = potential, bounded
+            amount = _flow(root, share, potential, spread)
+        if most > (1 + ENOUGH) * known:
+            break
+    return best, most
+
+
+def _reached(root: Root, share: Floats, amount: Floats) -> Ints:
+    """Potentials as bad as the last of the best streams that together have the amount wanted of each demand."""
+    chains = root.chains
+    potential = chains.best
+    for _ in range(PASSES):
+        met = chains.met(potential)
+        order = np.lexsort((met, chains.pair_demand))
+        so_far = np.cumsum(share[chains.pair_unit[order]])
+        so_far -= np.append(0.0, so_far)[chains.starts][chains.pair_demand]
+        is_enough = so_far >= amount[chains.pair_demand] - 1e-6
+        last = np.minimum.reduceat(np.where(is_enough, np.arange(len(order)), len(order)), chains.starts)
+        found = met[order][np.minimum(last, chains.ends - 1)]
+        found = np.where(root.is_before, np.clip(found, chains.best, chains.scale), chains.best)
+        if (found == potential).all():
+            break
+        potential = found
+    return potential
+
+
+def _flow(root: Root, share: Floats, potential: Ints, spread: float) -> Floats:
+    """How much of each demand a chain of one unit to the root passes that takes the best streams first."""
+    chains = root.chains
+    amount = np.zeros(len(chains.demand))
+    amount[root.demand] = 1.0
+    met, left = chains.met(potential), share.copy()
+    ahead, done = {root.demand}, set()
+    while ahead:
+        demand = max(ahead, key=lambda d: (int(potential[d]), d))
+        ahead.remove(demand)
+        done.add(demand)
+        wanted = amount[demand]
+        pairs = np.arange(chains.starts[demand], chains.ends[demand])
+        pairs = pairs[left[chains.pair_unit[pairs]] > 1e-7]
+        for pair in pairs[np.argsort(met[pairs], kind="stable")].tolist():
+            if wanted <= 1e-6:
+                break
+            unit = chains.pair_unit[pair]
+            taken = min(wanted, left[unit])
+            wanted -= taken
+            left[unit] -= taken
+            for before, part in chains.deciding(int(chains.pair_stream[pair]), potential, spread):
+                if before not in done:
+                    amount[before] += taken * part
+                    ahead.add(before)
+    return amount

@@ -1,0 +1,148 @@
+"""A good plan without search where targets ask for quality: cheapest support over demands met no worse than a step.
+
+The badness of demands is cut into steps. A stream meets a demand at a step if its unit's inputs are met at the step
+that its rule asks for; then h_add adds up costs, and a target takes the step at which cost and price are least.
+What that leaves out or rounds is made good by reckoning each plan exactly: its units are wired to the best streams.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from heapq import heappop, heappush
+
+import numpy as np
+
+from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.exact.quality_chains import Chains
+from cfgplan.planners.exact.quality_steps import Steps
+from cfgplan.planners.networks.core import Floats
+from cfgplan.planners.solving.clock import Clock
+from cfgplan.qualities import Better, QualityAttribute, is_met, price_us, propagated
+
+ATTEMPTS = 40
+"""How many members of a plan are tried to be done without."""
+FREE = 1e-3
+"""The price of what is there anyway."""
+
+
+def can_be_planned(candidates: Candidates) -> bool:
+    """Whether a plan is any set of units that are fed: there are no hosts, conflicts or numbers of instances."""
+    transformations = {c.transformation.label: c.transformation for c in candidates.all}.values()
+    return not candidates.environment.hosts and not any(
+        t.conflicts or t.min_instances or t.max_instances is not None for t in transformations
+    )
+
+
+class QualityPlanner:
+    """Plans are sets of candidates; all that targets ask is of one attribute."""
+
+    def __init__(self, candidates: Candidates, attribute: QualityAttribute, clock: Clock) -> None:
+        self.candidates, self.attribute, self.clock = candidates, attribute, clock
+        self.chains = chains = Chains(candidates, attribute)
+        self.cost = np.array([candidate.cost_us for candidate in candidates.all], np.float64)
+        self.pinned = {i for i in range(len(self.cost)) if candidates.is_pinned(i)}
+        self.inputs = [[chains.demand.get(port.tag, -1) for port in c.transformation.inputs] for c in candidates.all]
+        self.meets: list[list[int]] = [[] for _ in chains.streams]
+        for demand, stream in zip(chains.pair_demand.tolist(), chains.pair_stream.tolist(), strict=True):
+            self.meets[stream].append(demand)
+        self.streams_of: list[list[int]] = [[] for _ in candidates.all]
+        for stream, unit in enumerate(chains.unit.tolist()):
+            self.streams_of[unit].append(stream)
+        self.targets = [(target, chains.demand[target.tag]) for target in candidates.environment.targets]
+        self.steps = Steps(chains, self.inputs, self.targets)
+
+    def best(self, plans: Iterable[Collection[int] | None], share: Floats) -> set[int] | None:
+        """The best of some plans and of those found from costs alone and from what a relaxation has of each candidate.
+
+        After attempts to do without its dearest members; None if there is no plan.
+        """
+        left = self.cost * (1 - np.minimum(share, 1)) + 1
+        ways = [*plans, self.steps.support(self.cost + 1, self.pinned), self.steps.support(left, self.pinned)]
+        found: list[tuple[set[int], int]] = []
+        for way in ways:
+            is_needed = not found or not self.clock.is_over()
+            if way is not None and is_needed and self.total_us(way) is not None:
+                found.append(self.lean(way))
+        if not found:
+            return None
+        best, total_us = self.improved(*found[-1], left)
+        return self.improved(*min([*found, (best, total_us)], key=lambda one: one[1]), left)[0]
+
+    def improved(self, best: set[int], total_us: int, price: Floats) -> tuple[set[int], int]:
+        """A plan, or a better one after attempts to do without its dearest members, and its cost in total."""
+        tried: set[int] = set()
+        while len(tried) < ATTEMPTS and not self.clock.is_over():
+            ahead = sorted(best - tried - self.pinned, key=lambda unit: (-self.cost[unit], unit))
+            if not ahead:
+                break
+            tried.add(ahead[0])
+            others = best - {ahead[0]}
+            around = price.copy()
+            around[list(others)] = FREE
+            around[ahead[0]] = np.inf
+            support = self.steps.support(around, self.pinned)
+            for way in () if support is None else (support, support | others):
+                if self.total_us(way) is not None:
+                    other, other_us = self.lean(way)
+                    if other_us < total_us:
+                        best, total_us = other, other_us
+        return best, total_us
+
+    def lean(self, plan: Collection[int]) -> tuple[set[int], int]:
+        """What is left of a plan without what it is better without, the dearest first, and what it costs in total."""
+        left, total_us = set(plan), self.total_us(plan)
+        assert total_us is not None
+        for unit in sorted(left - self.pinned, key=lambda unit: (-self.cost[unit], unit)):
+            if self.clock.is_over():
+                break
+            without_us = self.total_us(left - {unit})
+            if without_us is not None and without_us <= total_us:
+                left.remove(unit)
+                total_us = without_us
+        return left, total_us
+
+    def total_us(self, plan: Collection[int]) -> int | None:
+        """Costs and prices; None if it is no plan, or too bad."""
+        stream_of, value_of = self._wired(plan)
+        total_us = sum(self.candidates.all[unit].cost_us for unit in plan)
+        for target, demand in self.targets:
+            if demand not in stream_of:
+                return None
+            for wish in target.quality:
+                if not is_met(self.attribute, wish, value_of[demand]):
+                    return None
+                total_us += price_us(self.attribute, wish, value_of[demand])
+        if any(demand not in stream_of for unit in self.pinned for demand in self.inputs[unit]):
+            return None
+        return total_us
+
+    def _wired(self, plan: Collection[int]) -> tuple[dict[int, int], dict[int, int]]:
+        """The stream that meets each demand first, in the order of their values, and its value."""
+        missing = {unit: len(set(self.inputs[unit])) for unit in plan}
+        waiting: dict[int, list[int]] = {}
+        ahead: list[tuple[int, int]] = []
+        stream_of: dict[int, int] = {}
+        value_of: dict[int, int] = {}
+        sign = 1 if self.attribute.better is Better.LOWER else -1
+
+        def run(unit: int) -> None:
+            inputs = [value_of[demand] for demand in self.inputs[unit]]
+            for stream in self.streams_of[unit]:
+                value = propagated(self.attribute, self.chains.stated[stream], inputs)
+                heappush(ahead, (sign * value, stream))
+
+        for unit in sorted(plan):
+            for demand in set(self.inputs[unit]):
+                waiting.setdefault(demand, []).append(unit)
+            if not missing[unit]:
+                run(unit)
+        while ahead:
+            badness, stream = heappop(ahead)
+            for demand in self.meets[stream]:
+                if demand not in stream_of:
+                    stream_of[demand], value_of[demand] = stream, sign * badness
+                    for unit in waiting.get(demand, ()):
+                        missing[unit] -= 1
+                        if not missing[unit]:
+                            run(unit)
+        return stream_of, value_of

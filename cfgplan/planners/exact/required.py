@@ -1,0 +1,131 @@
+"""Required transformations: a first plan that uses all of them, and what may be in a cheaper one.
+
+A plan that uses all has them all in it, so that bounds may count them as wanted. Where no plan uses
+all, the search finds out how many can be, without bounds.
+"""
+
+from __future__ import annotations
+
+import heapq
+
+import numpy as np
+
+from cfgplan.planners.bounding.bounds import Bound
+from cfgplan.planners.bounding.tightening import tightened
+from cfgplan.planners.exact.prepared import Prepared
+from cfgplan.planners.exact.rest import Left
+from cfgplan.planners.exact.standing import Incumbent, Standing
+from cfgplan.planners.exact.structure import Structure
+from cfgplan.planners.exact.wiring import wire
+from cfgplan.planners.networks.core import Ints
+from cfgplan.planners.networks.greedy import first_plan, support_of
+from cfgplan.planners.networks.network import Network, costs
+from cfgplan.planners.solving.clock import Clock
+from cfgplan.planning import Problem
+
+WAYS = 4
+"""So many ways to the targets are tried for a first plan."""
+
+
+def offer_any_plan(standing: Standing, structure: Structure) -> None:
+    """Offer a greedy plan, if one is found, whatever required transformations it uses."""
+    network, problem = structure.network, standing.problem
+    plan = first_plan(network, costs(problem, network, structure.pinned)[1], 0, standing.clock.is_over)
+    labels = [network.labels[i] for i in sorted(plan or ())]
+    candidates = structure.candidates(problem, labels)
+    units = None if plan is None else wire(candidates, candidates.first_of_each(labels))
+    if units is not None:
+        standing.offer(units)
+
+
+def prepared_with_all(standing: Standing, structure: Structure, attempts: int) -> Prepared:
+    """What may be in a plan that uses all required transformations; if such a plan is found it is offered."""
+    problem, clock = standing.problem, standing.clock
+    required = frozenset(t.label for t in structure.network.transformations if t.required)
+    network = structure.network_with(problem, required, clock)
+    fixed_us, cost = costs(problem, network, structure.pinned)
+    shunned: set[int] = set()
+    for _ in range(WAYS):
+        few = _few(problem, structure, required, shunned, attempts, clock)
+        found = None if few is None else _among(few, problem, structure, clock)
+        if found is not None:
+            standing.offer(found.units)
+        if few is None or found is not None or clock.is_over():
+            break
+    best = standing.best
+    incumbent = best if best is not None and best.key.unused == structure.hopeless_required else None
+    limit = int(cost.sum()) if incumbent is None else incumbent.key.cost_us - fixed_us
+    bound = tightened(Bound(network.core, cost), limit, limit, clock)
+    left = Left.by(bound, limit)
+    labels = np.union1d(left.labels, np.array(network.pinned, np.int64))
+    return Prepared(
+        [network.labels[i] for i in labels.tolist()],
+        bound_us=left.value + fixed_us,
+        landmarks=lambda: left.landmarks(labels, network.labels),
+        counts={"landmarks": left.known, "left by bounds": len(labels)},
+        holds_for=structure.hopeless_required,
+    )
+
+
+def _few(
+    problem: Problem,
+    structure: Structure,
+    required: frozenset[str],
+    shunned: set[int],
+    attempts: int,
+    clock: Clock,
+) -> list[str] | None:
+    """Labels of a greedy plan with all required ones and, for each, a cheap way on to a target.
+
+    Ways go around the `shunned`, to which theirs are added.
+    """
+    network = structure.network
+    _, cost = costs(problem, network, structure.pinned)
+    numbers = {network.number[label] for label in required}
+    ways = []
+    for label in sorted(numbers):
+        clock.check()
+        ways.append(_way_to_a_target(network, cost, label, shunned - numbers))
+    shunned |= {label for way in ways for label in way}
+    wanted = required.union(network.labels[i] for way in ways for i in way)
+    wider = structure.network_with(problem, wanted, clock)
+    plan = first_plan(wider, costs(problem, wider, structure.pinned)[1], attempts, clock.is_over)
+    return None if plan is None else [wider.labels[i] for i in sorted(plan)]
+
+
+def _way_to_a_target(network: Network, cost: Ints, label: int, shunned: set[int]) -> list[int]:
+    """The cheapest row of labels, each of which offers what the next one needs, to one that offers what is wanted.
+
+    What feeds the first is not taken, as it could hardly be fed by it.
+    """
+    core = network.core
+    shunned = shunned | support_of(network, cost, label)
+    wanted = {network.fact_of_tag[tag] for tag in network.targets}
+    ahead = [(0, label)]
+    before = {label: label}
+    done: set[int] = set()
+    while ahead:
+        so_far, here = heapq.heappop(ahead)
+        if here in done:
+            continue
+        done.add(here)
+        gives = core.gives[here].tolist()
+        if not wanted.isdisjoint(gives):
+            way = [here]
+            while before[way[-1]] != way[-1]:
+                way.append(before[way[-1]])
+            return way
+        for consumer in {int(i) for fact in gives for i in core.needed_by[fact]} - done - shunned - {core.goal}:
+            heapq.heappush(ahead, (so_far + int(cost[consumer]), consumer))
+            before.setdefault(consumer, here)
+    return []
+
+
+def _among(few: list[str], problem: Problem, structure: Structure, clock: Clock) -> Incumbent | None:
+    """The best plan among a few labels that uses all required ones."""
+    from cfgplan.planners.exact.search import Search
+
+    standing = Standing(problem, clock, None)
+    Search(structure.candidates(problem, few), standing).run_with_all_required()
+    best = standing.best
+    return best if best is not None and best.key.unused == structure.hopeless_required else None

@@ -1,0 +1,352 @@
+"""The rules of an update in the constraint model, each in one function that adds nothing where nobody asks for it."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from typing import Final
+
+from ortools.sat.python.cp_model import IntVar, LinearExpr
+
+from cfgplan.domain import InputPort, Stream
+from cfgplan.planners.exact.candidates import Host
+from cfgplan.planners.exact.model import Model, Rule
+
+
+def a_unit_runs_or_waits_in_one_place(model: Model) -> None:
+    for i, candidate in enumerate(model.candidates.all):
+        model.candidates.watch()
+        model.runs_on[i] = {host: model.boolean() for host in candidate.hosts} if candidate.may_run else {}
+        model.waits_on[i] = {host: model.boolean() for host in candidate.hosts} if candidate.may_wait else {}
+        if candidate.may_run:
+            model.runs[i] = _any_of(model, list(model.runs_on[i].values()))
+        if candidate.may_wait:
+            model.waits[i] = _any_of(model, list(model.waits_on[i].values()))
+        states = [*model.runs_on[i].values(), *model.waits_on[i].values()]
+        if candidate.may_run and candidate.may_wait:
+            model.is_there[i] = _any_of(model, states)
+        else:
+            model.is_there[i] = model.runs[i] if candidate.may_run else model.waits[i]
+        if len(candidate.hosts) > 1 and candidate.may_run:
+            model.support.rests_on_any(model.runs[i].index, [on.index for on in model.runs_on[i].values()])
+
+
+def _any_of(model: Model, literals: list[IntVar]) -> IntVar:
+    """The boolean that one of some literals holds, of which no two do."""
+    if len(literals) == 1:
+        return literals[0]
+    found = model.boolean()
+    model.cp.add_exactly_one(*literals, found.negated())
+    return found
+
+
+def a_kept_unit_stays_or_is_wired_anew(model: Model) -> None:
+    for i, runs in model.runs.items():
+        model.is_wired[i] = runs
+        if model.candidates.may_stay(i):
+            stays, wired = model.boolean(), model.boolean()
+            model.stays[i], model.is_wired[i] = stays, wired
+            model.cp.add_exactly_one(stays, wired, runs.negated())
+            model.support.rests_on_any(runs.index, [stays.index, wired.index])
+
+
+def a_staying_unit_keeps_its_feeders(model: Model) -> None:
+    """It stays if its streams are there, grounded before it except at feedback inputs; for topics see targets."""
+    for i, stays in model.stays.items():
+        candidate = model.candidates.all[i]
+        assert candidate.running is not None
+        (host,) = candidate.hosts
+        feeds, ports = candidate.running.feeds, candidate.transformation.inputs
+        model.rests_on_all(stays, [model.present(feeds[p.name], host) for p in ports if not p.feedback])
+        for port in ports:
+            if port.feedback:
+                model.cp.add_implication(stays, model.present(feeds[port.name], host))
+
+
+def a_wired_unit_is_fed(model: Model) -> None:
+    """Through hubs, or told apart; feedback inputs by any unit that runs."""
+    for i in model.runs:
+        model.candidates.watch()
+        inputs = model.candidates.all[i].transformation.inputs
+        told_apart = [port for port in inputs if model.is_told_apart(i, port)]
+        apart = {port.name: an_input_told_apart_has_one_feeder(model, i, port) for port in told_apart}
+        for host, wired in model.wired_on(i).items():
+            parts = []
+            for port in inputs:
+                if port.name in apart:
+                    parts += apart[port.name]
+                elif port.feedback:
+                    model.needs_any(wired, [way for s in model.choices(port.tag) for way in model.ways(s, host)])
+                else:
+                    parts.append(model.hub(port.tag, host))
+            model.rests_on_all(wired, parts)
+
+
+def an_input_told_apart_has_one_feeder(model: Model, unit: int, port: InputPort) -> list[IntVar]:
+    """Booleans of the streams that may feed an input; returns what the unit's wiring then rests on."""
+    streams = [s for s in model.choices(port.tag) if model.unit_of(s) != unit or port.feedback]
+    connects = model.connects[unit, port.name] = {stream: model.boolean() for stream in streams}
+    model.cp.add_exactly_one(*connects.values(), model.runs[unit].negated())
+    running = model.candidates.all[unit].running
+    if unit in model.stays and running is not None:
+        kept = running.feeds[port.name]
+        chosen = next(c for s, c in connects.items() if s == kept or (s.unit == kept.unit and not model.tells_ports))
+        model.cp.add_implication(model.stays[unit], chosen)
+    for stream, connected in connects.items():
+        feeder = model.runs[model.unit_of(stream)]
+        if port.feedback:
+            model.cp.add_implication(connected, feeder)
+        else:
+            model.rests_on_all(connected, [feeder])
+        for host, on in model.runs_on[unit].items() if model.price_us(stream) else ():
+            model.cp.add_bool_or([connected.negated(), on.negated(), *model.ways(stream, host)])
+    if port.feedback:
+        return []
+    fed = model.boolean()
+    model.rests_on_any(fed, list(connects.values()))
+    return [fed]
+
+
+def inputs_of_a_group_are_fed_by_different_transformations(model: Model) -> None:
+    candidates = model.candidates.all
+    for i in model.runs:
+        sharing: dict[tuple[str, str], list[IntVar]] = defaultdict(list)
+        for port in candidates[i].transformation.inputs:
+            if port.distinct is not None:
+                for stream, connected in model.connects[i, port.name].items():
+                    sharing[port.distinct, candidates[model.unit_of(stream)].transformation.label].append(connected)
+        for connections in sharing.values():
+            if len(connections) > 1:
+                model.cp.add_at_most_one(connections)
+
+
+def a_target_is_published_by_one_unit(model: Model) -> None:
+    """A staying unit publishes exactly what it published before."""
+    for target in model.environment.targets:
+        choices = model.publishes[target.label] = {}
+        others: list[IntVar] = []
+        for stream in model.choices(target.tag):
+            feeder = model.unit_of(stream)
+            running = model.candidates.all[feeder].running
+            if not model.is_apart and feeder not in model.tracked and running is None:
+                others += model.ways(stream, target.host)
+                continue
+            publishes = choices[stream] = model.boolean()
+            model.rests_on_all(publishes, [model.present(stream, target.host)])
+            if running is not None and feeder in model.stays:
+                keeps = any(
+                    p.topic == target.topic and (p.port == stream.port or not model.tells_ports)
+                    for p in running.publications
+                )
+                model.cp.add_implication(model.stays[feeder], publishes if keeps else publishes.negated())
+        publishers = list(choices.values())
+        if others:
+            publishers.append(model.boolean())
+            model.rests_on_any(publishers[-1], others)
+        met = model.boolean()
+        model.rests_on_any(met, publishers)
+        model.cp.add_exactly_one(publishers)
+        model.cp.add(met == 1)
+
+
+def a_demand_is_met_first_by_a_unit_that_does_not_need_it(model: Model) -> None:
+    """On each host, and at all."""
+    what_is_met_on_a_host_is_met_at_all(model)
+    for (demand, host), hub in model.hubs.items():
+        model.candidates.watch()
+        first = {stream: _first_ways(model, stream, demand, host) for stream in model.streams_of(demand)}
+        ways = {way.index: way for these in first.values() for way in these}
+        model.rests_on_any(hub, list(ways.values()))
+
+
+def _first_ways(model: Model, stream: Stream, demand: int, host: Host) -> list[IntVar]:
+    """The ways by which a stream may be the first on a host to meet a demand."""
+    unit = model.unit_of(stream)
+    if unit not in model.needing[demand]:
+        return model.ways(stream, host)
+    here = model.runs[unit] if host is None else model.runs_on[unit].get(host)
+    return [way for way in model.ways(stream, host) if way is not here]
+
+
+def what_is_met_on_a_host_is_met_at_all(model: Model) -> None:
+    """And so is what a unit needs that runs on any host.
+
+    Implied, but the model's relaxation spreads units over hosts, and its search lacks it most.
+    """
+    on_hosts = list(dict.fromkeys(demand for demand, host in model.hubs if host is not None))
+    for demand in on_hosts:
+        model.hubs.setdefault((demand, None), model.boolean())
+    for (demand, host), hub in model.hubs.items():
+        if host is not None:
+            model.cp.add_implication(hub, model.hubs[demand, None])
+    needs: dict[int, list[IntVar]] = {i: [] for i in (model.runs if on_hosts else ())}
+    for demand in on_hosts:
+        met = model.hubs[demand, None]
+        for unit in sorted(model.needing[demand]):
+            needs[unit].append(met)
+            model.cp.add_implication(model.runs[unit], met)
+        first = [s for s in model.streams_of(demand) if model.unit_of(s) not in model.needing[demand]]
+        model.anywhere.rests_on_any(met.index, sorted({model.runs[model.unit_of(stream)].index for stream in first}))
+    for unit, met_at_all in needs.items():
+        model.anywhere.rests_on_all(model.runs[unit].index, [met.index for met in met_at_all])
+
+
+def what_is_made_on_a_host_is_not_carried_there(model: Model) -> None:
+    for (stream, host), carried in model.carried.items():
+        here = model.runs_on[model.unit_of(stream)].get(host)
+        if here is not None:
+            model.cp.add_at_most_one(carried, here)
+
+
+def pinned_units_run(model: Model) -> None:
+    for i, runs in model.runs.items():
+        if model.candidates.is_pinned(i):
+            model.cp.add_bool_or([runs])
+
+
+def required_transformations_serve_a_target(model: Model) -> None:
+    """A unit serves a target that it publishes, or through a unit that it feeds and that serves one.
+
+    The distance to the target grows along the way, or two units could serve through each other's feedback inputs.
+    """
+    candidates = model.candidates
+    tracked = sorted(model.tracked)
+    distance = {i: model.cp.new_int_var(0, len(tracked), "") for i in tracked}
+    ways: dict[int, list[IntVar]] = {i: [] for i in tracked}
+    model.serves = {i: model.boolean() for i in tracked}
+    for choices in model.publishes.values():
+        for stream, publishes in choices.items():
+            if model.unit_of(stream) in ways:
+                ways[model.unit_of(stream)].append(publishes)
+    for (consumer, _), choices in model.connects.items():
+        candidates.watch()
+        for stream, connected in choices.items() if consumer in ways else ():
+            feeder = model.unit_of(stream)
+            if feeder in ways:
+                through = model.boolean()
+                ways[feeder].append(through)
+                model.cp.add_implication(through, connected)
+                model.cp.add_implication(through, model.serves[consumer])
+                model.cp.add(distance[feeder] > distance[consumer]).only_enforce_if(through)
+    units: dict[str, list[IntVar]] = defaultdict(list)
+    for i, choices_of in ways.items():
+        model.needs_any(model.serves[i], choices_of)
+        if candidates.all[i].transformation.required:
+            units[candidates.all[i].transformation.label].append(model.serves[i])
+    for label, serving in units.items():
+        model.uses_required[label] = model.boolean()
+        model.needs_any(model.uses_required[label], serving)
+
+
+def hosts_bear_their_units(model: Model) -> None:
+    """In each resource; cold spares count as if they ran, since they must be able to."""
+    candidates = model.candidates.all
+    for host in model.environment.hosts:
+        here = [
+            (literal, candidates[i].transformation)
+            for places in (model.runs_on, model.waits_on)
+            for i, on in places.items()
+            for literal in ([on[host.name]] if host.name in on else [])
+        ]
+        for resource in sorted({resource for _, t in here for resource in t.takes}):
+            room = host.room(resource)
+            if room is not None:
+                taken = [t.takes.get(resource, 0) * literal for literal, t in here]
+                model.cp.add(LinearExpr.sum(taken) <= room)
+
+
+def units_that_conflict_are_not_there_together(model: Model) -> None:
+    there = _by_label(model, model.is_there)
+    for transformation in model.environment.library:
+        for other in transformation.conflicts:
+            if other != transformation.label:
+                for one in there[transformation.label]:
+                    for second in there[other]:
+                        model.cp.add_at_most_one(one, second)
+
+
+def there_are_as_many_units_as_asked_for_and_allowed(model: Model) -> None:
+    there, running = _by_label(model, model.is_there), _by_label(model, model.runs)
+    for t in model.environment.library:
+        if t.min_instances:
+            model.cp.add(LinearExpr.sum(running[t.label]) >= t.min_instances)
+        if t.max_instances is not None and len(there[t.label]) > t.max_instances:
+            model.cp.add(LinearExpr.sum(there[t.label]) <= t.max_instances)
+
+
+def _by_label(model: Model, literals: dict[int, IntVar]) -> dict[str, list[IntVar]]:
+    found: dict[str, list[IntVar]] = defaultdict(list)
+    for i, literal in literals.items():
+        found[model.candidates.all[i].transformation.label].append(literal)
+    return found
+
+
+def new_units_come_in_order(model: Model) -> None:
+    """Of several new units of a transformation the first ones are taken: they are all alike."""
+    candidates = model.candidates.all
+    for i in range(1, len(candidates)):
+        one, next_one = candidates[i - 1], candidates[i]
+        if one.transformation == next_one.transformation and one.running is None and next_one.running is None:
+            model.cp.add_implication(model.is_there[i], model.is_there[i - 1])
+
+
+def one_of_new_units_alike_is_enough(model: Model) -> None:
+    """Of new units that meet the same demands one runs, and those that need something need it together.
+
+    It shortens the proof where nothing is asked beyond the paper: why that is so, see `closing.alike`. Where
+    transformations are required two of them may be wanted.
+    """
+    if model.problem.notions or model.tracked:
+        return
+    candidates = model.candidates
+    apart: set[int] = set()
+    demands = {model.demand(target.tag): target.tag for target in model.environment.targets}
+    for candidate in candidates.all:
+        for port in candidate.transformation.inputs:
+            demands[model.demand(port.tag)] = port.tag
+            if port.distinct is not None:
+                apart.update(candidates.feeders(port.tag))
+    given: dict[int, list[int]] = defaultdict(list)
+    for demand in sorted(demands):
+        for feeder in candidates.feeders(demands[demand]):
+            given[feeder].append(demand)
+    groups: dict[tuple[int, ...], list[int]] = defaultdict(list)
+    for unit, candidate in enumerate(candidates.all):
+        if candidate.running is None and unit not in apart:
+            groups[tuple(given[unit])].append(unit)
+    for units in groups.values():
+        if len(units) > 1:
+            model.cp.add_at_most_one(model.runs[unit] for unit in units)
+            _needs_are_shared(model, units)
+
+
+def _needs_are_shared(model: Model, units: list[int]) -> None:
+    needing: dict[int, list[int]] = defaultdict(list)
+    for unit in units:
+        ports = model.candidates.all[unit].transformation.inputs
+        hubs = {model.hub(p.tag, None).index for p in ports if not p.feedback and not model.is_told_apart(unit, p)}
+        for hub in sorted(hubs):
+            needing[hub].append(unit)
+    for hub, sharing in needing.items():
+        if len(sharing) > 1:
+            met = model.cp.get_bool_var_from_proto_index(hub)
+            model.cp.add_at_most_one([met.negated(), *(model.runs[unit] for unit in sharing)])
+
+
+RULES: Final[tuple[Rule, ...]] = (
+    a_unit_runs_or_waits_in_one_place,
+    a_kept_unit_stays_or_is_wired_anew,
+    a_staying_unit_keeps_its_feeders,
+    a_wired_unit_is_fed,
+    inputs_of_a_group_are_fed_by_different_transformations,
+    a_target_is_published_by_one_unit,
+    a_demand_is_met_first_by_a_unit_that_does_not_need_it,
+    what_is_made_on_a_host_is_not_carried_there,
+    pinned_units_run,
+    required_transformations_serve_a_target,
+    hosts_bear_their_units,
+    units_that_conflict_are_not_there_together,
+    there_are_as_many_units_as_asked_for_and_allowed,
+    new_units_come_in_order,
+    one_of_new_units_alike_is_enough,
+)
+"""What a configuration must be, in the order in which the booleans are made."""

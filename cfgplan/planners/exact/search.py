@@ -1,0 +1,278 @@
+"""The search: one objective after the other, each by rounds of solving and of forbidding what is no plan."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Sequence
+from math import ceil, inf
+
+from ortools.sat.python.cp_model import (
+    FEASIBLE,
+    INFEASIBLE,
+    MODEL_INVALID,
+    OPTIMAL,
+    UNKNOWN,
+    CpSolver,
+    IntVar,
+    LinearExpr,
+    LinearExprT,
+)
+
+from cfgplan.domain import InputPort
+from cfgplan.errors import InputError
+from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.exact.decode import decode, lean, named
+from cfgplan.planners.exact.first_plans import FirstPlans
+from cfgplan.planners.exact.model import Model, Rule
+from cfgplan.planners.exact.quality import Values, targets_get_the_quality_they_ask_for, value_of_choice
+from cfgplan.planners.exact.rules import RULES
+from cfgplan.planners.exact.standing import Standing
+from cfgplan.planners.exact.survival import Survival
+from cfgplan.planners.networks.keys import Key
+from cfgplan.planners.solving.clock import Clock, ContradictionError
+from cfgplan.planners.solving.engine import OnSolution, repeatable_solver, solve
+from cfgplan.qualities import QualityAttribute
+
+SMALL = 1000
+"""With fewer booleans than this, probing and looking for symmetries take longer than they save."""
+MANY_PLACES = 20_000
+"""The same where there are hosts."""
+TINY = 400
+"""With fewer than this, so does presolving for a second time."""
+EXACT = 2**50
+"""Up to here the solver's bound, a double, is exact."""
+LARGEST = 2**62
+"""No sum of the solver's integers may exceed this."""
+Landmarks = Iterable[tuple[Iterable[str], int]]
+"""Labels of which every plan has so many or more; each counts as often as it is named."""
+
+
+class InfeasibleError(Exception):
+    """No plan meets all that was added to the model."""
+
+
+class Search:
+    """Rounds of solving and cutting that bring a standing forward."""
+
+    def __init__(
+        self,
+        candidates: Candidates,
+        standing: Standing,
+        *,
+        is_all: bool = True,
+        is_apart: bool = False,
+        landmarks: Landmarks = (),
+        missed: Callable[[Collection[str], Clock], Landmarks] = lambda *_: (),
+        rules: Sequence[Rule] = RULES,
+    ) -> None:
+        """With `is_all` false some candidates are left out: nothing is learned but plans. `is_apart` is the model's.
+
+        What `landmarks` say holds of every plan that is no dearer than the incumbent. `missed` finds landmarks that the
+        transformations of a solution do not hit.
+        """
+        self.problem = candidates.problem
+        self.standing = standing
+        self.is_all = is_all
+        self._missed = missed
+        self._left_s = inf
+        self._has_hosts = bool(candidates.environment.hosts)
+        self._survival, self._first = None, None
+        if self.problem.survive is not None:
+            self._survival, self._first = Survival(candidates), FirstPlans(candidates, standing)
+        self.model = Model(candidates, rules, is_apart=is_apart)
+        self._ask_for_quality()
+        self.model.enough_of_each_run(landmarks)
+        self._cost = self.model.cost()
+        self._is_at_most_the_incumbent()
+        for name in ("rounds", "cuts", "conflicts"):
+            standing.counts.setdefault(name, 0)
+        standing.counts["booleans"] = len(self.model.literals)
+
+    def _ask_for_quality(self) -> None:
+        model = self.model
+
+        def value_at(attribute: QualityAttribute, unit: int, port: InputPort, values: Values) -> IntVar:
+            return value_of_choice(model, attribute, model.connects[unit, port.name].items(), values)
+
+        targets_get_the_quality_they_ask_for(model, lambda target: model.publishes[target.label].items(), value_at)
+
+    def _is_at_most_the_incumbent(self) -> None:
+        """No plan is dearer than the incumbent, if no plan leaves fewer required transformations unused."""
+        best = self.standing.best
+        if best is not None and best.key.unused <= self.standing.fewest_unused:
+            self.model.cp.add(self._cost <= best.key.cost_us)
+
+    def run(self, slice_s: float = inf) -> None:
+        """Go through the objectives until the clock stops one, or `slice_s` of the engine's own seconds are over."""
+        self._left_s = slice_s
+        try:
+            if self._use_required():
+                self._minimise_cost_then_changes()
+        except InfeasibleError:
+            if self.is_all:
+                self.standing.prove_infeasible()
+
+    def run_with_all_required(self) -> bool:
+        """The same for plans that use all required transformations that can be used; False if there are none."""
+        for used in self.model.uses_required.values():
+            self.model.cp.add_bool_or([used])
+        try:
+            self._minimise_cost_then_changes()
+        except InfeasibleError:
+            return False
+        return True
+
+    def _use_required(self) -> bool:
+        """Use as many required transformations as possible; False if the time is over before that is proven."""
+        model, standing, hopeless = self.model, self.standing, self._hopeless_required()
+        used = LinearExpr.sum(list(model.uses_required.values()))
+        most = len(model.uses_required) + hopeless
+        if model.uses_required:
+            if not self.minimise(-used, lambda key: key.unused - most, 0):
+                return False
+            assert standing.best is not None
+            if self.is_all:
+                standing.fewest_unused = standing.best.key.unused
+            model.cp.add(used >= most - standing.best.key.unused)
+        return True
+
+    def _minimise_cost_then_changes(self) -> None:
+        """In one sum where that is exact."""
+        model, standing, scale = self.model, self.standing, self._scale()
+        is_proven = standing.is_cost_proven
+        if not is_proven and scale:
+            both = LinearExpr.weighted_sum([self._cost, model.changes()], [scale, 1])
+            if self.minimise(both, lambda key: scale * key.cost_us + self._changes(key), scale) and self.is_all:
+                standing.prove_all()
+            return
+        if not is_proven:
+            if not self.minimise(self._cost, lambda key: key.cost_us, 1) or not self.is_all:
+                return
+            standing.prove_cost()
+            assert standing.best is not None
+            model.cp.add(self._cost <= standing.best.key.cost_us)
+        standing.are_ties_proven = self.minimise(model.changes(), self._changes, 0)
+
+    def _hopeless_required(self) -> int:
+        """How many required transformations can never be used, whatever is planned."""
+        return len(self.problem.environment.required) - len(self.model.uses_required)
+
+    def _changes(self, key: Key) -> int:
+        """A plan's rewired and started units, as the model adds them up."""
+        return (len(self.model.started()) + 1) * key.rewired + key.started
+
+    def _scale(self) -> int:
+        """What a microsecond weighs against changes where both are added up; 0 if the sum would not be exact."""
+        candidates, best = self.model.candidates, self.standing.best
+        started = len(self.model.started())
+        scale = (started + 1) * (len(candidates.all) - started + 1)
+        largest_us = self.problem.largest_cost_us(self.problem.horizon_s)
+        exact_us = largest_us if best is None else best.key.cost_us
+        return scale if scale * (1 + largest_us) < LARGEST and scale * (1 + exact_us) < EXACT else 0
+
+    def minimise(self, objective: LinearExprT, level_of: Callable[[Key], int], scale: int) -> bool:
+        """Rounds of solving and of forbidding; True with a proof that the incumbent is best in this.
+
+        `level_of` gives the objective of a plan. A microsecond of cost weighs `scale` in it, 0 if it does not count.
+        Raises InfeasibleError if there is no plan at all.
+        """
+        self.model.cp.minimize(objective)
+        standing = self.standing
+
+        def learn_bound(bound: float) -> None:
+            if scale and self.is_all:
+                standing.raise_bound(ceil(bound - 0.5) // scale)
+
+        while self._left_s > 0 and not standing.clock.is_over():
+            standing.counts["rounds"] += 1
+            solver = self.solver()
+            self._hint()
+            solver.best_bound_callback = learn_bound
+            status = solve(solver, self.model.cp, OnSolution(self._look_at), standing.clock)
+            standing.counts["conflicts"] += solver.num_conflicts
+            self._left_s -= solver.response_proto.deterministic_time
+            if status == INFEASIBLE:
+                raise InfeasibleError
+            if status == MODEL_INVALID:
+                self._refuse()
+            if status in (OPTIMAL, FEASIBLE, UNKNOWN):
+                learn_bound(solver.best_objective_bound)
+            if status not in (OPTIMAL, FEASIBLE):
+                return False
+            true = self.true_of(solver.boolean_value)
+            key = self.consider(true)
+            if key is None:
+                self.forbid(true)
+            else:
+                return status == OPTIMAL and level_of(key) <= round(solver.objective_value)
+        return False
+
+    def _refuse(self) -> None:
+        """Raise what it means that the engine refuses the model."""
+        if self.problem.is_plain:
+            raise ContradictionError("the engine refuses the model")
+        mend = "give the quality attributes a `worst` and a `best` that are closer, or fewer decimals"
+        raise InputError.of("the numbers are too large to be computed exactly", mend=mend)
+
+    def true_of(self, holds: Callable[[IntVar], bool]) -> set[int]:
+        return {literal.index for literal in self.model.literals if holds(literal)}
+
+    def consider(self, true: set[int]) -> Key | None:
+        """The key of a solution, kept if it beats the incumbent; None if it is no plan."""
+        units = decode(self.model, true)
+        if units is None or (self._survival is not None and self._survival.missed(units)):
+            return None
+        return self.standing.offer(named(self.model.candidates, lean(self.model.candidates, units)))
+
+    def _look_at(self, holds: Callable[[IntVar], bool]) -> bool:
+        """Look at a solution on the way: after a plan the solver may go on.
+
+        What is none is forbidden at once, since to see what is best beside it takes long; but for hosts, where to begin
+        anew takes longer.
+        """
+        return self.consider(self.true_of(holds)) is not None or self._has_hosts
+
+    def forbid(self, true: set[int]) -> None:
+        """Forbid a solution that is no plan, and all others that fail for the same reason."""
+        model, cp, candidates = self.model, self.model.cp, self.model.candidates
+        running = {i for i, runs in model.runs.items() if runs.index in true}
+        if self._survival is not None and self._first is not None:
+            units = decode(model, true)
+            if units is not None:
+                self._survival.demand(model, self._survival.missed(units))
+                self._first.offer(running)
+                return
+        unfounded, ways_in = model.anywhere.cut(true, model.anywhere.grounded(true))
+        if not unfounded:
+            unfounded, ways_in = model.support.cut(true, model.support.grounded(true))
+        assert unfounded, "a solution without a plan has something that is not grounded"
+        ways = [cp.get_bool_var_from_proto_index(way) for way in ways_in]
+        for proposition in unfounded:
+            model.needs_any(cp.get_bool_var_from_proto_index(proposition), ways)
+        self.standing.counts["cuts"] += len(unfounded)
+        used = {candidates.all[i].transformation.label for i in running}
+        model.enough_of_each_run(self._missed(used, self.standing.clock))
+
+    def solver(self) -> CpSolver:
+        """An engine for one round, with the time that is left."""
+        size = len(self.model.literals)
+        small = size < (MANY_PLACES if self._has_hosts else SMALL)
+        solver = repeatable_solver(small=small, time_limit_s=self.standing.clock.left_s())
+        if size < TINY:
+            solver.parameters.max_presolve_iterations = 1
+        if self._left_s < inf:
+            solver.parameters.max_deterministic_time = self._left_s
+        return solver
+
+    def _hint(self) -> None:
+        """Start from the incumbent's units and hosts."""
+        model = self.model
+        model.cp.clear_hints()  # type: ignore[no-untyped-call]
+        if self.standing.best is None:
+            return
+        there = {unit.id: unit for unit in self.standing.best.units}
+        for places, is_standby in ((model.runs_on, False), (model.waits_on, True)):
+            for i, on in places.items():
+                unit = there.get(model.candidates.all[i].id)
+                here = unit is not None and unit.standby == is_standby
+                for host, literal in on.items():
+                    model.cp.add_hint(literal, here and unit is not None and unit.host == host)

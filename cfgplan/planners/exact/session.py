@@ -1,0 +1,271 @@
+"""The planner as a session: what one plan has found out about a problem helps with the next.
+
+A manager keeps one session and asks it again after every change: a unit died, a transformation joined,
+a cost moved, a target came. What did not change is not computed anew: the closure and the network of
+the library, the landmarks, and the last plan as a first one. The answer is as good as a cold one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from functools import partial
+from threading import Event
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cfgplan.domain import Similarity
+from cfgplan.planners.bounding.bounds import Bound
+from cfgplan.planners.bounding.chains import chained_bound
+from cfgplan.planners.bounding.tightening import tightened
+from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.exact.deciding import STEPS, decide
+from cfgplan.planners.exact.prepared import Prepared
+from cfgplan.planners.exact.preparing import Preparation
+from cfgplan.planners.exact.required import offer_any_plan, prepared_with_all
+from cfgplan.planners.exact.rest import Left, Rest
+from cfgplan.planners.exact.standing import Standing
+from cfgplan.planners.exact.structure import Structure
+from cfgplan.planners.exact.wiring import what_runs
+from cfgplan.planners.networks.core import Ints
+from cfgplan.planners.networks.greedy import cost_of, first_plan, improved, is_plan, with_less
+from cfgplan.planners.networks.network import costs
+from cfgplan.planners.networks.weighing import Weighing
+from cfgplan.planners.solving.clock import Clock
+from cfgplan.planners.undecided import Deciding
+from cfgplan.planning import Plan, Problem, Progress, Status
+from cfgplan.reasons import unmet_reasons
+
+if TYPE_CHECKING:
+    from cfgplan.planners.exact.search import Landmarks, Search
+
+ATTEMPTS = 30
+"""How many members of the first plan are tried to be done without."""
+ROOM = 1.05
+"""How much dearer plans may be that are known at rest than any that one failure calls for."""
+CLOSING_S = 5e-6
+"""About how many seconds bounds are raised before the solver, for the number of labels to the power of 1.5."""
+
+
+class PlannerSession:
+    """A planner that remembers; `plan` is a `planning.Planner` with a way to stop it."""
+
+    def __init__(self, steps: int = STEPS) -> None:
+        """Small problems are searched for so many steps before they are prepared for the solver."""
+        self._steps = steps
+        self._structure: Structure | None = None
+        self._last: frozenset[str] = frozenset()
+        self._rest: Rest | None = None
+        self._aside: tuple[Structure, frozenset[str], Rest | None] | None = None
+        """What is remembered of another matching: where pairs are open, none and all of them match by turns."""
+
+    def plan(
+        self,
+        problem: Problem,
+        *,
+        time_limit_s: float | None = None,
+        report: Callable[[Progress], None] | None = None,
+        stop: Event | None = None,
+    ) -> Plan:
+        """The optimal update. Stopped by the clock, by `stop` or by Ctrl-C it is the best one so far."""
+        if problem.similarity.open:
+            return Deciding(partial(self.plan, stop=stop))(problem, time_limit_s=time_limit_s, report=report)
+        if problem.notions:
+            from cfgplan.planners.exact import fleet
+
+            return fleet.plan(problem, time_limit_s=time_limit_s, report=report, stop=stop)
+        clock = Clock(time_limit_s, stop)
+        standing = Standing(problem, clock, report)
+        clock.run(lambda: self._bring_forward(standing), standing.plan)
+        clock.end("search")
+        self._remember(standing)
+        found, structure = standing.plan(), self._structure
+        is_at_rest = found.status is Status.OPTIMAL and not found.change_set
+        if is_at_rest and structure is not None and not structure.has_required and not clock.is_over():
+            clock.run(lambda: self._settle(problem, structure, clock), lambda: found)
+        return found
+
+    def _bring_forward(self, standing: Standing) -> None:
+        """From what runs to what is proven."""
+        problem, clock = standing.problem, standing.clock
+        units = what_runs(problem)
+        if units is not None:
+            standing.offer(units)
+        self._turn_to(problem.similarity)
+        if self._structure is None or not self._structure.serves(problem):
+            self._structure = Structure.of(problem, self._structure, clock)
+            self._rest = None
+        structure = self._structure
+        clock.end("closure")
+        if not structure.meets_targets:
+            standing.is_infeasible, standing.reasons = True, unmet_reasons(problem, possible=structure.possible)
+            return
+        standing.counts = structure.counts()
+        standing.fewest_unused = structure.hopeless_required
+        if structure.has_required:
+            self._with_required(standing, structure)
+        else:
+            self._without_required(standing, structure)
+
+    def _turn_to(self, similarity: Similarity) -> None:
+        """Remember what is known of this matching, and set aside what is known of the last one."""
+        structure, aside = self._structure, self._aside
+        if structure is None or structure.similarity == similarity:
+            return
+        self._aside = structure, self._last, self._rest
+        if aside is not None and aside[0].similarity == similarity:
+            self._structure, self._last, self._rest = aside
+
+    def _without_required(self, standing: Standing, structure: Structure) -> None:
+        """What is new is searched first; what is open is prepared, searched if little is left of it, and solved."""
+        clock, is_new, is_first = standing.clock, not structure.has_landmarks, not self._last
+        if is_new and (self._try_to_decide(standing, structure) or (clock.is_over() and standing.best is not None)):
+            return
+        self._remember(standing)
+        if standing.best is None:
+            offer_any_plan(standing, structure)
+        preparation = self._prepare(standing.problem, structure, clock, is_first=is_first)
+        prepared = preparation.prepared(clock)
+        candidates = structure.candidates(standing.problem, prepared.labels)
+        prepared.tell(standing, candidates)
+        is_less = 2 * len(prepared.labels) <= len(structure.network.labels)
+        if (is_less or not is_new) and not standing.is_over:
+            if self._try_to_decide(standing, structure, prepared.labels):
+                return
+            prepared.tell(standing, candidates)
+        clock.end("bounds")
+        self._solve(standing, structure, preparation, prepared)
+
+    def _try_to_decide(self, standing: Standing, structure: Structure, among: Collection[str] | None = None) -> bool:
+        """Search; where that proves the least cost, the solver chooses among equals if it has to. Whether it did."""
+        candidates = decide(standing, structure, self._steps, among)
+        standing.clock.end("bounds")
+        if candidates is not None and not standing.is_over:
+            _search(candidates, standing).run()
+            standing.clock.end("search")
+        return candidates is not None
+
+    def _remember(self, standing: Standing) -> None:
+        if standing.best is not None:
+            self._last = frozenset(unit.transformation for unit in standing.best.units)
+
+    def _solve(self, standing: Standing, structure: Structure, preparation: Preparation, prepared: Prepared) -> None:
+        """Bring a standing forward until all is proven or the time is over: better bounds first, then the solver."""
+        clock, problem = standing.clock, standing.problem
+        candidates = structure.candidates(problem, prepared.labels)
+        if preparation.may_go_on and not standing.is_over:
+            preparation.go_on(CLOSING_S, clock)
+            prepared = preparation.prepared(clock)
+            candidates = structure.candidates(problem, prepared.labels)
+            prepared.tell(standing, candidates)
+            clock.end("bounds")
+        if not standing.is_over:
+            _search(candidates, standing, prepared.landmarks(), preparation.missed).run()
+            clock.end("search")
+
+    def _prepare(self, problem: Problem, structure: Structure, clock: Clock, *, is_first: bool) -> Preparation:
+        """Bounds on the cost from both sides, and what may still be used between them."""
+        network = structure.network
+        weighing = Weighing.of(problem, network, structure.pinned)
+        quick = 0
+        if weighing.counts_starts:
+            quick = weighing.least(chained_bound(network.core, weighing.weight, network.pinned, clock.is_over))
+        plan = self._first_plan(problem, structure, weighing, quick, clock, is_first=is_first)
+        left = None
+        if plan is not None and weighing.counts_starts and weighing.of_plan(plan) == quick:
+            left = Left(plan, quick)
+        elif plan is not None and self._rest is not None and not weighing.counts_starts:
+            left = self._rest.left(weighing.weight, weighing.step, plan, clock)
+        preparation = Preparation(structure, weighing, plan, left, quick)
+        if left is None:
+            preparation.begin(_known_bound(structure, weighing.weight, weighing.scale), clock)
+        return preparation
+
+    def _with_required(self, standing: Standing, structure: Structure) -> None:
+        """Try to use all required transformations; only if that is impossible, see how many can be used."""
+        offer_any_plan(standing, structure)
+        for prepared in (prepared_with_all(standing, structure, ATTEMPTS), Prepared(structure.network.labels)):
+            standing.clock.end("bounds")
+            standing.clock.check()
+            candidates = structure.candidates(standing.problem, prepared.labels)
+            prepared.tell(standing, candidates)
+            search = _search(candidates, standing, prepared.landmarks())
+            if prepared.holds_for is None:
+                search.run()
+            elif search.run_with_all_required():
+                return
+
+    def _first_plan(
+        self, problem: Problem, structure: Structure, weighing: Weighing, quick: int, clock: Clock, *, is_first: bool
+    ) -> Ints | None:
+        """The plan at rest or the last one, mended where units died; or a new one if that no longer is one.
+
+        Where the session is asked first the last plan is what runs, and a new one may be better; and so may one with
+        less, unless `quick`, a bound, says that there is none.
+        """
+        network, cost = structure.network, weighing.weight
+        known = set(network.pinned)
+        if self._rest is not None:
+            known |= set(self._rest.plan.tolist())
+        else:
+            known |= {network.number[label] for label in self._last if label in network.number}
+        plan: set[int] | None = None
+        if is_plan(network, known):
+            running = {unit.transformation for unit in problem.environment.units}
+            plan = improved(network, cost, known, {i for i in known if network.labels[i] not in running}, clock.is_over)
+        if plan is None or is_first:
+            new = first_plan(network, cost, 0, clock.is_over)
+            plan = min((one for one in (plan, new) if one is not None), key=partial(cost_of, cost), default=None)
+            if plan is not None and cost_of(cost, plan) > quick:
+                plan = with_less(network, cost, plan, ATTEMPTS, clock.is_over)
+        return None if plan is None else np.array(sorted(plan), np.int64)
+
+    def _settle(self, problem: Problem, structure: Structure, clock: Clock) -> None:
+        """Where a proven plan changes nothing, there is time to see what will be needed when something does."""
+        network = structure.network
+        _, cost = costs(problem, network, structure.pinned)
+        plan = np.array(sorted({network.number[label] for label in self._last} | set(network.pinned)), np.int64)
+        if self._rest is not None and np.array_equal(self._rest.cost, cost) and np.array_equal(self._rest.plan, plan):
+            return
+        library = problem.environment.transformation
+        dearest = max((library[network.labels[i]].labor_us for i in plan.tolist()), default=0)
+        limit = int(cost[plan].sum()) + dearest
+        self._rest = self._rest and self._rest.moved(plan, cost, limit, clock)
+        if self._rest is None:
+            value = int(cost[plan].sum())
+            close = tightened(_known_bound(structure, cost), value, value, clock)
+            structure.remember(lambda: close, 1)
+            bound = _known_bound(structure, cost)
+            self._rest = Rest.of(plan, cost, int(ROOM * limit), bound, clock)
+
+
+def _search(
+    candidates: Candidates,
+    standing: Standing,
+    landmarks: Landmarks = (),
+    missed: Callable[[Collection[str], Clock], Landmarks] = lambda *_: (),
+) -> Search:
+    """A search in the constraint model, which is built here; raises OutOfTimeError."""
+    from cfgplan.planners.exact.search import Search  # the solver takes long to import
+
+    candidates.watch = standing.clock.check
+    return Search(candidates, standing, landmarks=landmarks, missed=missed)
+
+
+def _known_bound(structure: Structure, weight: Ints, scale: int = 1) -> Bound:
+    """The bound by the landmarks that are remembered."""
+    landmarks, weights = structure.landmarks()
+    bound = Bound(structure.network.core, weight, landmarks)
+    bound.recharge([weight * scale for weight in weights])
+    return bound
+
+
+def plan(
+    problem: Problem,
+    *,
+    time_limit_s: float | None = None,
+    report: Callable[[Progress], None] | None = None,
+    stop: Event | None = None,
+) -> Plan:
+    """The optimal update, see `planning.Planner`; `stop` ends it early with the best plan so far, as Ctrl-C does."""
+    return PlannerSession().plan(problem, time_limit_s=time_limit_s, report=report, stop=stop)

@@ -1,0 +1,121 @@
+"""How far the planner has come: the incumbent, the proven bound, what else is proven.
+
+Nothing here needs the constraint solver: where the first plan meets the bound it is never imported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from cfgplan.domain import ComputationUnit
+from cfgplan.planners.exact.reasons import joint_reasons
+from cfgplan.planners.networks.keys import Key, key_of, unused_required
+from cfgplan.planners.solving.clock import Clock, ContradictionError
+from cfgplan.planning import Plan, Problem, Progress, Status
+
+
+class Incumbent(NamedTuple):
+    """The best plan so far."""
+
+    key: Key
+    units: list[ComputationUnit]
+
+
+class Standing:
+    """The incumbent, and what is proven about the optimum."""
+
+    def __init__(self, problem: Problem, clock: Clock, report: Callable[[Progress], None] | None) -> None:
+        self.problem = problem
+        self.clock = clock
+        self.report = report
+        self.best: Incumbent | None = None
+        self.bound_us = 0
+        self.holds_for: int | None = None
+        """If given, the bound is one for plans that leave no more required transformations unused than this."""
+        self.is_infeasible = False
+        self.reasons: dict[str, str] = {}
+        """Why targets can't be met, whatever runs."""
+        self.fewest_unused = 0
+        """No valid configuration leaves fewer required transformations unused."""
+        self.is_cost_proven = False
+        self.are_ties_proven = False
+        self.counts: dict[str, int] = {}
+
+    @property
+    def is_over(self) -> bool:
+        """Whether all is proven, or the time is over."""
+        return self.are_ties_proven or self.clock.is_over()
+
+    @property
+    def is_at_bound(self) -> bool:
+        """Whether the bound has reached the incumbent."""
+        return self.best is not None and self.best.key.cost_us == self.bound_us
+
+    @property
+    def valid_bound_us(self) -> int:
+        """The bound, if it is one for all plans that may be optimal, else 0."""
+        holds = self.holds_for is None or (self.best is not None and self.best.key.unused <= self.holds_for)
+        return self.bound_us if holds else 0
+
+    def offer(self, units: list[ComputationUnit]) -> Key:
+        """Replace the incumbent if this configuration is better. Returns its key."""
+        key = key_of(self.problem, units)
+        if self.best is None or key < self.best.key:
+            self.best = Incumbent(key, units)
+            self.clock.has_plan = True
+            self.tell()
+        return key
+
+    def prove_cost(self) -> None:
+        """No plan is cheaper than the incumbent."""
+        assert self.best is not None
+        self.is_cost_proven = True
+        self.raise_bound(self.best.key.cost_us)
+
+    def prove_all(self) -> None:
+        """No plan is better than the incumbent, in cost or in changes."""
+        self.prove_cost()
+        self.are_ties_proven = True
+
+    def prove_infeasible(self) -> None:
+        """There is no plan. Raises ContradictionError if there is one."""
+        if self.best is not None:
+            raise ContradictionError("no plan is said to be possible, but one is known")
+        self.is_infeasible = True
+
+    def raise_bound(self, bound_us: int) -> None:
+        if bound_us > self.bound_us:
+            self.bound_us = bound_us
+            self.tell()
+
+    def tell(self) -> None:
+        if self.report is not None:
+            cost_us = self.best.key.cost_us if self.best else None
+            self.report(Progress(self.clock.elapsed_s(), cost_us, self.valid_bound_us))
+
+    def plan(self) -> Plan:
+        """The answer so far."""
+        problem, counts, seconds, bound_us = self.problem, self.counts, self.clock.seconds, self.valid_bound_us
+        if self.is_infeasible:
+            reasons = self.reasons or joint_reasons(problem)
+            return Plan("cpsat", Status.INFEASIBLE, reasons=reasons, seconds=seconds, counts=counts)
+        largest = problem.max_cost_us
+        if largest is not None and bound_us > largest:
+            cost_us = self.best.key.cost_us if self.best is not None and self.is_cost_proven else None
+            return Plan("cpsat", Status.TOO_EXPENSIVE, None, cost_us, bound_us, seconds=seconds, counts=counts)
+        if self.best is None or (largest is not None and self.best.key.cost_us > largest):
+            return Plan("cpsat", Status.UNKNOWN, bound_us=bound_us, seconds=seconds, counts=counts)
+        key, units = self.best
+        return Plan(
+            "cpsat",
+            Status.of_plan(key.cost_us, bound_us),
+            problem.environment.change_to(units),
+            key.cost_us,
+            bound_us,
+            unused_required=unused_required(problem, units),
+            ties_proven=self.are_ties_proven,
+            required_proven=key.unused <= self.fewest_unused,
+            seconds=seconds,
+            counts=counts,
+        )
