@@ -103,7 +103,7 @@ def _solve(options: argparse.Namespace, screen: Screen, world: World, problem: P
                 problem, matches, planner=options.planner, time_limit_s=options.timeout, report=report
             )
     try:
-        document = api.plan_text(world, problem, plan)
+        document = api.plan_text(world, problem, plan) if screen.json or options.out else ""
         shown = None if screen.json else update_text(problem, plan, given_up)
     except Exception as error:
         raise PlannerFaultError(f"it can't be told: {type(error).__name__}: {error}", plan) from error

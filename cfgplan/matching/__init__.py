@@ -17,12 +17,11 @@ if TYPE_CHECKING:
         TagError,
         UnknownNameError,
     )
-    from cfgplan.matching.matrix import Matches, instances, match
+    from cfgplan.matching.matrix import Matches, check_tag, instances, match
     from cfgplan.matching.ontology import Ontology
     from cfgplan.matching.ontology_files import load_ontology, read_owlready
     from cfgplan.matching.reasoners import REASONERS
     from cfgplan.matching.session import Matcher, Matching
-    from cfgplan.matching.syntax import check_tag
 
 __all__ = [
     "REASONERS",
@@ -54,11 +53,10 @@ _MODULES = {
         *("TagError", "UnknownNameError"),
     ),
     "ontology_files": ("load_ontology", "read_owlready"),
-    "matrix": ("Matches", "instances", "match"),
+    "matrix": ("Matches", "check_tag", "instances", "match"),
     "ontology": ("Ontology",),
     "reasoners": ("REASONERS",),
     "session": ("Matcher", "Matching"),
-    "syntax": ("check_tag",),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 

@@ -1,4 +1,7 @@
-"""The relation ~ between tags (Definition 5, section IV-B): an offered tag feeds a demanded one that subsumes it."""
+"""The relation ~ between tags (Definition 5, section IV-B): an offered tag feeds a demanded one that subsumes it.
+
+And what reading an environment asks of its ontology: whether a tag can be read, and who belongs to a class.
+"""
 
 from __future__ import annotations
 
@@ -110,6 +113,11 @@ class Matches:
     def _store(self) -> None:
         if self._cache is not None:
             store(self._cache, self._key, *self._tags, self.matching)
+
+
+def check_tag(text: str, ontology: Ontology) -> None:
+    """Raise TagError if a tag can't be read with the names of this ontology."""
+    parse_tag(text, ontology)
 
 
 def instances(

@@ -55,11 +55,6 @@ def parse_tag(text: str, ontology: Ontology) -> Concept:
     return _Reader(text, ontology).tag()
 
 
-def check_tag(text: str, ontology: Ontology) -> None:
-    """Raise TagError if a tag can't be read with the names of this ontology."""
-    parse_tag(text, ontology)
-
-
 class _Reader:
     def __init__(self, text: str, ontology: Ontology) -> None:
         self._text = text

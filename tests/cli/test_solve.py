@@ -158,10 +158,10 @@ def _refuse(*_: object) -> list[str]:
     ],
 )
 def test_a_plan_is_printed_and_marked_whatever_fails_after_it_was_found(
-    run: Run, monkeypatch: pytest.MonkeyPatch, broken: str, what: Callable[..., object], told: str
+    run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, broken: str, what: Callable[..., object], told: str
 ) -> None:
     monkeypatch.setattr(broken, what)
-    result = run("solve", MODELS / "nao/2-segmenter-lost.yaml")
+    result = run("solve", MODELS / "nao/2-segmenter-lost.yaml", "--out", tmp_path / "plan.json")
     assert result.code == 31
     assert "segmenter(piff).1" in result.out
     assert "Optimal" not in result.out
