@@ -1,4 +1,7 @@
-"""What the README shows is what happens."""
+"""What the README shows is what happens; the keys of the environment file are those of its fields.
+
+`python tests/test_readme.py` writes the tables of keys anew.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +12,27 @@ import pytest
 
 import cfgplan
 from cfgplan.cli import main
+from cfgplan.formats import fields
+from cfgplan.formats.fields import ELEMENT, Part, Use
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+KEYS = ROOT / "cfgplan" / "formats" / "README.md"
+PARTS: dict[str, type[Part]] = {
+    "The environment": fields.EnvironmentPart,
+    "A transformation": fields.TransformationPart,
+    "Its `run`": fields.RunPart,
+    "An input": fields.InputPart,
+    "An output": fields.OutputPart,
+    "What it makes of a quality": fields.ContributionPart,
+    "A unit": fields.UnitPart,
+    "A target": fields.TargetPart,
+    "What it asks of a quality": fields.WishPart,
+    "A host": fields.HostPart,
+    "A quality attribute": fields.AttributePart,
+    "`defaults`": fields.DefaultsPart,
+}
+YAML_ONLY = (fields.ContributionPart, fields.WishPart, fields.HostPart, fields.AttributePart)
 
 
 def blocks(language: str) -> list[str]:
@@ -60,3 +81,26 @@ def test_the_python_examples_run(number: int, monkeypatch: pytest.MonkeyPatch) -
 def test_every_file_that_the_readme_links_to_is_there() -> None:
     for link in re.findall(r"\]\(([^)#]+)\)", README):
         assert "://" in link or (ROOT / link).exists(), link
+
+
+def tables() -> str:
+    """The tables of all keys, made from the rows of the fields."""
+    text = ""
+    for title, part in PARTS.items():
+        text += f"\n### {title}\n\n| key | meaning | if absent | XML | for |\n|---|---|---|---|---|\n"
+        for key, row in part.rows().items():
+            field = part.model_fields[key]
+            absent = "not allowed" if field.is_required() else f"`{row.default}`" if row.default else ""
+            xml = "no" if not row.xml or part in YAML_ONLY else "element" if row.xml == ELEMENT else f"`{row.xml}`"
+            uses = ", ".join(str(use.name).lower() for use in (Use.PLANNING, Use.RUNNING) if use in row.use)
+            text += f"| `{key}` | {field.description} | {absent} | {xml} | {uses} |\n"
+    return text
+
+
+def test_every_key_of_the_environment_file_is_in_its_table() -> None:
+    _, _, found = KEYS.read_text(encoding="utf-8").partition("\n###")
+    assert "\n###" + found == tables(), "run `python tests/test_readme.py`"
+
+
+if __name__ == "__main__":
+    KEYS.write_text(KEYS.read_text(encoding="utf-8").partition("\n###")[0] + tables(), encoding="utf-8")

@@ -89,7 +89,7 @@ class _Said:
 
 
 def row(
-    meaning: str | None,
+    meaning: str,
     default: Any = None,
     to: str = "",
     use: Use | None = None,
@@ -97,9 +97,7 @@ def row(
     **limits: Any,
 ) -> Any:
     """A field of a part; `...` as default if the key can't be absent."""
-    if meaning is not None:
-        limits["description"] = meaning
-    field = Field(default=default, **limits)
+    field = Field(default=default, description=meaning, **limits)
     field.metadata.append(_Said(to, use, xml))
     return field
 
@@ -180,7 +178,7 @@ def _pieces(hint: Any) -> Iterator[Any]:
 class InputPart(Part):
     """An input port that needs more than a tag."""
 
-    tag: TagText = row(None, ..., xml=ELEMENT)
+    tag: TagText = row("what it needs, a concept in description logic or the paper's P(a)", ..., xml=ELEMENT)
     distinct: Name | None = row("ports of one group are fed by different transformations")
     feedback: bool = row("this input may close a cycle of the wiring", False)
 
@@ -204,7 +202,7 @@ Quality = Annotated[
 class OutputPart(Part):
     """An output port that says more than a tag."""
 
-    tag: TagText = row(None, ..., xml=ELEMENT)
+    tag: TagText = row("what it gives, a concept in description logic or the paper's P(a)", ..., xml=ELEMENT)
     quality: dict[Name, Quality] | None = row("attribute to what it makes of it", xml=UNSAID)
     rate: PositiveMicro = row("elements per second, for what it costs to change hosts", 0, "rate_uhz")
     size: int = row("bytes of one element", 0, "size_bytes", ge=0, le=LONGEST_HORIZON_S)
@@ -281,7 +279,7 @@ class TransformationPart(Part):
 class UnitPart(Part):
     """A running computation unit."""
 
-    id: Name
+    id: Name = row("unique", ...)
     transformation: Name = row("the label of its transformation, templates expanded", ...)
     inputs: dict[PortName, Name | None] | None = row(
         "input port to stream (unit/port); null: a gap", to="subscriptions", xml=ELEMENT
@@ -304,9 +302,9 @@ class WishPart(Part):
 class TargetPart(Part):
     """Information that is wanted on a topic."""
 
-    label: Name = row(None, ..., xml=ELEMENT)
-    topic: Name = row(None, ..., xml=ELEMENT)
-    tag: TagText = row(None, ..., xml=ELEMENT)
+    label: Name = row("unique", ..., xml=ELEMENT)
+    topic: Name = row("where its stream is published; unique", ..., xml=ELEMENT)
+    tag: TagText = row("what is wanted, a concept in description logic or the paper's P(a)", ..., xml=ELEMENT)
     priority: int = row("larger matters more", 0, ge=-LONGEST_HORIZON_S, le=LONGEST_HORIZON_S)
     quality: dict[Name, WishPart] | None = row("attribute to what is asked of it")
     host: Name | None = row("the host that the stream has to come to")
@@ -320,7 +318,7 @@ class TargetPart(Part):
 class HostPart(Part):
     """A computer that units run on."""
 
-    name: Name
+    name: Name = row("unique", ...)
     cpu: Cost | None = row("CPU seconds per second that units may take; no limit if absent", to="cpu_us")
     memory: int | None = row("megabytes that units may take; no limit if absent", to="memory_mb", ge=0)
     offers: Resources | None = row("how much it has of other resources, by name; nothing of what is absent")
@@ -329,7 +327,7 @@ class HostPart(Part):
 class AttributePart(Part):
     """A quality attribute of streams."""
 
-    name: Name
+    name: Name = row("unique", ...)
     better: BetterName = row("which values are better", ...)
     rule: RuleName = row("what an output that states a number does with it", "add", use=Use.NONE)
     unit: Name | None = row("what it is measured in, free text", use=Use.NONE)
@@ -347,9 +345,9 @@ class DefaultsPart(Part):
 class IncludedPart(Part):
     """A file that an environment includes: transformations and targets only."""
 
-    format: Literal["cfgplan/1"] | None = row(None)
-    transformations: list[TransformationPart] | None = row(None, xml=ELEMENT)
-    targets: list[TargetPart] | None = row(None, xml=ELEMENT)
+    format: Literal["cfgplan/1"] | None = row("the format of the file: cfgplan/1")
+    transformations: list[TransformationPart] | None = row("what can be started", xml=ELEMENT)
+    targets: list[TargetPart] | None = row("what is wanted", xml=ELEMENT)
 
 
 class EnvironmentPart(Part):
@@ -357,7 +355,7 @@ class EnvironmentPart(Part):
 
     model_config = ConfigDict(extra="forbid", strict=True, title="cfgplan environment")
 
-    format: Literal["cfgplan/1"]
+    format: Literal["cfgplan/1"] = row("the format of the file: cfgplan/1", ...)
     ontology: FileNames | None = row("ontology file or files, relative to this file", xml=ELEMENT)
     imports: Imports | None = row(
         "IRI that an ontology imports to a file, relative to this file, or to `ignore`; "
@@ -367,7 +365,7 @@ class EnvironmentPart(Part):
         "how far ahead upkeep counts, in seconds", DEFAULT_HORIZON_S, "horizon_s", ge=0, le=LONGEST_HORIZON_S
     )
     max_cost: Cost | None = row("the most that an update may cost, in CPU seconds", to="max_cost_us")
-    defaults: DefaultsPart | None = row(None, xml=ELEMENT)
+    defaults: DefaultsPart | None = row("costs of transformations that state none", xml=ELEMENT)
     include: list[FileName] | None = row("files and folders with more transformations and targets", xml=ELEMENT)
     hosts: list[HostPart] | None = row("where units run; if absent, nothing is placed")
     transfer: Cost = row("CPU seconds for each megabyte that goes from host to host", 0, "transfer_us")
@@ -375,9 +373,9 @@ class EnvironmentPart(Part):
     survive: Literal[0, 1, "units", "hosts"] = row(
         "single failures to survive; 1: of hosts where hosts are declared, else of units", 0
     )
-    transformations: list[TransformationPart] | None = row(None, xml=ELEMENT)
-    units: list[UnitPart] | None = row(None, xml=ELEMENT)
-    targets: list[TargetPart] | None = row(None, xml=ELEMENT)
+    transformations: list[TransformationPart] | None = row("what can be started", xml=ELEMENT)
+    units: list[UnitPart] | None = row("what runs", xml=ELEMENT)
+    targets: list[TargetPart] | None = row("what is wanted", xml=ELEMENT)
 
 
 def what_runs(transformation: Transformation) -> tuple[object, ...]:
