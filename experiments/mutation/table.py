@@ -455,4 +455,104 @@ SUPERVISION = _room(
     ("a switch is not noted", "wiring.py", "            wire.has_switched = True\n", "            pass\n"),
 )
 
-MUTANTS = (*MODEL, *JUDGE, *BOUNDS, *CLOSING, *SATURATION, *SUPERVISION)
+LIFECYCLE = _room(
+    "runtime/cfgplan_runtime/lifecycle",
+    ("tests/lifecycle/test_decisions.py",),
+    (
+        "a plan that can't know what has happened is carried out",
+        "decisions.py",
+        "(state.entries or planned.was_interrupted)",
+        "False",
+    ),
+    (
+        "what comes while it plans for the last time is forgotten",
+        "decisions.py",
+        "        entries=entries,\n",
+        "        entries=planning.entries or entries,\n",
+    ),
+    (
+        "who asked is not told by the review",
+        "decisions.py",
+        "for outcome in entry.outcomes]\n    return",
+        "for outcome in ()]\n    return",
+    ),
+    (
+        "at the end nobody is told whose unit was to end",
+        "decisions.py",
+        "for outcomes in state.waiting.values()",
+        "for outcomes in ()",
+    ),
+    (
+        "at the end what is under way is forgotten",
+        "decisions.py",
+        "entries = (*begun, *state.entries)",
+        "entries = state.entries",
+    ),
+    ("who asked for the end is not told", "decisions.py", "for outcome in state.stops))", "for outcome in ()))"),
+    (
+        "a review begins while another is under way",
+        "decisions.py",
+        "state.doing is None and state.due_s <= at_s",
+        "state.due_s <= at_s",
+    ),
+    ("a failure is repeated at once", "decisions.py", "delay_s = 0.0 if is_other else", "delay_s = 0.0 if True else"),
+    ("a failure owes no optimising", "decisions.py", "owes_optimising=planning.optimises", "owes_optimising=False"),
+    ("a new unit that dies is always missed", "intake.py", "and unit in state.doing.starting", "and False"),
+    (
+        "a new unit's death is forgotten",
+        "decisions.py",
+        "        turn = intake.died(turn, gone, lived_s)\n",
+        "        pass\n",
+    ),
+    (
+        "an update that is given up blames its slow units",
+        "decisions.py",
+        "case AbandonedError(units=slow):",
+        "case OSError(errno=slow):",
+    ),
+    (
+        "units of a failed update are believed to run",
+        "decisions.py",
+        "turn.state.situation.without(*gone)), failed",
+        "turn.state.situation), failed",
+    ),
+    ("a killed unit is blamed", "intake.py", "lived_s = None if is_killed or", "lived_s = None if"),
+    (
+        "what a unit has done counts for the next of its id",
+        "intake.py",
+        "        case UnitReady(unit):\n            return _unnoted(turn, unit)",
+        "        case UnitReady(unit):\n            return turn",
+    ),
+    (
+        "one good step does not count",
+        "intake.py",
+        "if errors == 0 or status.steps - steps > errors + 1:",
+        "if errors == 0:",
+    ),
+    (
+        "a lost input waits for nothing",
+        "intake.py",
+        "delay_s = max(policy.explain_s,",
+        "delay_s = 0 * max(policy.explain_s,",
+    ),
+    (
+        "a silent target is asked about at each look",
+        "intake.py",
+        "        giving = giving.after_asking(silence.target, at_s)\n",
+        "",
+    ),
+    (
+        "what dies in an update that starts it gives it up",
+        "decisions.py",
+        "if item.unit in starting else",
+        "if False else",
+    ),
+    (
+        "a plan outlives the end",
+        "decisions.py",
+        "    if state.is_closing or state.stops:\n        return _ended(turn)\n    if not _is_last",
+        "    if not _is_last",
+    ),
+)
+
+MUTANTS = (*MODEL, *JUDGE, *BOUNDS, *CLOSING, *SATURATION, *SUPERVISION, *LIFECYCLE)

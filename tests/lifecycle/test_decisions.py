@@ -23,7 +23,7 @@ from cfgplan_runtime.lifecycle.changes import (
 )
 from cfgplan_runtime.lifecycle.decisions import BreakIn, breaks_in, decide, first_state
 from cfgplan_runtime.lifecycle.deliberation import Thought
-from cfgplan_runtime.lifecycle.inbox import Asked, Closing, Item, Unusable
+from cfgplan_runtime.lifecycle.inbox import Asked, Item, Leave, Unusable
 from cfgplan_runtime.lifecycle.perturbations import (
     HorizonReached,
     HostGone,
@@ -40,13 +40,11 @@ from cfgplan_runtime.lifecycle.perturbations import (
 from cfgplan_runtime.lifecycle.reports import Decision, Ended, Perturbed, ReviewBegan, Reviewed, WorldRefused
 from cfgplan_runtime.lifecycle.state import Gathering, Planning, State, Updating
 from cfgplan_runtime.lifecycle.turns import (
-    Answer,
     ApplyUpdate,
     Effect,
     Finished,
     Happened,
     Happening,
-    Kill,
     Learn,
     LearnOfFailure,
     MakePlan,
@@ -55,9 +53,11 @@ from cfgplan_runtime.lifecycle.turns import (
     Observe,
     Planned,
     Prepare,
+    Respond,
     Seen,
     StopAll,
     Tell,
+    Terminate,
     Tick,
     Updated,
 )
@@ -224,6 +224,16 @@ def test_a_unit_without_a_good_step_for_long_is_given_up_and_blamed() -> None:
     assert state.situation.failing == {"work.1"}
 
 
+def test_a_unit_with_one_good_step_in_between_goes_on() -> None:
+    state = stable(Policy(failing_steps=5, failing_s=3.0))
+    for at_s, steps, errors in ((1, 10, 0), (3, 14, 4), (5, 20, 8), (7, 24, 12)):
+        state, effects = after(state, at_s, UnitStatus("work.1", steps, errors, {}, {}))
+        assert effects == []
+    assert [type(one) for one in perturbations(after(state, 9.0, UnitStatus("work.1", 28, 16, {}, {}))[1])] == [
+        UnitKeepsFailing
+    ]
+
+
 def test_a_unit_is_not_judged_by_what_another_of_its_id_has_done() -> None:
     def status(steps: int, errors: int) -> UnitStatus:
         return UnitStatus("work.1", steps, errors, {}, {})
@@ -292,7 +302,7 @@ def test_what_comes_while_it_plans_makes_it_plan_anew_but_not_for_ever() -> None
         assert isinstance(plan, MakePlan)
         assert plan.is_last is (number > POLICY.interruptions)
     state, effects = after(state, 1.0, Planned(thought(running=RUNNING, change_set=ChangeSet()), was_interrupted=True))
-    assert Answer(request.outcome, state.reviews[-1]) in effects
+    assert Respond(request.outcome, state.reviews[-1]) in effects
     assert found(effects, MakePlan) == []
 
 
@@ -345,6 +355,7 @@ def test_an_update_that_fails_is_followed_by_another_review(
     assert state.situation.back_offs.avoided == avoided
     assert "work.2" not in state.situation.units
     assert state.due_s == (3.1 if failed.is_fault else 3.0)
+    assert found(effects, LearnOfFailure) == ([LearnOfFailure("work")] if type(error) is ApplyError else [])
 
 
 def test_a_new_unit_that_dies_counts_once_however_its_update_ends() -> None:
@@ -383,7 +394,7 @@ def test_a_bad_request_is_refused_at_once(change: Change, part: str) -> None:
     request = asked(change)
     before = stable()
     state, (answer,) = after(before, 1.0, request)
-    assert isinstance(answer, Answer)
+    assert isinstance(answer, Respond)
     assert (answer.outcome, part in str(answer.answer)) == (request.outcome, True)
     assert state == before
 
@@ -396,9 +407,9 @@ def test_a_world_is_matched_before_anything_else_is_decided() -> None:
     assert [type(one).__name__ for one in perturbations(effects)] == ["WorldChanged"]
     assert (gone.living.world.environment.targets, gone.match_s) == ((), 0.25)
     _, effects = after(state, 1.0, Matched(request, InputError.of("bad")))
-    assert [str(answer.answer) for answer in found(effects, Answer)] == ["bad"]
+    assert [str(answer.answer) for answer in found(effects, Respond)] == ["bad"]
     _, effects = after(state, 1.0, Matched(request, state.living))
-    assert effects == [Answer(request.outcome)]
+    assert effects == [Respond(request.outcome)]
 
 
 def test_a_file_that_can_not_be_used_is_told_until_it_is_well_again() -> None:
@@ -412,7 +423,7 @@ def test_a_file_that_can_not_be_used_is_told_until_it_is_well_again() -> None:
 def test_a_killed_unit_is_nobodys_failure_and_who_asked_is_told_by_the_review() -> None:
     request = asked(KillUnit("work.1"))
     state, effects = after(stable(), 1.0, request)
-    assert (effects, state.is_settled) == ([Kill("work.1")], False)
+    assert (effects, state.is_settled) == ([Terminate("work.1")], False)
     state, effects = after(state, 1.5, UnitDied("work.1", "killed"), running=replace(RUNNING, units=(COUNT,)))
     assert found(effects, LearnOfFailure) == []
     assert state.entries[0].outcomes == (request.outcome,)
@@ -437,7 +448,7 @@ def test_a_silent_target_makes_a_review_again_and_again() -> None:
         (updating().doing, InputLost(None, "/result", 1), BreakIn.INTERRUPT | BreakIn.ABANDON),
         (updating().doing, asked(ReviewNow()), BreakIn.INTERRUPT),
         (updating().doing, asked(Stop()), BreakIn.INTERRUPT | BreakIn.ABANDON | BreakIn.END),
-        (planning().doing, Closing(), BreakIn.INTERRUPT | BreakIn.END),
+        (planning().doing, Leave(), BreakIn.INTERRUPT | BreakIn.END),
         (updating().doing, UnitReady("work.2", 1), BreakIn(0)),
         (planning().doing, Unusable("f", ()), BreakIn(0)),
     ],
@@ -454,14 +465,14 @@ def test_the_end_stops_all_units_and_tells_everybody(state: State) -> None:
     state, effects = after(state, 3.0, over)
     assert effects == [StopAll()]
     state, effects = after(state, 4.0, Finished())
-    answers = {answer.outcome: str(answer.answer) for answer in found(effects, Answer)}
+    answers = {answer.outcome: str(answer.answer) for answer in found(effects, Respond)}
     assert answers[stop.outcome] == "None"
     assert answers[kill.outcome] == answers[late.outcome] == "the manager has ended"
     assert (state.is_over, effects[-1]) == (True, Tell(Ended("")))
 
 
 def test_a_manager_that_is_closed_leaves_the_units_alone() -> None:
-    state, effects = after(stable(), 3.0, Closing(), Tick(0.0))
+    state, effects = after(stable(), 3.0, Leave(), Tick(0.0))
     assert (state.is_over, effects) == (True, [Tell(Ended(""))])
 
 
@@ -488,7 +499,7 @@ class Deciding(RuleBasedStateMachine):
         self.state, effects = decide(self.state, Happened(self.at_s, what, self.running))
         for position, effect in enumerate(effects):
             match effect:
-                case Answer(outcome):
+                case Respond(outcome):
                     self.answers.append(outcome)
                 case Match(living, request, change):
                     try:
@@ -575,7 +586,7 @@ class Deciding(RuleBasedStateMachine):
     @rule(is_closed=st.booleans())
     def the_end_is_asked_for(self, is_closed: bool) -> None:
         if is_closed:
-            self.decide(Closing())
+            self.decide(Leave())
         else:
             self.ask(Stop())
 

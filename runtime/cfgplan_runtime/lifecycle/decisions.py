@@ -24,7 +24,7 @@ from cfgplan_runtime.lifecycle.back_off import BackOffs
 from cfgplan_runtime.lifecycle.changes import Stop
 from cfgplan_runtime.lifecycle.configuration import Situation, with_world
 from cfgplan_runtime.lifecycle.deliberation import Thought
-from cfgplan_runtime.lifecycle.inbox import Asked, Closing, Item, Unusable
+from cfgplan_runtime.lifecycle.inbox import Asked, Item, Leave, Unusable
 from cfgplan_runtime.lifecycle.perturbations import (
     HorizonReached,
     MayStartAgain,
@@ -37,7 +37,6 @@ from cfgplan_runtime.lifecycle.reports import Decision, Ended, Observed, Review,
 from cfgplan_runtime.lifecycle.showing import silence_reason
 from cfgplan_runtime.lifecycle.state import Doing, Gathering, Planning, State, Updating
 from cfgplan_runtime.lifecycle.turns import (
-    Answer,
     ApplyUpdate,
     Effect,
     Finished,
@@ -49,6 +48,7 @@ from cfgplan_runtime.lifecycle.turns import (
     Observe,
     Planned,
     Prepare,
+    Respond,
     Seen,
     StopAll,
     Tell,
@@ -79,7 +79,7 @@ def breaks_in(doing: Doing, item: Item) -> BreakIn:
     starting = doing.starting if isinstance(doing, Updating) else frozenset()
     abandon = BreakIn.ABANDON if starting else BreakIn(0)
     match item:
-        case Closing() | Asked(Stop()):
+        case Leave() | Asked(Stop()):
             return BreakIn.INTERRUPT | abandon | BreakIn.END
         case Asked():
             return BreakIn.INTERRUPT
@@ -117,7 +117,7 @@ def _case(turn: Turn, what: Happening) -> Turn:
             return intake.matched(turn, what)
         case Unusable():
             return intake.refused(turn, what.by, what.faults)
-        case Closing():
+        case Leave():
             return turn.to(replace(turn.state, is_closing=True))
         case Seen():
             return _seen(turn, what)
@@ -298,7 +298,7 @@ def _reviewed(turn: Turn, planning: Planning, thought: Thought, failed: UpdateFa
         )
     )
     outcomes = [outcome for entry in planning.entries for outcome in entry.outcomes]
-    return turn.also(Tell(Reviewed(review)), *(Answer(outcome, review) for outcome in outcomes))
+    return turn.also(Tell(Reviewed(review)), *(Respond(outcome, review) for outcome in outcomes))
 
 
 def _record(state: State, planning: Planning, thought: Thought, failed: UpdateFailed | None) -> Review:
@@ -370,5 +370,5 @@ def _finished(turn: Turn, cause: str) -> Turn:
     left += [outcome for entry in entries for outcome in entry.outcomes]
     error = RuntimeFaultError("the manager has ended")
     turn = turn.to(replace(state, doing=None, entries=(), waiting={}, stops=(), is_over=True))
-    turn = turn.also(*(Answer(outcome) for outcome in state.stops))
-    return turn.also(*(Answer(outcome, error) for outcome in left)).also(Tell(Ended(cause)))
+    turn = turn.also(*(Respond(outcome) for outcome in state.stops))
+    return turn.also(*(Respond(outcome, error) for outcome in left)).also(Tell(Ended(cause)))

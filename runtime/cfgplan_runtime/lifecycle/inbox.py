@@ -33,11 +33,11 @@ class Unusable:
 
 
 @dataclass(frozen=True, slots=True)
-class Closing:
-    """The manager is to end, and leave the units to the middleware."""
+class Leave:
+    """The manager is to end, and to leave the units to the middleware."""
 
 
-Item: TypeAlias = Event | Asked | Unusable | Closing
+Item: TypeAlias = Event | Asked | Unusable | Leave
 
 
 @dataclass(frozen=True, slots=True)

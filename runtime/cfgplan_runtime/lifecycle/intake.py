@@ -22,7 +22,7 @@ from cfgplan_runtime.lifecycle.perturbations import (
 )
 from cfgplan_runtime.lifecycle.reports import WorldRefused
 from cfgplan_runtime.lifecycle.state import Note, State, Updating
-from cfgplan_runtime.lifecycle.turns import Answer, Kill, Match, Matched, Tell, Turn
+from cfgplan_runtime.lifecycle.turns import Match, Matched, Respond, Tell, Terminate, Turn
 from cfgplan_runtime.supervision.delays import doubling_s
 from cfgplan_runtime.supervision.events import (
     Event,
@@ -98,7 +98,7 @@ def asked(turn: Turn, request: Asked) -> Turn:
             case change:
                 return turn.also(Match(state.living, request, change))
     except InputError as error:
-        return turn.also(Answer(request.outcome, error))
+        return turn.also(Respond(request.outcome, error))
 
 
 def matched(turn: Turn, result: Matched) -> Turn:
@@ -107,7 +107,7 @@ def matched(turn: Turn, result: Matched) -> Turn:
     if isinstance(found, InputError):
         if isinstance(change, ReplaceWorld):
             turn = refused(turn, change.by, found.faults)
-        return turn.also(Answer(outcome, found))
+        return turn.also(Respond(outcome, found))
     state, situation = turn.state, turn.state.situation
     differs = difference(state.living.world, found.world)
     is_new = (*differs.replaced_transformations, *differs.removed_transformations)
@@ -116,7 +116,7 @@ def matched(turn: Turn, result: Matched) -> Turn:
     if isinstance(change, ReplaceWorld):
         turn = refused(turn, change.by, ())
     if not differs:
-        return turn.also(Answer(outcome))
+        return turn.also(Respond(outcome))
     by = change.by if isinstance(change, ReplaceWorld) else type(change).__name__
     return turn.perturbed(WorldChanged(by, differs), [outcome])
 
@@ -223,7 +223,7 @@ def _killed(turn: Turn, unit: str, request: Asked) -> Turn:
         raise InputError.of(f"no unit {unit!r} runs", mend=f"these run: {known}" if known else None)
     waiting = {**state.waiting, unit: (*state.waiting.get(unit, ()), request.outcome)}
     turn = turn.to(replace(state, waiting=waiting))
-    return turn.situated(replace(situation, killed=situation.killed | {unit})).also(Kill(unit))
+    return turn.situated(replace(situation, killed=situation.killed | {unit})).also(Terminate(unit))
 
 
 def _check_host(state: State, host: str) -> None:

@@ -29,7 +29,7 @@ from cfgplan_runtime.lifecycle import turns
 from cfgplan_runtime.lifecycle.changes import Change, Stop
 from cfgplan_runtime.lifecycle.decisions import BreakIn, breaks_in, decide, first_state
 from cfgplan_runtime.lifecycle.deliberation import Deliberation
-from cfgplan_runtime.lifecycle.inbox import Asked, Closing, Inbox, Item, Outcome, Unusable
+from cfgplan_runtime.lifecycle.inbox import Asked, Inbox, Item, Leave, Outcome, Unusable
 from cfgplan_runtime.lifecycle.perturbations import Started
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Report, Snapshot, UnitEvent
@@ -177,7 +177,7 @@ class Manager:
 
     def close(self) -> None:
         """End after the step that is under way; units are left to the middleware."""
-        self._put(Closing())
+        self._put(Leave())
         if self._thread is not None:
             self._thread.join()
 
@@ -241,14 +241,14 @@ class Manager:
         match effect:
             case turns.Tell(report):
                 self._tell(report)
-            case turns.Answer(outcome, answer):
+            case turns.Respond(outcome, answer):
                 if isinstance(answer, Exception):
                     outcome.set_exception(answer)
                 else:
                     outcome.set_result(answer)
             case turns.Match():
                 self._match(effect)
-            case turns.Kill(unit):
+            case turns.Terminate(unit):
                 self._middleware.kill(unit)
             case turns.Observe():
                 self._decide(turns.Seen(tuple(self._middleware.observe())))

@@ -91,7 +91,7 @@ class Tell:
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class Respond:
     """Tell who asked that the review is over; None: that there will be none, an error: why not."""
 
     outcome: Outcome
@@ -108,7 +108,7 @@ class Match:
 
 
 @dataclass(frozen=True, slots=True)
-class Kill:
+class Terminate:
     """End a unit at once."""
 
     unit: str
@@ -167,7 +167,7 @@ class StopAll:
 
 
 Effect: TypeAlias = (
-    Tell | Answer | Match | Kill | Observe | Learn | LearnOfFailure | MakePlan | ApplyUpdate | Prepare | StopAll
+    Tell | Respond | Match | Terminate | Observe | Learn | LearnOfFailure | MakePlan | ApplyUpdate | Prepare | StopAll
 )
 
 
@@ -212,7 +212,7 @@ class Turn:
     def answered(self, unit: str) -> Turn:
         """Tell those who wait for a unit's end that no review will follow."""
         outcomes = self.state.waiting.get(unit, ())
-        return self.no_more_awaited(unit).also(*(Answer(outcome) for outcome in outcomes))
+        return self.no_more_awaited(unit).also(*(Respond(outcome) for outcome in outcomes))
 
     def no_more_awaited(self, unit: str) -> Turn:
         """Nobody waits for a unit's end."""
