@@ -8,6 +8,7 @@ from cfgplan.domain import (
     ChangeSet,
     ComputationUnit,
     Environment,
+    Host,
     OutputPort,
     Publication,
     Similarity,
@@ -42,6 +43,14 @@ def test_required_comes_before_the_largest_cost(planner: str, rest: dict[str, ob
     assert (dear.status, dear.cost_us) == (Status.TOO_EXPENSIVE, 9)
     found = planned(planner, Problem(environment, MATCHING, 1, max_cost_us=9))
     assert (found.cost_us, found.unused_required) == (9, ())
+
+
+@BOTH
+def test_the_bound_on_plans_without_a_required_transformation_is_none_on_plans_with_it(planner: str) -> None:
+    library = (gives("one", 1), gives("other", 1), gives("must", 2, required=True))
+    environment = Environment((), library, TARGET, hosts=(Host("h"),))
+    found = planned(planner, Problem(environment, MATCHING, 0))
+    assert (found.status, found.cost_us, found.bound_us, found.ties_proven) == (Status.OPTIMAL, 2, 2, True)
 
 
 def surviving(units: tuple[ComputationUnit, ...], *library: Transformation) -> Problem:

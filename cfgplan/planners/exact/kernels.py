@@ -82,7 +82,8 @@ def left_by_bounds(candidates: Candidates, standing: Standing) -> Left:
         return Left(everything)
     cost = np.array([min(c.cost_us for c in candidates.of(label)) for label in network.labels], np.int64)
     prices_us = sum(least_prices_us(candidates).values())
-    most = int(cost.sum()) if standing.best is None else standing.best.key.cost_us - prices_us
+    largest_us = standing.largest_us
+    most = int(cost.sum()) if largest_us is None else largest_us - prices_us
     bound = tightened(Bound(network.core, cost), most, most, standing.clock)
     standing.raise_bound(bound.value + prices_us)
     names = [network.labels[i] for i in bound.core.labels.tolist()]
@@ -91,7 +92,7 @@ def left_by_bounds(candidates: Candidates, standing: Standing) -> Left:
     least = (before[:-1] + bound.residual).tolist()
     order = tuple(name for _, name in sorted(zip(least, names, strict=True)))
     standing.counts["landmarks"] = len(landmarks)
-    if standing.best is None or any(t.required for t in network.transformations):
+    if largest_us is None:
         return Left(everything, order, landmarks)
     left = {name for name, may in zip(names, bound.may_be_used(most).tolist(), strict=True) if may}
     left |= {network.labels[i] for i in network.pinned}

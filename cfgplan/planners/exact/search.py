@@ -66,8 +66,8 @@ class Search:
     ) -> None:
         """With `is_all` false some candidates are left out: nothing is learned but plans. `is_apart` is the model's.
 
-        What `landmarks` say holds of every plan that is no dearer than the incumbent. `missed` finds landmarks that the
-        transformations of a solution do not hit.
+        What `landmarks` say holds of every plan that may be optimal. `missed` finds landmarks that the transformations
+        of a solution do not hit.
         """
         self.problem = candidates.problem
         self.standing = standing
@@ -82,7 +82,7 @@ class Search:
         self._ask_for_quality()
         self.model.enough_of_each_run(landmarks)
         self._cost = self.model.cost()
-        self._is_at_most_the_incumbent()
+        self._is_no_dearer_than_the_incumbent()
         for name in ("rounds", "cuts", "conflicts"):
             standing.counts.setdefault(name, 0)
         standing.counts["booleans"] = len(self.model.literals)
@@ -95,11 +95,9 @@ class Search:
 
         targets_get_the_quality_they_ask_for(model, lambda target: model.publishes[target.label].items(), value_at)
 
-    def _is_at_most_the_incumbent(self) -> None:
-        """No plan is dearer than the incumbent, if no plan leaves fewer required transformations unused."""
-        best = self.standing.best
-        if best is not None and best.key.unused <= self.standing.fewest_unused:
-            self.model.cp.add(self._cost <= best.key.cost_us)
+    def _is_no_dearer_than_the_incumbent(self) -> None:
+        if (largest_us := self.standing.largest_us) is not None:
+            self.model.cp.add(self._cost <= largest_us)
 
     def run(self, slice_s: float = inf) -> None:
         """Go through the objectives until the clock stops one, or `slice_s` of the engine's own seconds are over."""

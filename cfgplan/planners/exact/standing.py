@@ -53,6 +53,12 @@ class Standing:
         return self.best is not None and self.best.key.cost_us == self.bound_us
 
     @property
+    def largest_us(self) -> int | None:
+        """No optimal plan costs more; None if not known: one that uses more required transformations may be dearer."""
+        is_as_useful = self.best is not None and self.best.key.unused <= self.fewest_unused
+        return self.best.key.cost_us if self.best is not None and is_as_useful else None
+
+    @property
     def valid_bound_us(self) -> int:
         """The bound, if it is one for all plans that may be optimal, else 0."""
         holds = self.holds_for is None or (self.best is not None and self.best.key.unused <= self.holds_for)
