@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from io import BytesIO
-from pathlib import Path
+from functools import partial
 from typing import TYPE_CHECKING
 
+from cfgplan.cli import options as shared
 from cfgplan.cli.exits import OF_STATUS, Exit
 from cfgplan.cli.screen import Screen, counted
 from cfgplan.errors import InputError
@@ -14,9 +14,9 @@ from cfgplan.planning import Decider, Problem, Status
 from cfgplan.qualities import units
 
 if TYPE_CHECKING:
-    from cfgplan.explaining import Front
+    from matplotlib.axes import Axes
 
-PLOTS = (".svg", ".png", ".pdf")
+    from cfgplan.explaining import Front
 
 
 def add_front(parser: argparse._MutuallyExclusiveGroup) -> None:
@@ -31,11 +31,8 @@ def add_front(parser: argparse._MutuallyExclusiveGroup) -> None:
 
 def show_front(options: argparse.Namespace, screen: Screen, problem: Problem, decider: Decider) -> Exit:
     """Compute the front and show it; exit code 0 only if it is complete."""
-    from cfgplan import answers, api
+    from cfgplan import answers
 
-    if options.plot and Path(options.plot).suffix.lower() not in PLOTS:
-        mend = f"use one of {', '.join(PLOTS)}"
-        raise InputError.of("no plot format ends so", file=options.plot, mend=mend)
     target, attribute = _asked(options.front, problem)
     with screen.phase("plan"):
         found = answers.front(
@@ -46,8 +43,7 @@ def show_front(options: argparse.Namespace, screen: Screen, problem: Problem, de
     else:
         _show(screen, problem, found)
     if options.plot:
-        api.write_file(Path(options.plot), _plotted(found, Path(options.plot).suffix[1:].lower()))
-        screen.note(f"Wrote {options.plot}.")
+        shared.write_plot(options.plot, (6, 4), partial(_draw, found), screen)
     if not found.points:
         return OF_STATUS[Status.INFEASIBLE] if found.complete else Exit.NO_ANSWER
     return Exit.OK if found.complete else Exit.NOT_PROVEN
@@ -123,17 +119,7 @@ def _plain(found: Front) -> dict[str, object]:
     }
 
 
-def _plotted(found: Front, kind: str) -> bytes:
-    try:
-        import matplotlib
-    except ImportError:
-        raise InputError.of("plots need matplotlib", mend="pip install 'cfgplan[plots]'") from None
-    matplotlib.use("Agg")
-    matplotlib.rcParams.update({"svg.hashsalt": "cfgplan", "text.parse_math": False})
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(6, 4), layout="constrained")
-    axis = figure.subplots()
+def _draw(found: Front, axis: Axes) -> None:
     costs = [point.cost_us / 1e6 for point in found.points]
     values = [float(units(point.value)) for point in found.points]
     axis.step(costs, values, where="post", color="#0072b2", linewidth=1)
@@ -143,7 +129,3 @@ def _plotted(found: Front, kind: str) -> bytes:
     axis.set_ylabel(f"{found.attribute.name}{unit}, {found.attribute.better} is better")
     axis.set_title(f"What better quality of {found.target} costs", fontsize=11)
     axis.grid(alpha=0.3)
-    content = BytesIO()
-    when = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {"Software": None}}[kind]
-    figure.savefig(content, format=kind, metadata=when)
-    return content.getvalue()

@@ -9,6 +9,8 @@ import re
 from collections.abc import Callable
 from dataclasses import asdict
 from decimal import Decimal, InvalidOperation
+from importlib.util import find_spec
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -17,6 +19,8 @@ from cfgplan.cli.screen import Screen
 from cfgplan.errors import InvalidValueError
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from cfgplan import api
     from cfgplan.matching import Matches
     from cfgplan.planning import Failures, Problem, Progress
@@ -231,6 +235,35 @@ def put(text: str, out: str | None, screen: Screen) -> None:
     else:
         api.write_file(Path(out), text.encode())
         screen.note(f"Wrote {out}.")
+
+
+_PLOTS = {".svg": {"Date": None}, ".png": {"Software": None}, ".pdf": {"CreationDate": None}}
+"""The endings of plots, and what is left out of each, so that the same plot gives the same bytes."""
+
+
+def plot_file(text: str) -> str:
+    """The name of a plot to write, checked before any work is done. Raises ArgumentTypeError."""
+    if Path(out_file(text)).suffix.lower() not in _PLOTS:
+        raise argparse.ArgumentTypeError(f"{text!r} is no kind of plot: end it in one of {', '.join(_PLOTS)}")
+    if find_spec("matplotlib") is None:
+        raise argparse.ArgumentTypeError("plots need matplotlib: pip install 'cfgplan[plots]'")
+    return text
+
+
+def write_plot(file: str, size: tuple[float, float], draw: Callable[[Axes], None], screen: Screen) -> None:
+    """Write a plot of `size` in inches; `draw` fills its axes."""
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    from cfgplan import api
+
+    ending, content = Path(file).suffix.lower(), BytesIO()
+    with rc_context({"svg.hashsalt": "cfgplan", "text.parse_math": False}):
+        figure = Figure(figsize=size, layout="constrained")
+        draw(figure.subplots())
+        figure.savefig(content, format=ending[1:], metadata=_PLOTS[ending])
+    api.write_file(Path(file), content.getvalue())
+    screen.note(f"Wrote {file}.")
 
 
 _SECONDS = {"ms": 0.001, "s": 1.0, "m": 60.0, "h": 3600.0}

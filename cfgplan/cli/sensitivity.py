@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import io
 from collections.abc import Iterator
 from fractions import Fraction
-from pathlib import Path
+from functools import partial
+from typing import TYPE_CHECKING
 
 from rich.text import Text
 
@@ -15,10 +15,10 @@ from cfgplan.cli import options as shared
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.plan_text import cpu
 from cfgplan.cli.screen import Screen
-from cfgplan.errors import InputError
 from cfgplan.explaining import Sensitivity, Span
 
-_ENDINGS = (".svg", ".png", ".pdf")
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
@@ -32,7 +32,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         "--upkeep-of", type=normal, metavar="T", help="vary the upkeep of this transformation, not the horizon"
     )
     picture = "draw the least cost with its break points (svg, png or pdf)"
-    parser.add_argument("--out", type=shared.out_file, metavar="FILE", help=picture)
+    parser.add_argument("--out", type=shared.plot_file, metavar="FILE", help=picture)
     shared.add_planning(parser)
     shared.add_matching(parser)
     shared.add_json(parser)
@@ -42,8 +42,6 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan import answers, api
 
-    if options.out and Path(options.out).suffix.lower() not in _ENDINGS:
-        raise InputError.of("not a kind of picture", file=options.out, mend=f"use one of {', '.join(_ENDINGS)}")
     world = shared.load(options, screen)
     matches = shared.matches(options, screen, world, api.FEW_PAIRS)
     problem = shared.problem(options, screen, world, matches)
@@ -65,8 +63,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     if not found.spans:
         return Exit.NO_PLAN if found.exact else Exit.NO_ANSWER
     if options.out:
-        api.write_file(Path(options.out), picture(found, Path(options.out).suffix[1:].lower()))
-        screen.note(f"Wrote {options.out}.")
+        shared.write_plot(options.out, (8, 4.5), partial(_draw, found), screen)
     return Exit.OK if found.exact else Exit.NOT_PROVEN
 
 
@@ -151,42 +148,28 @@ def _decimal(value: Fraction) -> str:
     return text if rounded == value else f"about {text}"
 
 
-def picture(found: Sensitivity, kind: str) -> bytes:
-    """The bytes of an image of this kind (svg, png or pdf)."""
-    try:
-        import matplotlib
-    except ImportError:
-        mend = "pip install 'cfgplan[plots]'"
-        raise InputError.of("a picture of the sensitivity needs matplotlib", mend=mend) from None
-    from matplotlib.figure import Figure
-
+def _draw(found: Sensitivity, axes: Axes) -> None:
     in_seconds = 1 if found.transformation is None else 1_000_000
     right = _right_edge(found)
-    with matplotlib.rc_context({"svg.hashsalt": "cfgplan", "text.parse_math": False}):
-        figure = Figure(figsize=(8, 4.5), layout="constrained")
-        axes = figure.subplots()
-        for span in found.spans:
-            ends = [span.begin, right if span.end is None else min(span.end, right)]
-            costs = [(span.line.fixed_us + span.line.each_us * end) / 1_000_000 for end in ends]
-            axes.plot(
-                [float(e / in_seconds) for e in ends], [float(c) for c in costs], label=_label(found, span), linewidth=2
-            )
-            if span.begin:
-                axes.plot([float(span.begin / in_seconds)], [float(costs[0])], "ko", markersize=5)
-                place = (float(span.begin / in_seconds), float(costs[0]))
-                text = value_text(span.begin, found)
-                axes.annotate(text, place, xytext=(6, -12), textcoords="offset points", fontsize=9)
-        if found.value <= right:
-            axes.axvline(found.value / in_seconds, color="grey", linestyle=":", label="now")
-        axes.set_xlabel("horizon (s)" if found.transformation is None else f"upkeep of {found.transformation} (s/s)")
-        axes.set_ylabel("least cost (CPU seconds)")
-        axes.set_xlim(left=0, right=float(right / in_seconds))
-        axes.set_ylim(bottom=0)
-        axes.set_title(headline(found), fontsize=10)
-        axes.legend(fontsize=9)
-        image = io.BytesIO()
-        figure.savefig(image, format=kind, metadata={"Date": None} if kind == "svg" else None)
-    return image.getvalue()
+    for span in found.spans:
+        ends = [span.begin, right if span.end is None else min(span.end, right)]
+        costs = [(span.line.fixed_us + span.line.each_us * end) / 1_000_000 for end in ends]
+        axes.plot(
+            [float(e / in_seconds) for e in ends], [float(c) for c in costs], label=_label(found, span), linewidth=2
+        )
+        if span.begin:
+            axes.plot([float(span.begin / in_seconds)], [float(costs[0])], "ko", markersize=5)
+            place = (float(span.begin / in_seconds), float(costs[0]))
+            text = value_text(span.begin, found)
+            axes.annotate(text, place, xytext=(6, -12), textcoords="offset points", fontsize=9)
+    if found.value <= right:
+        axes.axvline(found.value / in_seconds, color="grey", linestyle=":", label="now")
+    axes.set_xlabel("horizon (s)" if found.transformation is None else f"upkeep of {found.transformation} (s/s)")
+    axes.set_ylabel("least cost (CPU seconds)")
+    axes.set_xlim(left=0, right=float(right / in_seconds))
+    axes.set_ylim(bottom=0)
+    axes.set_title(headline(found), fontsize=10)
+    axes.legend(fontsize=9)
 
 
 def _right_edge(found: Sensitivity) -> Fraction:

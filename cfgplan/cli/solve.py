@@ -56,7 +56,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         help="if not all targets can be met, meet the most important ones; exits with 12 if some are not met",
     )
     plot = "with --front: draw it (SVG, PNG or PDF; extra `plots`)"
-    parser.add_argument("--plot", type=shared.out_file, metavar="FILE", help=plot)
+    parser.add_argument("--plot", type=shared.plot_file, metavar="FILE", help=plot)
     parser.add_argument("-v", "--verbose", action="store_true", help="show what each step of the planner did")
     shared.add_json(parser)
     parser.set_defaults(run=run)
