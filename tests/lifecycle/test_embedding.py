@@ -280,6 +280,23 @@ def test_without_its_middleware_a_manager_ends_and_tells_who_waits() -> None:
     assert reports[-1] == Ended("the runtime is closed")
 
 
+def test_who_asked_together_with_what_goes_wrong_is_told_too() -> None:
+    middleware = nodelets(FakeRobot())
+    manager = Manager(WORLD, middleware)
+    while not manager.is_settled:
+        manager.step(1.0)
+
+    def closed(_: str) -> None:
+        raise RuntimeFaultError("the robot is gone")
+
+    middleware.kill = closed
+    outcomes = [manager.request(change) for change in (KillUnit("work.1"), AddTargets(()), KillUnit("count.1"))]
+    manager.start()
+    for outcome in outcomes:
+        with pytest.raises(RuntimeFaultError, match="the manager has ended"):
+            outcome.result(60)
+
+
 def test_the_few_lines_of_the_readme_run(
     tmp_path: Path,
     tmp_path_factory: pytest.TempPathFactory,

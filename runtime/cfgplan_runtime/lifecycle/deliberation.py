@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Set
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
-from importlib import import_module
 from operator import is_
 
 from cfgplan import validity
@@ -71,29 +70,6 @@ class Reach:
         )
 
 
-class WarmPlanner:
-    """The planner's session as a planner; setting `stop` ends a plan early."""
-
-    def __init__(self) -> None:
-        from cfgplan.planners.cpsat import PlannerSession
-
-        self._session = PlannerSession()
-        self.stop: threading.Event | None = None
-
-    def warm_up(self) -> None:
-        """Import the solver, which takes long, before a plan needs it."""
-        import_module("cfgplan.planners.exact.search")
-
-    def __call__(
-        self,
-        problem: Problem,
-        *,
-        time_limit_s: float | None = None,
-        report: Callable[[Progress], None] | None = None,
-    ) -> Plan:
-        return self._session.plan(problem, time_limit_s=time_limit_s, report=report, stop=self.stop)
-
-
 class Deliberation:
     """Plans updates, one after the other, with a planner that may remember.
 
@@ -109,10 +85,11 @@ class Deliberation:
         matching: WarmMatching,
         is_stopped: Callable[[], bool],
     ) -> None:
-        self._warm = WarmPlanner() if planner is None else None
-        chosen = planner or self._warm
-        assert chosen is not None
-        self._planner = Deciding(chosen, matching, is_stopped)
+        from cfgplan.planners.cpsat import PlannerSession
+
+        self._session = None if planner else PlannerSession()
+        self._stop: threading.Event | None = None
+        self._planner = Deciding(planner or self._remembering, matching, is_stopped)
         self._estimator = estimator
         self._time_limit_s = policy.time_limit_s
         self._matching = matching
@@ -121,8 +98,8 @@ class Deliberation:
 
     def warm_up(self) -> None:
         """Do in a thread of its own what the first difficult plan would have to wait for."""
-        if self._warm is not None:
-            threading.Thread(target=self._warm.warm_up, name="cfgplan-warm-up", daemon=True).start()
+        if self._session is not None:
+            threading.Thread(target=_import_solver, name="cfgplan-warm-up", daemon=True).start()
 
     def think(
         self, world: World, running: Environment, situation: Situation, *, optimises: bool, stop: threading.Event
@@ -131,8 +108,7 @@ class Deliberation:
 
         One that only saves cost is put off, unless the review `optimises`. `stop` ends it early.
         """
-        if self._warm is not None:
-            self._warm.stop = stop
+        self._stop = stop
         thought = self._think(world, running, situation, optimises=optimises)
         thought = self._letting_wait(thought, world, situation)
         warnings = (*self._matching.warnings, *thought.warnings)
@@ -140,12 +116,22 @@ class Deliberation:
 
     def prepare(self, world: World, running: Environment, situation: Situation, *, stop: threading.Event) -> None:
         """Plan for what runs as it is: a planner that remembers finds out what repairs will need."""
-        if self._warm is None:
+        if self._session is None:
             return
-        self._warm.stop = stop
+        self._stop = stop
         _, _, planned = self._planned(world, running, situation)
         with suppress(Exception):  # a review would meet it again, and tell
             self._plan(self._problem(planned, world), optimises=False)
+
+    def _remembering(
+        self,
+        problem: Problem,
+        *,
+        time_limit_s: float | None = None,
+        report: Callable[[Progress], None] | None = None,
+    ) -> Plan:
+        assert self._session is not None
+        return self._session.plan(problem, time_limit_s=time_limit_s, report=report, stop=self._stop)
 
     def _think(self, world: World, running: Environment, situation: Situation, *, optimises: bool) -> Thought:
         seconds: dict[str, float] = {}
@@ -228,6 +214,10 @@ class Deliberation:
             label: left_out if label in impossible_now.keys() - impossible.keys() else reason
             for label, reason in thought.unmet.items()
         }
+
+
+def _import_solver() -> None:
+    import cfgplan.planners.exact.search  # noqa: F401
 
 
 @contextmanager

@@ -62,13 +62,13 @@ class Inbox:
             if is_urgent:
                 self.bell.set()
 
-    def take(self) -> list[Arrival]:
-        """Everything that has come; the bell is silent afterwards."""
+    def take(self) -> Arrival | None:
+        """What has come first; None if there is nothing, and the bell is silent then."""
         with self._lock:
-            arrivals = list(self._arrivals)
-            self._arrivals.clear()
+            if self._arrivals:
+                return self._arrivals.popleft()
             self.bell.clear()
-        return arrivals
+            return None
 
     @property
     def is_empty(self) -> bool:

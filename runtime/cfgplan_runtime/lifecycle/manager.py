@@ -227,7 +227,7 @@ class Manager:
             self._decide(turns.Tick(time.time()))
 
     def _decide_arrivals(self) -> None:
-        for arrival in self._inbox.take():
+        while arrival := self._inbox.take():
             self._decide(arrival.item, arrival.at_s)
 
     def _decide(self, what: Happening, at_s: float | None = None) -> None:
@@ -325,7 +325,7 @@ class Manager:
     def _turn_away(self) -> None:
         """Whoever comes after the end is told that there is no manager any more. For any thread."""
         with self._turning_away:
-            for arrival in self._inbox.take():
+            while arrival := self._inbox.take():
                 if isinstance(arrival.item, Asked):
                     arrival.item.outcome.set_exception(RuntimeFaultError("the manager has ended"))
 
@@ -356,9 +356,9 @@ class Manager:
 def _running_cost_us(running: Environment, state: State) -> int:
     """What letting it run costs over the horizon, by the estimates of the last review."""
     world = state.living.world
-    library = {**world.environment.transformation, **state.costs}
+    library = world.environment.transformation
     return sum(
-        keep_cost_us(library[unit.transformation], world.horizon_s)
+        keep_cost_us(state.costs.get(unit.transformation, library[unit.transformation]), world.horizon_s)
         for unit in running.units
-        if unit.transformation in world.environment.transformation
+        if unit.transformation in library
     )
