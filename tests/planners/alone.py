@@ -12,10 +12,11 @@ from cfgplan.planners.exact.flatness import is_flat
 from cfgplan.planners.exact.model import Rule
 from cfgplan.planners.exact.rules import RULES
 from cfgplan.planners.exact.search import Search
+from cfgplan.planners.exact.session import PlannerSession
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.solving.clock import Clock
-from cfgplan.planning import Plan, Problem, Status
-from cfgplan.reasons import unmet_reasons
+from cfgplan.planners.tuning import Tuning
+from cfgplan.planning import Plan, Problem
 
 
 def search_alone(problem: Problem, *, is_apart: bool = False, rules: Sequence[Rule] = RULES) -> Search:
@@ -33,11 +34,7 @@ def flat_search(problem: Problem) -> FlatSearch:
 
 def plan_alone(problem: Problem) -> Plan:
     """The optimal update by the solver alone."""
-    if reasons := unmet_reasons(problem):
-        return Plan("cpsat", Status.INFEASIBLE, reasons=reasons)
-    search = search_alone(problem)
-    search.run()
-    return search.standing.plan()
+    return PlannerSession(Tuning.solver_only()).plan(problem)
 
 
 def flat_cost_alone(problem: Problem) -> int | None:

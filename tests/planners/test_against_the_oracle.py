@@ -16,6 +16,7 @@ from worlds import histories, oracle_of, problems, reordered
 from cfgplan.comparing.families.random_library import random_library
 from cfgplan.planners import PLANNERS
 from cfgplan.planners.cpsat import PlannerSession
+from cfgplan.planners.tuning import USUAL
 from cfgplan.planning import Plan, Problem, Status
 from cfgplan.validity import plan_violations
 
@@ -48,7 +49,7 @@ def agree(problem: Problem) -> None:
     oracle = oracle_of(problem)
     assert plan_violations(problem, oracle) == []
     alone = plan_alone(problem)
-    for exact in (PLANNERS["cpsat"](problem), PlannerSession(steps=0).plan(problem), alone):
+    for exact in (PLANNERS["cpsat"](problem), PlannerSession(USUAL.without_search()).plan(problem), alone):
         assert plan_violations(problem, exact) == []
         assert quality(exact) == quality(oracle)
     assert alone.change_set is None or alone.counts["rounds"] > 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 from unittest import mock
 
@@ -16,7 +17,6 @@ from cfgplan.comparing.families.random_library import random_library
 from cfgplan.costs import start_cost_us
 from cfgplan.planners.bounding.bounds import Bound
 from cfgplan.planners.bounding.landmarks import Landmark, landmark_of
-from cfgplan.planners.closing import gap
 from cfgplan.planners.closing.gap import Closing
 from cfgplan.planners.closing.program import LandmarkProgram
 from cfgplan.planners.closing.repairing import Repairs
@@ -27,15 +27,19 @@ from cfgplan.planners.networks.core import Core, Rows
 from cfgplan.planners.networks.greedy import first_plan, is_plan
 from cfgplan.planners.networks.network import Graph
 from cfgplan.planners.solving.clock import Clock
+from cfgplan.planners.tuning import Close, Tuning
 from cfgplan.planning import Problem, Status
 from cfgplan.validity import plan_violations
+
+LONG = Tuning(close=Close(work=1e6))
 
 
 def closing(stage: Stage) -> Closing:
     plan = first_plan(stage.network, stage.cost, 0, lambda: False)
     assert plan is not None
     bound = Bound(stage.network.core, stage.cost)
-    return Closing(stage.network, bound, stage.cost, np.array(sorted(plan), np.int64), 1)
+    short = Tuning(close=Close(work=1e3))
+    return Closing(stage.network, bound, stage.cost, np.array(sorted(plan), np.int64), 1, short)
 
 
 @fewer
@@ -43,7 +47,7 @@ def closing(stage: Stage) -> Closing:
 def test_the_bound_stays_below_the_optimum_and_the_plan_above(problem: Problem) -> None:
     stage = Stage(problem)
     both = closing(stage)
-    both.go_on(1e-3, Clock())
+    both.go_on(Clock())
     assert both.bound.value <= (stage.plan.cost_us or 0) <= both.limit
     assert is_plan(stage.network, set(both.plan.tolist()))
     used = stage.numbers(stage.used)
@@ -60,11 +64,11 @@ def test_bounds_that_are_cut_short_at_any_round_are_no_worse_than_before() -> No
     solve, values = LandmarkProgram.solve, []
     for rounds in range(12):
         left = iter(range(rounds))
-        both = Closing(network, Bound(network.core, cost), cost, plan, 1)
+        both = Closing(network, Bound(network.core, cost), cost, plan, 1, LONG)
         with mock.patch.object(
             LandmarkProgram, "solve", lambda *of, left=left: None if next(left, None) is None else solve(*of)
         ):
-            both.go_on(1.0, Clock())
+            both.go_on(Clock())
         values.append(both.bound.value)
     assert values == sorted(values)
 
@@ -79,13 +83,12 @@ def test_long_landmarks_are_not_lost_but_demanded_where_the_fractions_miss_them(
     def value(again: int, *, are_short: bool) -> int:
         bound = Bound(network.core, cost)
         bound.improve(2**50, 60, lambda: False)
-        both = Closing(network, bound, cost, plan, 1)
+        both = Closing(network, bound, cost, plan, 1, Tuning(close=replace(LONG.close, again=again)))
         with (
             mock.patch.object(Bound, "short", lambda of: of.landmarks[:] if are_short else []),
-            mock.patch.object(gap, "AGAIN", again),
             mock.patch.object(Separator, "missed", lambda *_: []),
         ):
-            both.go_on(1.0, Clock())
+            both.go_on(Clock())
         return both.bound.value
 
     assert value(0, are_short=False) < value(40, are_short=False) == value(40, are_short=True)
@@ -142,8 +145,8 @@ def test_a_landmark_that_is_known_twice_is_charged_once() -> None:
     core = Core(Rows.of([[], [], [], [0, 1, 2]]), Rows.of(pairs), np.arange(3), np.arange(3))
     landmarks = [landmark_of(core, [fact]) for fact in (0, 0, 1, 2)]
     cost = np.array([10, 10, 10])
-    both = Closing(Graph(core), Bound(core, cost, landmarks, [5, 5, 0, 0], 10), cost, np.array([0, 1]), 1)
-    both.go_on(1.0, Clock())
+    both = Closing(Graph(core), Bound(core, cost, landmarks, [5, 5, 0, 0], 10), cost, np.array([0, 1]), 1, LONG)
+    both.go_on(Clock())
     assert both.bound.value == 15
 
 

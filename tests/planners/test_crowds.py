@@ -87,7 +87,7 @@ def test_bounds_by_them_do_not_exceed_the_optimum_and_fixing_keeps_cheap_plans(p
     bound = Bound(stage.network.core, stage.cost)
     bound.improve(2**50, 100, lambda: False)
     before = bound.value
-    bound.recharge_best(None)
+    bound.recharge_best(Clock())
     assert before <= bound.value <= optimum
     assert (bound.residual >= 0).all()
     dearest = int(cheapest_way(stage.network.core, stage.cost)[1][-1])
@@ -107,7 +107,7 @@ def test_the_first_plan_feeds_distinct_inputs_and_closing_keeps_both_sides(probl
     assert plan is not None
     assert plan in list(plans(stage, problem))
     both = closing(stage)
-    both.go_on(1e-3, Clock())
+    both.go_on(Clock())
     assert both.bound.value <= (stage.plan.cost_us or 0) <= both.limit
 
 

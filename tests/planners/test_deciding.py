@@ -25,6 +25,7 @@ from cfgplan.planners.networks.greedy import is_plan
 from cfgplan.planners.networks.keys import Key
 from cfgplan.planners.networks.weighing import Weighing
 from cfgplan.planners.solving.clock import Clock
+from cfgplan.planners.tuning import USUAL, Decide, Tuning
 from cfgplan.planning import Problem, Status
 
 LIMIT = 10**9
@@ -188,14 +189,14 @@ def test_the_weight_of_labels_is_never_more_than_what_a_plan_costs_and_changes(p
 def test_a_small_problem_is_decided_without_the_solver_and_with_too_few_steps_by_it() -> None:
     library = make("source", gives="A"), make("one", "A", "B", labor=2), make("two", gives="BC", labor=4)
     problem = world("BC", *library, make("three", "A", "C"))
-    quick, thorough = PlannerSession().plan(problem), PlannerSession(steps=0).plan(problem)
+    quick, thorough = PlannerSession().plan(problem), PlannerSession(USUAL.without_search()).plan(problem)
     assert quick.status is thorough.status is Status.OPTIMAL
     assert quick.cost_us == thorough.cost_us
     assert "nodes" in quick.counts
     assert "rounds" not in quick.counts
     structure = Structure.of(problem, None, Clock())
-    hasty, patient = (Standing(problem, Clock(), None) for _ in range(2))
-    assert not decide(hasty, structure, 1)
+    hasty, patient = (Standing(problem, Clock(tuning=Tuning(Decide(steps=steps))), None) for steps in (1, 100))
+    assert not decide(hasty, structure)
     assert not hasty.is_over
-    assert decide(patient, structure, 100)
+    assert decide(patient, structure)
     assert patient.is_over

@@ -17,11 +17,12 @@ from worlds import problems
 from cfgplan.domain import Environment, InputPort
 from cfgplan.planners import PLANNERS
 from cfgplan.planners.exact.candidates import Candidates
-from cfgplan.planners.exact.first_plans import ATTEMPTS, FirstPlans
+from cfgplan.planners.exact.first_plans import FirstPlans
 from cfgplan.planners.exact.grounded import Grounded
 from cfgplan.planners.exact.reach import Reach
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.solving.clock import Clock
+from cfgplan.planners.tuning import USUAL
 from cfgplan.planning import Failures, Notion, Plan, Problem, Status
 from cfgplan.reasons import startable, unmet_reasons
 from cfgplan.validity import plan_violations
@@ -33,7 +34,7 @@ import instances
 
 def first(problem: Problem) -> Plan:
     standing = Standing(problem, Clock(), None)
-    FirstPlans(Candidates(problem), standing).look(ATTEMPTS)
+    FirstPlans(Candidates(problem), standing).look(USUAL.begin.attempts)
     return standing.plan()
 
 

@@ -20,6 +20,7 @@ from cfgplan.planners import PLANNERS, exhaustive_fleet
 from cfgplan.planners.exact import fleet
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.flatness import is_flat
+from cfgplan.planners.tuning import USUAL, Tuning
 from cfgplan.planning import Notion, Plan, Problem, Status
 from cfgplan.qualities import Better, Wish
 from cfgplan.reasons import unmet_reasons
@@ -52,10 +53,10 @@ def agree(problem: Problem) -> None:
         assert flat_cost_alone(problem) == oracle.cost_us
 
 
-def agree_with_the_explicit_model(problem: Problem) -> None:
+def agree_with_the_explicit_model(problem: Problem, tuning: Tuning = USUAL) -> None:
     """The fast way and the model in which every possible subscription has a boolean."""
     assume(is_flat(Candidates(problem)) and not unmet_reasons(problem))
-    fast = fleet.plan(problem)
+    fast = fleet.plan(problem, tuning=tuning)
     assert plan_violations(problem, fast) == []
     assert quality(fast) == quality(plan_alone(problem))
     assert fast.status not in (Status.FEASIBLE, Status.UNKNOWN)

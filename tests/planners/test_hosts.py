@@ -5,45 +5,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from unittest.mock import patch
+from dataclasses import replace
 
-import pytest
 from fixed import Hubs, kind, runs, world
 from fleets import fleets
 from hypothesis import assume, given, settings
 from test_fleets_against_the_oracle import EXAMPLES, agree_with_the_explicit_model, some
 
 from cfgplan.domain import Environment, Host, InputPort, OutputPort, Similarity, Target, Transformation
-from cfgplan.planners.exact import fleet, kernels
+from cfgplan.planners.exact import fleet
 from cfgplan.planners.exact.anywhere import Anywhere
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.flat import Flat
 from cfgplan.planners.exact.flatness import is_flat
 from cfgplan.planners.solving.clock import Clock
+from cfgplan.planners.tuning import Fleet, Tuning
 from cfgplan.planning import Notion, Problem, Status
 from cfgplan.reasons import unmet_reasons
 
 on_hosts = fleets(frozenset({Notion.HOSTS, Notion.CONFLICTS, Notion.INSTANCES}), most=9)
 
 
-@pytest.fixture(autouse=True, scope="module")
-def _even_few_units_are_looked_at_in_parts() -> Iterator[None]:
-    with patch.object(kernels, "SIZES", (1, 2, 4)):
-        yield
+IN_PARTS = Tuning(fleet=Fleet(sizes=(1, 2, 4)))
+"""Even few units are looked at in parts."""
 
 
 @some
 @given(on_hosts)
 def test_looking_among_few_units_first_changes_no_answer(problem: Problem) -> None:
-    agree_with_the_explicit_model(problem)
+    agree_with_the_explicit_model(problem, IN_PARTS)
 
 
 @settings(some, max_examples=EXAMPLES // 2)
 @given(on_hosts)
 def test_rounds_that_are_too_short_change_no_answer(problem: Problem) -> None:
-    with patch.object(fleet, "SLICE_S", 1e-4), patch.object(kernels, "SLICE_S", 1e-5):
-        agree_with_the_explicit_model(problem)
+    agree_with_the_explicit_model(problem, Tuning(fleet=replace(IN_PARTS.fleet, round=1e-4, look=1e-5)))
 
 
 @some
@@ -54,7 +50,7 @@ def test_with_hosts_forgotten_no_plan_costs_less_than_the_bound(problem: Problem
     flat = Flat(candidates)
     assume(not flat.is_impossible)
     bound = Anywhere(flat, sum(flat.cost_us), Clock()).bound
-    found = fleet.plan(problem)
+    found = fleet.plan(problem, tuning=IN_PARTS)
     assume(found.status is Status.OPTIMAL)
     assert found.cost_us is not None
     assert bound.value <= found.cost_us
@@ -74,7 +70,7 @@ def test_a_dearer_unit_on_the_target_s_host_beats_a_cheap_one_and_a_transfer() -
         (), library, (Target("t", "b", "/t", host="h1"),), (Host("h0"), Host("h1")), transfer_us=20
     )
     problem = Problem(environment, Similarity({"a": frozenset("a"), "b": frozenset("b")}), 1)
-    found = fleet.plan(problem)
+    found = fleet.plan(problem, tuning=IN_PARTS)
     assert found.status is Status.OPTIMAL
     assert found.cost_us == 30
     assert found.change_set is not None

@@ -17,6 +17,7 @@ from cfgplan.planners.exact.wiring import wire
 from cfgplan.planners.networks.greedy import first_plan, is_plan
 from cfgplan.planners.networks.network import Network
 from cfgplan.planners.networks.weighing import Weighing
+from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Plan, Problem, Status
 from cfgplan.reasons import Givers, startable
 
@@ -99,11 +100,11 @@ def test_every_plan_has_a_member_of_each_landmark_also_after_costs_moved(problem
     used = stage.numbers(stage.used)
     assert all(used & set(landmark.members.tolist()) for landmark in landmarks)
     value = bound.value
-    bound.recharge_best(None)
+    bound.recharge_best(Clock())
     assert value <= bound.value <= (stage.plan.cost_us or 0)
     assert (bound.residual >= 0).all()
     free = Bound(core, np.zeros_like(stage.cost), landmarks)
-    free.recharge_best(None)
+    free.recharge_best(Clock())
     assert free.value == 0
 
 

@@ -16,6 +16,7 @@ from ortools.sat.python.cp_model import FEASIBLE, INFEASIBLE, MODEL_INVALID, OPT
 from cfgplan.comparing.families.random_library import random_library
 from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planners.exact import flat_search, search
+from cfgplan.planners.tuning import USUAL
 from cfgplan.planning import Failures, PlannerFaultError, Problem, Status
 from cfgplan.validity import plan_violations
 
@@ -61,6 +62,6 @@ def test_an_engine_that_denies_the_plan_in_hand_is_an_error_that_carries_it(
         return status
 
     with mock.patch.object(room, "solve", denies), pytest.raises(PlannerFaultError) as raised:
-        PlannerSession(steps=0).plan(problem)
+        PlannerSession(USUAL.without_search()).plan(problem)
     assert (raised.value.plan.status, raised.value.plan.bound_us) == (Status.FEASIBLE, 0)
     assert plan_violations(problem, raised.value.plan) == []

@@ -16,6 +16,7 @@ import numpy as np
 from cfgplan.planners.bounding.charging import best_weights, spread
 from cfgplan.planners.bounding.landmarks import Landmark, ways_into
 from cfgplan.planners.networks.core import MOST_PASSES, NEVER, Core, Flags, Ints
+from cfgplan.planners.solving.clock import Clock
 
 
 def cheapest_way(core: Core, cost: Ints, above: Ints | None = None) -> tuple[Ints, Ints]:
@@ -81,10 +82,10 @@ class Bound:
             for i in np.flatnonzero(least).tolist():
                 self.weights[i] += self.charge(self.landmarks[i])
 
-    def recharge_best(self, time_limit_s: float | None) -> None:
+    def recharge_best(self, clock: Clock) -> None:
         """Charge all landmarks anew in the best way that is found in time, unless rounding makes it worse."""
         before, landmarks, weights = self.value, self.landmarks, self.weights
-        best = best_weights(landmarks, self.cost, time_limit_s)
+        best = best_weights(landmarks, self.cost, clock)
         if best and self.core.crowds is not None:
             self.landmarks, best = spread(landmarks, best, self.cost)
         self.recharge(best or weights)

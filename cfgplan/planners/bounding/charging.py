@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from math import floor
 
@@ -10,20 +9,17 @@ import numpy as np
 
 from cfgplan.planners.bounding.landmarks import Landmark
 from cfgplan.planners.networks.core import Ints
-
-BUILDING_S = 3e-6
-"""What a member of a landmark takes until the engine begins."""
+from cfgplan.planners.solving.clock import Clock
 
 
-def best_weights(landmarks: Sequence[Landmark], cost: Ints, time_limit_s: float | None) -> list[int]:
+def best_weights(landmarks: Sequence[Landmark], cost: Ints, clock: Clock) -> list[int]:
     """How much to charge each landmark so that the bound is greatest.
 
     No label is charged more than it costs, except that landmarks that demand several members may charge labels more:
     that is not gained (`spread`). Rounded down; empty if the engine fails or the time is over.
     """
-    began = time.monotonic()
     members = [landmark.counted for landmark in landmarks]
-    if not members or (time_limit_s is not None and sum(map(len, members)) * BUILDING_S > time_limit_s):
+    if not members or not clock.has_steps(clock.tuning.rise.building * sum(map(len, members))):
         return []
     several = {i for i, landmark in enumerate(landmarks) if landmark.least > 1}
     shares = _cheapest_of_alike(members, cost, several)
@@ -41,7 +37,7 @@ def best_weights(landmarks: Sequence[Landmark], cost: Ints, time_limit_s: float 
     for weight, landmark in zip(weights, landmarks, strict=True):
         objective.SetCoefficient(weight, float(landmark.least))
     for charging, least in shares:
-        if time_limit_s is not None and time.monotonic() - began > time_limit_s:
+        if clock.is_over():
             return []
         row = solver.RowConstraint(-solver.infinity(), least / unit, "")
         for i in charging:
@@ -50,8 +46,9 @@ def best_weights(landmarks: Sequence[Landmark], cost: Ints, time_limit_s: float 
             too_much = solver.NumVar(0.0, solver.infinity(), "")
             row.SetCoefficient(too_much, -1.0)
             objective.SetCoefficient(too_much, -1.0)
-    if time_limit_s is not None:
-        solver.SetTimeLimit(1 + int(900 * max(0.0, time_limit_s - (time.monotonic() - began))))
+    left_s = clock.left_s()
+    if left_s is not None:
+        solver.SetTimeLimit(1 + int(900 * left_s))
     if solver.Solve() != pywraplp.Solver.OPTIMAL:
         return []
     return [max(0, floor(weight.solution_value() * unit)) for weight in weights]

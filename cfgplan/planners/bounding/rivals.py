@@ -6,12 +6,10 @@ import numpy as np
 
 from cfgplan.planners.bounding.bounds import Bound
 from cfgplan.planners.networks.core import Ints
-
-LONGEST_S = 1.0
-"""Longer than this the question is not worth."""
+from cfgplan.planners.solving.clock import Clock
 
 
-def is_without_rival(bound: Bound, plan: Ints, limit: int, time_limit_s: float | None) -> bool:
+def is_without_rival(bound: Bound, plan: Ints, limit: int, clock: Clock) -> bool:
     """Whether proven: all plans of the bound's core that cost at most `limit` have labels of `plan` only.
 
     Groundedness is left out but for the landmarks, so that "no" may be wrong.
@@ -35,5 +33,6 @@ def is_without_rival(bound: Bound, plan: Ints, limit: int, time_limit_s: float |
         at_least(model, landmark.least, [uses[label] for label in landmark.counted.tolist()])
     model.add_bool_or([uses[i] for i in np.flatnonzero(~np.isin(core.labels, plan)).tolist()])
     model.add(sum(int(cost) * use for cost, use in zip(bound.cost, uses, strict=True)) <= limit)
-    longest_s = LONGEST_S if time_limit_s is None else min(LONGEST_S, time_limit_s)
+    left_s, longest_s = clock.left_s(), clock.tuning.rest.rival
+    longest_s = longest_s if left_s is None else min(longest_s, left_s)
     return repeatable_solver(small=core.goal < 1000, time_limit_s=longest_s).solve(model) == INFEASIBLE

@@ -13,19 +13,14 @@ import numpy as np
 from cfgplan.planners.networks.core import Floats, Ints
 from cfgplan.planners.networks.greedy import FREE, cost_of, plan_at
 from cfgplan.planners.networks.network import Graph
-
-TORN = 3
-"""At most so many members are torn out at a time."""
-NOISE = 0.3
-"""The standard deviation of the logarithm of a price."""
-PATIENCE = 150
-"""After so many repairs that did not pay, the search begins anew."""
+from cfgplan.planners.tuning import USUAL, Close
 
 
 class Repairs:
     """The best plan found so far, a set of labels that meets the goal."""
 
-    def __init__(self, network: Graph, cost: Ints, plan: set[int]) -> None:
+    def __init__(self, network: Graph, cost: Ints, plan: set[int], tuning: Close = USUAL.close) -> None:
+        self._tuning = tuning
         self.best = plan
         self._network = network
         self._cost = cost
@@ -38,22 +33,23 @@ class Repairs:
         for _ in range(attempts):
             if is_over():
                 return
-            price = guide * np.exp(self._draw.normal(0.0, NOISE, len(guide)))
+            price = guide * np.exp(self._draw.normal(0.0, self._tuning.noise, len(guide)))
             if self._plan is None:
                 self._plan = plan_at(self._network, self._cost, price)
             else:
                 self._repair(self._plan, price)
             if self._plan is not None and self._cost_of(self._plan) < self._cost_of(self.best):
                 self.best = self._plan
-            if self._in_vain >= PATIENCE:
+            if self._in_vain >= self._tuning.in_vain:
                 self._plan, self._in_vain = None, 0
 
     def _repair(self, plan: set[int], price: Floats) -> None:
         members = sorted(label for label in plan if self._cost[label])
         if not members:
-            self._in_vain = PATIENCE
+            self._in_vain = self._tuning.in_vain
             return
-        torn = self._draw.choice(members, size=min(int(self._draw.integers(1, TORN + 1)), len(members)), replace=False)
+        most = int(self._draw.integers(1, self._tuning.torn + 1))
+        torn = self._draw.choice(members, size=min(most, len(members)), replace=False)
         price[list(plan)] = FREE
         price[torn] = np.inf
         other = plan_at(self._network, self._cost, price)

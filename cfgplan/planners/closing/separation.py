@@ -14,26 +14,19 @@ import numpy as np
 
 from cfgplan.planners.bounding.landmarks import Landmark, landmark_of
 from cfgplan.planners.networks.core import Core, Floats, Ints
+from cfgplan.planners.tuning import USUAL, Close
 
 WHOLE = 1_000_000
 """The capacity of a label that is used as a whole."""
 CREEP = 50
 """Added to each capacity, so that among equal cuts one with few labels is the smallest."""
-MISSED = 1e-3
-"""A landmark counts as missed if it is hit by so much less than a whole label."""
-NOISE, GOALS, NESTED = 1.0, 8, 6
-"""From the second time on needs are taken with so much noise; for so many wanted facts cuts are made, so many behind
-one another.
-"""
-ROUNDS = 60
-"""The support of facts is followed so far."""
 
 
 class Separator:
     """Finds missed landmarks of a core."""
 
-    def __init__(self, core: Core) -> None:
-        self._core = core
+    def __init__(self, core: Core, tuning: Close = USUAL.close) -> None:
+        self._core, self._tuning = core, tuning
         labels, facts = core.goal, len(core.givers)
         self._source = facts + 2 * labels
         entering = facts + np.arange(labels)
@@ -52,9 +45,9 @@ class Separator:
         wanted = self._core.needs[self._core.goal]
         found: dict[bytes, Landmark] = {}
         for time in range(times):
-            noise = draw.random(len(support)) * NOISE if time else 0.0
+            noise = draw.random(len(support)) * self._tuning.need_noise if time else 0.0
             feeding = self._least_of_needs(support + noise)
-            for goal in draw.permutation(wanted)[:GOALS].tolist():
+            for goal in draw.permutation(wanted)[: self._tuning.goals].tolist():
                 if is_over():
                     return list(found.values())
                 found |= {one.members.tobytes(): one for one in self._nested(fractions, feeding, goal)}
@@ -63,11 +56,11 @@ class Separator:
     def _nested(self, fractions: Floats, feeding: Ints, goal: int) -> Iterable[Landmark]:
         """Missed landmarks one behind the other: what one takes counts as used for the next."""
         left = fractions.copy()
-        for _ in range(NESTED):
+        for _ in range(self._tuning.nested):
             flow, zones = self._cut(left, feeding, goal)
             landmarks = [landmark_of(self._core, zone.tolist()) for zone in zones]
-            missed = [one for one in landmarks if one.hit_by(fractions) < 1 - MISSED]
-            if flow >= 1 - MISSED or not missed:
+            missed = [one for one in landmarks if one.hit_by(fractions) < 1 - self._tuning.missed]
+            if flow >= 1 - self._tuning.missed or not missed:
                 return
             yield from missed
             left[missed[-1].members] = 1.0
@@ -76,7 +69,7 @@ class Separator:
         """For each fact at most how much of it the fractions can support."""
         core = self._core
         facts = np.zeros(len(core.givers))
-        for _ in range(ROUNDS):
+        for _ in range(self._tuning.followed):
             before = facts
             facts = np.minimum(1.0, core.share_of_givers(np.minimum(core.least_of_needs(facts)[:-1], fractions)))
             if np.abs(facts - before).max() < 1e-6:

@@ -22,26 +22,16 @@ from cfgplan.planners.networks.greedy import first_plan, without_redundant
 from cfgplan.planners.networks.network import Network
 from cfgplan.planners.networks.weighing import Weighing
 
-SMALL, LEFT, FILTERED, CHAINED = 600, 200, 120, 16
-"""So many labels a network may have that is searched, or so many may be left of one.
 
-Of more than so many those that are too dear by themselves are left out first; of more than so many chains are charged.
-"""
-FIRST, STEPS, SOON = 300, 1500, 0.01
-"""So many steps a search may take at first, and in all if so much of it is done by then."""
-
-
-def decide(
-    standing: Standing, structure: Structure, steps: int, among: Collection[str] | None = None
-) -> Candidates | None:
-    """Look for a better plan in so many steps; no labels but `among` these can be in one.
+def decide(standing: Standing, structure: Structure, among: Collection[str] | None = None) -> Candidates | None:
+    """Look for a better plan for some steps; no labels but `among` these can be in one.
 
     Returns the candidates of a better plan if all is proven or, where only the cost is, all that one can have; None if
     more is open. A plan must be no more than its labels, without distinct and feedback inputs, else nothing is done.
     """
-    network = structure.network
-    is_large = len(network.labels) > SMALL if among is None else len(among) > LEFT
-    if not steps or is_large or network.special:
+    network, tuning = structure.network, standing.clock.tuning.decide
+    is_large = len(network.labels) > tuning.labels if among is None else len(among) > tuning.left
+    if not tuning.steps or is_large or network.special:
         return None
     weighing = Weighing.with_changes(standing.problem, network, structure.pinned)
     if weighing is None:
@@ -55,7 +45,7 @@ def decide(
     if not plans:
         return None
     plan = min(plans, key=lambda one: weighing.of_plan(_numbers(one)))
-    return _Deciding(standing, structure, weighing, among).run(plan, steps)
+    return _Deciding(standing, structure, weighing, among).run(plan)
 
 
 class _Deciding:
@@ -66,22 +56,24 @@ class _Deciding:
     ) -> None:
         self._standing, self._structure, self._weighing = standing, structure, weighing
         self._core, self._weight = structure.network.core, weighing.weight
+        self._tuning = standing.clock.tuning.decide
         self._is_part = among is not None
         if among is not None:
             keep = np.zeros(self._core.goal, np.bool_)
             keep[[structure.network.number[label] for label in among]] = True
             self._core, self._weight = self._core.restricted(keep), self._weight[keep]
 
-    def run(self, plan: set[int], steps: int) -> Candidates | None:
-        network, weighing, standing = self._structure.network, self._weighing, self._standing
+    def run(self, plan: set[int]) -> Candidates | None:
+        network, weighing, standing, tuning = self._structure.network, self._weighing, self._standing, self._tuning
         limit, nodes = weighing.of_plan(_numbers(plan)), 0
         least, is_proven = limit, False
-        if not self._is_part and self._core.goal > CHAINED:
+        if not self._is_part and self._core.goal > self._tuning.chained:
             chained = chained_bound(self._core, self._weight, network.pinned, standing.clock.is_over)
             is_proven = weighing.least(chained) >= limit
         if not is_proven:
             core, search = self._below(limit)
-            is_proven = search.run(min(steps, FIRST)) or (search.done >= SOON and search.run(max(0, steps - FIRST)))
+            first, more = min(tuning.steps, tuning.first), max(0, tuning.steps - tuning.first)
+            is_proven = search.run(first) or (search.done >= tuning.soon and search.run(more))
             nodes, least = search.nodes, search.least
             if not self._structure.has_landmarks:
                 self._structure.remember(search.bound, weighing.scale)
@@ -101,20 +93,20 @@ class _Deciding:
         candidates = self._told(prepared)
         if not is_proven:
             return None
-        return candidates if standing.is_over else self._all(prepared, plan, steps)
+        return candidates if standing.is_over else self._all(prepared, plan)
 
     def _told(self, prepared: Prepared) -> Candidates:
         candidates = self._structure.candidates(self._standing.problem, prepared.labels)
         prepared.tell(self._standing, candidates)
         return candidates
 
-    def _all(self, prepared: Prepared, plan: set[int], steps: int) -> Candidates | None:
+    def _all(self, prepared: Prepared, plan: set[int]) -> Candidates | None:
         """What plans have that change less than the incumbent, which is a cheapest one; None if that is not known."""
         network, standing = self._structure.network, self._standing
         if standing.best is None:
             return None
         core, search = self._below(self._weighing.of_key(standing.best.key))
-        others = search.others(np.flatnonzero(np.isin(core.labels, _numbers(plan))).tolist(), steps)
+        others = search.others(np.flatnonzero(np.isin(core.labels, _numbers(plan))).tolist(), self._tuning.steps)
         if others is None:
             return None
         labels = [network.labels[i] for i in sorted(plan.union(core.labels[sorted(others)].tolist()))]
@@ -124,7 +116,7 @@ class _Deciding:
     def _below(self, limit: int) -> tuple[Core, Branching]:
         """A search for plans that weigh less, and the core that it looks at."""
         core, weight, step = self._core, self._weight, self._weighing.step
-        if not self._is_part and core.goal > FILTERED:
+        if not self._is_part and core.goal > self._tuning.filtered:
             bound = Bound(core, weight)
             part = bound.restricted(bound.may_be_used(limit - step))
             core, weight = part.core, part.cost

@@ -20,11 +20,6 @@ from cfgplan.planners.networks.core import Floats
 from cfgplan.planners.networks.greedy import FREE, plan_at
 from cfgplan.qualities import Better, QualityAttribute, Rule, is_met
 
-ATTEMPTS = 30
-"""How many transformations of a plan are tried to be done without."""
-SHARES = (0.0, 0.5, 2.0, 8.0, 32.0)
-"""How much dearer transformations are, as a part of what they usually cost, until a plan keeps all bounds."""
-
 
 class FirstPlans:
     """Offers plans made of chosen transformations or candidates."""
@@ -73,7 +68,8 @@ class FirstPlans:
         burden = self._burden()
         usual = price[np.isfinite(price)].mean() / burden[burden > 0].mean() if (burden > 0).any() else 0.0
         found: Floats | None = None
-        for share in SHARES if usual else SHARES[:1]:
+        shares = self.standing.clock.tuning.begin.shares
+        for share in shares if usual else shares[:1]:
             priced, before = price + share * usual * burden, self.standing.best
             if self._offer_supports(priced) and (found is None or self.standing.best is not before):
                 found = priced

@@ -24,10 +24,6 @@ from cfgplan.planners.networks.keys import Key
 from cfgplan.planners.solving.engine import OnSolution, repeatable_solver, solve
 from cfgplan.qualities import QualityAttribute
 
-SMALL = 20000
-"""With fewer booleans than this, probing and looking for symmetries take longer than they save."""
-ATTEMPTS = 30
-"""How many members of the first plan are tried to be done without."""
 EXACT = 2**50
 """Up to here the solver's bound, a double, is exact."""
 
@@ -58,7 +54,7 @@ class FlatSearch:
         self.is_all = is_all
         cost, graph = flat.costs(), flat.graph()
         price_us = sum(least_prices_us(flat.candidates).values())
-        plan = first_plan(graph, cost, ATTEMPTS, standing.clock.is_over)
+        plan = first_plan(graph, cost, standing.clock.tuning.begin.attempts, standing.clock.is_over)
         most = int(cost.sum()) if standing.best is None else standing.best.key.cost_us - price_us
         if limit_us is not None:
             most = min(most, limit_us - price_us)
@@ -223,7 +219,7 @@ class FlatSearch:
 
     def _solver(self) -> CpSolver:
         """An engine for one round, of a length that does not depend on the machine."""
-        small = len(self.model.cp.proto.variables) < SMALL
+        small = len(self.model.cp.proto.variables) < self.standing.clock.tuning.fleet.small
         solver = repeatable_solver(small=small, time_limit_s=self.standing.clock.left_s())
         solver.parameters.max_deterministic_time = self.slice_s
         if self._beaten is not None:  # a round that took too long is not repeated as it was

@@ -6,19 +6,20 @@ where prove the cost; all else is a model in which inputs are told apart where t
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from threading import Event
 from typing import TYPE_CHECKING
 
 from cfgplan.planners.exact.best_case import bound_by_price, least_of_all, leave_out_what_is_too_bad
 from cfgplan.planners.exact.candidates import Candidates
-from cfgplan.planners.exact.first_plans import ATTEMPTS, FirstPlans
+from cfgplan.planners.exact.first_plans import FirstPlans
 from cfgplan.planners.exact.flat import Flat
 from cfgplan.planners.exact.flatness import is_flat
 from cfgplan.planners.exact.quality_start import QualityStart
 from cfgplan.planners.exact.running import offer_what_runs
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.solving.clock import Clock
+from cfgplan.planners.tuning import USUAL, Tuning
 from cfgplan.planning import Notion, Plan, Problem, Progress
 from cfgplan.reasons import unmet_reasons
 
@@ -27,12 +28,6 @@ if TYPE_CHECKING:
 
 __all__ = ["plan"]
 
-SLICE_S, GROWTH = 2.0, 4.0
-"""The engine's own seconds for the first round, and how much longer each next one is.
-
-After a round that was too short, all that costs more than the best plan by then is left out.
-"""
-
 
 def plan(
     problem: Problem,
@@ -40,9 +35,10 @@ def plan(
     time_limit_s: float | None = None,
     report: Callable[[Progress], None] | None = None,
     stop: Event | None = None,
+    tuning: Tuning = USUAL,
 ) -> Plan:
     """The optimal update, see `planning.Planner`; `stop` ends it early with the best plan so far, as Ctrl-C does."""
-    clock = Clock(time_limit_s, stop)
+    clock = Clock(time_limit_s, stop, tuning)
     standing = Standing(problem, clock, report)
     clock.run(lambda: _bring_forward(standing), standing.plan)
     clock.end("search")
@@ -52,7 +48,8 @@ def plan(
 def _bring_forward(standing: Standing) -> None:
     """From what runs to what is proven."""
     problem, clock = standing.problem, standing.clock
-    offer_what_runs(standing)
+    if not clock.tuning.is_solver_only:
+        offer_what_runs(standing)
     candidates = Candidates(problem, watch=clock.check)
     if reasons := unmet_reasons(problem, candidates.givers, candidates.possible):
         standing.is_infeasible, standing.reasons = True, reasons
@@ -60,11 +57,14 @@ def _bring_forward(standing: Standing) -> None:
         return
     standing.counts = {"candidates": len(candidates.all), "conflicts": 0}
     standing.fewest_unused = sum(not candidates.of(label) for label in problem.environment.required)
+    if clock.tuning.is_solver_only:
+        _solve(candidates, standing)
+        return
     least_us, started = least_of_all(candidates)
     standing.raise_bound(least_us)
     clock.end("closure")
     first = FirstPlans(candidates, standing)
-    first.look(ATTEMPTS if problem.survive is None else 0)  # each attempt needs spares
+    first.look(clock.tuning.begin.attempts if problem.survive is None else 0)  # each attempt needs spares
     clock.end("first plans")
     if standing.best is not None and standing.best.key == (standing.fewest_unused, least_us, 0, started):
         standing.prove_cost()
@@ -88,31 +88,37 @@ def _search(candidates: Candidates, standing: Standing, first: FirstPlans) -> No
         if standing.is_cost_proven:
             candidates = candidates.among(search.left())
     from cfgplan.planners.exact.kernels import left_by_bounds, look_among_few_of
-    from cfgplan.planners.exact.search import Search
 
     if not standing.is_cost_proven:
         look_among_few_of(candidates, standing, first)
     left = left_by_bounds(candidates, standing)
     clock.end("bounds")
-    search_for_all = Search(candidates.among(left.labels), standing, landmarks=left.landmarks)
-    clock.end("model")
-    search_for_all.run()
+    _solve(candidates.among(left.labels), standing, left.landmarks)
+
+
+def _solve(candidates: Candidates, standing: Standing, landmarks: Iterable[tuple[list[str], int]] = ()) -> None:
+    """The solver to the end, in the model of who feeds whom."""
+    from cfgplan.planners.exact.search import Search
+
+    search = Search(candidates, standing, landmarks=landmarks)
+    standing.clock.end("model")
+    search.run()
 
 
 def _solve_flat(candidates: Candidates, standing: Standing, first: FirstPlans) -> FlatSearch | None:
     """The search that proved the cost, or the last one; None if no plan is possible."""
     from cfgplan.planners.exact.flat_search import FlatSearch  # the solver takes long to import
-    from cfgplan.planners.exact.kernels import MANY, look_among_few, well_below_best_us
+    from cfgplan.planners.exact.kernels import look_among_few, well_below_best_us
 
     problem, clock = candidates.problem, standing.clock
-    slice_s, bound = SLICE_S, None
+    slice_s, bound = clock.tuning.fleet.round, None
     quality = QualityStart(candidates, standing, first)
     flat = Flat(candidates)
     is_probing = bool(problem.environment.hosts) and not flat.is_impossible
     if is_probing:
         bound = look_among_few(flat, standing)
         slice_s *= 2
-    elif standing.best is not None and quality.is_bounded_only and len(flat.labels) >= MANY:
+    elif standing.best is not None and quality.is_bounded_only and len(flat.labels) >= clock.tuning.fleet.many:
         bound = look_among_few(flat, standing)
     while not flat.is_impossible:
         limit_us = well_below_best_us(standing) if is_probing else None
@@ -123,7 +129,7 @@ def _solve_flat(candidates: Candidates, standing: Standing, first: FirstPlans) -
         is_probing, bound = False, None
         if limit_us is not None:
             continue
-        slice_s *= GROWTH
+        slice_s *= clock.tuning.fleet.growth
         quality.look_closer()
         if standing.best is not None and Notion.QUALITY in problem.notions:
             bound_by_price(candidates, standing.best.key.cost_us - search.least_us)

@@ -14,19 +14,10 @@ from cfgplan.planners.bounding.bounds import Bound, cheapest_way
 from cfgplan.planners.bounding.tightening import tightened
 from cfgplan.planners.exact.best_case import least_prices_us, leave_out_what_is_too_bad
 from cfgplan.planners.exact.candidates import Candidates
-from cfgplan.planners.exact.first_plans import ATTEMPTS, FirstPlans
+from cfgplan.planners.exact.first_plans import FirstPlans
 from cfgplan.planners.exact.flat import Flat
 from cfgplan.planners.exact.flat_search import FlatSearch
 from cfgplan.planners.exact.standing import Standing
-
-MANY = 400
-"""Fewer labels than these are soon looked through all at once where there are no hosts."""
-SIZES = (50, 100, 200)
-"""Among so many units is looked, one after the other, if there are twice as many."""
-STEPS = 4
-"""Plans are looked for that close this part of the gap, before plans that are just better."""
-SLICE_S = 0.5
-"""The engine's own seconds for each."""
 
 
 def look_among_few(flat: Flat, standing: Standing) -> Bound:
@@ -42,7 +33,7 @@ def look_among_few(flat: Flat, standing: Standing) -> Bound:
         most = standing.best.key.cost_us - sum(least_prices_us(candidates).values())
     bound = tightened(bound, most, most, standing.clock)
     order = _by_least_cost(flat, bound)
-    for size in SIZES:
+    for size in standing.clock.tuning.fleet.sizes:
         if 2 * size > len(order) or standing.clock.is_over():
             break
         more = {candidates.all[unit].transformation.label for unit in order[:size]}
@@ -56,7 +47,7 @@ def _look_among(labels: Collection[str], candidates: Candidates, standing: Stand
     leave_out_what_is_too_bad(few)
     flat = Flat(few)
     if not flat.is_impossible:
-        FlatSearch(flat, standing, SLICE_S, is_all=False, limit_us=limit_us).run()
+        FlatSearch(flat, standing, standing.clock.tuning.fleet.look, is_all=False, limit_us=limit_us).run()
 
 
 @dataclass(frozen=True)
@@ -105,18 +96,18 @@ def look_among_few_of(candidates: Candidates, standing: Standing, first: FirstPl
     """Offer plans made of the best plan's transformations and of more and more others; raise the bound."""
     from cfgplan.planners.exact.search import Search
 
-    order = left_by_bounds(candidates, standing).order
-    sizes = [size for size in SIZES if 2 * size <= len(order)]
+    tuning, order = standing.clock.tuning, left_by_bounds(candidates, standing).order
+    sizes = [size for size in tuning.fleet.sizes if 2 * size <= len(order)]
 
     def among(size: int) -> Candidates:
         return candidates.among(_best(standing).union(order[:size]))
 
     if sizes:
-        FirstPlans(among(sizes[0]), standing).look(ATTEMPTS)
-    first.look(ATTEMPTS)
+        FirstPlans(among(sizes[0]), standing).look(tuning.begin.attempts)
+    first.look(tuning.begin.attempts)
     for size in sizes:
         standing.clock.check()
-        Search(among(size), standing, is_all=False).run(SLICE_S)
+        Search(among(size), standing, is_all=False).run(tuning.fleet.look)
 
 
 def _best(standing: Standing) -> set[str]:
@@ -128,7 +119,8 @@ def well_below_best_us(standing: Standing) -> int | None:
     """A cost whose plans, if there are none, are soon known not to be there; None without a plan."""
     if standing.best is None:
         return None
-    return standing.best.key.cost_us - (standing.best.key.cost_us - standing.bound_us) // STEPS - 1
+    best_us, parts = standing.best.key.cost_us, standing.clock.tuning.fleet.gap
+    return best_us - (best_us - standing.bound_us) // parts - 1
 
 
 def _by_least_cost(flat: Flat, bound: Bound) -> list[int]:

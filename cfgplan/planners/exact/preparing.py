@@ -18,6 +18,7 @@ from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.greedy import FREE, plan_at
 from cfgplan.planners.networks.weighing import Weighing
 from cfgplan.planners.solving.clock import Clock
+from cfgplan.planners.tuning import Close
 
 
 class Preparation:
@@ -27,13 +28,20 @@ class Preparation:
     """
 
     def __init__(
-        self, structure: Structure, weighing: Weighing, plan: Ints | None, left: Left | None, least: int
+        self,
+        structure: Structure,
+        weighing: Weighing,
+        plan: Ints | None,
+        left: Left | None,
+        least: int,
+        tuning: Close,
     ) -> None:
         self._structure = structure
         self._weighing = weighing
         self._plan = plan
         self._left = left
         self._least = least
+        self._tuning = tuning
         self._closing: Closing | None = None
 
     def begin(self, bound: Bound, clock: Clock) -> None:
@@ -53,7 +61,7 @@ class Preparation:
         self._left = Left.by(bound, limit)
         is_open = plan is not None and weighing.least(max(bound.value, self._least)) < limit
         if plan is not None and is_open and not clock.is_over():
-            self._closing = Closing(self._structure.network, bound, weighing.weight, plan, weighing.step)
+            self._closing = Closing(self._structure.network, bound, weighing.weight, plan, weighing.step, clock.tuning)
 
     def _at_what_is_left(self, bound: Bound, plan: Ints) -> Ints:
         """The plan, or a cheaper one made of labels that landmarks charge all they cost, as far as possible."""
@@ -69,10 +77,10 @@ class Preparation:
         """Whether there is something left to be found out."""
         return self._closing is not None and not self._closing.is_closed
 
-    def go_on(self, label_s: float, clock: Clock) -> None:
+    def go_on(self, clock: Clock) -> None:
         """Bring bound and plan closer (`Closing.go_on`)."""
         assert self._closing is not None
-        self._closing.go_on(label_s, clock)
+        self._closing.go_on(clock)
         self._plan = self._closing.plan
         bound, limit = self._closing.bound, self._closing.limit
         self._left = Left.by(bound.restricted(bound.may_be_used(limit)), limit)
@@ -105,4 +113,4 @@ class Preparation:
 
     @cached_property
     def _separator(self) -> Separator:
-        return Separator(self._structure.network.core)
+        return Separator(self._structure.network.core, self._tuning)

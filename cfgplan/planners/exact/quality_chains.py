@@ -23,14 +23,11 @@ from cfgplan.domain import Stream
 from cfgplan.planners.exact.best_case import best_values, worst_of_use
 from cfgplan.planners.exact.candidates import Candidate, Candidates
 from cfgplan.planners.networks.core import Flags, Ints
+from cfgplan.planners.tuning import USUAL, Quality
 from cfgplan.qualities import MICRO, Better, Contribution, Over, QualityAttribute, Rule
 
-GAINS, MOST_GAIN = 12, 64 * MICRO
-"""How many amplifying units in a row are looked at, and by how much they may amplify; beyond that all hangs on them."""
-FEW = 0.03
-"""An input that shares less in deciding counts for nothing."""
-LIFTS = 6
-"""How often potentials are raised where that costs nothing."""
+MOST_GAIN = 64 * MICRO
+"""By how much units in a row may amplify; beyond that all hangs on them."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +48,8 @@ class Chains:
     Candidates are numbered as there, demands by `demand`, streams in canonical order.
     """
 
-    def __init__(self, candidates: Candidates, attribute: QualityAttribute) -> None:
+    def __init__(self, candidates: Candidates, attribute: QualityAttribute, tuning: Quality = USUAL.quality) -> None:
+        self.tuning = tuning
         self.attribute = attribute
         self.watch = candidates.watch
         self.sign = 1 if attribute.better is Better.LOWER else -1
@@ -156,7 +154,7 @@ class Chains:
         if not spread:
             return [(int(inputs[np.argmax(bad)]), 1.0)]
         shares = np.exp((bad - bad.max()) / (spread * self.part))
-        shares = np.where(shares < FEW, 0.0, shares)
+        shares = np.where(shares < self.tuning.few, 0.0, shares)
         return [
             (demand, part)
             for demand, part in zip(inputs.tolist(), (shares / shares.sum()).tolist(), strict=True)
@@ -169,7 +167,7 @@ class Chains:
         weight = np.zeros(len(self.demand), np.int64)
         weight[end] = MICRO
         gain = np.maximum(self.gain, MICRO)
-        for _ in range(GAINS + len(self.demand) * bool((gain == MICRO).all())):
+        for _ in range(self.tuning.gains + len(self.demand) * bool((gain == MICRO).all())):
             more = np.append(weight, 0)
             amplified = -(-weight[self.pair_demand] * gain[self.pair_stream] // MICRO)
             for column in self.inputs.T[:, self.pair_stream]:
@@ -206,7 +204,7 @@ class Root:
     def lifted(self, potential: Ints) -> Ints:
         """Potentials at least as high for which no candidate is further ahead."""
         chains = self.chains
-        for _ in range(LIFTS if self._is_even else 0):
+        for _ in range(self.chains.tuning.lifts if self._is_even else 0):
             met = chains.met(potential)
             by = np.where(self._pair_weight > 0, potential[chains.pair_demand] - met, 0)
             ahead = np.zeros(chains.size, np.int64)

@@ -16,38 +16,26 @@ from cfgplan.planners.exact.flat import Flat
 from cfgplan.planners.exact.quality_chains import ChainCut, Chains, Root
 from cfgplan.planners.networks.core import Floats, Ints
 from cfgplan.planners.solving.clock import Clock
+from cfgplan.planners.tuning import Quality
 from cfgplan.qualities import MICRO, Wish
 
 Spreads = Sequence[float]
 
-ROUNDS = 40
-"""At most so many times the relaxation is solved."""
-GUESSES = 4
-"""How many potentials are tried for each target in a round."""
 QUICK, CLOSE = (0.0,), (0.0, 1.0)
 """Ways in which inputs share in deciding, one after the other."""
-ENOUGH = 0.02
-"""No other way is tried when a cut is violated by this share of what is known."""
-PASSES = 4
-"""How often potentials are made to follow from each other."""
-LEAST = 1e-3
-"""A cut that is violated by less than this share of the target's badness is none."""
-WAIT, PATIENCE = 4, 5e-4
-"""There are enough cuts when so many rounds raise the bound by less than this share."""
-LARGEST = 300_000
-"""With more coefficients than this the relaxation takes longer than it helps."""
 
 
 def chain_cuts(flat: Flat, landmarks: list[list[int]], clock: Clock, spreads: Spreads) -> tuple[list[ChainCut], Floats]:
     """Cuts for all that targets ask, and the share to which the relaxation runs each candidate; none if it is large."""
-    if sum(len(flat.givers[fact]) for needs in flat.needs for fact in needs) > LARGEST:
+    tuning = clock.tuning.quality
+    if sum(len(flat.givers[fact]) for needs in flat.needs for fact in needs) > tuning.largest:
         return [], np.zeros(len(flat.candidates.all))
-    relaxation = Relaxation(flat, landmarks)
+    relaxation = Relaxation(flat, landmarks, tuning)
     values: list[float] = []
-    while len(values) < ROUNDS and not clock.is_over() and relaxation.solve(clock.left_s()):
+    while len(values) < tuning.rounds and not clock.is_over() and relaxation.solve(clock.left_s()):
         values.append(relaxation.value_us)
         if not relaxation.cut(spreads) or (
-            len(values) > WAIT and values[-1] - values[-1 - WAIT] < PATIENCE * values[-1]
+            len(values) > tuning.wait and values[-1] - values[-1 - tuning.wait] < tuning.rise * values[-1]
         ):
             break
     return relaxation.cuts, relaxation.share
@@ -68,10 +56,10 @@ class _Asked:
 class Relaxation:
     """A flat fleet's linear relaxation; `value_us` is the solver's bound on the cost, as exact as its floats are."""
 
-    def __init__(self, flat: Flat, landmarks: list[list[int]]) -> None:
+    def __init__(self, flat: Flat, landmarks: list[list[int]], tuning: Quality) -> None:
         from ortools.linear_solver import pywraplp  # type: ignore[import-untyped]
 
-        self._flat = flat
+        self._flat, self._tuning = flat, tuning
         self._optimal = pywraplp.Solver.OPTIMAL
         self.lp = pywraplp.Solver.CreateSolver("GLOP")
         self.lp.SuppressOutput()
@@ -93,7 +81,7 @@ class Relaxation:
         environment = flat.candidates.environment
         for attribute in environment.qualities:
             wishes = [(t, w) for t in environment.targets for w in t.quality if w.attribute == attribute.name]
-            chains = Chains(flat.candidates, attribute) if wishes else None
+            chains = Chains(flat.candidates, attribute, tuning) if wishes else None
             for target, wish in wishes:
                 assert chains is not None
                 asked = _Asked(flat, chains, target, wish)
@@ -138,7 +126,7 @@ class Relaxation:
         is_cut = False
         for asked, badness, value in zip(self._asked, self._badness, now, strict=True):
             potential, violation = _best_potential(asked.root, share, value * asked.unit, spreads)
-            if violation - value * asked.unit > LEAST * max(1.0, value * asked.unit):
+            if violation - value * asked.unit > self._tuning.least * max(1.0, value * asked.unit):
                 potential = asked.root.lifted(potential)
                 ahead = asked.root.ahead(potential)
                 units = np.flatnonzero(ahead)
@@ -161,13 +149,13 @@ def _best_potential(root: Root, share: Floats, known: float, spreads: Spreads) -
     best, most = root.chains.best, -np.inf
     for spread in spreads:
         amount = np.where(root.is_before, 1.0, 0.0)
-        for _ in range(GUESSES):
+        for _ in range(root.chains.tuning.guesses):
             potential = _reached(root, share, amount)
             bounded = float(potential[root.demand] - root.ahead(potential) @ share)
             if bounded > most:
                 best, most = potential, bounded
             amount = _flow(root, share, potential, spread)
-        if most > (1 + ENOUGH) * known:
+        if most > (1 + root.chains.tuning.enough) * known:
             break
     return best, most
 
@@ -176,7 +164,7 @@ def _reached(root: Root, share: Floats, amount: Floats) -> Ints:
     """Potentials as bad as the last of the best streams that together have the amount wanted of each demand."""
     chains = root.chains
     potential = chains.best
-    for _ in range(PASSES):
+    for _ in range(chains.tuning.passes):
         met = chains.met(potential)
         order = np.lexsort((met, chains.pair_demand))
         so_far = np.cumsum(share[chains.pair_unit[order]])

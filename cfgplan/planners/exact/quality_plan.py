@@ -19,8 +19,6 @@ from cfgplan.planners.networks.core import Floats
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.qualities import Better, QualityAttribute, is_met, price_us, propagated
 
-ATTEMPTS = 40
-"""How many members of a plan are tried to be done without."""
 FREE = 1e-3
 """The price of what is there anyway."""
 
@@ -38,7 +36,7 @@ class QualityPlanner:
 
     def __init__(self, candidates: Candidates, attribute: QualityAttribute, clock: Clock) -> None:
         self.candidates, self.attribute, self.clock = candidates, attribute, clock
-        self.chains = chains = Chains(candidates, attribute)
+        self.chains = chains = Chains(candidates, attribute, clock.tuning.quality)
         self.cost = np.array([candidate.cost_us for candidate in candidates.all], np.float64)
         self.pinned = {i for i in range(len(self.cost)) if candidates.is_pinned(i)}
         self.inputs = [[chains.demand.get(port.tag, -1) for port in c.transformation.inputs] for c in candidates.all]
@@ -49,7 +47,7 @@ class QualityPlanner:
         for stream, unit in enumerate(chains.unit.tolist()):
             self.streams_of[unit].append(stream)
         self.targets = [(target, chains.demand[target.tag]) for target in candidates.environment.targets]
-        self.steps = Steps(chains, self.inputs, self.targets)
+        self.steps = Steps(chains, self.inputs, self.targets, clock.tuning.quality)
 
     def best(self, plans: Iterable[Collection[int] | None], share: Floats) -> set[int] | None:
         """The best of some plans and of those found from costs alone and from what a relaxation has of each candidate.
@@ -71,7 +69,7 @@ class QualityPlanner:
     def improved(self, best: set[int], total_us: int, price: Floats) -> tuple[set[int], int]:
         """A plan, or a better one after attempts to do without its dearest members, and its cost in total."""
         tried: set[int] = set()
-        while len(tried) < ATTEMPTS and not self.clock.is_over():
+        while len(tried) < self.clock.tuning.quality.attempts and not self.clock.is_over():
             ahead = sorted(best - tried - self.pinned, key=lambda unit: (-self.cost[unit], unit))
             if not ahead:
                 break

@@ -14,9 +14,6 @@ from cfgplan.planners.exact.quality_plan import QualityPlanner, can_be_planned
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.networks.greedy import first_plan
 
-ATTEMPTS = 30
-"""How many members of the cheapest plan are tried to be done without."""
-
 
 class QualityStart:
     """Cuts on chains of streams, a good plan that is offered, and bounds on what targets weigh by what it costs."""
@@ -42,7 +39,7 @@ class QualityStart:
         if flat.is_impossible:
             return
         graph, cost = flat.graph(), flat.costs()
-        cheapest = first_plan(graph, cost, ATTEMPTS, clock.is_over)
+        cheapest = first_plan(graph, cost, clock.tuning.begin.attempts, clock.is_over)
         planner = None
         if can_be_planned(candidates):
             planner = QualityPlanner(candidates, candidates.environment.quality[self._asked[0]], clock)

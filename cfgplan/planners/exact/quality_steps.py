@@ -9,17 +9,20 @@ import numpy as np
 from cfgplan.domain import Target
 from cfgplan.planners.exact.quality_chains import Chains
 from cfgplan.planners.networks.core import Floats, Ints
+from cfgplan.planners.tuning import USUAL, Quality
 from cfgplan.qualities import is_met, price_us, worst_allowed
-
-STEPS = 48
-REACH = 3
-"""Steps go up to so many times the best badness of a target that has no bound; the last step is the worst."""
 
 
 class Steps:
     """Steps of badness from the best to the worst, and the steps that each stream's inputs must keep for each."""
 
-    def __init__(self, chains: Chains, inputs: Sequence[list[int]], targets: Sequence[tuple[Target, int]]) -> None:
+    def __init__(
+        self,
+        chains: Chains,
+        inputs: Sequence[list[int]],
+        targets: Sequence[tuple[Target, int]],
+        tuning: Quality = USUAL.quality,
+    ) -> None:
         """`inputs` are the demands of each candidate's inputs, targets come with their demands."""
         self.chains, self.inputs = chains, inputs
         self.targets = [demand for _, demand in targets]
@@ -29,9 +32,9 @@ class Steps:
             missed_by = [
                 chains.badness(worst_allowed(attribute, wish)) for wish in target.quality if wish.bound is not None
             ]
-            ends.append(min([REACH * int(chains.best[demand]), *missed_by]))
+            ends.append(min([tuning.reach * int(chains.best[demand]), *missed_by]))
             bounds += missed_by
-        found = np.append(np.linspace(0, max(ends), STEPS).astype(np.int64), [*bounds, chains.scale])
+        found = np.append(np.linspace(0, max(ends), tuning.badness_steps).astype(np.int64), [*bounds, chains.scale])
         self.step = np.unique(found[(found >= 0) & (found <= chains.scale)])
         made = np.array([self._made(step) for step in self.step.tolist()])
         self._before = np.array([np.searchsorted(row, self.step, side="right") - 1 for row in made.T], np.int64)

@@ -23,9 +23,6 @@ from cfgplan.planners.networks.network import Network, costs
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Problem
 
-WAYS = 4
-"""So many ways to the targets are tried for a first plan."""
-
 
 def offer_any_plan(standing: Standing, structure: Structure) -> None:
     """Offer a greedy plan, if one is found, whatever required transformations it uses."""
@@ -38,15 +35,15 @@ def offer_any_plan(standing: Standing, structure: Structure) -> None:
         standing.offer(units)
 
 
-def prepared_with_all(standing: Standing, structure: Structure, attempts: int) -> Prepared:
+def prepared_with_all(standing: Standing, structure: Structure) -> Prepared:
     """What may be in a plan that uses all required transformations; if such a plan is found it is offered."""
     problem, clock = standing.problem, standing.clock
     required = frozenset(t.label for t in structure.network.transformations if t.required)
     network = structure.network_with(problem, required, clock)
     fixed_us, cost = costs(problem, network, structure.pinned)
     shunned: set[int] = set()
-    for _ in range(WAYS):
-        few = _few(problem, structure, required, shunned, attempts, clock)
+    for _ in range(clock.tuning.begin.ways):
+        few = _few(problem, structure, required, shunned, clock)
         found = None if few is None else _among(few, problem, structure, clock)
         if found is not None:
             standing.offer(found.units)
@@ -72,7 +69,6 @@ def _few(
     structure: Structure,
     required: frozenset[str],
     shunned: set[int],
-    attempts: int,
     clock: Clock,
 ) -> list[str] | None:
     """Labels of a greedy plan with all required ones and, for each, a cheap way on to a target.
@@ -89,7 +85,7 @@ def _few(
     shunned |= {label for way in ways for label in way}
     wanted = required.union(network.labels[i] for way in ways for i in way)
     wider = structure.network_with(problem, wanted, clock)
-    plan = first_plan(wider, costs(problem, wider, structure.pinned)[1], attempts, clock.is_over)
+    plan = first_plan(wider, costs(problem, wider, structure.pinned)[1], clock.tuning.begin.attempts, clock.is_over)
     return None if plan is None else [wider.labels[i] for i in sorted(plan)]
 
 

@@ -19,9 +19,6 @@ from cfgplan.planners.bounding.tightening import tightened
 from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.solving.clock import Clock
 
-MOST_CASES = 4
-"""With more labels than this that got dearer or cheaper, all plans are looked at together."""
-
 
 @dataclass(frozen=True)
 class Left:
@@ -75,7 +72,7 @@ class Rest:
         close = tightened(bound.restricted(bound.may_be_used(value)), value, value, clock)
         close = close.restricted(close.may_be_used(value))
         rivals = np.setdiff1d(close.core.labels, plan)
-        if len(rivals) and is_without_rival(close, plan, value, clock.left_s()):
+        if len(rivals) and is_without_rival(close, plan, value, clock):
             rivals = rivals[:0]
         return cls(plan, cost, limit, bound, rivals)
 
@@ -103,7 +100,7 @@ class Rest:
         dearer = self.plan[cost[self.plan] > self.cost[self.plan]]
         others = np.setdiff1d(bound.core.labels, self.plan)
         cheaper = others[cost[others] < self.cost[others]]
-        if len(dearer) + len(cheaper) > MOST_CASES:
+        if len(dearer) + len(cheaper) > clock.tuning.rest.cases:
             return Left.by(tightened(bound, limit - step + 1, limit, clock), limit)
         lefts = [_without(label, bound, limit, clock) for label in dearer.tolist()]
         lefts += [_with(label, bound, limit, clock) for label in cheaper.tolist()]

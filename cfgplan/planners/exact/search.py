@@ -32,12 +32,6 @@ from cfgplan.planners.solving.clock import Clock, ContradictionError
 from cfgplan.planners.solving.engine import OnSolution, repeatable_solver, solve
 from cfgplan.qualities import QualityAttribute
 
-SMALL = 1000
-"""With fewer booleans than this, probing and looking for symmetries take longer than they save."""
-MANY_PLACES = 20_000
-"""The same where there are hosts."""
-TINY = 400
-"""With fewer than this, so does presolving for a second time."""
 EXACT = 2**50
 """Up to here the solver's bound, a double, is exact."""
 LARGEST = 2**62
@@ -252,10 +246,10 @@ class Search:
 
     def solver(self) -> CpSolver:
         """An engine for one round, with the time that is left."""
-        size = len(self.model.literals)
-        small = size < (MANY_PLACES if self._has_hosts else SMALL)
+        size, tuning = len(self.model.literals), self.standing.clock.tuning
+        small = size < (tuning.fleet.small if self._has_hosts else tuning.solve.small)
         solver = repeatable_solver(small=small, time_limit_s=self.standing.clock.left_s())
-        if size < TINY:
+        if size < tuning.solve.tiny:
             solver.parameters.max_presolve_iterations = 1
         if self._left_s < inf:
             solver.parameters.max_deterministic_time = self._left_s

@@ -19,7 +19,7 @@ from cfgplan.planners.bounding.bounds import Bound
 from cfgplan.planners.bounding.chains import chained_bound
 from cfgplan.planners.bounding.tightening import tightened
 from cfgplan.planners.exact.candidates import Candidates
-from cfgplan.planners.exact.deciding import STEPS, decide
+from cfgplan.planners.exact.deciding import decide
 from cfgplan.planners.exact.prepared import Prepared
 from cfgplan.planners.exact.preparing import Preparation
 from cfgplan.planners.exact.required import offer_any_plan, prepared_with_all
@@ -32,6 +32,7 @@ from cfgplan.planners.networks.greedy import cost_of, first_plan, improved, is_p
 from cfgplan.planners.networks.network import costs
 from cfgplan.planners.networks.weighing import Weighing
 from cfgplan.planners.solving.clock import Clock
+from cfgplan.planners.tuning import USUAL, Tuning
 from cfgplan.planners.undecided import Deciding
 from cfgplan.planning import Plan, Problem, Progress, Status
 from cfgplan.reasons import unmet_reasons
@@ -39,20 +40,12 @@ from cfgplan.reasons import unmet_reasons
 if TYPE_CHECKING:
     from cfgplan.planners.exact.search import Landmarks, Search
 
-ATTEMPTS = 30
-"""How many members of the first plan are tried to be done without."""
-ROOM = 1.05
-"""How much dearer plans may be that are known at rest than any that one failure calls for."""
-CLOSING_S = 5e-6
-"""About how many seconds bounds are raised before the solver, for the number of labels to the power of 1.5."""
-
 
 class PlannerSession:
     """A planner that remembers; `plan` is a `planning.Planner` with a way to stop it."""
 
-    def __init__(self, steps: int = STEPS) -> None:
-        """Small problems are searched for so many steps before they are prepared for the solver."""
-        self._steps = steps
+    def __init__(self, tuning: Tuning = USUAL) -> None:
+        self._tuning = tuning
         self._structure: Structure | None = None
         self._last: frozenset[str] = frozenset()
         self._rest: Rest | None = None
@@ -70,11 +63,11 @@ class PlannerSession:
         """The optimal update. Stopped by the clock, by `stop` or by Ctrl-C it is the best one so far."""
         if problem.similarity.open:
             return Deciding(partial(self.plan, stop=stop))(problem, time_limit_s=time_limit_s, report=report)
-        if problem.notions:
+        if problem.notions or self._tuning.is_solver_only:
             from cfgplan.planners.exact import fleet
 
-            return fleet.plan(problem, time_limit_s=time_limit_s, report=report, stop=stop)
-        clock = Clock(time_limit_s, stop)
+            return fleet.plan(problem, time_limit_s=time_limit_s, report=report, stop=stop, tuning=self._tuning)
+        clock = Clock(time_limit_s, stop, self._tuning)
         standing = Standing(problem, clock, report)
         clock.run(lambda: self._bring_forward(standing), standing.plan)
         clock.end("search")
@@ -138,7 +131,7 @@ class PlannerSession:
 
     def _try_to_decide(self, standing: Standing, structure: Structure, among: Collection[str] | None = None) -> bool:
         """Search; where that proves the least cost, the solver chooses among equals if it has to. Whether it did."""
-        candidates = decide(standing, structure, self._steps, among)
+        candidates = decide(standing, structure, among)
         standing.clock.end("bounds")
         if candidates is not None and not standing.is_over:
             _search(candidates, standing).run()
@@ -154,7 +147,7 @@ class PlannerSession:
         clock, problem = standing.clock, standing.problem
         candidates = structure.candidates(problem, prepared.labels)
         if preparation.may_go_on and not standing.is_over:
-            preparation.go_on(CLOSING_S, clock)
+            preparation.go_on(clock)
             prepared = preparation.prepared(clock)
             candidates = structure.candidates(problem, prepared.labels)
             prepared.tell(standing, candidates)
@@ -176,7 +169,7 @@ class PlannerSession:
             left = Left(plan, quick)
         elif plan is not None and self._rest is not None and not weighing.counts_starts:
             left = self._rest.left(weighing.weight, weighing.step, plan, clock)
-        preparation = Preparation(structure, weighing, plan, left, quick)
+        preparation = Preparation(structure, weighing, plan, left, quick, clock.tuning.close)
         if left is None:
             preparation.begin(_known_bound(structure, weighing.weight, weighing.scale), clock)
         return preparation
@@ -184,7 +177,7 @@ class PlannerSession:
     def _with_required(self, standing: Standing, structure: Structure) -> None:
         """Try to use all required transformations; only if that is impossible, see how many can be used."""
         offer_any_plan(standing, structure)
-        for prepared in (prepared_with_all(standing, structure, ATTEMPTS), Prepared(structure.network.labels)):
+        for prepared in (prepared_with_all(standing, structure), Prepared(structure.network.labels)):
             standing.clock.end("bounds")
             standing.clock.check()
             candidates = structure.candidates(standing.problem, prepared.labels)
@@ -217,7 +210,7 @@ class PlannerSession:
             new = first_plan(network, cost, 0, clock.is_over)
             plan = min((one for one in (plan, new) if one is not None), key=partial(cost_of, cost), default=None)
             if plan is not None and cost_of(cost, plan) > quick:
-                plan = with_less(network, cost, plan, ATTEMPTS, clock.is_over)
+                plan = with_less(network, cost, plan, clock.tuning.begin.attempts, clock.is_over)
         return None if plan is None else np.array(sorted(plan), np.int64)
 
     def _settle(self, problem: Problem, structure: Structure, clock: Clock) -> None:
@@ -236,7 +229,7 @@ class PlannerSession:
             close = tightened(_known_bound(structure, cost), value, value, clock)
             structure.remember(lambda: close, 1)
             bound = _known_bound(structure, cost)
-            self._rest = Rest.of(plan, cost, int(ROOM * limit), bound, clock)
+            self._rest = Rest.of(plan, cost, int(clock.tuning.rest.room * limit), bound, clock)
 
 
 def _search(

@@ -26,8 +26,6 @@ NEVER = np.int64(2**60)
 """A cost that no sum of real costs reaches."""
 MOST_PASSES = 60
 """After so many passes over a whole core the way is so deep that facts are better followed one by one."""
-LINK_S = 5e-6
-"""About how long it takes to follow one offer or need by itself (`experiments/planning/limits.py depth`)."""
 
 
 @dataclass(frozen=True)
@@ -120,9 +118,9 @@ class Core:
         return True
 
     @property
-    def depth_s(self) -> float:
-        """About how many seconds longer than otherwise it takes to follow all facts, since the core is deep."""
-        return LINK_S * self.links if self.is_deep else 0.0
+    def deep_links(self) -> int:
+        """How many links have to be followed one by one, since the core is deep."""
+        return self.links if self.is_deep else 0
 
     @cached_property
     def crowds(self) -> Crowds | None:

@@ -1,4 +1,4 @@
-"""The time that is left, and what each phase took."""
+"""The time that is left, what it is to be spent on, and what each phase took."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Callable
 from threading import Event
 
 from cfgplan.errors import CfgplanError
+from cfgplan.planners.tuning import USUAL, Tuning
 from cfgplan.planning import Plan, PlannerFaultError
 
 STOPPING_S = 10.0
@@ -24,10 +25,11 @@ class ContradictionError(Exception):
 class Clock:
     """Runs from construction; over at the time limit or when somebody sets `stop`."""
 
-    def __init__(self, time_limit_s: float | None = None, stop: Event | None = None) -> None:
+    def __init__(self, time_limit_s: float | None = None, stop: Event | None = None, tuning: Tuning = USUAL) -> None:
         self._began = self._phase_began = time.monotonic()
         self._limit_s = time_limit_s
         self._stopped: float | None = None
+        self.tuning = tuning
         self.stop = stop or Event()
         self.has_plan = False
         """Whether there is a plan already: after `stop` no other is looked for then."""
@@ -39,6 +41,11 @@ class Clock:
     def left_s(self) -> float | None:
         """Seconds until the limit, None without one."""
         return None if self._limit_s is None else max(0.0, self._limit_s - self.elapsed_s())
+
+    def has_steps(self, steps: float) -> bool:
+        """Whether there is time for so much work."""
+        left_s = self.left_s()
+        return not self.is_over() and (left_s is None or steps * self.tuning.seconds_per_step < left_s)
 
     def is_over(self) -> bool:
         return self.stop.is_set() or self.left_s() == 0.0

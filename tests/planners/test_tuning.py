@@ -1,0 +1,54 @@
+"""The numbers that the planner is tuned by: which they are, and that none of them stands elsewhere."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import cfgplan.planners
+from cfgplan.planners.tuning import USUAL
+
+ROOM = Path(cfgplan.planners.__file__).parent
+README = Path(__file__).parents[2] / "experiments" / "planning" / "README.md"
+NOT_TUNED = {
+    "networks/core.py": {"NEVER", "MOST_PASSES"},
+    "networks/crowds.py": {"MOST"},
+    "networks/greedy.py": {"DEAREST", "FREE"},
+    "bounding/branching.py": {"LARGE"},
+    "closing/program.py": {"FROM_THE_LAST_BASIS", "FINE", "LARGEST"},
+    "closing/separation.py": {"WHOLE", "CREEP"},
+    "exact/flat_search.py": {"EXACT"},
+    "exact/search.py": {"EXACT", "LARGEST"},
+    "exact/quality_chains.py": {"MOST_GAIN"},
+    "exact/quality_cuts.py": {"QUICK", "CLOSE"},
+    "exact/quality_plan.py": {"FREE"},
+    "solving/clock.py": {"STOPPING_S"},
+}
+"""Numbers of which answers, their exactness or what a function means hang, not when it comes to one."""
+PARTS = ("bounding", "closing", "exact", "networks", "solving")
+
+
+def test_the_table_of_the_documentation_is_that_of_the_value() -> None:
+    rows = [f"| `{name}` | {value} | {said.unit} | {said.what} | {said.origin} |" for name, value, said in USUAL.rows()]
+    table = "\n".join(["| number | value | unit | what it does | chosen on |", "|---|---|---|---|---|", *rows])
+    assert table in README.read_text(encoding="utf-8"), table
+
+
+def test_every_number_says_what_it_does_and_what_it_was_chosen_on() -> None:
+    assert len(list(USUAL.rows())) > 60
+    assert all(said.what and said.origin for _, _, said in USUAL.rows())
+
+
+@pytest.mark.parametrize("path", sorted(path for part in PARTS for path in (ROOM / part).glob("*.py")), ids=str)
+def test_no_number_stands_at_the_head_of_another_module(path: Path) -> None:
+    named = {
+        name.id
+        for node in ast.parse(path.read_text(encoding="utf-8")).body
+        if isinstance(node, ast.Assign) and any(isinstance(n, ast.Constant) for n in ast.walk(node.value))
+        for target in node.targets
+        for name in ast.walk(target)
+        if isinstance(name, ast.Name) and name.id.isupper()
+    }
+    assert named <= NOT_TUNED.get(path.relative_to(ROOM).as_posix(), set())
