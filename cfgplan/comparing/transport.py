@@ -1,4 +1,4 @@
-"""A problem as plain JSON data, for the way into another process; what only running needs is left out."""
+"""A problem as plain JSON data, for the way into another process, without what only running or hosts need."""
 
 from __future__ import annotations
 
@@ -22,6 +22,9 @@ from cfgplan.planning import Problem, refuse_notions
 
 def document(problem: Problem) -> dict[str, Any]:
     """The problem as data; `restored` is the way back. Raises InputError if it asks more than the paper."""
+    from cfgplan.formats.environment_file import later_fields
+    from cfgplan.formats.fields import OutputPart, TargetPart, TransformationPart
+
     refuse_notions(problem, "a comparison with other planners")
     environment = problem.environment
     return {
@@ -38,16 +41,20 @@ def document(problem: Problem) -> dict[str, Any]:
             {
                 "label": t.label,
                 "inputs": [asdict(port) for port in t.inputs],
-                "outputs": [{"name": port.name, "tag": port.tag} for port in t.outputs],
+                "outputs": [
+                    {"name": port.name, "tag": port.tag} | later_fields(OutputPart, port) for port in t.outputs
+                ],
                 "labor_us": t.labor_us,
                 "upkeep_us": t.upkeep_us,
                 "pinned": t.pinned,
                 "required": t.required,
             }
+            | later_fields(TransformationPart, t)
             for t in environment.library
         ],
         "targets": [
-            {"label": t.label, "tag": t.tag, "topic": t.topic, "priority": t.priority} for t in environment.targets
+            {"label": t.label, "tag": t.tag, "topic": t.topic, "priority": t.priority} | later_fields(TargetPart, t)
+            for t in environment.targets
         ],
         "offers": {tag: sorted(offered) for tag, offered in sorted(problem.similarity.offers.items())},
         "horizon_s": problem.horizon_s,

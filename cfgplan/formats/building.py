@@ -33,7 +33,7 @@ def _build(document: Document, vocabulary: Vocabulary) -> EnvironmentFile:
     left_out = LeftOut(document)
     tags = TagChecker(vocabulary, faults)
     fleet = Fleet(document, left_out, faults)
-    expander = Expander(document.defaults, vocabulary, tags, fleet, left_out, faults)
+    expander = Expander(document.header.defaults, vocabulary, tags, fleet, left_out, faults)
     library = _library(document, expander, origins, faults)
     targets = _targets(document, tags, fleet, origins, faults)
     units = UnitChecker(document, left_out, library, targets, fleet, origins, faults).units()
@@ -48,13 +48,13 @@ def _build(document: Document, vocabulary: Vocabulary) -> EnvironmentFile:
         tuple(targets.values()),
         tuple(fleet.hosts.values()),
         tuple(fleet.attributes.values()),
-        fleet.transfer_us,
+        document.header.transfer,
     )
     return EnvironmentFile(
         document.path,
         environment,
-        document.horizon_s,
-        document.max_cost_us,
+        document.header.horizon,
+        document.header.max_cost,
         document.ontology_paths,
         fleet.survive,
         document.imports,

@@ -13,12 +13,9 @@ from pydantic import BaseModel, ValidationError
 from cfgplan.errors import Fault, InputError
 from cfgplan.formats.environment_file import ANY_IMPORT, Imports
 from cfgplan.formats.fields import (
-    DEFAULT_HORIZON_S,
+    FORMAT,
     IGNORE,
-    AttributePart,
-    DefaultsPart,
     EnvironmentPart,
-    HostPart,
     IncludedPart,
     TargetPart,
     TransformationPart,
@@ -61,17 +58,22 @@ class Document:
     """An environment as its files say it; `faults` are those of syntax and schema."""
 
     path: FilePath
-    horizon_s: int
-    max_cost_us: int | None
-    defaults: DefaultsPart
-    ontology_paths: tuple[FilePath, ...]
+    header: EnvironmentPart
     files: tuple[File, ...]
     faults: tuple[Fault, ...]
-    hosts: tuple[HostPart, ...] = ()
-    transfer_us: int = 0
-    qualities: tuple[AttributePart, ...] = ()
-    survive: int | str = 0
-    imports: Imports = ()
+
+    @property
+    def ontology_paths(self) -> tuple[FilePath, ...]:
+        """The ontology files, from the working folder."""
+        names = self.header.ontology or []
+        return tuple(self.path.parent / name for name in ([names] if isinstance(names, str) else names))
+
+    @property
+    def imports(self) -> Imports:
+        """The file of each IRI that the file says, from the working folder."""
+        written = self.header.imports or {}
+        named = {ANY_IMPORT: written} if isinstance(written, str) else written
+        return tuple((i, None if name == IGNORE else self.path.parent / name) for i, name in sorted(named.items()))
 
     def at_ontology(self, fault: Fault) -> Fault:
         """A fault of a whole ontology file as one of the entry that names the file."""
@@ -119,28 +121,8 @@ def _read_document(main: FilePath) -> Document:
     if is_folder(main):
         return _folder_of_xml(main)
     header, file, faults = _read_file(main, EnvironmentPart)
-    ontology = header.ontology or []
-    names = [ontology] if isinstance(ontology, str) else ontology
     files, more = _included(main, file.source, header.include or [])
-    return Document(
-        main,
-        header.horizon,
-        header.max_cost,
-        header.defaults or DefaultsPart(),
-        tuple(main.parent / name for name in names),
-        (file, *files),
-        (*faults, *more),
-        tuple(header.hosts or ()),
-        header.transfer,
-        tuple(header.qualities or ()),
-        header.survive,
-        _imports(main, header.imports or {}),
-    )
-
-
-def _imports(main: FilePath, written: str | Mapping[str, str]) -> Imports:
-    named = {ANY_IMPORT: written} if isinstance(written, str) else written
-    return tuple((iri, None if name == IGNORE else main.parent / name) for iri, name in sorted(named.items()))
+    return Document(main, header, (file, *files), (*faults, *more))
 
 
 def read_declared(name: str, data: Mapping[str, Any]) -> tuple[File, list[Fault]]:
@@ -186,7 +168,7 @@ def _bad_entries(paths: list[Path]) -> dict[Any, set[int]]:
 
 
 def _good_entries(data: Mapping[str, Any], bad: Mapping[Any, set[int]]) -> dict[str, Any]:
-    good: dict[str, Any] = {"format": "cfgplan/1"}
+    good: dict[str, Any] = {"format": FORMAT}
     for key, value in data.items():
         if key not in bad:
             good[key] = value
@@ -225,7 +207,7 @@ def _folder_of_xml(folder: FilePath) -> Document:
         raise InputError.of("this is a folder, not a file", file=str(folder), mend=mend)
     whole = Source(str(folder), {}, lambda _path, _at_key: Spot(1, 1))
     files, faults = _included(folder / "whole", whole, names)
-    return Document(folder, DEFAULT_HORIZON_S, None, DefaultsPart(), (), tuple(files), tuple(faults))
+    return Document(folder, EnvironmentPart(format=FORMAT), tuple(files), tuple(faults))
 
 
 def _included(main: FilePath, source: Source, names: list[str]) -> tuple[list[File], list[Fault]]:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
+from operator import attrgetter
 from pathlib import Path as FilePath
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from cfgplan.domain import Environment
 from cfgplan.formats.fields import (
@@ -18,6 +19,7 @@ from cfgplan.formats.fields import (
     InputPart,
     OutputPart,
     Part,
+    Row,
     TargetPart,
     TransformationPart,
     UnitPart,
@@ -103,36 +105,40 @@ def environment_digest(
         [
             [
                 t.label,
-                [[p.name, p.tag, p.distinct, p.feedback] for p in t.inputs],
-                [[p.name, p.tag] for p in t.outputs],
-                [t.labor_us, t.upkeep_us, t.pinned, t.required, t.host],
+                _each(t.inputs, "name tag distinct feedback"),
+                _each(t.outputs, "name tag"),
+                *_each([t], "labor_us upkeep_us pinned required host"),
             ]
             for t in environment.library
         ],
         [
             [
-                u.id,
-                u.transformation,
-                [[s.port, s.stream.unit, s.stream.port] for s in u.subscriptions],
-                [[p.port, p.topic] for p in u.publications],
+                unit.id,
+                unit.transformation,
+                _each(unit.subscriptions, "port stream.unit stream.port"),
+                _each(unit.publications, "port topic"),
             ]
-            for u in environment.units
+            for unit in environment.units
         ],
-        [[t.label, t.tag, t.topic, t.priority] for t in environment.targets],
+        _each(environment.targets, "label tag topic priority"),
     ]
     more = _beyond_the_paper(environment, survive)
-    later = list(_later(environment))
+    later = list(_later_parts(environment))
     if any(more) or later:
         content.append(more)
     if later:
         content.append(later)
-    hashed = hashlib.sha256(json.dumps(content, separators=(",", ":"), default=str).encode())
+    hashed = hashlib.sha256(json.dumps(content, separators=(",", ":")).encode())
     for path in ontology_paths:
         hashed.update(_file_digest(path))
     for iri, imported in imports:
         hashed.update(hashlib.sha256(iri.encode()).digest() + (b"ignored" if imported is None else b"read"))
         hashed.update(b"" if imported is None else _file_digest(imported))
     return hashed.hexdigest()
+
+
+def _each(values: Iterable[object], names: str) -> list[Any]:
+    return list(map(attrgetter(*names.split()), values))
 
 
 def _file_digest(path: FilePath) -> bytes:
@@ -151,59 +157,62 @@ _HELD: Mapping[type[Part], str] = {
     UnitPart: "id transformation inputs topics host standby",
     TargetPart: "label topic tag priority quality host",
 }
-"""The keys that digests held before fields were rows. Of every later one counts what a file says, under its key."""
+"""The keys that digests held before fields were rows. Of every later one that planning uses, its value counts."""
 
 
-def _later(environment: Environment) -> Iterator[list[object]]:
-    values: Mapping[type[Part], list[tuple[str, object]]] = {
-        EnvironmentPart: [("", environment)],
-        HostPart: [(host.name, host) for host in environment.hosts],
-        AttributePart: [(attribute.name, attribute) for attribute in environment.qualities],
-        TransformationPart: [(t.label, t) for t in environment.library],
-        InputPart: [(f"{t.label}/{port.name}", port) for t in environment.library for port in t.inputs],
-        OutputPart: [(f"{t.label}/{port.name}", port) for t in environment.library for port in t.outputs],
-        UnitPart: [(unit.id, unit) for unit in environment.units],
-        TargetPart: [(target.label, target) for target in environment.targets],
-    }
-    for part, named in values.items():
-        keys = [key for key, row in part.rows().items() if Use.PLANNING in row.use and key not in _HELD[part].split()]
-        for name, value in named if keys else ():
-            said = {key: plain for key in keys if (plain := part.plain(key, value)) is not None}
-            if said:
+def later_fields(part: type[Part], value: object) -> dict[str, object]:
+    """What planning uses of a value's later fields, by the domain's names, but what is so anyway."""
+    rows = _later_rows(part).items()
+    return {row.to: getattr(value, row.to) for key, row in rows if part.plain(key, value) is not None}
+
+
+@cache
+def _later_rows(part: type[Part]) -> Mapping[str, Row]:
+    held = _HELD[part].split()
+    return {key: row for key, row in part.rows().items() if Use.PLANNING in row.use and key not in held}
+
+
+def _later_parts(environment: Environment) -> Iterator[list[object]]:
+    library = environment.library
+    groups: list[tuple[type[Part], Iterable[tuple[str, object]]]] = [
+        (EnvironmentPart, [("", environment)]),
+        (HostPart, ((host.name, host) for host in environment.hosts)),
+        (AttributePart, ((attribute.name, attribute) for attribute in environment.qualities)),
+        (TransformationPart, ((t.label, t) for t in library)),
+        (InputPart, ((f"{t.label}/{port.name}", port) for t in library for port in t.inputs)),
+        (OutputPart, ((f"{t.label}/{port.name}", port) for t in library for port in t.outputs)),
+        (UnitPart, ((unit.id, unit) for unit in environment.units)),
+        (TargetPart, ((target.label, target) for target in environment.targets)),
+    ]
+    for part, values in groups:
+        for name, value in values if _later_rows(part) else ():
+            if said := later_fields(part, value):
                 yield [part.__name__, name, said]
 
 
 def _beyond_the_paper(environment: Environment, survive: Failures | None) -> list[object]:
     """What only some environments have: it counts where it is there, and is empty in all others."""
-    placed = bool(environment.hosts)
+    placed, library = bool(environment.hosts), environment.library
     measured = bool(environment.qualities)
+    numbered = (t for t in library if t.conflicts or t.min_instances or t.max_instances is not None)
     return [
         survive,
-        [[h.name, h.cpu_us, h.memory_mb] for h in environment.hosts],
+        _each(environment.hosts, "name cpu_us memory_mb"),
         environment.transfer_us if placed else 0,
-        [[a.name, a.better, a.worst, a.best] for a in environment.qualities],
-        [[t.label, t.hosts, t.needs_mb] for t in environment.library if placed and (t.hosts or t.needs_mb)],
+        _each(environment.qualities, "name better worst best"),
+        _each((t for t in library if placed and (t.hosts or t.needs_mb)), "label hosts needs_mb"),
+        _each(numbered, "label conflicts min_instances max_instances"),
+        _each((t for t in library if survive is not None and t.standby_us is not None), "label standby_us"),
         [
-            [t.label, t.conflicts, t.min_instances, t.max_instances]
-            for t in environment.library
-            if t.conflicts or t.min_instances or t.max_instances is not None
-        ],
-        [[t.label, t.standby_us] for t in environment.library if survive is not None and t.standby_us is not None],
-        [
-            [
-                t.label,
-                p.name,
-                p.bytes_per_s if placed else 0,
-                [[q.attribute, q.rule, q.value, q.over] for q in p.quality],
-            ]
-            for t in environment.library
+            [t.label, p.name, p.bytes_per_s if placed else 0, _each(p.quality, "attribute rule value over")]
+            for t in library
             for p in t.outputs
             if (placed and p.bytes_per_s) or (measured and p.quality)
         ],
         [
-            [t.label, t.host, [[w.attribute, w.bound, w.weight_us] for w in t.quality]]
+            [t.label, t.host, _each(t.quality, "attribute bound weight_us")]
             for t in environment.targets
             if t.host or t.quality
         ],
-        [[u.id, u.host, u.standby] for u in environment.units if u.host or u.standby],
+        _each((unit for unit in environment.units if unit.host or unit.standby), "id host standby"),
     ]

@@ -43,14 +43,18 @@ class Expander:
 
     def __init__(
         self,
-        defaults: DefaultsPart,
+        defaults: DefaultsPart | None,
         vocabulary: Vocabulary,
         tags: TagChecker,
         fleet: Fleet,
         left_out: LeftOut,
         faults: list[Fault],
     ) -> None:
-        self._costs_us = {"labor_us": DEFAULT_LABOR_US, "upkeep_us": DEFAULT_UPKEEP_US, **defaults.values()}
+        self._costs_us = {
+            "labor_us": DEFAULT_LABOR_US,
+            "upkeep_us": DEFAULT_UPKEEP_US,
+            **(defaults.values() if defaults else {}),
+        }
         self._vocabulary = vocabulary
         self._tags = tags
         self._fleet = fleet

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import Flag
 from functools import cache
-from typing import Annotated, Any, ClassVar, Literal, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, ClassVar, Final, Literal, get_args, get_origin, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
 
@@ -41,7 +41,7 @@ from cfgplan.formats.schema_values import (
 )
 from cfgplan.planning import MOST_INSTANCES
 
-FORMAT = "cfgplan/1"
+FORMAT: Final = "cfgplan/1"
 LONGEST_HORIZON_S = 1_000_000_000
 LONGEST_QUEUE = 1_000_000
 

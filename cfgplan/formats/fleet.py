@@ -24,16 +24,15 @@ class Fleet:
         self._faults = faults
         self.hosts: dict[str, Host] = {}
         self.attributes: dict[str, QualityAttribute] = {}
-        self.transfer_us = document.transfer_us
         main = document.files[0].source if document.files else None
-        for index, host in enumerate(document.hosts):
+        for index, host in enumerate(document.header.hosts or ()):
             if main is not None and self._is_new(main, ("hosts", index), host.name, self.hosts):
                 try:
                     self.hosts[host.name] = Host(**host.values())
                 except InvalidValueError as error:
                     self._faults.append(main.fault(("hosts", index, "offers"), str(error), "remove one of the two"))
                     left_out.add("hosts", host.name)
-        for index, part in enumerate(document.qualities):
+        for index, part in enumerate(document.header.qualities or ()):
             if main is not None and self._is_new(main, ("qualities", index), part.name, self.attributes):
                 try:
                     self.attributes[part.name] = QualityAttribute(**part.values())
@@ -43,9 +42,9 @@ class Fleet:
         self.survive = self._survived(main)
 
     def _survived(self, main: Source | None) -> Failures | None:
-        written = self._document.survive
-        has_hosts = bool(self._document.hosts)
-        if written == Failures.HOSTS and not has_hosts and not self._left_out.any_of("hosts") and main is not None:
+        written = self._document.header.survive
+        has_hosts = bool(self._document.header.hosts)
+        if written == "hosts" and not has_hosts and not self._left_out.any_of("hosts") and main is not None:
             message = "the failure of a host can't be survived where no hosts are declared"
             self._faults.append(main.fault(("survive",), message, "declare `hosts:`, or write `survive: units`"))
             return None

@@ -91,10 +91,13 @@ def test_an_absent_key_means_the_same_to_the_schema_and_to_the_domain(part: type
 
 NEW_FIELD = """
 from pathlib import Path
+import json
 import sys
 from loading import load
-from cfgplan.domain import Environment
+from cfgplan.comparing.transport import document, restored
+from cfgplan.domain import Similarity
 from cfgplan.formats import dump_environment, dump_xml, environment_schema, fields, plain_environment
+from cfgplan.planning import Problem
 
 text = "format: cfgplan/1\\ntransformations:\\n- {label: t, outputs: {o: O}GPU}\\n"
 def world(suffix, content):
@@ -108,6 +111,8 @@ assert environment_schema()["$defs"]["TransformationPart"]["properties"]["gpu"][
 assert (t.gpu, u.gpu) == (2, 0)
 assert said.digest != without.digest
 assert fields.what_runs(t) != fields.what_runs(u)
+sent = json.loads(json.dumps(document(Problem(said.environment, Similarity({}), 1))))
+assert restored(sent).environment.library[0].gpu == 2
 assert world(".yaml", dump_environment(said.environment, horizon_s=1)).environment == said.environment
 assert world(".xml", dump_xml(plain_environment(said.environment, horizon_s=1))).environment == said.environment
 """

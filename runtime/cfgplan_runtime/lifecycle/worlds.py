@@ -14,7 +14,7 @@ from cfgplan.api import World
 from cfgplan.domain import Environment, Target, Transformation
 from cfgplan.errors import Fault, InputError, InvalidValueError
 from cfgplan.formats import Document, read_declared, read_document
-from cfgplan.formats.fields import DefaultsPart
+from cfgplan.formats.fields import FORMAT, EnvironmentPart
 from cfgplan.matching import Ontology, TagError, check_tag
 from cfgplan_runtime.lifecycle.changes import (
     AddIndividuals,
@@ -113,7 +113,7 @@ class LivingWorld:
         base = self.base.environment
         if not parts:
             return base
-        alone = Document(Path(), self.base.horizon_s, None, DefaultsPart(), (), tuple(files), tuple(faults))
+        alone = Document(Path(), EnvironmentPart(format=FORMAT), tuple(files), tuple(faults))
         more = api.world_of(alone, ontology).environment
         try:
             return Environment((), (*base.library, *more.library), (*base.targets, *more.targets))
