@@ -34,9 +34,14 @@ from cfgplan.domain import (
 )
 from cfgplan.planners import PLANNERS
 from cfgplan.planners.cpsat import PlannerSession, plan
+from cfgplan.planners.exact.first_plans import FirstPlans
 from cfgplan.planners.exact.structure import Structure
 from cfgplan.planning import Problem, Progress, Status
 from cfgplan.validity import plan_violations
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "experiments" / "fleet"))
+
+import instances
 
 EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "400"))
 
@@ -213,6 +218,25 @@ def test_a_session_plans_again_after_each_failure_without_a_change_where_none_is
     assert again.change_set is not None
     assert [unit.id for unit in again.change_set.started] == ["s0.2"]
     assert [unit.id for unit in again.change_set.rewired] == ["f.1"]
+
+
+@pytest.mark.parametrize(
+    "problem",
+    [instances.hosted(1, 25, 2), instances.weighted(0, 30, 3), instances.surviving(0, 12, 1)],
+    ids=["hosts", "quality", "failures"],
+)
+def test_a_session_plans_a_fleet_again_after_each_failure_from_its_last_plan(problem: Problem) -> None:
+    session = PlannerSession()
+    found = session.plan(problem).change_set
+    assert found is not None
+    running = problem.environment.update(found)
+    for dead in [unit.id for unit in running.units[:4]]:
+        broken = replace(problem, environment=running.update(ChangeSet(stopped=(dead,))))
+        with patch.object(FirstPlans, "look", autospec=True, side_effect=FirstPlans.look) as look:
+            warm = session.plan(broken)
+        assert plan_violations(broken, warm) == []
+        assert quality(warm) == quality(plan(broken))
+        assert look.call_args_list[0].args[1] == 0
 
 
 def test_what_is_known_without_open_pairs_and_with_all_of_them_stays_known() -> None:

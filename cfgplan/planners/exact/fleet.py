@@ -6,7 +6,7 @@ where prove the cost; all else is a model in which inputs are told apart where t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from threading import Event
 from typing import TYPE_CHECKING
 
@@ -31,21 +31,25 @@ __all__ = ["plan"]
 
 def plan(
     problem: Problem,
+    last: Collection[str] = (),
     *,
     time_limit_s: float | None = None,
     report: Callable[[Progress], None] | None = None,
     stop: Event | None = None,
     tuning: Tuning = USUAL,
 ) -> Plan:
-    """The optimal update, see `planning.Planner`; `stop` ends it early with the best plan so far, as Ctrl-C does."""
+    """The optimal update, see `planning.Planner`; `stop` ends it early with the best plan so far, as Ctrl-C does.
+
+    `last` are the transformations of the last plan, of which a good first one may be made.
+    """
     clock = Clock(time_limit_s, stop, tuning)
     standing = Standing(problem, clock, report)
-    clock.run(lambda: _bring_forward(standing), standing.plan)
+    clock.run(lambda: _bring_forward(standing, last), standing.plan)
     clock.end("search")
     return standing.plan()
 
 
-def _bring_forward(standing: Standing) -> None:
+def _bring_forward(standing: Standing, last: Collection[str]) -> None:
     """From what runs to what is proven."""
     problem, clock = standing.problem, standing.clock
     if not clock.tuning.is_solver_only:
@@ -64,7 +68,9 @@ def _bring_forward(standing: Standing) -> None:
     standing.raise_bound(least_us)
     clock.end("closure")
     first = FirstPlans(candidates, standing)
-    first.look(clock.tuning.begin.attempts if problem.survive is None else 0)  # each attempt needs spares
+    is_known = bool(last) and first.offer(first.units_of(last))
+    attempts = 0 if problem.survive is not None or is_known else clock.tuning.begin.attempts
+    first.look(attempts)  # each attempt needs spares where failures are to be survived
     clock.end("first plans")
     if standing.best is not None and standing.best.key == (standing.fewest_unused, least_us, 0, started):
         standing.prove_cost()

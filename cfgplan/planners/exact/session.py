@@ -66,7 +66,13 @@ class PlannerSession:
         if problem.notions or self._tuning.is_solver_only:
             from cfgplan.planners.exact import fleet
 
-            return fleet.plan(problem, time_limit_s=time_limit_s, report=report, stop=stop, tuning=self._tuning)
+            found = fleet.plan(
+                problem, self._last, time_limit_s=time_limit_s, report=report, stop=stop, tuning=self._tuning
+            )
+            if found.change_set is not None:
+                running = problem.environment.update(found.change_set).units
+                self._last = frozenset(unit.transformation for unit in running if not unit.standby)
+            return found
         clock = Clock(time_limit_s, stop, self._tuning)
         standing = Standing(problem, clock, report)
         clock.run(lambda: self._bring_forward(standing), standing.plan)
