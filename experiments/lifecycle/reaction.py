@@ -47,7 +47,7 @@ def same(x, seed=0):
 """
 RATE_HZ = 500
 STAGES = 3
-HANG_S = 1.5
+HANG_S = 2.0
 PATIENCE_S = 30.0
 Row = dict[str, Any]
 
@@ -209,7 +209,8 @@ def rows(size: int, repeat: int) -> list[Row]:
         file = folder / "env.yaml"
         (folder / "units.py").write_text(UNITS)
         file.write_text(environment_text(size))
-        policy = Policy(back_off=BackOffRules(first_s=0.0))  # what is killed again and again is not to blame
+        # What is killed or cut again and again is not to blame.
+        policy = Policy(back_off=BackOffRules(first_s=0.0), most_loss_s=0.0)
         with (
             Runtime(folder=folder) as runtime,
             Manager(api.load(file), runtime, policy=policy, estimator=DeclaredCosts(failure_us=0)) as manager,
