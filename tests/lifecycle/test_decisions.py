@@ -37,7 +37,7 @@ from cfgplan_runtime.lifecycle.perturbations import (
     UnitKeepsFailing,
     UpdateFailed,
 )
-from cfgplan_runtime.lifecycle.reports import Decision, Ended, Perturbed, ReviewBegan, Reviewed, WorldRefused
+from cfgplan_runtime.lifecycle.reports import Decision, Ended, Observed, Perturbed, ReviewBegan, Reviewed, WorldRefused
 from cfgplan_runtime.lifecycle.state import Gathering, Planning, State, Updating
 from cfgplan_runtime.lifecycle.turns import (
     ApplyUpdate,
@@ -45,7 +45,6 @@ from cfgplan_runtime.lifecycle.turns import (
     Finished,
     Happened,
     Happening,
-    Learn,
     LearnOfFailure,
     MakePlan,
     Match,
@@ -274,12 +273,11 @@ def test_at_the_horizon_units_are_observed_before_it_is_planned() -> None:
     assert found(effects, MakePlan)[0].optimises
 
 
-def test_between_reviews_units_are_observed_and_the_estimator_learns() -> None:
+def test_between_reviews_units_are_observed() -> None:
     state, effects = after(stable(), 1.0, Tick(0.0))
     assert effects == [Observe()]
     state, effects = after(state, 1.0, Seen(()))
-    assert found(effects, Learn) == [Learn(())]
-    assert state.observe_at_s == 2.0
+    assert (effects, state.observe_at_s) == ([Tell(Observed(()))], 2.0)
 
 
 def test_what_comes_shortly_after_is_part_of_the_same_review() -> None:

@@ -42,7 +42,6 @@ from cfgplan_runtime.lifecycle.turns import (
     Finished,
     Happened,
     Happening,
-    Learn,
     MakePlan,
     Matched,
     Observe,
@@ -350,7 +349,7 @@ def _seen(turn: Turn, seen: Seen) -> Turn:
     found, state = seen.observations, turn.state
     next_s = turn.at_s + state.policy.observe_every_s
     state = replace(state, observations={one.unit: one for one in found}, observe_at_s=next_s)
-    return turn.to(state).also(Learn(found), Tell(Observed(found)))
+    return turn.to(state).also(Tell(Observed(found)))
 
 
 def _ended(turn: Turn) -> Turn:

@@ -251,11 +251,11 @@ class Manager:
             case turns.Terminate(unit):
                 self._middleware.kill(unit)
             case turns.Observe():
-                self._decide(turns.Seen(tuple(self._middleware.observe())))
+                found = tuple(self._middleware.observe())
+                self._estimator.observe(found, self._clock.now())
+                self._decide(turns.Seen(found))
             case turns.LearnOfFailure(label):
                 self._estimator.failed(label, self._clock.now())
-            case turns.Learn(observations):
-                self._estimator.observe(observations, self._clock.now())
             case turns.MakePlan():
                 self._plan(effect)
             case turns.ApplyUpdate():

@@ -116,14 +116,7 @@ class Terminate:
 
 @dataclass(frozen=True, slots=True)
 class Observe:
-    """Look at all units: Seen follows at once."""
-
-
-@dataclass(frozen=True, slots=True)
-class Learn:
-    """Let the estimator learn from what was seen."""
-
-    observations: tuple[Observation, ...]
+    """Look at all units, from which the estimator learns: Seen follows at once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +160,7 @@ class StopAll:
 
 
 Effect: TypeAlias = (
-    Tell | Respond | Match | Terminate | Observe | Learn | LearnOfFailure | MakePlan | ApplyUpdate | Prepare | StopAll
+    Tell | Respond | Match | Terminate | Observe | LearnOfFailure | MakePlan | ApplyUpdate | Prepare | StopAll
 )
 
 
