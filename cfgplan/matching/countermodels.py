@@ -37,7 +37,7 @@ from cfgplan.matching.concepts import (
 )
 from cfgplan.matching.functional import Signature, Tree, parse
 from cfgplan.matching.ontology import Ontology
-from cfgplan.matching.structures import LITERAL, Structure, inverse, linked_by, symbols_of
+from cfgplan.matching.structures import LITERAL, Interpretation, inverse, linked_by, symbols_of
 
 MOST_MODELS: Final = 8
 """The number of models built for the same tags; each prefers other parts of unions."""
@@ -204,7 +204,7 @@ class _Model:
     """A structure that is being built: `turn` says which parts of unions are preferred."""
 
     def __init__(self, program: _Program, turn: int, deadline: float | None) -> None:
-        self.structure = Structure()
+        self.structure = Interpretation()
         self.chose = False
         self._program = program
         self._turn = turn
@@ -455,7 +455,7 @@ class _Model:
 class _Batch:
     """A model, and the things in it that have offered tags."""
 
-    structure: Structure
+    structure: Interpretation
     things: Mapping[Concept, int]
     rows: dict[Concept, frozenset[Concept]] = field(default_factory=dict)
 

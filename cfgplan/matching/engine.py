@@ -25,7 +25,7 @@ class Offer:
     certified: bool
 
 
-class Engine:
+class FastEngine:
     """Offers and demands of tags. Every match that it finds is one; see `Offer` for when the others are none.
 
     `outside` maps every axiom that is outside the fragment or was dropped to the reason. If there is one, nothing is

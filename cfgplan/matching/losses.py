@@ -18,7 +18,7 @@ from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI, Concept, in_functi
 from cfgplan.matching.functional import Tree, parse
 from cfgplan.matching.literals import LOST_LITERALS
 from cfgplan.matching.ontology import Ontology
-from cfgplan.matching.structures import Structure
+from cfgplan.matching.structures import Interpretation
 
 _BRACKETED: Final = re.compile(r"<([^<>\s]+)>")
 _XSD: Final = "http://www.w3.org/2001/XMLSchema#"
@@ -60,7 +60,7 @@ class Losses:
 
 
 def _is_open_to_newcomers(trees: list[tuple[Tree, ...]]) -> bool:
-    structure = Structure()
+    structure = Interpretation()
     newcomer, everybody = structure.add_thing(), structure.add_thing()
     structure.individuals = {name: everybody for tree in trees for name in _names(tree)}
     return not any(newcomer in structure.broken(tree) for tree in trees)

@@ -16,7 +16,7 @@ from cfgplan.errors import Fault, InputError
 from cfgplan.matching.functional import LOGICAL, parse, rule_text
 from cfgplan.matching.names import short_name
 from cfgplan.matching.ontology import Ontology
-from cfgplan.matching.rdf import ANONYMOUS, Graph
+from cfgplan.matching.rdf import ANONYMOUS, TripleGraph
 
 EXTENSIONS: Final = {
     ".ttl": "ttl", ".nt": "ttl", ".n3": "ttl", ".owl": "rdf", ".rdf": "rdf", ".xml": "rdf",
@@ -189,7 +189,7 @@ def _syntax_of(text: str, suffix: str) -> str:
 
 def _parse_rdf(text: str, syntax: str, base: str, shown: str) -> _Document:
     try:
-        graph = Graph(text, syntax, base)
+        graph = TripleGraph(text, syntax, base)
     except SyntaxError as error:
         name, (line, column) = _SYNTAX_NAMES[syntax], (error.lineno, error.offset)
         if line is None and syntax == "rdf":

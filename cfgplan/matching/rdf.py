@@ -75,7 +75,7 @@ _NAME: Final = r"<[^<>]*>"
 _PLACES: Final = re.compile(rf"(\w+)\(({_NAME})?.*?({_NAME})?\)$", re.DOTALL)
 
 
-class Graph:
+class TripleGraph:
     """The triples of a document, terms in N-Triples; blank nodes are numbered in order of appearance."""
 
     def __init__(self, text: str, syntax: str, base: str) -> None:

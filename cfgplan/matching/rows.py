@@ -8,7 +8,7 @@ from typing import Final, TypeAlias
 
 from cfgplan.matching.concepts import Concept
 from cfgplan.matching.descriptions import Description
-from cfgplan.matching.engine import Engine, Offer
+from cfgplan.matching.engine import FastEngine, Offer
 from cfgplan.matching.queries import Demand, DemandIndex, Family, Fillers
 
 _FEW: Final = 64
@@ -18,10 +18,10 @@ _Member: TypeAlias = "str | tuple[str, int]"
 """An offer's name, or its name with the number of a disjunct where it has several."""
 
 
-class Rows:
+class OfferRows:
     """Named offers and demanded concepts that come and go, and which offers meet which demand."""
 
-    def __init__(self, engine: Engine) -> None:
+    def __init__(self, engine: FastEngine) -> None:
         self._engine = engine
         self._fillers = Fillers()
         self._family: Family[_Member] = Family(self._fillers)

@@ -12,14 +12,14 @@ from cfgplan.errors import Fault, InputError
 from cfgplan.matching.concepts import TOP, Concept
 from cfgplan.matching.countermodels import Countermodels
 from cfgplan.matching.derivations import contradiction
-from cfgplan.matching.engine import Engine, roles_in
+from cfgplan.matching.engine import FastEngine, roles_in
 from cfgplan.matching.faults import InconsistentOntologyError, MatchingError
 from cfgplan.matching.functional import parse
 from cfgplan.matching.losses import Losses
 from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.reasoners import reference_named
 from cfgplan.matching.registry import TagRegistry
-from cfgplan.matching.rows import Rows
+from cfgplan.matching.rows import OfferRows
 from cfgplan.matching.verdicts import Asked, Verdicts, countdown
 from cfgplan.planning import Pair
 
@@ -67,8 +67,8 @@ class Matcher:
 
     def _start(self, ontology: Ontology) -> None:
         self._ontology = ontology
-        self._engine: Engine | None = None
-        self._rows: Rows | None = None
+        self._engine: FastEngine | None = None
+        self._rows: OfferRows | None = None
         self._verdicts = Verdicts(ontology, self._reference)
         self._countermodels: Countermodels | None = None
         self._losses = Losses(ontology)
@@ -156,24 +156,26 @@ class Matcher:
         """The axioms that the fast engine has no words for, with the reason."""
         return self._current_engine().outside
 
-    def _current_engine(self) -> Engine:
+    def _current_engine(self) -> FastEngine:
         if self._engine is None:
             concepts = [*self._offered.names.values(), *self._demanded.names.values()]
-            self._engine = Engine(self._ontology.trees, set().union(*map(roles_in, concepts)), self._ontology.dropped)
+            self._engine = FastEngine(
+                self._ontology.trees, set().union(*map(roles_in, concepts)), self._ontology.dropped
+            )
             if self._engine.is_inconsistent:
                 raise self._input_error(self._contradiction())
         return self._engine
 
-    def _current_rows(self) -> Rows | None:
+    def _current_rows(self) -> OfferRows | None:
         if self._rows is None and self._uses_engine:
-            rows = Rows(self._current_engine())
+            rows = OfferRows(self._current_engine())
             rows.add_offers(self._offered.names)
             for concept in self._demanded.names.values():
                 rows.add_demand(concept)
             self._rows = rows
         return self._rows
 
-    def _in_order(self, rows: Rows | None) -> Iterable[Asked]:
+    def _in_order(self, rows: OfferRows | None) -> Iterable[Asked]:
         """The open pairs that an answer may close, in the order in which tags were registered."""
         rank = {concept: number for number, concept in enumerate(self._offered.names.values())}
         return (
@@ -190,7 +192,7 @@ class Matcher:
         self._asked += asked
         return asked
 
-    def _check(self, rows: Rows | None, time_limit_s: float | None) -> None:
+    def _check(self, rows: OfferRows | None, time_limit_s: float | None) -> None:
         """Have the reference look for contradictions in offers and in the ontology where that was not done yet."""
         offers = self._offered.names
         doubtful = {offers[name] for name in (offers if rows is None else rows.uncertified)}
@@ -201,7 +203,7 @@ class Matcher:
         except MatchingError as error:
             raise self._input_error(error) from error
 
-    def _beyond_engine(self, rows: Rows | None) -> Iterable[tuple[Concept, frozenset[Concept]]]:
+    def _beyond_engine(self, rows: OfferRows | None) -> Iterable[tuple[Concept, frozenset[Concept]]]:
         """For each demand the offers that the fast engine neither finds to meet it nor certifies not to."""
         offers = self._offered.names
         for demand in self._demanded.names.values():
@@ -215,7 +217,7 @@ class Matcher:
                 continue
             yield demand, frozenset(offers[name] for name in names)
 
-    def _refute(self, rows: Rows | None, time_limit_s: float | None) -> None:
+    def _refute(self, rows: OfferRows | None, time_limit_s: float | None) -> None:
         """Look for models that show what does not match, for offers that the fast engine does not certify."""
         if rows is None or not (rows.beyond_words or rows.uncertified):
             return
@@ -226,7 +228,7 @@ class Matcher:
         self._countermodels.build(set().union(*beyond.values()), beyond, share_s)
         self._verdicts.possible |= self._countermodels.possible
 
-    def _open(self, rows: Rows | None) -> dict[Concept, frozenset[Concept]]:
+    def _open(self, rows: OfferRows | None) -> dict[Concept, frozenset[Concept]]:
         """For each demand the offers for which it is not decided whether they meet it."""
         verdicts = self._verdicts
         found = {
@@ -247,7 +249,7 @@ class Matcher:
             return denied
         return frozenset(offered for offered in denied if not self._losses.concern(offered, demand))
 
-    def _told(self, rows: Rows | None, time_limit_s: float | None, *, is_asked: bool) -> Matching:
+    def _told(self, rows: OfferRows | None, time_limit_s: float | None, *, is_asked: bool) -> Matching:
         warnings = [*self._ontology.warnings]
         never = {self._offered.name_of(c) for c in self._verdicts.unsatisfiable if c in self._offered}
         if rows is not None:
@@ -290,7 +292,7 @@ class Matcher:
         pairs = "1 pair" if count == 1 else f"{count} pairs"
         yield f"{pairs} of tags could not be decided and do not match{why}"
 
-    def _answered_by(self, rows: Rows | None, open_rows: Mapping[Concept, frozenset[Concept]]) -> dict[str, int]:
+    def _answered_by(self, rows: OfferRows | None, open_rows: Mapping[Concept, frozenset[Concept]]) -> dict[str, int]:
         """How many pairs of distinct tags each reasoner decided."""
         pairs = len(self._offered.names) * len(self._demanded.names)
         beyond = {demand: offers for demand, offers in self._beyond_engine(rows) if offers}

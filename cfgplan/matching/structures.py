@@ -37,7 +37,7 @@ _NOTHING_TO_BREAK: Final = frozenset(("Declaration", "DatatypeDefinition"))
 Links: TypeAlias = Mapping[int, Set[int]]
 
 
-class Structure:
+class Interpretation:
     """Things (numbers), the classes that they are in, the links between them, and the literals that they have."""
 
     def __init__(self) -> None:
@@ -253,15 +253,15 @@ class Structure:
         return rule(self, parts)
 
 
-def _not_in(structure: Structure, sub: Tree, sup: Tree) -> Set[int]:
+def _not_in(structure: Interpretation, sub: Tree, sup: Tree) -> Set[int]:
     return structure.members(sub, False) - structure.members(sup, True)
 
 
-def _equivalent(structure: Structure, parts: list[Tree]) -> Set[int]:
+def _equivalent(structure: Interpretation, parts: list[Tree]) -> Set[int]:
     return set().union(*(_not_in(structure, one, other) for one, other in pairwise([*parts, parts[0]])))
 
 
-def _disjoint(structure: Structure, parts: list[Tree]) -> Set[int]:
+def _disjoint(structure: Interpretation, parts: list[Tree]) -> Set[int]:
     seen: set[int] = set()
     twice: set[int] = set()
     for part in parts:
@@ -271,12 +271,12 @@ def _disjoint(structure: Structure, parts: list[Tree]) -> Set[int]:
     return twice
 
 
-def _disjoint_union(structure: Structure, parts: list[Tree]) -> Set[int]:
+def _disjoint_union(structure: Interpretation, parts: list[Tree]) -> Set[int]:
     whole, *others = parts
     return _equivalent(structure, [whole, ("ObjectUnionOf", *others)]) | _disjoint(structure, others)
 
 
-def linked_by(structure: Structure, chain: Tree) -> Iterator[tuple[int, Set[int]]]:
+def linked_by(structure: Interpretation, chain: Tree) -> Iterator[tuple[int, Set[int]]]:
     """What each thing is linked to by a role or a chain of roles."""
     roles = chain[1:] if isinstance(chain, tuple) and chain[0] == "ObjectPropertyChain" else (chain,)
     first, *others = map(structure.successors, roles)
@@ -287,59 +287,59 @@ def linked_by(structure: Structure, chain: Tree) -> Iterator[tuple[int, Set[int]
         yield thing, reached
 
 
-def _sub_role(structure: Structure, sub: Tree, sup: Tree) -> Set[int]:
+def _sub_role(structure: Interpretation, sub: Tree, sup: Tree) -> Set[int]:
     above = structure.successors(sup)
     return {thing for thing, targets in linked_by(structure, sub) if not targets <= above.get(thing, set())}
 
 
-def _equivalent_roles(structure: Structure, parts: list[Tree]) -> Set[int]:
+def _equivalent_roles(structure: Interpretation, parts: list[Tree]) -> Set[int]:
     return set().union(*(_sub_role(structure, one, other) for one, other in pairwise([*parts, parts[0]])))
 
 
-def _disjoint_roles(structure: Structure, parts: list[Tree]) -> Set[int]:
+def _disjoint_roles(structure: Interpretation, parts: list[Tree]) -> Set[int]:
     links = [structure.successors(part) for part in parts]
     return {x for one, other in combinations(links, 2) for x in one.keys() & other.keys() if one[x] & other[x]}
 
 
-def _functional(structure: Structure, role: Tree) -> Set[int]:
+def _functional(structure: Interpretation, role: Tree) -> Set[int]:
     return {thing for thing, targets in structure.successors(role).items() if len(targets) > 1}
 
 
-def _asserted(structure: Structure, parts: list[Tree]) -> Set[int]:
+def _asserted(structure: Interpretation, parts: list[Tree]) -> Set[int]:
     role, one, other = parts
     source, target = structure.individuals[str(one)], structure.individuals[str(other)]
     return set() if target in structure.successors(role).get(source, ()) else {source}
 
 
-def _denied(structure: Structure, parts: list[Tree]) -> Set[int]:
+def _denied(structure: Interpretation, parts: list[Tree]) -> Set[int]:
     return {structure.individuals[str(parts[1])]} - _asserted(structure, parts)
 
 
-def _same(structure: Structure, parts: list[Tree]) -> Set[int]:
+def _same(structure: Interpretation, parts: list[Tree]) -> Set[int]:
     things = {structure.individuals[str(name)] for name in parts}
     return things if len(things) > 1 else set()
 
 
-def _different(structure: Structure, parts: list[Tree]) -> Set[int]:
+def _different(structure: Interpretation, parts: list[Tree]) -> Set[int]:
     things = [structure.individuals[str(name)] for name in parts]
     return {thing for thing in things if things.count(thing) > 1} if len(set(things)) < len(things) else set()
 
 
-def _sub_values(structure: Structure, sub: Tree, sup: Tree) -> Set[int]:
+def _sub_values(structure: Interpretation, sub: Tree, sup: Tree) -> Set[int]:
     above = structure.valued(sup)
     return {x for x, own in structure.valued(sub).items() if not own <= above.get(x, set())}
 
 
-def _has_value(structure: Structure, parts: list[Tree]) -> Set[int]:
+def _has_value(structure: Interpretation, parts: list[Tree]) -> Set[int]:
     thing = structure.individuals[str(parts[1])]
     return set() if parts[2] in structure.valued(parts[0]).get(thing, ()) else {thing}
 
 
-def _valued(structure: Structure, name: Tree) -> Set[int]:
+def _valued(structure: Interpretation, name: Tree) -> Set[int]:
     return {thing for thing, own in structure.valued(name).items() if own}
 
 
-_BROKEN: Final[Mapping[str, Callable[[Structure, list[Tree]], Set[int]]]] = {
+_BROKEN: Final[Mapping[str, Callable[[Interpretation, list[Tree]], Set[int]]]] = {
     "SubClassOf": lambda s, p: _not_in(s, p[0], p[1]),
     "EquivalentClasses": _equivalent,
     "DisjointClasses": _disjoint,

@@ -10,7 +10,7 @@ from small_worlds import small_world
 
 from cfgplan.matching import Matcher, Ontology, match
 from cfgplan.matching.functional import parse
-from cfgplan.matching.structures import Structure
+from cfgplan.matching.structures import Interpretation
 
 NAMES = [
     *(f"Declaration(Class(<w#{name}>))" for name in "ABCD"),
@@ -129,7 +129,7 @@ def test_what_no_model_shows_stays_open(axioms: list[str], offered: str, demande
     ],
 )  # fmt: skip
 def test_a_structure_of_two_linked_things_tells_which_axioms_hold(axiom: str, holds: bool) -> None:
-    structure = Structure()
+    structure = Interpretation()
     a, b = structure.add_thing(), structure.add_thing()
     structure.individuals |= {"a": a, "b": b}
     structure.put("A", {a})

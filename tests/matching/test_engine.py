@@ -198,7 +198,7 @@ def test_a_robot_that_registers_and_leaves_costs_no_new_start(
     matcher.add(offered=["Undistorted", "∃hasSource.{cam1}"], demanded=["∃hasSource.Camera", "Image"])
     before = matcher.matching().similarity
     camera = ["ClassAssertion(<w#Camera> <w#cam2>)", "ObjectPropertyAssertion(<w#hasSource> <w#cam2> <w#cam1>)"]
-    monkeypatch.setattr(session, "Engine", None)
+    monkeypatch.setattr(session, "FastEngine", None)
     matcher.change_ontology(Ontology([*streams.axioms, *camera], streams.prefixes))
     matcher.add(offered=["∃hasSource.{cam2}"])
     assert matcher.matching().similarity.offers["∃hasSource.Camera"] == {"∃hasSource.{cam1}", "∃hasSource.{cam2}"}

@@ -364,7 +364,7 @@ def test_a_full_disk_for_the_log_harms_nothing(run_units: StartRuntime) -> None:
 
 
 def test_cpu_clocks_agree_with_psutil(run_units: StartRuntime) -> None:
-    from cfgplan_runtime.processes.cpu_clock import cpu_us, cpu_us_by_psutil
+    from cfgplan_runtime.processes.child_process import cpu_us, cpu_us_by_psutil
 
     runtime = run_units(source(rate_hz=1000))
     runtime.apply(start(unit("count.1", topic="/result", port="n")))

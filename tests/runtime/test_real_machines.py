@@ -246,7 +246,7 @@ FULL_OUTLETS = """
 import resource, socket, sys, time
 from cfgplan.domain import ChangeSet, ComputationUnit, OutputPort, Publication, RunOptions, Target, Transformation
 from cfgplan_runtime import Runtime, subscribe
-from cfgplan_runtime.processes.cpu_clock import cpu_us
+from cfgplan_runtime.processes.child_process import cpu_us
 from cfgplan_runtime.processes.process_backend import OUTLETS
 from cfgplan_runtime.streams.run_folder import address, base_folder
 

@@ -146,7 +146,7 @@ class PortCounts(msgspec.Struct, frozen=True):
     waiting: int = 0
 
 
-class Status(msgspec.Struct, tag=True):
+class UnitSign(msgspec.Struct, tag=True):
     """A sign of life, with counts since the start, and the state where it survives a restart."""
 
     steps: int
@@ -184,7 +184,7 @@ class Unserved(msgspec.Struct, tag=True):
     cause: str
 
 
-FromChild: TypeAlias = Ready | Switched | Lost | Trouble | Exhausted | Status | Flowing | Unserved
+FromChild: TypeAlias = Ready | Switched | Lost | Trouble | Exhausted | UnitSign | Flowing | Unserved
 
 
 # To and from the nursery.

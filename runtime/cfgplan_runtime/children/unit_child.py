@@ -10,7 +10,16 @@ from collections.abc import Iterator
 import msgspec
 
 from cfgplan_runtime.children.control import ControlConnection
-from cfgplan_runtime.children.messages import Exhausted, Finish, PortCounts, Ready, Status, ToChild, Trouble, UnitOrder
+from cfgplan_runtime.children.messages import (
+    Exhausted,
+    Finish,
+    PortCounts,
+    Ready,
+    ToChild,
+    Trouble,
+    UnitOrder,
+    UnitSign,
+)
 from cfgplan_runtime.children.ports import Ports, UnitInput, UnitOutput
 from cfgplan_runtime.children.steps import Step, StepQueue
 from cfgplan_runtime.children.unit_code import Given, UnitCode
@@ -197,7 +206,7 @@ class UnitChild:
             self._ports.say(Trouble(kind, self.step, text, self._reported - _MOST_REPORTS))
         self._reported = 0
         self._ports.say(
-            Status(self.step, self._errors, self._input_counts(), self._ports.output_counts(), self._state())
+            UnitSign(self.step, self._errors, self._input_counts(), self._ports.output_counts(), self._state())
         )
 
     def _input_counts(self) -> dict[str, PortCounts]:

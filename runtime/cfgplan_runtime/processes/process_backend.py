@@ -32,17 +32,16 @@ from cfgplan_runtime.children.messages import (
     OutletOrder,
     Ready,
     Serve,
-    Status,
     Switched,
     SwitchNow,
     Trouble,
     UnitOrder,
+    UnitSign,
     Unserve,
     Unserved,
 )
 from cfgplan_runtime.children.unit_order import unit_order
-from cfgplan_runtime.processes.child_process import ChildProcess, cause_of_end
-from cfgplan_runtime.processes.cpu_clock import cpu_us, memory_bytes
+from cfgplan_runtime.processes.child_process import ChildProcess, cause_of_end, cpu_us, memory_bytes
 from cfgplan_runtime.processes.nursery_link import NurseryLink
 from cfgplan_runtime.streams.channel import socket_pair
 from cfgplan_runtime.streams.run_folder import RunFolder
@@ -376,7 +375,7 @@ class ProcessBackend:
                 self._events += [HelperAlive(OUTLETS_HELPER, HELPER_S), TopicsStatus(flows)]
             case Unserved(topic, cause):
                 self._events.append(OutOfDescriptors(f"subscribers of {topic} wait: {cause}"))
-            case Status(steps, errors, inputs, outputs, state):
+            case UnitSign(steps, errors, inputs, outputs, state):
                 child.steps = steps
                 self._events.append(UnitStatus(name, steps, errors, inputs, outputs, state))
 
