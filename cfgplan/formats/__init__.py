@@ -1,15 +1,14 @@
 """File formats: environment files in YAML, JSON and the paper's XML, plan files, and importers."""
 
 from cfgplan.formats.building import build
-from cfgplan.formats.conversion import as_xml, as_yaml
 from cfgplan.formats.document import Document, read_declared, read_document
-from cfgplan.formats.dump import dump_environment
+from cfgplan.formats.dump import as_xml, as_yaml, dump_environment
 from cfgplan.formats.environment_file import EnvironmentFile, environment_digest
 from cfgplan.formats.fields import environment_schema
 from cfgplan.formats.places import Place
 from cfgplan.formats.plain import plain_environment
 from cfgplan.formats.plan_file import dump_plan, load_plan, plain_plan, plan_schema
-from cfgplan.formats.vocabulary import BadClassError, BadTagError, Vocabulary
+from cfgplan.formats.tags import BadClassError, BadTagError, Vocabulary
 from cfgplan.formats.wsc import read_wsc, wsc_texts
 from cfgplan.formats.xml_dump import dump_xml
 

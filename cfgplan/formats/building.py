@@ -15,8 +15,7 @@ from cfgplan.formats.left_out import LeftOut
 from cfgplan.formats.places import Path, Source
 from cfgplan.formats.references import UnitChecker
 from cfgplan.formats.suggestions import did_you_mean
-from cfgplan.formats.tags import TagChecker
-from cfgplan.formats.vocabulary import Vocabulary
+from cfgplan.formats.tags import TagChecker, Vocabulary
 
 Origins = dict[tuple[str, str], tuple[Source, Path]]
 

@@ -1,4 +1,4 @@
-"""Environments written as YAML that loads back to the same environment."""
+"""Environments and documents written as YAML or XML that says the same."""
 
 from __future__ import annotations
 
@@ -9,10 +9,15 @@ from typing import Any
 import yaml
 
 from cfgplan.domain import Environment
+from cfgplan.errors import InputError
+from cfgplan.formats.document import Document
+from cfgplan.formats.fields import FORMAT
 from cfgplan.formats.plain import plain_environment
 from cfgplan.formats.scalars import resolve
+from cfgplan.formats.xml_dump import dump_xml
 from cfgplan.planning import Failures
 
+_LISTS = ("transformations", "units", "targets")
 _DUMPER: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
@@ -42,6 +47,32 @@ def dump_yaml(data: object) -> str:
     """Plain data as YAML text; Decimal is written exactly, and a text never looks like something else."""
     text: str = yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=2**20)
     return text
+
+
+def as_yaml(document: Document) -> str:
+    """A document as one YAML file that says the same; what it includes is written into it. Raises InputError."""
+    return dump_yaml(plain_document(document))
+
+
+def as_xml(document: Document) -> str:
+    """A document as one XML file that says the same; what it includes is written into it. Raises InputError."""
+    return dump_xml(plain_document(document))
+
+
+def plain_document(document: Document) -> dict[str, Any]:
+    """What a document and its includes say, as written: nothing is expanded. Raises InputError."""
+    if document.faults:
+        raise InputError(document.faults)
+    whole: dict[str, Any] = {"format": FORMAT}
+    for number, file in enumerate(document.files):
+        data = file.source.data
+        assert isinstance(data, dict)
+        if number == 0:
+            whole |= {key: value for key, value in data.items() if key not in (*_LISTS, "include")}
+        for key in _LISTS:
+            if data.get(key):
+                whole.setdefault(key, []).extend(data[key])
+    return whole
 
 
 class _Dumper(_DUMPER):  # type: ignore[misc]

@@ -20,7 +20,7 @@ from cfgplan.formats.fleet import Fleet
 from cfgplan.formats.left_out import LeftOut
 from cfgplan.formats.places import Path, Source
 from cfgplan.formats.suggestions import did_you_mean
-from cfgplan.formats.tags import TagChecker
+from cfgplan.formats.tags import BadClassError, TagChecker, Vocabulary
 from cfgplan.formats.templates import (
     MOST_EXPANSIONS,
     BadTemplateError,
@@ -32,7 +32,6 @@ from cfgplan.formats.templates import (
     texts,
     variables,
 )
-from cfgplan.formats.vocabulary import BadClassError, Vocabulary
 
 Values = Mapping[Variable, str]
 _PORTS: dict[Any, Any] = {"inputs": InputPort, "outputs": OutputPort}

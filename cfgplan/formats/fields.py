@@ -49,6 +49,7 @@ DEFAULT_HORIZON_S = 600
 DEFAULT_LABOR_US = 1_000_000
 DEFAULT_UPKEEP_US = 0
 
+_SHORT, _FULL, _FORM = Tag(SHORT_FORM), Tag(FULL_FORM), Discriminator(form_of)
 ELEMENT = "<>"
 UNSAID = ""
 _FIRST_IN_XML = ("type", "labor", "upkeep")
@@ -193,10 +194,7 @@ class ContributionPart(Part):
     of: Literal["worst", "best", "mean", "sum"] = row("how several inputs count", "worst")
 
 
-Quality = Annotated[
-    Annotated[Micro, Tag(SHORT_FORM)] | Annotated[ContributionPart, Tag(FULL_FORM)],
-    Discriminator(form_of),
-]
+Quality = Annotated[Annotated[Micro, _SHORT] | Annotated[ContributionPart, _FULL], _FORM]
 
 
 class OutputPart(Part):
@@ -208,26 +206,11 @@ class OutputPart(Part):
     size: int = row("bytes of one element", 0, "size_bytes", ge=0, le=LONGEST_HORIZON_S)
 
 
-Input = Annotated[
-    Annotated[TagText, Tag(SHORT_FORM)] | Annotated[InputPart, Tag(FULL_FORM)],
-    Discriminator(form_of),
-]
-Output = Annotated[
-    Annotated[TagText, Tag(SHORT_FORM)] | Annotated[OutputPart, Tag(FULL_FORM)],
-    Discriminator(form_of),
-]
-Names = Annotated[
-    Annotated[Name, Tag(SHORT_FORM)] | Annotated[list[Name], Tag(FULL_FORM)],
-    Discriminator(form_of),
-]
-FileNames = Annotated[
-    Annotated[FileName, Tag(SHORT_FORM)] | Annotated[list[FileName], Tag(FULL_FORM)],
-    Discriminator(form_of),
-]
-Imports = Annotated[
-    Annotated[Literal["ignore"], Tag(SHORT_FORM)] | Annotated[dict[Name, FileName], Tag(FULL_FORM)],
-    Discriminator(form_of),
-]
+Input = Annotated[Annotated[TagText, _SHORT] | Annotated[InputPart, _FULL], _FORM]
+Output = Annotated[Annotated[TagText, _SHORT] | Annotated[OutputPart, _FULL], _FORM]
+Names = Annotated[Annotated[Name, _SHORT] | Annotated[list[Name], _FULL], _FORM]
+FileNames = Annotated[Annotated[FileName, _SHORT] | Annotated[list[FileName], _FULL], _FORM]
+Imports = Annotated[Annotated[Literal["ignore"], _SHORT] | Annotated[dict[Name, FileName], _FULL], _FORM]
 
 
 class RunPart(Part):

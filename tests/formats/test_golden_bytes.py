@@ -22,8 +22,7 @@ from cfgplan.formats import (
     plain_environment,
     read_document,
 )
-from cfgplan.formats.conversion import plain_document
-from cfgplan.formats.dump import dump_yaml
+from cfgplan.formats.dump import dump_yaml, plain_document
 
 HERE = Path(__file__).parent
 MODELS = HERE.parent.parent / "models"
