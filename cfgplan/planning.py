@@ -186,6 +186,9 @@ class PlannerFaultError(CfgplanError):
             self.plan = replace(plan, status=status, bound_us=0, ties_proven=False, required_proven=False)
         super().__init__(message)
 
+    def __reduce__(self) -> tuple[type[PlannerFaultError], tuple[str, Plan]]:
+        return type(self), (str(self), self.plan)
+
 
 @dataclass(frozen=True, slots=True)
 class Progress:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -65,3 +66,5 @@ def test_an_engine_that_denies_the_plan_in_hand_is_an_error_that_carries_it(
         PlannerSession(USUAL.without_search()).plan(problem)
     assert (raised.value.plan.status, raised.value.plan.bound_us) == (Status.FEASIBLE, 0)
     assert plan_violations(problem, raised.value.plan) == []
+    elsewhere = pickle.loads(pickle.dumps(raised.value))  # as a pool of processes does
+    assert (str(elsewhere), elsewhere.plan) == (str(raised.value), raised.value.plan)

@@ -10,6 +10,7 @@ import os
 import sys
 from collections.abc import Collection, Iterator
 from dataclasses import replace
+from math import inf
 from pathlib import Path
 from threading import Event
 from types import SimpleNamespace
@@ -176,6 +177,10 @@ def test_soon_after_the_closure_a_plan_is_known(kind: str) -> None:
     best, _ = after(10**9, PROBLEMS[kind])
     found, _ = after(round(best.seconds["closure"]) + FEW_MORE, PROBLEMS[kind])
     assert found.change_set is not None
+
+
+def test_an_infinite_limit_is_none() -> None:
+    assert Clock(inf).left_s() is None
 
 
 def test_some_time_after_a_stop_nothing_is_begun_any_more() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from math import inf
 from threading import Event
 
 from cfgplan.errors import CfgplanError
@@ -27,7 +28,7 @@ class Clock:
 
     def __init__(self, time_limit_s: float | None = None, stop: Event | None = None, tuning: Tuning = USUAL) -> None:
         self._began = self._phase_began = time.monotonic()
-        self._limit_s = time_limit_s
+        self._limit_s = None if time_limit_s == inf else time_limit_s
         self._stopped: float | None = None
         self.tuning = tuning
         self.stop = stop or Event()
