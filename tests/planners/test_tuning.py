@@ -16,7 +16,6 @@ NOT_TUNED = {
     "networks/core.py": {"NEVER", "MOST_PASSES"},
     "networks/crowds.py": {"MOST"},
     "networks/greedy.py": {"DEAREST", "FREE"},
-    "bounding/branching.py": {"LARGE"},
     "closing/program.py": {"FROM_THE_LAST_BASIS", "FINE", "LARGEST"},
     "closing/separation.py": {"WHOLE", "CREEP"},
     "exact/flat_search.py": {"EXACT"},

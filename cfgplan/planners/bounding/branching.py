@@ -18,15 +18,11 @@ from cfgplan.planners.bounding.landmarks import Landmark
 from cfgplan.planners.bounding.ways import LEFT_OUT, Links, Ways
 from cfgplan.planners.networks.core import NEVER, Core, Ints
 
-LARGE = 60
-"""With fewer labels than this it does not pay to go on without those that are left out."""
-
 
 @dataclass(slots=True)
 class _Node:
     """What labels still cost: what landmarks don't charge, nothing if taken, `LEFT_OUT` if left out."""
 
-    links: Links
     residual: list[int]
     paid: int
     charged: int
@@ -66,20 +62,7 @@ class _Node:
             residual[label] = 0
         share = self.share / among
         self.share -= share
-        return _Node(self.links, residual, paid, charged, landmarks, share)
-
-    def shrunk(self) -> _Node:
-        """The node without what is left out, if that is much."""
-        residual = self.residual
-        if len(residual) < LARGE:
-            return self
-        kept = [label for label, price in enumerate(residual) if price < LEFT_OUT]
-        if 2 * len(kept) > len(residual):
-            return self
-        number = {label: i for i, label in enumerate(kept)}
-        landmarks = [(weight, tuple([number[member] for member in members])) for weight, members in self.landmarks]
-        left = [residual[label] for label in kept]
-        return _Node(self.links.among(kept), left, self.paid, self.charged, landmarks, self.share)
+        return _Node(residual, paid, charged, landmarks, share)
 
     def leave_out(self, labels: Collection[int]) -> bool:
         """Do without the labels from now on; False if a landmark has no other members."""
@@ -104,7 +87,7 @@ class Branching:
         self.best: set[int] | None = None
         self.nodes = 0
         self._core, self._weight = core, cost
-        self._links = Links.of(core)
+        self._links = Links(core)
         self._cost: list[int] = cost.tolist()
         self.enough = limit - step + 1
         """A bound of so much says that nothing is better."""
@@ -166,7 +149,7 @@ class Branching:
         return found
 
     def _root(self) -> _Node:
-        return _Node(self._links, self._cost[:], 0, 0, [], 1.0)
+        return _Node(self._cost[:], 0, 0, [], 1.0)
 
     def _is_late(self) -> bool:
         return self._steps <= 0 or self._is_over()
@@ -180,20 +163,18 @@ class Branching:
             if self._is_late():
                 self._ahead.append(node)
             return
-        plan = {node.links.labels[label] for label in ways.plan()}
+        plan = ways.plan()
         weight = sum([self._cost[label] for label in plan])
         if weight < self.enough:
             self.enough, self.best = weight - self._step + 1, plan
         if not node.leave_out(ways.labels_from(self.enough - node.bound)) or node.bound >= self.enough:
             return
-        node = node.shrunk()
         near = self._nearest(node)
         if len(near) == 1:
             forced = [members[0] for _, members in node.landmarks if len(members) == 1]
             self._ahead.append(node.take({*near, *forced}))
         elif near:
-            residual, labels = node.residual, node.links.labels
-            label = min(near, key=lambda member: (residual[member], labels[member] not in plan, member))
+            label = min(near, key=lambda member: (node.residual[member], member not in plan, member))
             taken = node.take({label}, len(near))
             if node.leave_out([label]):
                 self._ahead.append(node)
@@ -201,7 +182,7 @@ class Branching:
 
     def _tighten(self, node: _Node) -> Ways | None:
         """Charge landmarks until the goal is free; None if no plan is good enough, or steps or time are over."""
-        ways = Ways(node.links, node.residual, self.enough - node.bound)
+        ways = Ways(self._links, node.residual, self.enough - node.bound)
         self._first = self._first or (ways.zones, node.landmarks)
         while node.bound + ways.to_goal < self.enough:
             if self._is_late():

@@ -6,7 +6,7 @@ left out opens no way.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from heapq import heappop, heappush
 
 from cfgplan.planners.networks.core import NEVER, Core
@@ -16,11 +16,11 @@ LEFT_OUT = int(NEVER)
 
 
 class Links:
-    """A core, or a part of it, as plain lists; `labels` are their numbers in the core."""
+    """A core as plain lists."""
 
-    def __init__(self, labels: Sequence[int], needs: list[list[int]], givers: list[list[int]]) -> None:
-        """The last of `needs` are those of the goal."""
-        self.labels = labels
+    def __init__(self, core: Core) -> None:
+        needs = [core.needs.lists[label] for label in range(core.goal + 1)]
+        givers = [core.givers.lists[fact] for fact in range(len(core.givers))]
         self.goal = len(needs) - 1
         self.needs = needs
         self.givers = givers
@@ -28,20 +28,6 @@ class Links:
         self.needed_by = _transposed(needs, len(givers))
         self.missing = [len(row) for row in needs]
         self.sources = [label for label, row in enumerate(needs) if not row]
-
-    @classmethod
-    def of(cls, core: Core) -> Links:
-        needs, givers = core.needs.lists, core.givers.lists
-        rows = [needs[label] for label in range(core.goal + 1)]
-        return cls(range(core.goal), rows, [givers[fact] for fact in range(len(core.givers))])
-
-    def among(self, kept: Sequence[int]) -> Links:
-        """The part with these labels and the facts they need."""
-        number = {label: i for i, label in enumerate(kept)}
-        facts: dict[int, int] = {}
-        needs = [[facts.setdefault(fact, len(facts)) for fact in self.needs[label]] for label in (*kept, self.goal)]
-        givers = [[number[label] for label in self.givers[fact] if label in number] for fact in facts]
-        return Links([self.labels[label] for label in kept], needs, givers)
 
 
 def _transposed(rows: list[list[int]], columns: int) -> list[list[int]]:
