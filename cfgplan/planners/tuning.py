@@ -63,7 +63,6 @@ class Rise:
     landmark: Annotated[float, Said("steps", "for a landmark", TIMED)] = 150.0
     need: Annotated[float, Said("steps/need", "for a landmark", TIMED)] = 0.04
     link: Annotated[float, Said("steps/link", "for a landmark or a repair where the way is deep", TIMED)] = 5.0
-    member: Annotated[float, Said("steps/member", "to charge landmarks by a linear program", TIMED)] = 6.0
     building: Annotated[float, Said("steps/member", "until a linear program begins", TIMED)] = 3.0
 
 

@@ -17,7 +17,7 @@ from cfgplan.comparing.families.nao import nao
 from cfgplan.planners.bounding.bounds import Bound, cheapest_way
 from cfgplan.planners.bounding.chains import chained_bound
 from cfgplan.planners.bounding.landmarks import Landmark
-from cfgplan.planners.closing.program import LandmarkProgram
+from cfgplan.planners.closing.program import LandmarkProgram, charged
 from cfgplan.planners.closing.separation import Separator
 from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planners.networks.greedy import first_plan, is_plan
@@ -87,7 +87,7 @@ def test_bounds_by_them_do_not_exceed_the_optimum_and_fixing_keeps_cheap_plans(p
     bound = Bound(stage.network.core, stage.cost)
     bound.improve(2**50, 100, lambda: False)
     before = bound.value
-    bound.recharge_best(Clock())
+    bound = charged(bound, Clock())
     assert before <= bound.value <= optimum
     assert (bound.residual >= 0).all()
     dearest = int(cheapest_way(stage.network.core, stage.cost)[1][-1])
@@ -117,7 +117,7 @@ def test_with_distinct_inputs_the_planner_agrees_with_the_oracle(problem: Proble
     agree(problem)
 
 
-def test_the_fusion_of_ten_robots_needs_no_solver_since_landmarks_are_charged_best() -> None:
+def test_the_fusion_of_ten_robots_needs_no_solver() -> None:
     plan = PlannerSession().plan(nao(0, robots=10, fusion=2))
     assert plan.status is Status.OPTIMAL
     assert "rounds" not in plan.counts

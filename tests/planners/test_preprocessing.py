@@ -11,6 +11,7 @@ from cfgplan.costs import keep_cost_us, start_cost_us
 from cfgplan.planners import PLANNERS
 from cfgplan.planners.bounding.bounds import Bound, cheapest_way
 from cfgplan.planners.bounding.chains import chained_bound
+from cfgplan.planners.closing.program import charged
 from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planners.exact.candidates import Candidates, relevant
 from cfgplan.planners.exact.wiring import wire
@@ -100,11 +101,11 @@ def test_every_plan_has_a_member_of_each_landmark_also_after_costs_moved(problem
     used = stage.numbers(stage.used)
     assert all(used & set(landmark.members.tolist()) for landmark in landmarks)
     value = bound.value
-    bound.recharge_best(Clock())
+    bound = charged(bound, Clock())
     assert value <= bound.value <= (stage.plan.cost_us or 0)
     assert (bound.residual >= 0).all()
     free = Bound(core, np.zeros_like(stage.cost), landmarks)
-    free.recharge_best(Clock())
+    free = charged(free, Clock())
     assert free.value == 0
 
 

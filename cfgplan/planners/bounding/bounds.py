@@ -13,10 +13,8 @@ from heapq import nsmallest
 
 import numpy as np
 
-from cfgplan.planners.bounding.charging import best_weights, spread
 from cfgplan.planners.bounding.landmarks import Landmark, ways_into
 from cfgplan.planners.networks.core import MOST_PASSES, NEVER, Core, Flags, Ints
-from cfgplan.planners.solving.clock import Clock
 
 
 def cheapest_way(core: Core, cost: Ints, above: Ints | None = None) -> tuple[Ints, Ints]:
@@ -81,17 +79,6 @@ class Bound:
             least = np.minimum.reduceat(self.residual[members], np.append(0, ends[:-1]))
             for i in np.flatnonzero(least).tolist():
                 self.weights[i] += self.charge(self.landmarks[i])
-
-    def recharge_best(self, clock: Clock) -> None:
-        """Charge all landmarks anew in the best way that is found in time, unless rounding makes it worse."""
-        before, landmarks, weights = self.value, self.landmarks, self.weights
-        best = best_weights(landmarks, self.cost, clock)
-        if best and self.core.crowds is not None:
-            self.landmarks, best = spread(landmarks, best, self.cost)
-        self.recharge(best or weights)
-        if self.value < before:
-            self.landmarks = landmarks
-            self.recharge(weights)
 
     def improve(self, enough: int, most: int, is_over: Callable[[], bool]) -> None:
         """Charge up to `most` new landmarks, until the value is `enough` or the goal is free at residual costs."""

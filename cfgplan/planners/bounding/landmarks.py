@@ -86,16 +86,6 @@ class Landmark:
             return float(fractions[self.members].sum())
         return float(fractions[self.members] @ self.crowd.counts) / self.crowd.least
 
-    def sparing(self, member: int) -> Landmark | None:
-        """The landmark where the member counts as there; None if nothing more is demanded then."""
-        if self.crowd is None:
-            return None
-        crowd, others = self.crowd, self.members != member
-        least = crowd.least - int(crowd.counts[~others].sum())
-        there = crowd.there | {member}
-        left = Crowd(least, np.minimum(crowd.counts[others], least), there, crowd.behind, crowd.most)
-        return Landmark(self.zone, self.members[others], left) if least > 0 else None
-
     def outside(self, part: Core) -> Landmark:
         """The landmark of a part of a core with the numbers of the whole; its members are those in the part."""
         crowd = self.crowd and self.crowd.renumbered(self.crowd.counts, part.labels, part.facts)

@@ -9,8 +9,8 @@ from cfgplan.planners.solving.clock import Clock
 def tightened(bound: Bound, enough: int, limit: int, clock: Clock, *, greedily: bool = False) -> Bound:
     """The bound with more landmarks, for plans that cost at most `limit`, until it is `enough` or that no longer pays.
 
-    Where no plan costs as little as `limit`, its value is above that. `greedily` leaves it to `closing`, which is to
-    follow, to charge landmarks best.
+    Where no plan costs as little as `limit`, its value is above that. `greedily`: less long, since `closing` is to
+    follow.
     """
     rise = clock.tuning.rise
     while bound.value < enough and not clock.is_over():
@@ -24,15 +24,8 @@ def tightened(bound: Bound, enough: int, limit: int, clock: Clock, *, greedily: 
         patience = (rise.patience if greedily else rise.last_patience) * bound.core.goal**1.5
         each = rise.landmark + rise.need * len(bound.core.needs.items) + rise.link * bound.core.deep_links
         bound.improve(enough, rise.landmarks, clock.is_over)
-        took = rise.landmarks * each
-        if bound.value < enough and not _pays(bound.value - before, enough - before, took, patience):
-            if greedily:
-                break
-            bound.recharge_best(clock)
-            bound.improve(enough, rise.landmarks, clock.is_over)
-            took = 2 * took + rise.member * sum(len(landmark.members) for landmark in bound.landmarks)
-            if not _pays(bound.value - before, enough - before, took, patience):
-                break
+        if bound.value < enough and not _pays(bound.value - before, enough - before, rise.landmarks * each, patience):
+            break
     return bound
 
 

@@ -14,6 +14,7 @@ from cfgplan.planners.bounding.bounds import Bound
 from cfgplan.planners.bounding.landmarks import Landmark
 from cfgplan.planners.closing.feeding import Feeding
 from cfgplan.planners.networks.core import Core, Floats, Ints
+from cfgplan.planners.solving.clock import Clock
 
 FROM_THE_LAST_BASIS = "use_preprocessing: false use_dual_simplex: true initial_condition_number_threshold: 1e300"
 """Preprocessing and doubts about the last basis would make the engine begin anew each time."""
@@ -84,3 +85,13 @@ class LandmarkProgram:
         fine = Bound(self._core, left, landmarks)
         fine.recharge(self._weights)
         return fine.as_of(self._parts, value, self._cost)
+
+
+def charged(bound: Bound, clock: Clock) -> Bound:
+    """The bound by its landmarks, charged in the best way if that is found in time and better."""
+    if not bound.landmarks or not clock.has_steps(clock.tuning.rise.building * bound.core.links):
+        return bound
+    program = LandmarkProgram(bound.core, np.arange(bound.core.goal), bound.cost)
+    landmarks = [landmark for landmark in bound.landmarks if program.add(landmark)]
+    best = bound if program.solve(clock.left_s()) is None else program.bound(landmarks)
+    return max(best, bound, key=lambda one: one.value)

@@ -16,6 +16,7 @@ import numpy as np
 from cfgplan.planners.bounding.bounds import Bound
 from cfgplan.planners.bounding.rivals import is_without_rival
 from cfgplan.planners.bounding.tightening import tightened
+from cfgplan.planners.closing.program import charged
 from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.solving.clock import Clock
 
@@ -67,9 +68,9 @@ class Rest:
     def of(cls, plan: Ints, cost: Ints, limit: int, bound: Bound, clock: Clock) -> Rest:
         """Look at a proven plan and a bound for plans that cost at most `limit`, so that replanning can begin there."""
         value = int(cost[plan].sum())
-        bound = tightened(bound.restricted(bound.may_be_used(limit)), value, limit, clock)
+        bound = _charged(bound.restricted(bound.may_be_used(limit)), value, limit, clock)
         bound = bound.restricted(bound.may_be_used(limit))
-        close = tightened(bound.restricted(bound.may_be_used(value)), value, value, clock)
+        close = _charged(bound.restricted(bound.may_be_used(value)), value, value, clock)
         close = close.restricted(close.may_be_used(value))
         rivals = np.setdiff1d(close.core.labels, plan)
         if len(rivals) and is_without_rival(close, plan, value, clock):
@@ -115,6 +116,12 @@ class Rest:
 
     def _bound_at(self, cost: Ints) -> Bound:
         return self.bound.at(cost[self.bound.core.labels])
+
+
+def _charged(bound: Bound, enough: int, limit: int, clock: Clock) -> Bound:
+    """The bound tightened, its landmarks then charged in the best way, which may leave more to be tightened."""
+    bound = tightened(bound, enough, limit, clock)
+    return bound if bound.value >= enough else tightened(charged(bound, clock), enough, limit, clock)
 
 
 def _without(label: int, bound: Bound, limit: int, clock: Clock) -> Left:
