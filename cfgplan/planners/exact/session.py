@@ -41,6 +41,37 @@ if TYPE_CHECKING:
     from cfgplan.planners.exact.search import Landmarks, Search
 
 
+class _Course:
+    """One plan on its way: what its stages hand on to each other."""
+
+    structure: Structure
+    preparation: Preparation
+    prepared: Prepared
+    candidates: Candidates
+
+    def __init__(self, standing: Standing) -> None:
+        self.standing = standing
+        self.problem, self.clock = standing.problem, standing.clock
+        self.is_new = True
+        """Whether nothing is known of this structure yet."""
+        self.has_ended = False
+
+    def take(self, prepared: Prepared) -> None:
+        """Go on with what was found out."""
+        self.prepared, self.candidates = prepared, self.structure.candidates(self.problem, prepared.labels)
+        prepared.tell(self.standing, self.candidates)
+
+    def decides(self, among: Collection[str] | None = None) -> bool:
+        """Whether a search proves the least cost, after which the solver chooses among equals if it has to."""
+        candidates = decide(self.standing, self.structure, among)
+        self.clock.end("bounds")
+        if candidates is not None and not self.standing.is_over:
+            _search(candidates, self.standing).run()
+            self.clock.end("search")
+        self.has_ended = candidates is not None
+        return self.has_ended
+
+
 class PlannerSession:
     """A planner that remembers; `plan` is a `planning.Planner` with a way to stop it."""
 
@@ -85,26 +116,41 @@ class PlannerSession:
         return found
 
     def _bring_forward(self, standing: Standing) -> None:
-        """From what runs to what is proven."""
-        problem, clock = standing.problem, standing.clock
-        units = what_runs(problem)
+        """Go through the stages of a plan until nothing is left to be proven."""
+        course = _Course(standing)
+        for stage in (
+            self._offer_what_runs,
+            self._close,
+            self._use_all_required,
+            self._decide_all,
+            self._raise_bound,
+            self._decide_what_is_left,
+            self._close_gap,
+            self._solve,
+        ):
+            if not course.has_ended:
+                stage(course)
+
+    def _offer_what_runs(self, course: _Course) -> None:
+        units = what_runs(course.problem)
         if units is not None:
-            standing.offer(units)
+            course.standing.offer(units)
+
+    def _close(self, course: _Course) -> None:
+        """The closure of the library, and its network; known already where nothing but costs and units changed."""
+        problem, standing = course.problem, course.standing
         self._turn_to(problem.similarity)
         if self._structure is None or not self._structure.serves(problem):
-            self._structure = Structure.of(problem, self._structure, clock)
+            self._structure = Structure.of(problem, self._structure, course.clock)
             self._rest = None
-        structure = self._structure
-        clock.end("closure")
-        if not structure.meets_targets:
-            standing.is_infeasible, standing.reasons = True, unmet_reasons(problem, possible=structure.possible)
-            return
-        standing.counts = structure.counts()
-        standing.fewest_unused = structure.hopeless_required
-        if structure.has_required:
-            self._with_required(standing, structure)
+        structure = course.structure = self._structure
+        course.clock.end("closure")
+        if structure.meets_targets:
+            standing.counts = structure.counts()
+            standing.fewest_unused = structure.hopeless_required
         else:
-            self._without_required(standing, structure)
+            standing.is_infeasible, standing.reasons = True, unmet_reasons(problem, possible=structure.possible)
+            course.has_ended = True
 
     def _turn_to(self, similarity: Similarity) -> None:
         """Remember what is known of this matching, and set aside what is known of the last one."""
@@ -115,52 +161,62 @@ class PlannerSession:
         if aside is not None and aside[0].similarity == similarity:
             self._structure, self._last, self._rest = aside
 
-    def _without_required(self, standing: Standing, structure: Structure) -> None:
-        """What is new is searched first; what is open is prepared, searched if little is left of it, and solved."""
-        clock, is_new, is_first = standing.clock, not structure.has_landmarks, not self._last
-        if is_new and (self._try_to_decide(standing, structure) or (clock.is_over() and standing.best is not None)):
+    def _use_all_required(self, course: _Course) -> None:
+        """Try to use all required transformations; only if that is impossible, see how many can be used."""
+        standing, structure = course.standing, course.structure
+        if not structure.has_required:
             return
+        course.has_ended = True
+        offer_any_plan(standing, structure)
+        for prepared in (prepared_with_all(standing, structure), Prepared(structure.network.labels)):
+            course.clock.end("bounds")
+            course.clock.check()
+            course.take(prepared)
+            search = _search(course.candidates, standing, prepared.landmarks())
+            if prepared.holds_for is None:
+                search.run()
+            elif search.run_with_all_required():
+                return
+
+    def _decide_all(self, course: _Course) -> None:
+        """What is new is searched."""
+        course.is_new = not course.structure.has_landmarks
+        if course.is_new and not course.decides():
+            course.has_ended = course.clock.is_over() and course.standing.best is not None
+
+    def _raise_bound(self, course: _Course) -> None:
+        """Bounds on the cost from both sides, and what may still be used between them."""
+        standing, is_first = course.standing, not self._last
         self._remember(standing)
         if standing.best is None:
-            offer_any_plan(standing, structure)
-        preparation = self._prepare(standing.problem, structure, clock, is_first=is_first)
-        prepared = preparation.prepared(clock)
-        candidates = structure.candidates(standing.problem, prepared.labels)
-        prepared.tell(standing, candidates)
-        is_less = 2 * len(prepared.labels) <= len(structure.network.labels)
-        if (is_less or not is_new) and not standing.is_over:
-            if self._try_to_decide(standing, structure, prepared.labels):
-                return
-            prepared.tell(standing, candidates)
-        clock.end("bounds")
-        self._solve(standing, structure, preparation, prepared)
+            offer_any_plan(standing, course.structure)
+        course.preparation = self._prepare(course.problem, course.structure, course.clock, is_first=is_first)
+        course.take(course.preparation.prepared(course.clock))
 
-    def _try_to_decide(self, standing: Standing, structure: Structure, among: Collection[str] | None = None) -> bool:
-        """Search; where that proves the least cost, the solver chooses among equals if it has to. Whether it did."""
-        candidates = decide(standing, structure, among)
-        standing.clock.end("bounds")
-        if candidates is not None and not standing.is_over:
-            _search(candidates, standing).run()
-            standing.clock.end("search")
-        return candidates is not None
+    def _decide_what_is_left(self, course: _Course) -> None:
+        prepared = course.prepared
+        is_less = 2 * len(prepared.labels) <= len(course.structure.network.labels)
+        if (is_less or not course.is_new) and not course.standing.is_over and not course.decides(prepared.labels):
+            course.take(prepared)
+        course.clock.end("bounds")
+
+    def _close_gap(self, course: _Course) -> None:
+        """Bring bound and plan closer."""
+        if course.preparation.may_go_on and not course.standing.is_over:
+            course.preparation.go_on(course.clock)
+            course.take(course.preparation.prepared(course.clock))
+            course.clock.end("bounds")
+
+    def _solve(self, course: _Course) -> None:
+        """What is still open is left to the solver."""
+        if not course.standing.is_over:
+            landmarks = course.prepared.landmarks()
+            _search(course.candidates, course.standing, landmarks, course.preparation.missed).run()
+            course.clock.end("search")
 
     def _remember(self, standing: Standing) -> None:
         if standing.best is not None:
             self._last = frozenset(unit.transformation for unit in standing.best.units)
-
-    def _solve(self, standing: Standing, structure: Structure, preparation: Preparation, prepared: Prepared) -> None:
-        """Bring a standing forward until all is proven or the time is over: better bounds first, then the solver."""
-        clock, problem = standing.clock, standing.problem
-        candidates = structure.candidates(problem, prepared.labels)
-        if preparation.may_go_on and not standing.is_over:
-            preparation.go_on(clock)
-            prepared = preparation.prepared(clock)
-            candidates = structure.candidates(problem, prepared.labels)
-            prepared.tell(standing, candidates)
-            clock.end("bounds")
-        if not standing.is_over:
-            _search(candidates, standing, prepared.landmarks(), preparation.missed).run()
-            clock.end("search")
 
     def _prepare(self, problem: Problem, structure: Structure, clock: Clock, *, is_first: bool) -> Preparation:
         """Bounds on the cost from both sides, and what may still be used between them."""
@@ -179,20 +235,6 @@ class PlannerSession:
         if left is None:
             preparation.begin(_known_bound(structure, weighing.weight, weighing.scale), clock)
         return preparation
-
-    def _with_required(self, standing: Standing, structure: Structure) -> None:
-        """Try to use all required transformations; only if that is impossible, see how many can be used."""
-        offer_any_plan(standing, structure)
-        for prepared in (prepared_with_all(standing, structure), Prepared(structure.network.labels)):
-            standing.clock.end("bounds")
-            standing.clock.check()
-            candidates = structure.candidates(standing.problem, prepared.labels)
-            prepared.tell(standing, candidates)
-            search = _search(candidates, standing, prepared.landmarks())
-            if prepared.holds_for is None:
-                search.run()
-            elif search.run_with_all_required():
-                return
 
     def _first_plan(
         self, problem: Problem, structure: Structure, weighing: Weighing, quick: int, clock: Clock, *, is_first: bool
