@@ -85,10 +85,11 @@ def _span(value: object) -> int:
 def _rate(value: object) -> float:
     if type(value) is not int and type(value) is not Decimal:
         raise PydanticCustomError("number_type", "a rate is a number")
-    if not 0 < value <= LARGEST_RATE_HZ:
+    number = _finite_number(value)
+    if number is None or not 0 < number <= LARGEST_RATE_HZ:
         mend = f"write a number above 0 and up to {LARGEST_RATE_HZ:,}"
         raise PydanticCustomError("rate", "{text}", {"text": f"a rate of {value} is out of range", "mend": mend})
-    return float(value)
+    return float(number)
 
 
 def _micro(value: object) -> int:
@@ -135,16 +136,30 @@ def _params(value: object) -> object:
     return _finite(value)
 
 
-def _resources(value: object) -> dict[str, int]:
+def _finite_number(value: object) -> Decimal | int | None:
+    """The value if it is a number that is finite; None for any other."""
+    if isinstance(value, Decimal):
+        return value if value.is_finite() else None
+    return value if type(value) is int else None
+
+
+def _amount(value: object) -> Decimal | int:
+    number = _finite_number(value)
+    if number is None or not 0 <= number <= LARGEST_AMOUNT:
+        text = f"{value!r} is no amount" if type(value) is str else f"{value} is no amount"
+        mend = f"write a whole number from 0 to {LARGEST_AMOUNT:,}"
+        raise PydanticCustomError("amount", "{text}", {"text": f"{text} of a resource", "mend": mend})
+    return number
+
+
+def _resources(amounts: dict[str, Decimal | int]) -> dict[str, int]:
     """Whole amounts of resources by name, but for CPU time: microseconds of it each second."""
-    if type(value) is not dict:
-        raise PydanticCustomError("dict_type", "resources must be a mapping")
-    amounts = {normal(name): _cost(amount) if name == CPU else amount for name, amount in value.items()}
-    for name, amount in amounts.items():
-        if not re.fullmatch(NAME, name) or type(amount) is not int or not 0 <= amount <= LARGEST_AMOUNT:
-            text, mend = f"there can't be {amount} of `{name}`", f"write a whole number from 0 to {LARGEST_AMOUNT:,}"
-            raise PydanticCustomError("amount", "{text}", {"text": text, "mend": mend})
-    return amounts
+    found = {name: _microseconds(amount) if name == CPU else amount for name, amount in amounts.items()}
+    parts = next((f"{amount} of `{name}`" for name, amount in found.items() if type(amount) is not int), None)
+    if parts is not None:
+        mend = "write a whole number; only cpu has parts"
+        raise PydanticCustomError("amount", "{text}", {"text": f"there can't be {parts}", "mend": mend})
+    return {name: int(amount) for name, amount in found.items()}
 
 
 def form_of(value: object) -> str:
@@ -203,11 +218,8 @@ Rate = Annotated[
 ]
 Micro = Annotated[int, PlainValidator(_micro), WithJsonSchema({"type": "number"}), Written(plain_quality)]
 PositiveMicro = Annotated[int, PlainValidator(_positive_micro), WithJsonSchema(_NUMBER), Written(plain_quality)]
-Resources = Annotated[
-    dict[str, int],
-    PlainValidator(_resources),
-    WithJsonSchema({"type": "object", "additionalProperties": {**_NUMBER, "maximum": LARGEST_AMOUNT}}),
-]
+Amount = Annotated[Decimal | int, PlainValidator(_amount), WithJsonSchema({**_NUMBER, "maximum": LARGEST_AMOUNT})]
+Resources = Annotated[dict[Name, Amount], AfterValidator(_resources)]
 Params = Annotated[dict[str, Any], PlainValidator(_params), WithJsonSchema({"type": ["object", "null"]})]
 BetterName = Annotated[Literal["lower", "higher"], AfterValidator(Better), Written(str)]
 RuleName = Annotated[Literal["add", "limit", "scale", "set"], AfterValidator(Rule), Written(str)]

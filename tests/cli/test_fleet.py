@@ -101,6 +101,16 @@ def test_a_resource_that_no_host_has_is_named(run: Run, tmp_path: Path) -> None:
     assert "target boxes would have no stream: no host where detector may run has 2 gpu" in result.out
 
 
+def test_a_resource_that_all_hosts_together_have_too_little_of_is_named(run: Run, tmp_path: Path) -> None:
+    path = tmp_path / "env.yaml"
+    path.write_text(GPUS.replace("{label: camera,", "{label: camera, needs: {gpu: 1},"))
+    result = run("explain", path)
+    assert result.code == 10
+    assert "asked together: camera, detector need 3 gpu, but all hosts have 2" in result.out
+    path.write_text(path.read_text().replace("name: small", "name: small, offers: {gpu: 1}"))
+    assert run("solve", path).code == 0
+
+
 def test_units_that_take_more_of_a_resource_than_their_host_has_are_named(run: Run, tmp_path: Path) -> None:
     path = tmp_path / "env.yaml"
     path.write_text(GPUS + "units: [{id: detector.1, transformation: detector, host: small, topics: {out: [/boxes]}}]")

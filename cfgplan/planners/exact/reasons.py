@@ -23,8 +23,8 @@ def joint_reasons(problem: Problem) -> dict[str, str]:
         ]
         if reason
     }
-    asked = ", ".join(sorted(problem.notions))
-    joint = f"no configuration meets all that is asked together ({asked})"
+    asked = f" ({', '.join(sorted(problem.notions))})"
+    joint = f"no configuration meets all that is asked together{_missing_together(problem) or asked}"
     return unreachable or {target.label: joint for target in problem.environment.targets}
 
 
@@ -51,6 +51,24 @@ def _missing_room(problem: Problem, target: Target) -> str | None:
         return None
     alone = [lack for label, lack in too_large.items() if not _has_stream(problem, target, {label})]
     return f"target {target.label} would have no stream: {(alone or list(too_large.values()))[0]}"
+
+
+def _missing_together(problem: Problem) -> str | None:
+    """A resource of which all hosts together have less than those need without which there is no plan."""
+    environment = problem.environment
+    for resource in sorted(
+        {resource for t in environment.library for resource in t.needs} if environment.hosts else ()
+    ):
+        needed = {}
+        for t in environment.library:
+            if resource in t.needs:
+                is_needed = not all(_has_stream(problem, target, {t.label}) for target in environment.targets)
+                needed[t.label] = t.needs[resource] * max(t.min_instances, is_needed)
+        room = sum(host.room(resource) or 0 for host in environment.hosts)
+        if sum(needed.values()) > room:
+            names = ", ".join(label for label, amount in needed.items() if amount)
+            return f": {names} need {sum(needed.values())} {resource}, but all hosts have {room}"
+    return None
 
 
 def _lack(environment: Environment, t: Transformation) -> str | None:
