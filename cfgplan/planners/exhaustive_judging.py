@@ -1,15 +1,20 @@
-"""How the oracle judges a finished configuration of a fleet: cost, quality, leanness, failures."""
+"""How the oracle judges a finished configuration of a fleet: cost, leanness, failures.
+
+What quality is reached and what is carried it asks the judge.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import combinations, product
 
-from cfgplan.domain import ComputationUnit, Stream, Target
+from cfgplan.domain import ComputationUnit, Target
 from cfgplan.errors import InputError
 from cfgplan.planning import Failures, Problem
-from cfgplan.qualities import is_met, price_us, propagated
+from cfgplan.validity.hosts import carried_us
+from cfgplan.validity.quality import priced_us, quality_violations
 
 Key = tuple[int, int, int, int]
 Units = tuple[ComputationUnit, ...]
@@ -73,12 +78,12 @@ def is_borne(problem: Problem, units: Sequence[ComputationUnit]) -> bool:
 def key_of(problem: Problem, units: Units) -> Key | None:
     """How good a wiring is, or None if a bound is missed or a unit is there that nothing needs."""
     environment = problem.environment
-    prices = _prices_us(problem, units)
-    if prices is None or not _is_lean(problem, units):
+    after = replace(environment, units=units)
+    if any(quality_violations(after)) or not _is_lean(problem, units):
         return None
     used = {unit.transformation for unit in needed_by(units, [unit for unit in units if unit.publications])}
     unused = sum(t.required and t.label not in used for t in environment.library)
-    cost = cost_of_units(problem, units) + _carried_us(problem, units) + prices
+    cost = cost_of_units(problem, units) + carried_us(after, problem.horizon_s) + priced_us(after)
     changes = environment.change_to(units)
     return unused, cost, len(changes.rewired), len(changes.started)
 
@@ -95,45 +100,6 @@ def _is_lean(problem: Problem, units: Units) -> bool:
         if unit.publications or is_pinned or is_asked_for or is_spare:
             roots.append(unit)
     return len(needed_by(units, roots)) == len(units)
-
-
-def _prices_us(problem: Problem, units: Units) -> int | None:
-    """What the targets charge for quality; None if a bound is missed."""
-    environment = problem.environment
-    by_id = {unit.id: unit for unit in units}
-
-    def value(attribute_name: str, stream: Stream) -> int:
-        unit = by_id[stream.unit]
-        transformation = environment.transformation[unit.transformation]
-        inputs = [value(attribute_name, unit.feeds[p.name]) for p in transformation.inputs if not p.feedback]
-        stated = [c for c in transformation.output[stream.port].quality if c.attribute == attribute_name]
-        return propagated(environment.quality[attribute_name], stated[0] if stated else None, inputs)
-
-    total = 0
-    for unit in units:
-        for publication in unit.publications:
-            target = next(t for t in environment.targets if t.topic == publication.topic)
-            for wish in target.quality:
-                reached = value(wish.attribute, Stream(unit.id, publication.port))
-                if not is_met(environment.quality[wish.attribute], wish, reached):
-                    return None
-                total += price_us(environment.quality[wish.attribute], wish, reached)
-    return total
-
-
-def _carried_us(problem: Problem, units: Units) -> int:
-    environment = problem.environment
-    by_id = {unit.id: unit for unit in units}
-    cost = 0
-    for unit in units:
-        for port in environment.transformation[unit.transformation].outputs:
-            stream = Stream(unit.id, port.name)
-            to = {u.host for u in units for s in u.subscriptions if s.stream == stream}
-            topics = {p.topic for p in by_id[unit.id].publications if p.port == port.name}
-            to |= {t.host for t in environment.targets if t.topic in topics}
-            bytes_carried = -(-port.rate_uhz * port.size_bytes // 1_000_000) * problem.horizon_s
-            cost += len(to - {None, unit.host}) * -(-bytes_carried * environment.transfer_us // 1_000_000)
-    return cost
 
 
 def needed_by(units: Sequence[ComputationUnit], roots: Sequence[ComputationUnit]) -> list[ComputationUnit]:
