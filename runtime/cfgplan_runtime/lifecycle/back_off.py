@@ -12,10 +12,10 @@ from cfgplan_runtime.supervision.delays import doubling_s
 
 @dataclass(frozen=True, slots=True)
 class BackOffRules:
-    """Times in seconds. The first failure costs no time, the next `first_s`, each further one twice as much.
+    """Times in seconds. The first failure in a row causes no wait, the second `first_s`, each further one twice that.
 
-    A unit that had lived for `good_life_s` fails as if for the first time. Where nothing else can take a unit's place,
-    it waits no longer than `alone_s`.
+    The failure of a unit that had lived for `good_life_s` is a first one. A transformation that nothing can replace
+    waits `alone_s` at most.
     """
 
     first_s: float = 1.0
@@ -37,7 +37,7 @@ class _Record:
 
 @dataclass(frozen=True, slots=True)
 class BackOffs:
-    """The failures of transformations, by label, and which of these must not be started now; a value."""
+    """The failures of transformations by label, and the labels that must not be started now. Immutable."""
 
     rules: BackOffRules
     records: Mapping[str, _Record] = field(default_factory=dict)
@@ -46,9 +46,9 @@ class BackOffs:
     def after_failure(
         self, label: str, lived_s: float, now_s: float, cause: str, *, is_costly: bool = False
     ) -> BackOffs:
-        """A unit has failed after so long a life.
+        """Count a failure of a unit that has lived for `lived_s`.
 
-        One that `is_costly`, since it took a whole update with it, is not repeated at once.
+        After a costly one, which undid a whole update, even the first in a row causes a wait.
         """
         before = self.records.get(label)
         is_new = before is None or lived_s >= self.rules.good_life_s
@@ -61,23 +61,23 @@ class BackOffs:
         return self._with(label, _Record(1, inf, cause))
 
     def postponing(self, label: str, until_s: float) -> BackOffs:
-        """Leave a transformation alone for a while; nobody is to blame."""
+        """Do not start a transformation before `until_s`; this counts no failure."""
         before = self.records.get(label, _Record(0, until_s, "its start would hold up another update"))
         return self._with(label, replace(before, until_s=max(before.until_s, until_s)))
 
     def shortening(self, label: str, now_s: float) -> BackOffs:
-        """Nothing else can take a transformation's place: it waits for `alone_s` at most."""
+        """Cut the wait of a transformation that nothing can replace to `alone_s`. Returns self if nothing changes."""
         until_s = now_s + self.rules.alone_s
         if label not in self.avoided or not until_s < self.records[label].until_s < inf:
             return self
         return self._with(label, replace(self.records[label], until_s=until_s))
 
     def refusals(self) -> BackOffs:
-        """Only what is never to be started until it changes."""
+        """The same failures, but avoid only transformations that are refused until they change."""
         return replace(self, avoided=frozenset(label for label in self.avoided if self.records[label].until_s == inf))
 
     def refusal(self, label: str) -> str | None:
-        """Why a transformation is not to be started until it changes, if so it is."""
+        """Why a transformation is refused until it changes; None if it is not."""
         record = self.records.get(label)
         return record.cause if record is not None and record.until_s == inf else None
 
@@ -91,16 +91,16 @@ class BackOffs:
         return self.forgiving(*(label for label, record in self.records.items() if record.until_s != inf))
 
     def at(self, now_s: float) -> BackOffs:
-        """What has waited long enough is not avoided any more."""
+        """Avoid no longer what has waited long enough."""
         return replace(self, avoided=frozenset(one for one in self.avoided if self.records[one].until_s > now_s))
 
     @property
     def next_end_s(self) -> float:
-        """When the next of them may be started again; inf if none."""
+        """When the next avoided transformation may be started again; inf if none is avoided."""
         return min((self.records[label].until_s for label in self.avoided), default=inf)
 
     def view(self, now_s: float) -> tuple[BackingOff, ...]:
-        """Those that are waiting, by label."""
+        """The avoided transformations, sorted by label."""
         return tuple(_view(label, self.records[label], now_s) for label in sorted(self.avoided))
 
     def _with(self, label: str, record: _Record, *, waits: bool = True) -> BackOffs:

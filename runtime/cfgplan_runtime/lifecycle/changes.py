@@ -52,24 +52,24 @@ class Individual:
 
 @dataclass(frozen=True, slots=True)
 class AddIndividuals:
-    """Individuals that there are from now on."""
+    """Individuals that exist from now on; one of a known name replaces it."""
 
     individuals: tuple[Individual, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class RemoveIndividuals:
-    """Names of individuals that were added and are gone."""
+    """Names of individuals that are gone, wherever they were declared."""
 
     names: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class Declare:
-    """Somebody, such as a robot that registers itself, declares what an included file could: a mapping with
-    `transformations` and `targets` in the environment file's form, templates too, and its `individuals`.
+    """Declare what an included file could, and `individuals`; a robot registers itself by this.
 
-    Declaring again under the same `name` replaces what was declared.
+    `document` has `transformations` and `targets` in the environment file's form, templates too. Declaring again
+    under the same `name` replaces what was declared.
     """
 
     name: str
@@ -101,7 +101,7 @@ class ReplaceWorld:
 
 @dataclass(frozen=True, slots=True)
 class KillUnit:
-    """End a unit at once. The review that follows may well start its like: nobody is blamed."""
+    """End a unit at once. Nobody is blamed, so the review that follows may start its transformation again."""
 
     unit: str
 

@@ -12,7 +12,7 @@ from cfgplan_runtime.lifecycle.seams import Estimator
 from cfgplan_runtime.lifecycle.silence import Silence
 
 LARGEST_ESTIMATE_US = 10**12
-"""Estimates beyond this (11 days of CPU time) mean no more than that: never."""
+"""Larger estimates are cut to this: 11 days of CPU time, which means never."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,7 @@ class Situation:
 
     back_offs: BackOffs
     units: Mapping[str, Running] = field(default_factory=dict)
-    """By unit id; those of which the death has not been noticed yet, too."""
+    """By unit id, including units whose death has not been noticed yet."""
     failing: frozenset[str] = frozenset()
     """Ids of units that are given up though they run."""
     killed: frozenset[str] = frozenset()
@@ -39,17 +39,17 @@ class Situation:
     """Targets that count as unmet though a stream is published for them."""
 
     def label_of(self, unit: str) -> str | None:
-        """The transformation of a unit that was started here."""
+        """The label of a unit's transformation; None if the unit is not known."""
         running = self.units.get(unit)
         return None if running is None else running.transformation.label
 
     def without(self, *gone: str) -> Situation:
-        """Units are gone."""
+        """The situation without these units."""
         left = {unit: running for unit, running in self.units.items() if unit not in gone}
         return replace(self, units=left, failing=self.failing.difference(gone), killed=self.killed.difference(gone))
 
     def with_started(self, units: Iterable[ComputationUnit], library: Environment, now_s: float) -> Situation:
-        """Units that were not known run as a library says, from now on."""
+        """Add the units that are not known yet: they run since `now_s` as `library` says."""
         known = library.transformation
         new = {
             unit.id: Running(known[unit.transformation], now_s)
@@ -60,7 +60,7 @@ class Situation:
 
 
 class EstimatedLibrary:
-    """The library with estimated instead of declared costs; what is estimated as before is the same object."""
+    """Transformations with estimated instead of declared costs; the same object while its estimates stay the same."""
 
     def __init__(self) -> None:
         self._estimated: dict[str, tuple[Transformation, Transformation]] = {}
@@ -82,7 +82,7 @@ def _capped(cost_us: int) -> int:
 
 
 def avoided_now(world: Environment, running: Environment, situation: Situation) -> dict[str, str]:
-    """The transformations that may not be planned with, with why; those of which a good unit runs stay."""
+    """Why transformations are left out, by label. One that backs off is not, while a good unit of it runs."""
     avoided: dict[str, str] = {}
     serving = {
         situation.units[unit.id].transformation.label: situation.units[unit.id].transformation
@@ -108,8 +108,8 @@ def environment_to_plan(
 ) -> Environment:
     """The environment that an update is planned for.
 
-    A unit that can't go on (given up, or of a transformation that runs otherwise now) is of a transformation
-    that the library does not have, so that it is replaced where it is needed, and stopped.
+    A unit that can't go on (given up, or of a transformation that runs otherwise now) gets a label that the library
+    does not have, so that the planner stops it, and replaces it where it is needed.
     """
     library = tuple(costs[label] for label in world.transformation if label not in avoided)
     units = tuple(_as_planned(unit, world, situation) for unit in running.units)
@@ -134,7 +134,7 @@ def _has_ports_of(one: Transformation, other: Transformation) -> bool:
 
 
 def with_world(change_set: ChangeSet, world: Environment, known: Environment) -> ChangeSet:
-    """A change set over units with what the middleware has to be told of library and targets."""
+    """Add to a change set over units how library and targets get from `known` to `world`."""
     return replace(
         change_set,
         added_transformations=tuple(

@@ -63,18 +63,18 @@ _OPTIMISING = (Started, HorizonReached, ReviewRequested, MayStartAgain)
 
 
 class BreakIn(Flag):
-    """What becomes of what is under way."""
+    """How something that comes in breaks into what is under way."""
 
     INTERRUPT = auto()
     """The plan can't know what has happened: it is made anew."""
     ABANDON = auto()
     """The update waits for new units, and what has happened is more urgent: it is given up."""
     END = auto()
-    """Nobody wants it any more."""
+    """The manager is to end."""
 
 
 def breaks_in(doing: Doing, item: Item) -> BreakIn:
-    """What something that comes means for what is under way, before it is taken in."""
+    """How an item breaks into what is under way when it comes, before it is taken in."""
     starting = doing.starting if isinstance(doing, Updating) else frozenset()
     abandon = BreakIn.ABANDON if starting else BreakIn(0)
     match item:
@@ -93,10 +93,10 @@ def first_state(world: World, policy: Policy) -> State:
 
 
 def decide(state: State, happened: Happened) -> tuple[State, tuple[Effect, ...]]:
-    """The state after something has happened, and what is to be done, in this order.
+    """The state after something has happened, and the effects to carry out, in this order.
 
-    MakePlan, ApplyUpdate and StopAll come last, and one at a time: none before the last one's answer. Where Matched or
-    Seen is to follow, it does before anything else.
+    At most one of them is MakePlan, ApplyUpdate or StopAll, as the last, and none before the one before is answered.
+    Match and Observe are answered, by Matched and Seen, before anything else happens.
     """
     if state.running is not happened.running:
         state = replace(state, running=happened.running)
@@ -166,7 +166,7 @@ def _begun(turn: Turn, time_s: float) -> Turn:
 
 
 def _planning(turn: Turn, planning: Planning) -> Turn:
-    """Have everything that has happened answered by one plan."""
+    """Ask for one plan that answers everything that has happened."""
     state = turn.state
     entries = (*planning.entries, *state.entries)
     world, running = state.living.world, state.running
@@ -209,7 +209,7 @@ def _planned(turn: Turn, planned: Planned) -> Turn:
 
 
 def _shortened(turn: Turn, label: str) -> Turn:
-    """Nothing else can take the place of a transformation that is left alone: it may start again sooner."""
+    """Shorten the back-off of a transformation that nothing can replace."""
     situation = turn.state.situation
     back_offs = situation.back_offs.shortening(label, turn.at_s)
     if back_offs is situation.back_offs:
@@ -233,7 +233,7 @@ def _updated(turn: Turn, updated: Updated) -> Turn:
 
 
 def _failed(turn: Turn, updating: Updating, error: Exception) -> tuple[Turn, UpdateFailed]:
-    """Why an update failed; whoever is to blame is."""
+    """The perturbation that a failed update is; its transformations are refused, postponed or blamed."""
     slow: tuple[str, ...] = ()
     match error:
         case StaleChangeSetError():
@@ -257,7 +257,7 @@ def _failed(turn: Turn, updating: Updating, error: Exception) -> tuple[Turn, Upd
 
 
 def _postponed(turn: Turn, units: tuple[str, ...]) -> tuple[Turn, tuple[str, ...]]:
-    """The transformations whose units were starting when the update was given up for something urgent."""
+    """Postpone the transformations whose units were starting as the update was abandoned. Returns their labels too."""
     situation, until_s = turn.state.situation, turn.at_s + turn.state.policy.postpone_s
     labels = sorted({label for unit in units if (label := situation.label_of(unit)) is not None})
     for label in labels:
@@ -266,7 +266,7 @@ def _postponed(turn: Turn, units: tuple[str, ...]) -> tuple[Turn, tuple[str, ...
 
 
 def _blamed(turn: Turn, updating: Updating, units: tuple[str, ...], cause: str) -> tuple[Turn, tuple[str, ...]]:
-    """The transformations whose units did not start; each is blamed for it."""
+    """Blame the transformations whose units did not start. Returns their labels too."""
     labels = [gone.transformation for gone, _ in updating.gone]
     for gone, lived_s in updating.gone:
         if lived_s is not None:
@@ -326,7 +326,7 @@ def _record(state: State, planning: Planning, thought: Thought, failed: UpdateFa
 
 
 def _followed_up(turn: Turn, planning: Planning, failed: UpdateFailed | None) -> Turn:
-    """After a failure comes another review: at once if the next plan is sure to be another one, else later."""
+    """Have another review follow a failed one: at once if its plan is sure to differ, else later."""
     if failed is None:
         return turn.to(replace(turn.state, failures=0, owes_optimising=False))
     failures, policy = turn.state.failures + 1, turn.state.policy
@@ -337,7 +337,7 @@ def _followed_up(turn: Turn, planning: Planning, failed: UpdateFailed | None) ->
 
 
 def _prepared(turn: Turn) -> Turn:
-    """After an update: let the planner see what runs now, unless there is something to do."""
+    """Let the planner prepare for what runs after an update, unless a review is due."""
     state = turn.state
     if state.reviews[-1].decision is not Decision.APPLIED or state.due_s <= turn.at_s:
         return turn
@@ -358,7 +358,7 @@ def _ended(turn: Turn) -> Turn:
 
 
 def _finished(turn: Turn, cause: str) -> Turn:
-    """Whoever still waits is told that there is no manager any more."""
+    """End the manager: answer who has asked for the end, and fail all other requests."""
     state = turn.state
     match state.doing:
         case Planning(entries=begun) | Updating(Planning(entries=begun)):

@@ -73,8 +73,8 @@ class Reach:
 class Deliberation:
     """Plans updates, one after the other, with a planner that may remember.
 
-    The reasoner is asked about open pairs of tags that matter: where a review optimises, and where there is no plan
-    else, unless `is_stopped`.
+    The reasoner is asked about open pairs that matter if a review optimises, or if there is no plan without them,
+    unless `is_stopped`.
     """
 
     def __init__(
@@ -97,7 +97,7 @@ class Deliberation:
         self._reach: Reach | None = None
 
     def warm_up(self) -> None:
-        """Do in a thread of its own what the first difficult plan would have to wait for."""
+        """Import the solver in a thread of its own, so that the first difficult plan need not wait for it."""
         if self._session is not None:
             threading.Thread(target=_import_solver, name="cfgplan-warm-up", daemon=True).start()
 
@@ -106,7 +106,7 @@ class Deliberation:
     ) -> Thought:
         """The best update of what runs, and whether to carry it out now.
 
-        One that only saves cost is put off, unless the review `optimises`. `stop` ends it early.
+        An update that only saves cost is put off, unless the review `optimises`. `stop` ends planning early.
         """
         self._stop = stop
         thought = self._think(world, running, situation, optimises=optimises)
@@ -115,7 +115,7 @@ class Deliberation:
         return replace(thought, unmet=self._reasons(thought, world), warnings=warnings)
 
     def prepare(self, world: World, running: Environment, situation: Situation, *, stop: threading.Event) -> None:
-        """Plan for what runs as it is: a planner that remembers finds out what repairs will need."""
+        """Plan for what runs now, so that a planner that remembers is ready for repairs."""
         if self._session is None:
             return
         self._stop = stop
@@ -178,7 +178,7 @@ class Deliberation:
         return avoided, costs, environment_to_plan(wanted, running, situation, avoided, costs)
 
     def _letting_wait(self, thought: Thought, world: World, situation: Situation) -> Thought:
-        """Where targets are given up for what may start again, keep units that only wait for it, and hurry it on."""
+        """If targets are given up for transformations that back off, hurry these, and keep units that wait for them."""
         refusals = situation.back_offs.refusals()
         avoided = situation.back_offs.avoided - refusals.avoided
         if thought.change_set is None or not thought.unmet or avoided.isdisjoint(thought.avoided):
@@ -201,7 +201,7 @@ class Deliberation:
         )
 
     def _reasons(self, thought: Thought, world: World) -> Mapping[str, str]:
-        """Why targets are given up; where all that is missing is left out for now, that is the reason."""
+        """Why targets are given up. If a target is impossible only for what is left out for now, its reason says so."""
         if not (thought.unmet and thought.avoided):
             return thought.unmet
         impossible, impossible_now = (
@@ -231,7 +231,7 @@ def _timed(phase: str, seconds: dict[str, float]) -> Iterator[None]:
 
 
 def without_stopping(change_set: ChangeSet, running: Environment, spared: Set[str]) -> ChangeSet:
-    """The change set without the stops of `spared` units. They keep what feeds them, and their topics."""
+    """The change set without the stops of `spared` units. They keep inputs from units that stay, and free topics."""
     stopped = tuple(unit for unit in change_set.stopped if unit not in spared)
     taken = {p.topic for unit in (*change_set.started, *change_set.rewired) for p in unit.publications}
     waiting = [_waiting(unit, set(stopped), taken) for unit in running.units if unit.id in spared]
@@ -295,7 +295,7 @@ def _decision(
     """What to do, by what is served before and after the update."""
     assert thought.change_set is not None and thought.cost_us is not None
     if is_sound and before > after and not thought.is_proven:
-        return Decision.KEPT  # the planner had not the time to find as much as what runs serves
+        return Decision.KEPT  # the planner had no time to find a plan that serves as much
     if not thought.change_set:
         return Decision.KEPT
     if not is_sound or before < after:
@@ -306,7 +306,7 @@ def _decision(
 
 
 def _served(wanted: Environment, met: list[str], running: Environment) -> tuple[int, ...]:
-    """How many of the wanted targets of each priority are met, the highest first, and required transformations used."""
+    """The number of met targets of each priority, the highest first, then that of required transformations in use."""
     levels = sorted({target.priority for target in wanted.targets}, reverse=True)
     used = _used(running).intersection(wanted.required) if wanted.required else ()
     by_priority = [sum(t.priority == level and t.label in met for t in wanted.targets) for level in levels]

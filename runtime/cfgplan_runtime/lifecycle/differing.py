@@ -1,4 +1,4 @@
-"""What sets two worlds apart, and which units can go on in the second."""
+"""How two worlds differ, and which units can go on in the second."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ T = TypeVar("T")
 
 
 def runs_alike(one: Transformation, other: Transformation) -> bool:
-    """Whether a unit of the one is a unit of the other: the same code with the same params and ports."""
+    """Whether a unit of `one` can go on as a unit of `other`: same code, params and ports."""
     return one is other or what_runs(one) == what_runs(other)
 
 

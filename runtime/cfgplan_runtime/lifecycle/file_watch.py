@@ -1,4 +1,4 @@
-"""Files whose changes count, watched by a thread."""
+"""A thread that watches files for changes."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 QUIET_S = 0.05
-"""So long must nothing change before it is told."""
+"""A change is told once nothing has changed for this long."""
 LOOK_MS = 1000
-"""So often the files are looked at in any case, for file systems that don't tell of changes."""
+"""The files are looked at this often in any case, for file systems that don't tell of changes."""
 
 Stamps = dict[Path, tuple[int, int, int] | None]
 
@@ -17,9 +17,8 @@ Stamps = dict[Path, tuple[int, int, int] | None]
 class FileWatch:
     """A thread that tells which of some files and folders have changed, come or gone.
 
-    `tell` is called in the thread: at its start, with nothing, and then with what has changed. `paths` is asked anew
-    at every look; a file that joins counts from then on. Folders are watched, since editors write a new file and
-    rename it.
+    `tell` is called in the thread: at its start with nothing, then with what has changed. `paths` is called at every
+    look; a file that joins is watched from then on. Folders are watched, since editors write a new file and rename it.
     """
 
     def __init__(self, paths: Callable[[], Iterable[Path]], tell: Callable[[frozenset[Path]], object]) -> None:
@@ -35,7 +34,7 @@ class FileWatch:
         self._thread.start()
 
     def close(self) -> None:
-        """End."""
+        """Stop watching, and wait for the thread's end."""
         self._stop.set()
         self._thread.join()
 
@@ -50,7 +49,7 @@ class FileWatch:
                 self._look()
 
     def _watch(self, folders: list[Path]) -> None:
-        """Look whenever something changes in these folders, and from time to time, as long as they are the ones."""
+        """Look whenever something changes in `folders`, and every LOOK_MS, until other folders are to be watched."""
         from watchfiles import watch
 
         for _ in watch(
@@ -76,18 +75,18 @@ class FileWatch:
         while now != before and not self._stop.wait(QUIET_S):
             before, now = now, _stamps(self._stamps)
         changed = frozenset(path for path in now if now[path] != self._stamps[path])
-        self._stamps = now  # files change while they are read too: what counts is how they were before
+        self._stamps = now  # as they were before `tell` reads them: what changes meanwhile is noticed
         self._tell(changed)
         self.take_in_new_ones()
 
     def take_in_new_ones(self) -> None:
-        """Ask for the paths; called by `tell` too, once it knows of others and before it says so to anybody."""
+        """Update the watched paths. A `tell` that finds new ones calls this before it passes on what it has read."""
         paths = set(self._paths())
         self._stamps = {path: self._stamps[path] if path in self._stamps else _stamp(path) for path in paths}
 
 
 def _folders(paths: Iterable[Path]) -> list[Path]:
-    """The folders of files, and the folders among them; those that are there."""
+    """The folders to watch: those among `paths`, and those of the files, as far as they exist."""
     folders = {path if path.is_dir() else path.parent for path in paths}
     return sorted(folder for folder in folders if folder.is_dir()) or [Path()]
 
@@ -97,7 +96,7 @@ def _stamps(paths: Iterable[Path]) -> Stamps:
 
 
 def _stamp(path: Path) -> tuple[int, int, int] | None:
-    """What changes when a file is written or replaced, or an entry of a folder comes or goes; None if it is missing."""
+    """A value that changes when a file is written or replaced, or a folder's entries change; None if it is missing."""
     try:
         found = path.stat()
     except OSError:

@@ -1,4 +1,4 @@
-"""What has come to a manager's notice, from whatever thread, in order."""
+"""The manager's queue: what has come in, from any thread, in order."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Asked:
 
 @dataclass(frozen=True, slots=True)
 class Unusable:
-    """A new state of the world's file can't be used; without faults, it is well again."""
+    """The world's file can't be used as it is now; without faults, it can again."""
 
     by: str
     faults: tuple[Fault, ...]
@@ -42,7 +42,7 @@ Item: TypeAlias = Event | Asked | Unusable | Leave
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """Something at the time at which it was noticed."""
+    """An item, and when it came in."""
 
     at_s: float
     item: Item
@@ -63,7 +63,7 @@ class Inbox:
                 self.bell.set()
 
     def take(self) -> Arrival | None:
-        """What has come first; None if there is nothing, and the bell is silent then."""
+        """Remove and return the first arrival; silence the bell and return None if there is none."""
         with self._lock:
             if self._arrivals:
                 return self._arrivals.popleft()

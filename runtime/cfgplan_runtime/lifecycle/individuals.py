@@ -10,7 +10,7 @@ from cfgplan_runtime.lifecycle.changes import Individual
 
 
 def with_individuals(ontology: Ontology, come: Iterable[Individual], gone: Collection[str]) -> Ontology:
-    """The ontology with individuals more, and without those that are `gone` and all that is said of them.
+    """Add the individuals `come` to an ontology, and remove those named in `gone` with every axiom about them.
 
     Raises InputError for a name that the ontology does not know, and for an environment without an ontology.
     """
@@ -52,7 +52,7 @@ def _iri(name: str, kind: str, ontology: Ontology) -> str:
 
 
 def _own_iri(one: Individual, ontology: Ontology) -> str:
-    """The IRI of an individual: a known one, the one that its name spells, or one beside its first class."""
+    """The IRI of an individual: a known one, the one that its name spells, or one in its first class's namespace."""
     try:
         known = ontology.individual_names.find(one.name)
         if known is not None:

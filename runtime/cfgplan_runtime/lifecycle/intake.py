@@ -1,4 +1,4 @@
-"""The cases of what comes in: what happens to units, and what is asked for."""
+"""How a manager's state changes by what comes in: events of units, and requests."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ from cfgplan_runtime.supervision.events import (
 )
 
 IN_A_ROW_S = 10.0
-"""The same input that is lost again within so much time is lost in a row."""
+"""Losses of one input are in a row if less than this lies between them."""
 
 
 def heard(turn: Turn, event: Event) -> Turn:
-    """Something has happened to a unit. What its end is due to is told by the events before."""
+    """Take in an event of a unit. What comes before its death (hung, too large, failed) is noted as the cause."""
     state = turn.state
     match event:
         case UnitReady(unit):
@@ -67,7 +67,7 @@ def heard(turn: Turn, event: Event) -> Turn:
 
 
 def died(turn: Turn, gone: UnitGone, lived_s: float | None) -> Turn:
-    """A unit has ended unasked: it is blamed unless `lived_s` is None, and who waits for it is told by the review."""
+    """A unit has ended unasked: blame it unless `lived_s` is None. The review answers who waits for its end."""
     if lived_s is not None:
         turn = turn.blamed(gone.transformation, lived_s, gone.cause)
     outcomes = turn.state.waiting.get(gone.unit, ())
@@ -122,7 +122,7 @@ def matched(turn: Turn, result: Matched) -> Turn:
 
 
 def refused(turn: Turn, by: str, faults: tuple[Fault, ...]) -> Turn:
-    """A new state of the world can't be used; without faults, it is well again."""
+    """Report that the world's file can't be used as it is now; without faults, that it can again."""
     if not (faults or turn.state.faults):
         return turn
     return turn.to(replace(turn.state, faults=faults)).also(Tell(WorldRefused(by, faults)))
@@ -137,7 +137,7 @@ def _noted(turn: Turn, unit: str, note: Note) -> Turn:
 
 
 def _unnoted(turn: Turn, unit: str) -> Turn:
-    """A unit is gone, or another has its id."""
+    """Forget the note on a unit that is gone, or whose id another unit has now."""
     left = {other: note for other, note in turn.state.notes.items() if other != unit}
     return turn.to(replace(turn.state, notes=left))
 
@@ -158,7 +158,7 @@ def _gone(turn: Turn, unit: str, cause: str) -> Turn:
 
 
 def _lost(turn: Turn, lost: SubscriptionLost) -> Turn:
-    """It waits for the death that explains it, and longer if it is lost again and again."""
+    """Delay the review until the death that explains the loss may have come, and longer after losses in a row."""
     state, policy = turn.state, turn.state.policy
     times, last_s = state.losses.get(lost, (0, turn.at_s))
     times = times + 1 if turn.at_s - last_s < IN_A_ROW_S else 1
@@ -190,7 +190,7 @@ def _still_failing(turn: Turn, status: UnitStatus) -> Turn:
 
 
 def _given_up(turn: Turn, unit: str, cause: str) -> Turn:
-    """The next review replaces a unit that runs; it is blamed."""
+    """Blame a running unit, and have the next review replace it."""
     running, failing = turn.state.situation.units.get(unit), turn.state.situation.failing
     if running is None or unit in failing:
         return turn
@@ -199,7 +199,7 @@ def _given_up(turn: Turn, unit: str, cause: str) -> Turn:
 
 
 def _silent(turn: Turn, flows: Mapping[str, Flow]) -> Turn:
-    """A review is made for targets that are silent for too long, and again as long as they are."""
+    """Ask for a review of each target that is silent for too long, again and again until it is not."""
     state, wanted, at_s = turn.state, turn.state.living.world.environment, turn.at_s
     giving = state.giving.after_look(state.running, at_s)
     silences = giving.silences(wanted, state.running, flows, at_s)

@@ -1,4 +1,4 @@
-"""The manager: keeps what runs the best that the world allows (paper, Figure 1 and section IV-C).
+"""The manager: keeps the best configuration running that the world allows (paper, Figure 1 and section IV-C).
 
 One thread waits for perturbations (stable interval) and answers them (review interval). Units run on in the threads
 or processes of the middleware meanwhile, and what happens there is never lost: it waits in the inbox. What is done
@@ -43,16 +43,16 @@ from cfgplan_runtime.supervision.events import SIGNS, Event
 
 _LONG_S = 3600.0
 _UNDONE = (ApplyError, NoSourceError, StaleChangeSetError)
-"""What `Middleware.apply` may raise while it goes on."""
+"""What `Middleware.apply` may raise while the middleware itself goes on."""
 
 
 class Manager:
     """Reviews the configuration of a middleware whenever it is perturbed; every part can be replaced.
 
-    `planner` is by default one that remembers from plan to plan, `estimator` believes what is declared, `clock` is
-    the computer's. `report` gets everything that happens, see `listen`. Raises InputError for a world whose tags
-    can't be matched. As a context manager it works in a thread of its own, and stops all units at the end; or call
-    `step` or `run`.
+    By default `planner` remembers from plan to plan, `estimator` believes declared costs, and `clock` is the
+    computer's. `report` is the first listener, see `listen`. Raises InputError for a world whose tags can't be
+    matched. As a context manager it works in a thread of its own, and stops all units at the end; or call `step` or
+    `run`.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class Manager:
         self._listeners = () if report is None else (report,)
         self._inbox = Inbox()
         self._interrupt, self._ending = threading.Event(), threading.Event()
-        """Set when something comes that a plan in the making can't know, and when the end is asked for."""
+        """`_interrupt`: something has come that the plan under way can't know. `_ending`: the end was asked for."""
         policy = policy or Policy()
         self._state = first_state(world, policy)
         self._matching = WarmMatching(policy.reasoner, policy.match_limit_s)
@@ -94,10 +94,10 @@ class Manager:
     # What others ask, from any thread.
 
     def request(self, change: Change) -> Outcome:
-        """Ask for a change; what it gives resolves when the review that took it in is over.
+        """Ask for a change. Returns a future of the review that takes it in, done when that review is over.
 
-        None comes of what changes nothing. The future raises InputError for a bad change, and RuntimeFaultError
-        if the manager ends before.
+        Its result is None if nothing changes. It raises InputError for a bad change, and RuntimeFaultError if the
+        manager ends before.
         """
         outcome: Outcome = Future()
         outcome.set_running_or_notify_cancel()  # who asks can't take it back
@@ -107,11 +107,11 @@ class Manager:
         return outcome
 
     def refuse(self, by: str, faults: tuple[Fault, ...]) -> None:
-        """Note that a new state of the world's file can't be used; without faults, that it is well again."""
+        """Note that the world's file can't be used as it is now; without faults, that it can again."""
         self._put(Unusable(by, faults))
 
     def listen(self, listener: Callable[[Report], None]) -> None:
-        """Have everything told that happens, from several threads; `listener` returns at once and never raises."""
+        """Call `listener` with every report, from several threads; it returns at once and never raises."""
         self._listeners = (*self._listeners, listener)
 
     def snapshot(self) -> Snapshot:
@@ -149,16 +149,16 @@ class Manager:
 
     @property
     def is_settled(self) -> bool:
-        """Whether nothing is to be reviewed."""
+        """True while no review is due or under way."""
         return self._inbox.is_empty and not self._is_busy and self._state.is_settled
 
     def settle(self, timeout_s: float | None = None) -> bool:
-        """Wait until nothing is to be reviewed; whether that is so."""
+        """Wait until no review is due or under way. Returns False if `timeout_s` is over before."""
         with self._quiet:
             return self._quiet.wait_for(lambda: self.is_settled, timeout_s)
 
     def wait(self, timeout_s: float | None = None) -> bool:
-        """Wait for the manager's end; whether it has come."""
+        """Wait for the manager's end. Returns False if `timeout_s` is over before."""
         with self._quiet:
             return self._quiet.wait_for(lambda: self._state.is_over, timeout_s)
 
@@ -196,13 +196,13 @@ class Manager:
     # Work, in one thread.
 
     def run(self, for_s: float = inf) -> None:
-        """Work in the calling thread, for so long or until stopped."""
+        """Work in the calling thread for `for_s` seconds, or until stopped."""
         end = self._clock.now() + for_s
         while not self._state.is_over and self._clock.now() < end:
             self.step(end - self._clock.now())
 
     def step(self, timeout_s: float = 0.0) -> None:
-        """Wait for a perturbation at most so long, and answer it if one comes."""
+        """Wait up to `timeout_s` for a perturbation, and answer it if one comes."""
         if self._inbox.is_empty:
             self._wait(self._clock.now() + timeout_s)
         self._is_busy = True
@@ -213,7 +213,7 @@ class Manager:
         self._come_to_rest()
 
     def _wait(self, until_s: float) -> None:
-        """Wait until something comes in, or is due."""
+        """Wait until something comes in or is due, or until `until_s`."""
         now = self._clock.now()
         until_s = min(until_s, self._state.wake_s, now + _LONG_S)
         if until_s > now:
@@ -231,7 +231,7 @@ class Manager:
             self._decide(arrival.item, arrival.at_s)
 
     def _decide(self, what: Happening, at_s: float | None = None) -> None:
-        """Decide about something that happens now, or has come at `at_s`, and do what follows."""
+        """Decide about something that happens now, or came at `at_s`, and carry out the effects."""
         at_s = self._clock.now() if at_s is None else at_s
         self._state, effects = decide(self._state, Happened(at_s, what, self._middleware.environment))
         for effect in effects:
@@ -315,7 +315,7 @@ class Manager:
         self._come_to_rest()
 
     def _come_to_rest(self) -> None:
-        """Whoever waits for a state of the manager looks again."""
+        """Wake whoever waits until the manager is settled or over."""
         self._is_busy = False
         if self._state.is_over:
             self._turn_away()
@@ -323,7 +323,7 @@ class Manager:
             self._quiet.notify_all()
 
     def _turn_away(self) -> None:
-        """Whoever comes after the end is told that there is no manager any more. For any thread."""
+        """Fail the requests that came after the end. For any thread."""
         with self._turning_away:
             while arrival := self._inbox.take():
                 if isinstance(arrival.item, Asked):
@@ -338,7 +338,7 @@ class Manager:
             self._tell(UnitEvent(event))
 
     def _put(self, item: Item, *, is_urgent: bool = True) -> None:
-        """Let something be taken in, and break into what is under way if it can't wait."""
+        """Queue an item, and break into what is under way if the item can't wait."""
         self._inbox.put(item, self._clock.now(), is_urgent=is_urgent)
         how = breaks_in(self._state.doing, item)
         if BreakIn.END in how:
@@ -354,7 +354,7 @@ class Manager:
 
 
 def _running_cost_us(running: Environment, state: State) -> int:
-    """What letting it run costs over the horizon, by the estimates of the last review."""
+    """What keeping the running units costs over the horizon, by the estimates of the last review."""
     world = state.living.world
     library = world.environment.transformation
     return sum(

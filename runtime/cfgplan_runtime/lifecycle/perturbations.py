@@ -41,7 +41,7 @@ class SubscriptionLost:
 
 @dataclass(frozen=True, slots=True)
 class TargetSilent:
-    """Nothing has come on a target's topic for longer than the target may be silent; `units` give nothing."""
+    """Nothing has come on a target's topic for longer than the target may be silent; `units` are the cause."""
 
     target: str
     topic: str
@@ -51,10 +51,10 @@ class TargetSilent:
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """What sets two worlds apart, by label or name; `settings` names horizon and largest cost.
+    """How two worlds differ, by label or name; `settings` says whether horizon or largest cost do.
 
-    `replaced` are transformations that run otherwise than before (source, params, ports, host, run), so that
-    their units are replaced; of the `changed` ones only tags or flags differ; of the `repriced` only costs.
+    Units of `replaced` transformations can't go on: source, params, ports, host or run differ. `changed`
+    transformations differ in tags or flags only, `repriced` ones in costs only.
     """
 
     added_transformations: tuple[str, ...] = ()
@@ -108,7 +108,7 @@ class HorizonReached:
 class UpdateFailed:
     """An update was undone or refused; `transformations` are those that could not be started.
 
-    `is_fault` tells that the middleware has raised what none may: nobody knows what it has done.
+    `is_fault`: the middleware has raised an exception that it may not raise, and nobody knows what it has done.
     """
 
     cause: str

@@ -1,4 +1,4 @@
-"""What a manager may be told about how to work."""
+"""The settings of a manager."""
 
 from __future__ import annotations
 
@@ -11,14 +11,13 @@ from cfgplan_runtime.lifecycle.back_off import BackOffRules
 class Policy:
     """Times in seconds.
 
-    A plan is looked for as long as `time_limit_s`. Matching a world may take `match_limit_s`, and so may all questions
-    of its reviews to the reasoner that leave something open. Units are observed every `observe_every_s`. What happens
-    within `gather_s` of the first perturbation is part of the same review; a lost subscription waits up to `explain_s`
-    for the death that explains it, and one that is lost again and again `retry_s`, then twice that, up to
-    `most_loss_s`. A unit is given up if it had `failing_steps` errors over `failing_s` and no step without.
-    `interruptions` is how often planning begins anew because of further perturbations; an update that waits for new
-    units is given up for them, and begins again `postpone_s` later. A review that failed is repeated after `retry_s`,
-    then twice that, up to `most_retry_s`.
+    Planning may take `time_limit_s`. Matching a world may take `match_limit_s`, and so may all questions of its
+    reviews to the reasoner that leave a pair open. Units are observed every `observe_every_s`. Perturbations within
+    `gather_s` of the first belong to the same review. A lost subscription waits up to `explain_s` for the death that
+    explains it; one that is lost in a row waits `retry_s`, then twice that, up to `most_loss_s`. A unit is given up
+    after `failing_steps` errors over `failing_s` without a good step. Further perturbations make planning begin anew
+    at most `interruptions` times. They also abandon an update that waits for new units, which begins again
+    `postpone_s` later. A review that failed is repeated after `retry_s`, then twice that, up to `most_retry_s`.
     """
 
     time_limit_s: float | None = 10.0

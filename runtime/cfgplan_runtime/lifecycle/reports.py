@@ -37,12 +37,11 @@ PHASES = ("detect", "match", "estimate", "plan", "judge", "apply")
 class Review:
     """One review interval.
 
-    Times in seconds: `at_s` on the manager's clock when it began, `time_s` the same as time since 1970; `seconds` of
-    each of PHASES, where `detect` is from the report of the first perturbation to the beginning, and `plan` includes
-    asking the reasoner about pairs of tags that the plan needs. Costs are over the
-    horizon, in microseconds of CPU time: `cost_before_us` of letting run what ran (gaps and all), `cost_us` of the
-    plan, its labor included. `change_set` is what was, or would be, applied. `unmet` gives the reason for each
-    target that is given up. `is_proven` tells that no plan is cheaper.
+    It began at `at_s` on the manager's clock, which is `time_s` since 1970. `seconds` is the wall time of each of
+    PHASES: `detect` from the first perturbation to the beginning, `plan` with the questions to the reasoner about open
+    pairs. Costs are over the horizon, in microseconds of CPU time: `cost_before_us` of keeping what ran (gaps and
+    all), `cost_us` of the plan, its labor included. `change_set` is what was, or would be, applied. `unmet` gives the
+    reason for each target that is given up. `is_proven` tells that no plan is cheaper.
     """
 
     number: int
@@ -118,7 +117,7 @@ class Snapshot:
     """Everything there is to know at one moment; `at_s` is on the manager's clock.
 
     `environment` holds the units that run and the library (declared costs) and targets that count now.
-    `cost_us` is what letting it run costs over the horizon, by the estimates. `horizon_left_s` is the time until
+    `cost_us` is what keeping the units costs over the horizon, by the estimates. `horizon_left_s` is the time until
     the horizon is reached. `reviews` are the last ones, the newest last. `faults` are those of a world file that
     can't be used; what it said before holds.
     """
@@ -138,7 +137,7 @@ class Snapshot:
     horizon_left_s: float
     cost_us: int
     saving_us: int = 0
-    """What the last review would save, put off until the horizon."""
+    """What the update that was put off until the horizon would save."""
     faults: tuple[Fault, ...] = ()
     removed: tuple[str, ...] = ()
     """Labels and names that were removed on request."""
@@ -189,7 +188,7 @@ class BackedOff:
 
 @dataclass(frozen=True, slots=True)
 class WorldRefused:
-    """A new state of a world file can't be used; the old one holds. No faults: it is well again."""
+    """The world's file can't be used as it is now, and the old world holds; without faults, it can again."""
 
     by: str
     faults: tuple[Fault, ...]

@@ -27,14 +27,14 @@ class Middleware(Protocol):
 
         Raises StaleChangeSetError if what runs is not `basis` any more, ApplyError if a step failed and all was
         undone, NoSourceError for a transformation that can't be started at all. With `keeps_new`, new units that have
-        not failed may stay in the environment when the rest is undone, unconnected: they are not loaded again then.
+        not failed may stay, unconnected, when the rest is undone: the next update need not start them again.
         """
 
     def abandon(self) -> None:
         """Give up the update under way, if it still waits for new units: `apply` then raises AbandonedError.
 
-        Called from any thread, so that no slow start holds up a repair; an update that waits for nothing goes on, and
-        so does the next one.
+        Called from any thread, so that no slow start holds up a repair. An update that waits for nothing goes on, and
+        the next one is not affected.
         """
 
     def observe(self) -> Sequence[Observation]:
@@ -44,10 +44,10 @@ class Middleware(Protocol):
         """End a unit at once; the event UnitDied follows."""
 
     def listen(self, listener: Callable[[Event], None]) -> None:
-        """Have every event told, in order, from whatever thread; `listener` returns at once."""
+        """Call `listener` with every event, in order, from any thread; it returns at once."""
 
     def stop(self) -> None:
-        """Stop every unit, letting each give what it has taken in."""
+        """Stop every unit once it has given what it has taken in."""
 
 
 class Estimator(Protocol):
@@ -63,7 +63,7 @@ class Estimator(Protocol):
         """Learn that a unit of a transformation could not start, died, hung or kept failing."""
 
     def labor_us(self, transformation: Transformation, horizon_s: int) -> int:
-        """CPU time of one start, in microseconds, with what failures cost."""
+        """CPU time of one start, in microseconds, including what failures cost."""
 
     def upkeep_us(self, transformation: Transformation, horizon_s: int) -> int:
         """CPU time per second, in microseconds, as the mean over the horizon from now."""
@@ -76,7 +76,7 @@ class Clock(Protocol):
         """Seconds on a clock that only rises."""
 
     def wait(self, bell: threading.Event, timeout_s: float) -> None:
-        """Return when the bell rings, or when so much time is over."""
+        """Return when the bell rings, or after `timeout_s`."""
 
 
 class SystemClock:
@@ -90,9 +90,9 @@ class SystemClock:
 
 
 class DeclaredCosts:
-    """The costs that the environment declares, whatever is observed; the estimator of last resort.
+    """Estimates costs as the environment declares them, whatever is observed.
 
-    Each failure of the last `forget_s` seconds but the first makes a start dearer by `failure_us`.
+    Each failure within the last `forget_s` seconds, except the first, adds `failure_us` to the labor.
     """
 
     def __init__(self, *, failure_us: int = 1_000_000, forget_s: float = 600.0) -> None:

@@ -1,4 +1,4 @@
-"""A view of everything, from the parts that the manager replaces and never changes."""
+"""Views of targets and units, made of the manager's immutable values."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def unit_views(
 
 
 def saving_us(reviews: Sequence[Review]) -> int:
-    """What the last review would save and has put off."""
+    """What the update that the last review has put off would save; 0 if there is none."""
     last = reviews[-1] if reviews else None
     if last is None or last.decision is not Decision.DEFERRED or last.cost_us is None:
         return 0

@@ -11,16 +11,16 @@ from cfgplan_runtime.supervision.events import UnitStatus
 from cfgplan_runtime.supervision.wiring import starved_units
 
 _SIGN_S = 2.0
-"""Signs of life tell of what was given up to so long ago."""
+"""A sign of life may tell of elements that were given this long before."""
 _TOLD_APART_S = 3.5
-"""After so long it is known of every unit whether it gives."""
+"""After this long a silence it is known of every unit whether it gives."""
 
 
 @dataclass(frozen=True, slots=True)
 class Silence:
     """A target that nothing comes for, since `since_s` on the manager's clock.
 
-    `units` are those that give nothing though nothing that they need is missing, once that is known.
+    `units` are the cause, once that is known: they give nothing though all that feeds them gives.
     """
 
     target: str
@@ -32,11 +32,10 @@ class Silence:
 
 @dataclass(frozen=True, slots=True)
 class Giving:
-    """What units and topics were last known to give; a value, of which `after_...` give the next.
+    """What units and topics were last known to give. Immutable: `after_...` return the next.
 
-    By unit: how many elements it has given, and since when it is so many. By topic: the stream that is published on
-    it, and since when. By silent target: since when it is silent, or a review was last asked for, or what
-    runs has changed.
+    `units`: how many elements a unit has given, and since when. `topics`: the stream that is published on a topic, and
+    since when. `silent_s`: when a target fell silent, a review was last asked for it, or what runs last changed.
     """
 
     units: Mapping[str, tuple[int, float]] = field(default_factory=dict)
@@ -53,7 +52,7 @@ class Giving:
         return replace(self, units={**self.units, status.unit: (elements, at_s)})
 
     def after_look(self, running: Environment, at_s: float) -> Giving:
-        """What runs was looked at: units that are gone are forgotten, topics that are fed otherwise begin anew."""
+        """Compare with what runs: forget units that are gone, and let topics with another stream begin anew."""
         published = {p.topic: Stream(unit.id, p.port) for unit in running.units for p in unit.publications}
         known = self.topics
         topics = {
@@ -75,7 +74,7 @@ class Giving:
     def silences(
         self, wanted: Environment, running: Environment, flows: Mapping[str, Flow], at_s: float
     ) -> tuple[Silence, ...]:
-        """The targets of `wanted` for which nothing has come for longer than they may be silent, by label."""
+        """The targets of `wanted` that are silent for longer than they may be, by label."""
         silences, starved = [], starved_units(running)
         for target in wanted.targets:
             if target.silent_us is None or target.topic not in self.topics:
@@ -92,7 +91,7 @@ class Giving:
         return tuple(silences)
 
     def _reasons(self, last: str, running: Environment, since_s: float) -> tuple[str, ...]:
-        """The units, from the one that is published on, that give nothing though what feeds them gives."""
+        """The units that give nothing though what feeds them gives: `last`, or units from which it is fed."""
         reasons, seen, ahead = set(), {last}, [last]
         while ahead:
             unit = ahead.pop()

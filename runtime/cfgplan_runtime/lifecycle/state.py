@@ -33,9 +33,9 @@ class Entry:
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """What was noticed of a unit: what it is killed for, its last error, and its last step without one.
+    """What was noticed of a unit: what it is killed for, its last error, and when it was last well.
 
-    That is when it was told, with the steps and errors until then.
+    `well` is when a sign of life last told of a step without an error, with the steps and errors until then.
     """
 
     end: Literal["hung", "too large"] | None = None
@@ -75,7 +75,7 @@ class Updating:
 
     @property
     def starting(self) -> frozenset[str]:
-        """The new units. That they die is a part of the update's failure; what else dies can't wait."""
+        """Ids of the new units. Their deaths are dealt with at the update's end; that of another unit can't wait."""
         return frozenset(unit.id for unit in self.change_set.started)
 
 
@@ -98,7 +98,7 @@ class State:
     """By unit: who waits for the review that follows its end."""
     notes: Mapping[str, Note] = field(default_factory=dict)
     losses: Mapping[SubscriptionLost, tuple[int, float]] = field(default_factory=dict)
-    """How often each has been lost in a row, and when last."""
+    """How often each subscription was lost in a row, and when last."""
     giving: Giving = field(default_factory=Giving)
     faults: tuple[Fault, ...] = ()
     """Why the last state of the world's file can't be used."""
@@ -107,7 +107,7 @@ class State:
     is_closing: bool = False
     is_over: bool = False
     number: int = 0
-    """Of the last review."""
+    """The number of the last review."""
     failures: int = 0
     """How many updates have failed in a row."""
     owes_optimising: bool = False
@@ -138,13 +138,13 @@ class State:
 
     @property
     def wake_s(self) -> float:
-        """When there is something to do though nothing happens."""
+        """When the manager is to act even if nothing comes in."""
         if isinstance(self.doing, Gathering):
             return self.doing.until_s
         return min(self.due_s, self.situation.back_offs.next_end_s, self.horizon_at_s, self.observe_at_s)
 
     @property
     def is_settled(self) -> bool:
-        """Whether nothing is pending but what a faulty middleware is asked again, and no end of a unit is awaited."""
+        """Whether no unit's end is awaited, and no review due or under way but retries after a middleware's fault."""
         faults = (isinstance(each.perturbation, UpdateFailed) and each.perturbation.is_fault for each in self.entries)
         return self.doing is None and all(faults) and not self.waiting

@@ -31,7 +31,7 @@ class Tick:
 
 @dataclass(frozen=True, slots=True)
 class Matched:
-    """The world after a change was matched, which took `seconds`; or the change is bad, and `error` says why."""
+    """The world after a change was matched within `seconds`; or the change is bad, and `found` is the error."""
 
     asked: Asked
     found: LivingWorld | InputError
@@ -47,7 +47,7 @@ class Seen:
 
 @dataclass(frozen=True, slots=True)
 class Planned:
-    """A plan was made; if it `was_interrupted`, for something that it does not know."""
+    """A plan was made; if it `was_interrupted`, something has come that it does not know."""
 
     thought: Thought
     was_interrupted: bool = False
@@ -55,7 +55,7 @@ class Planned:
 
 @dataclass(frozen=True, slots=True)
 class Updated:
-    """An update was carried out within so much wall time, or was not: by `error`."""
+    """An update took `seconds` of wall time, and failed if there is an `error`."""
 
     seconds: float = 0.0
     error: Exception | None = None
@@ -63,7 +63,7 @@ class Updated:
 
 @dataclass(frozen=True, slots=True)
 class Finished:
-    """Nothing is worked on any more: all units are stopped, or something has gone wrong that `cause` names."""
+    """The manager's work is over: all units are stopped, or something has gone wrong that `cause` names."""
 
     cause: str = ""
 
@@ -92,7 +92,7 @@ class Tell:
 
 @dataclass(frozen=True, slots=True)
 class Respond:
-    """Tell who asked that the review is over; None: that there will be none, an error: why not."""
+    """Answer who asked: with the review that is over, None if there will be none, or an error."""
 
     outcome: Outcome
     answer: Review | Exception | None = None
@@ -116,7 +116,7 @@ class Terminate:
 
 @dataclass(frozen=True, slots=True)
 class Observe:
-    """Look at all units, from which the estimator learns: Seen follows at once."""
+    """Observe all units, and let the estimator learn from that: Seen follows at once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +128,7 @@ class LearnOfFailure:
 
 @dataclass(frozen=True, slots=True)
 class MakePlan:
-    """Plan an update: Planned follows. The last plan of a review is interrupted by the end only."""
+    """Plan an update: Planned follows. If it `is_last` of its review, only the manager's end interrupts it."""
 
     world: World
     running: Environment
@@ -147,7 +147,7 @@ class ApplyUpdate:
 
 @dataclass(frozen=True, slots=True)
 class Prepare:
-    """Let the planner see what runs now, so that it repairs that fast, unless something has come."""
+    """Let the planner prepare to repair what runs now, unless something has come."""
 
     world: World
     running: Environment
@@ -166,7 +166,7 @@ Effect: TypeAlias = (
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """A state at a time, and what is to be done on the way to it; a value that each case extends."""
+    """The state at a time, and the effects that lead there. Immutable: each method returns a new turn."""
 
     state: State
     at_s: float
@@ -198,7 +198,7 @@ class Turn:
         return turn.telling_back_off(label)
 
     def telling_back_off(self, label: str) -> Turn:
-        """Report how it stands with a transformation, if it is not to be started for now."""
+        """Report the back-off of a transformation, if it has one now."""
         views = self.state.situation.back_offs.view(self.at_s)
         return self.also(*(Tell(BackedOff(view)) for view in views if view.transformation == label))
 
@@ -208,6 +208,6 @@ class Turn:
         return self.no_more_awaited(unit).also(*(Respond(outcome) for outcome in outcomes))
 
     def no_more_awaited(self, unit: str) -> Turn:
-        """Nobody waits for a unit's end."""
+        """Forget who waits for a unit's end."""
         left = {other: outcomes for other, outcomes in self.state.waiting.items() if other != unit}
         return self.to(replace(self.state, waiting=left)) if len(left) < len(self.state.waiting) else self

@@ -13,10 +13,10 @@ from cfgplan.planning import Pair
 
 
 class WarmMatching:
-    """The similarity of the tags of one world after the other; reviews ask about open pairs (`planning.Decider`).
+    """Matches the tags of one world after the other; reviews have it decide open pairs (`planning.Decider`).
 
-    The same object is given again as long as nothing has changed, which is what keeps a planner's session warm.
-    Questions that leave something open may take the time limit together, anew when tags or the ontology change.
+    `similarity` is the same object as long as nothing changes, which keeps a planner's session warm. All questions
+    that leave a pair open share the time limit, which starts anew when tags or the ontology change.
     """
 
     def __init__(self, reasoner: str, time_limit_s: float | None) -> None:
@@ -31,7 +31,7 @@ class WarmMatching:
         self.counts: Mapping[str, int] = {}
 
     def take(self, world: World) -> None:
-        """Match a world from now on, without asking. Raises InputError; then the last world is matched as before."""
+        """Match a world from now on, without asking the reasoner. Raises InputError, and then keeps the last world."""
         environment = world.environment
         offered = frozenset(port.tag for t in environment.library for port in t.outputs)
         demanded = frozenset(port.tag for t in environment.library for port in t.inputs)
@@ -53,7 +53,7 @@ class WarmMatching:
     def decide(self, pairs: Sequence[Pair]) -> int:
         """Ask about open pairs; returns how many were asked. Raises InputError for a contradictory ontology.
 
-        Where the disk has no room for the questions, what is open stays so, with a warning.
+        If the reasoner can't be asked (no room on the disk), the pairs stay open and `warnings` says so.
         """
         if self._matcher is None or (self._left_s is not None and self._left_s <= 0):
             return 0

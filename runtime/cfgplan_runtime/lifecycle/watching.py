@@ -1,4 +1,4 @@
-"""The environment file as the way to change a running system: whoever edits it, a manager is told."""
+"""Changes a running system when its environment file is edited."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from cfgplan_runtime.lifecycle.manager import Manager
 
 @contextmanager
 def watch_file(path: str | Path, manager: Manager) -> Iterator[None]:
-    """Watch an environment file, what it includes and its ontologies, and have the manager take in what they say.
+    """Watch an environment file, its includes and its ontologies, and give the manager each new world.
 
-    A state that can't be used is reported with its faults, and what was before holds.
+    If they can't be used, the faults are reported and the world before holds.
     """
     watching = Watching(Path(path), lambda world, by: manager.request(ReplaceWorld(world, by)), manager.refuse)
     watching.start()

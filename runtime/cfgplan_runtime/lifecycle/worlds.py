@@ -37,10 +37,10 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class LivingWorld:
-    """A world and the changes that were asked for since; a value, of which `after` gives the next.
+    """A world and the changes requested since. Immutable: `after` returns the next one.
 
-    Of what the base and what requests say of one label the later word holds: what was added replaces what the base
-    has, what was removed stays away, both until the base says something else of it.
+    The latest word on a label holds: an added value replaces that of the base, a removed label stays away, both until
+    the base says something else of that label.
     """
 
     base: World
@@ -62,14 +62,14 @@ class LivingWorld:
 
     @property
     def removed(self) -> tuple[str, ...]:
-        """What was removed and would otherwise be there, by label or name."""
+        """Labels and names that were removed on request and would otherwise be there."""
         _, said = self._said
         gone = self.without_targets & said.target.keys() | self.without_transformations & said.transformation.keys()
         return tuple(sorted(gone | self.without_individuals))
 
     @cached_property
     def world(self) -> World:
-        """What holds now. Raises InputError."""
+        """The base with all changes. Raises InputError."""
         ontology, environment = self._said
         library = _changed(
             {t.label: t for t in environment.library}, self.transformations, self.without_transformations
@@ -84,12 +84,12 @@ class LivingWorld:
 
     @cached_property
     def may_be_silent(self) -> bool:
-        """Whether some target says for how long nothing may come."""
+        """Whether some target limits for how long its topic may be silent."""
         return any(target.silent_us is not None for target in self.world.environment.targets)
 
     @cached_property
     def _said(self) -> tuple[Ontology, Environment]:
-        """What the base and the declarations say together, whatever else was asked for. Raises InputError."""
+        """The ontology, and the environment of base and declarations without other requests. Raises InputError."""
         declared = [one for each in self.declared.values() for one in each.individuals]
         come = [*self.individuals.values(), *(one for one in declared if one.name not in self.without_individuals)]
         ontology = with_individuals(self.base.ontology, come, self.without_individuals)
@@ -179,7 +179,7 @@ class LivingWorld:
                 )
 
     def _declaring(self, name: str, change: Declare) -> LivingWorld:
-        """With a declaration, of which nothing stays away that was asked away before."""
+        """Add a declaration. What it declares comes back, even if a request had removed it."""
         back = self.without_individuals.difference(one.name for one in change.individuals)
         after = replace(self, declared={**self.declared, name: change}, without_individuals=back)
         if not (self.without_targets or self.without_transformations):
@@ -194,7 +194,7 @@ class LivingWorld:
 
 
 def check_can_run(world: World) -> None:
-    """Units run on this computer: nothing is placed, no spare waits, and quality is not measured. Raises InputError."""
+    """Raise InputError if a world asks for hosts, spares or quality: all units of a run are on this computer."""
     asked = {
         "hosts": bool(world.environment.hosts),
         "survive": world.survive is not None,
@@ -207,7 +207,7 @@ def check_can_run(world: World) -> None:
 
 
 def _told(old: Mapping[str, object], new: Mapping[str, object]) -> set[str]:
-    """The labels of which the base says something else than before."""
+    """The labels whose values differ between the old base and the new one."""
     return {label for label in {*old, *new} if old.get(label) != new.get(label)}
 
 
@@ -247,7 +247,7 @@ def _check_tags(transformations: Iterable[Transformation], targets: Iterable[Tar
 
 
 def _exact(value: Any) -> Any:
-    """Plain values with the numbers as a YAML file's text would give them."""
+    """Plain values with each float replaced by the Decimal that a YAML file's text would give."""
     if isinstance(value, float):
         return Decimal(repr(value))
     if isinstance(value, Mapping):
