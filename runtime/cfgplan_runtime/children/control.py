@@ -37,7 +37,7 @@ class ControlConnection(Generic[Incoming]):
         return bool(self._waiting)
 
     def send(self, message: msgspec.Struct, sockets: Sequence[socket.socket] = ()) -> None:
-        """Send a message; the sockets become the receiver's and are closed here. Nothing happens once it has ended."""
+        """Send a message; its sockets go to the receiver and are closed here. Does nothing else once it has ended."""
         if self.has_ended:
             for attached in sockets:
                 attached.close()
@@ -71,7 +71,7 @@ class ControlConnection(Generic[Incoming]):
         return True
 
     def receive(self) -> Iterator[tuple[Incoming, list[socket.socket]]]:
-        """The messages that have come, with their sockets; `has_ended` tells whether there will be more.
+        """The messages that have come, with their sockets. If `has_ended` is set, there will be no more.
 
         A message has fewer sockets than were sent if this process has no descriptor left for them.
         """
@@ -103,7 +103,7 @@ class ControlConnection(Generic[Incoming]):
                 return
             message = self._decoder.decode(bytes(self._received[_LENGTH.size : end]))
             del self._received[:end]
-            # The system keeps back those that this process has no descriptor left for.
+            # The system keeps back sockets for which this process has no descriptor left.
             there = min(count, len(self._descriptors))
             yield message, [socket.socket(fileno=self._descriptors.popleft()) for _ in range(there)]
 

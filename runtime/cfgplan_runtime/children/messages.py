@@ -45,7 +45,7 @@ class Feed(msgspec.Struct, tag=True):
 
 
 class Serve(msgspec.Struct, tag=True):
-    """Send an output's elements to the end that comes along, too."""
+    """Send an output's elements to one more subscriber, whose sending end comes along."""
 
     port: str
     wire: int
@@ -121,7 +121,7 @@ class Lost(msgspec.Struct, tag=True):
 
 
 class Trouble(msgspec.Struct, tag=True):
-    """Unit code failed in a step; if `suppressed`, so many failures up to it are not reported one by one."""
+    """Unit code failed in a step. If `suppressed` is not 0, it stands for that many failures up to this step."""
 
     kind: str
     step: int
@@ -136,7 +136,8 @@ class Exhausted(msgspec.Struct, tag=True):
 class PortCounts(msgspec.Struct, frozen=True):
     """What went through one port since the start, and what waits there now.
 
-    `dropped` had no room, `stale` is what a new source repeated of an old one, `skipped` found no partner of its time.
+    `dropped` elements had no room, `stale` ones were repeated by a new source, `skipped` ones found no partner of
+    their time.
     """
 
     elements: int = 0
@@ -147,7 +148,7 @@ class PortCounts(msgspec.Struct, frozen=True):
 
 
 class UnitSign(msgspec.Struct, tag=True):
-    """A sign of life, with counts since the start, and the state where it survives a restart."""
+    """A sign of life, with counts since the start, and the state if it is to survive a restart."""
 
     steps: int
     errors: int
@@ -159,7 +160,7 @@ class UnitSign(msgspec.Struct, tag=True):
 class Flow(msgspec.Struct, frozen=True):
     """What comes on a topic: elements per second, the median age at arrival in milliseconds, and counts.
 
-    Age is the time since the source element was made that it comes from. Rate and age are over the last 3 seconds:
+    An element's age is counted from when its source element was made. Rate and age are over the last 3 seconds:
     `rate_hz` is 0 and `latency_ms` None if nothing came. `silent_s` is the time since the last element, None if none
     ever came; `dropped` counts what subscribers have not fetched in time.
     """
@@ -178,7 +179,7 @@ class Flowing(msgspec.Struct, tag=True):
 
 
 class Unserved(msgspec.Struct, tag=True):
-    """Subscribers of a topic wait, since the outlets can't take them in; told once until they can."""
+    """Subscribers of a topic wait, since the outlets can't accept them. Sent once until they can again."""
 
     topic: str
     cause: str

@@ -24,7 +24,7 @@ from cfgplan_runtime.streams.element import Element, Outgoing
 from cfgplan_runtime.streams.inlet import Inlet
 
 OVER_S = 3.0
-"""Rate and age are over so many seconds."""
+"""The seconds over which rate and age are taken."""
 _STATUS_PERIOD_S = 1.0
 _MOST_STAMPS = 4096
 NO_DESCRIPTOR = "no file descriptor is left: raise the limit of open files (ulimit -n)"
@@ -39,12 +39,12 @@ class Meter:
         self._stamps: deque[tuple[float, float]] = deque(maxlen=_MOST_STAMPS)
 
     def note(self, age_s: float, now_s: float) -> None:
-        """An element came."""
+        """Count an element."""
         self._elements += 1
         self._stamps.append((now_s, age_s))
 
     def flow(self, dropped: int, now_s: float) -> Flow:
-        """What comes now."""
+        """Rate, age and counts at `now_s`; `dropped` is the caller's count."""
         first_s = self._stamps[0][0] if len(self._stamps) == _MOST_STAMPS else 0.0
         begin_s = max(now_s - OVER_S, self._since_s, first_s)
         ages = sorted(age for at, age in self._stamps if at >= begin_s)
@@ -66,7 +66,7 @@ class OutletChild:
         self._listeners: dict[str, socket.socket] = {}
         self._meters: dict[str, Meter] = {}
         self._paused: dict[str, socket.socket] = {}
-        """Listeners that there was no descriptor for: who connects to them waits."""
+        """Listeners that are not accepted from for want of a descriptor, by topic: who connects to them waits."""
         self._is_short = False
         self._is_finishing = False
 

@@ -107,7 +107,7 @@ class Ports:
         return not any(sender.depth for output in self.outputs.values() for sender in output.senders)
 
     def drain(self) -> None:
-        """Hand on what has arrived, then accept nothing more."""
+        """Hand on what has arrived, then discard what still comes."""
         for port in self.inputs.values():
             for wire in list(port.receivers):
                 self._read(port, wire)
@@ -220,7 +220,7 @@ class Ports:
                 self.unwatch(other.socket)
 
     def _settle(self, port: UnitInput, elements: list[Element]) -> None:
-        """Hand elements on, close the receivers that the inlet is through with, and say so if it has switched."""
+        """Hand elements on, close the receivers that the inlet no longer needs, and report a switch."""
         port.elements += len(elements)
         for element in elements:
             port.take(element)
@@ -237,9 +237,7 @@ class Ports:
         receiver.close()
 
     def _peer_spoke(self, output: UnitOutput, sender: Sender) -> None:
-        """A receiver's socket is ready: discard what it sent; if it has gone, close the sender, else send what
-        waits.
-        """
+        """A receiver's socket is ready: discard what it sent, then send what waits. If it is gone, close the sender."""
         try:
             gone = not sender.socket.recv(_MOST_SAID, socket.MSG_DONTWAIT)
         except BlockingIOError:
@@ -272,4 +270,4 @@ class Ports:
 
 
 def _ignore(_: Element) -> None:
-    """Discards the elements that come after an input was drained."""
+    """Discard an element that comes after its input was drained."""

@@ -1,4 +1,4 @@
-"""What starts a step: the elements that have come, grouped into the inputs of one call of unit code."""
+"""Grouping the elements that have come into steps: the inputs of one call of unit code."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ class StepQueue:
         self._tolerance_ns = tolerance_ns
         self._limit = limit
         self.dropped = dict.fromkeys(ports, 0)
-        """Elements dropped for want of room, by port."""
+        """How many elements were dropped for want of room, by port."""
         self.skipped = dict.fromkeys(ports, 0)
-        """Elements without a partner of their time, by port."""
+        """How many elements found no partner of their time, by port."""
 
     def waiting(self, port: str) -> int:
         """The number of elements that wait at a port."""
@@ -55,7 +55,7 @@ class StepQueue:
             self.dropped[port] += 1
 
     def next(self) -> Step | None:
-        """The next step, if one can start."""
+        """Remove and return the next step; None if none can start."""
         if self._start == "all":
             return self._one_of_each() if all(self._waiting.values()) else None
         if self._start == "aligned":
@@ -94,7 +94,7 @@ class StepQueue:
         return Step({name: self._latest[name] for name in self._waiting}, element.moment)
 
     def _latest_of_first_elements(self, ports: Sequence[str]) -> None:
-        """Before the first step, take the element that waits at a port as its latest."""
+        """Before the first step, count the first waiting element of each port as its latest."""
         for port in ports:
             if port not in self._latest and self._waiting[port]:
                 self._latest[port] = self._waiting[port][0]

@@ -30,7 +30,7 @@ from cfgplan_runtime.streams.payload import PayloadEncoder, decode
 
 STATUS_PERIOD_S = 1.0
 _LONGEST_WORK_NS = 1_000_000
-"""Seconds of back-to-back steps after which sockets are looked at again."""
+"""Nanoseconds of back-to-back steps after which sockets are looked at again."""
 _MOST_REPORTS = 5
 """Failures that are reported one by one between two signs of life."""
 _KINDS = ((WrongPortsError, "wrong ports"), (EncodingError, "can't be sent"))
@@ -64,13 +64,13 @@ class UnitChild:
         self._suppressed = ("", "")
         self._is_exhausted = self._is_finishing = False
         self._raised: Exception | None = None
-        """The last exception of a source that has given nothing since. If the source then ends, this is why."""
+        """The last exception of a source that has given nothing since; the cause if the source then ends."""
         self._tick_ns = time.monotonic_ns()
 
     def run(self) -> None:
         """Work until told to finish, or until the supervisor is gone.
 
-        SystemExit of unit code comes through, and what a source raises that gives no more after it.
+        Raises SystemExit if unit code does, and the last exception of a source that gives nothing after it.
         """
         self._ports.say(Ready(time.process_time_ns()))
         self._status_ns = time.monotonic_ns()

@@ -25,7 +25,7 @@ from cfgplan_runtime.errors import BadSourceError, WrongPortsError
 
 @dataclass(frozen=True, slots=True)
 class At:
-    """A value with the time it belongs to, for sources that know it better than the clock.
+    """A value with its time, for sources that know it better than the clock.
 
     `time_ns` is in nanoseconds since the epoch and must rise along a stream, also across restarts.
     """
@@ -36,7 +36,7 @@ class At:
 
 @dataclass(frozen=True, slots=True)
 class Given:
-    """One value for one output port; without a time it is of its step's moment."""
+    """One value for one output port. Without `time_ns` it has its step's moment."""
 
     port: str
     value: object
@@ -61,7 +61,7 @@ class UnitCode:
         self.has_state = hasattr(made, "get_state") and hasattr(made, "set_state")
 
     def step(self, values: Mapping[str, object]) -> Iterator[Given]:
-        """One step's results, made while they are asked for. Raises whatever the unit code raises."""
+        """The results of one step, computed lazily. Raises whatever the unit code raises."""
         result = self._object(**values)
         if isinstance(result, GeneratorType):
             for one in result:
@@ -107,7 +107,7 @@ class UnitCode:
 
 
 def find_source(source: str, folder: Path) -> Callable[..., Any]:
-    """What `package.module:Name` or `units.py:Name` (relative to `folder`) names. Raises BadSourceError."""
+    """The class or function that `package.module:Name` or `folder`'s `units.py:Name` names. Raises BadSourceError."""
     place, colon, name = source.rpartition(":")
     if not (colon and place and name):
         raise BadSourceError(f"{source!r} names no unit code: write package.module:Class or units.py:Class")

@@ -1,4 +1,4 @@
-"""What a child is told, so that it becomes a unit of a transformation."""
+"""The order that makes a child a unit of a transformation."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from cfgplan_runtime.children.messages import UnitOrder
 def unit_order(
     unit: str, transformation: Transformation, state: bytes | None, folder: str, clock_offset_ns: int
 ) -> UnitOrder:
-    """The order for a unit of a transformation; its elements' times are the monotonic clock's plus the offset."""
+    """The order for a unit of a transformation. The times of its elements are the monotonic clock plus the offset."""
     run = transformation.run
     return UnitOrder(
         unit=unit,

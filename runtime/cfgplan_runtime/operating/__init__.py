@@ -1,4 +1,4 @@
-"""A run in operation: the control socket, what is shown of it, and its recording."""
+"""A run in operation: its control socket, its recording and its metrics."""
 
 import sys
 

@@ -18,10 +18,10 @@ def code_watch(
     running: Callable[[], Iterable[ComputationUnit]],
     tell: Callable[[str], object],
 ) -> FileWatch:
-    """A watch that names the units that were started before a file with their code changed.
+    """A watch that calls `tell` with the units that were started before a file with their code changed.
 
-    `library` and `running` say what can be started and what runs at present; `folder` is what `units.py` in
-    `source: units.py:Class` is relative to. Modules that are named with dots are not watched, nor what code imports.
+    `library` and `running` give what can be started and what runs at present; `units.py` in `source: units.py:Class`
+    is relative to `folder`. Modules that are named with dots are not watched, nor what code imports.
     """
 
     def labels_of_files() -> dict[Path, list[str]]:

@@ -33,7 +33,7 @@ class Control:
     """A connection to a run; a context manager."""
 
     def __init__(self, folder: Path) -> None:
-        """Raises ControlError if nobody answers there."""
+        """Connect to the run in a folder. Raises ControlError if it does not answer, or refuses."""
         self.path = address(folder)
         self._end = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._number = 0
@@ -57,9 +57,7 @@ class Control:
         self.system = RunningSystem(hello["run"], hello["environment"], hello["pid"])
 
     def call(self, method: str, *, timeout_s: float | None = None, **params: Any) -> Record:
-        """Call a method of the run. Raises RefusedError if the run refuses, ControlError if it has ended or does not
-        answer.
-        """
+        """Call a method of the run. Raises RefusedError if the run refuses, ControlError if it does not answer."""
         self._number += 1
         self._end.settimeout(timeout_s)
         try:
@@ -115,7 +113,7 @@ class Control:
 def connect(run: str | None = None) -> Control:
     """Connect to a run of this user on this machine; the id is needed only if there are several.
 
-    Raises NoSuchRunError, with what there is, and ControlError if the run does not answer.
+    Raises NoSuchRunError, which names the live runs, and ControlError if the run does not answer.
     """
     folders = [folder for folder in live_runs(base_folder()) if address(folder).exists()]
     found = [folder for folder in folders if run is None or folder.name == run]

@@ -1,4 +1,4 @@
-"""The control socket: requests of any number of clients, each answered in a thread of its own.
+"""The control socket: serves up to MOST_CLIENTS clients, each in a thread of its own.
 
 Nothing here touches the supervisor: a slow, silent or broken client harms only itself.
 """
@@ -28,7 +28,7 @@ from cfgplan_runtime.operating.protocol import (
 )
 
 Method = Callable[[Mapping[str, Any]], Record]
-"""Does what a request asks for; raises RefusedError."""
+"""Carries out a request with these params and returns the result; raises RefusedError."""
 
 MOST_CLIENTS = 32
 MOST_WAITING_EVENTS = 1000
@@ -39,9 +39,9 @@ _CHUNK = 1 << 16
 class ControlServer:
     """Serves `methods` at the control socket of the run in `folder` until it is closed; a context manager.
 
-    `about` is told to each client as it connects. `subscribe` is a method of the server's own: `publish` sends
-    an event to whoever has called it; events that a client does not fetch are dropped, and it is told how many. What
-    `add` brings `while_connected` is withdrawn when the connection ends, however it does.
+    Each client gets `about` as it connects. `subscribe` is a method of the server's own: `publish` sends events to the
+    clients that have called it. Events that a client does not fetch are dropped, and it is told how many. What a
+    client has added `while_connected` is withdrawn when its connection ends, however it does.
     """
 
     def __init__(self, folder: Path, methods: Mapping[str, Method], about: Mapping[str, Any]) -> None:
@@ -72,7 +72,7 @@ class ControlServer:
             client.publish(event)
 
     def close(self) -> None:
-        """Disconnect everybody; requests that are being answered are abandoned."""
+        """Disconnect every client; requests that are being answered are abandoned."""
         with self._lock:
             self._is_closed = True
             clients = list(self._clients)
@@ -99,7 +99,7 @@ class ControlServer:
             except OSError:
                 if self._is_closed or self._listener.fileno() == -1:
                     return
-                # Out of descriptors, most likely: others may be given back.
+                # Out of descriptors, most likely: some may be free again soon.
                 threading.Event().wait(0.1)
                 continue
             with self._lock:
@@ -121,7 +121,7 @@ class ControlServer:
 
 
 class _Client:
-    """One connection: a thread that answers and, once subscribed, one that tells events."""
+    """One connection: a thread that answers requests and, once subscribed, one that sends events."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""What is added to a running system, as text in the environment file's form, with the individuals that come along."""
+"""Reading additions to a running system: text in the environment file's form, with individuals."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ class Declared:
 
 
 def declaration(name: str, text: str) -> Declared:
-    """What a text in YAML or JSON declares under a name. Raises InputError with every fault of its individuals.
+    """Read a declaration from YAML or JSON. Raises InputError with every fault of syntax and individuals.
 
-    Its transformations and targets are checked where they are taken in.
+    The manager checks the transformations and targets when it takes the declaration in.
     """
     source = read_json(text, name) if text.lstrip().startswith("{") else read_yaml(text, name)
     faults = list(source.faults)
@@ -87,7 +87,7 @@ def _relations(source: Source, path: Path, written: Any, faults: list[Fault]) ->
 
 
 def _names(source: Source, path: Path, written: Any, faults: list[Fault]) -> list[str]:
-    """A name, or a list of names."""
+    """The names in `written`, one or a list. Notes a fault and returns [] for anything else."""
     names = [] if written is None else written if isinstance(written, list) else [written]
     if all(isinstance(name, str) and name for name in names):
         return names

@@ -1,4 +1,4 @@
-"""What comes on the topics: rates and ages as the outlets count them, and the elements for whoever wants them."""
+"""What comes on the topics: rates and ages as the outlets count them, and the elements for a listener."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _DRAIN_LOOK_S = 0.01
 _CLOSE_S = 5.0
 
 Listener = Callable[[str, Element], None]
-"""Called with a topic and an element of it, from a thread of that topic's own: it may be slow."""
+"""Called with a topic and its element, in a thread of that topic: it may be slow."""
 
 
 class Flows:
@@ -39,7 +39,7 @@ class Flows:
             self._told = time.monotonic(), event.flows
 
     def now(self) -> dict[str, Flow]:
-        """The flow of each topic now. If the outlets themselves have been silent, so counts every topic."""
+        """The flow of each topic now. While the outlets report nothing, every topic counts as silent."""
         at_s, flows = self._told
         since_s = time.monotonic() - at_s
         return {topic: _later(flow, since_s) for topic, flow in flows.items()}
@@ -84,7 +84,7 @@ class Following:
             return self._dropped + sum(watch.dropped for watch in (*self._watches.values(), *self._left))
 
     def drain(self, timeout_s: float) -> None:
-        """Wait until everything from topics that have ended was fetched; at most `timeout_s`."""
+        """Wait until all followed topics have ended and were fetched to their end, at most `timeout_s`."""
         deadline = time.monotonic() + timeout_s
         with self._lock:
             watches = list(self._watches.values())

@@ -1,6 +1,6 @@
-"""The JSON Schemas of what a run tells, from the types of what it tells: no field is written down twice.
+"""The JSON Schemas of recorded messages, derived from the types of reports: no field is written down twice.
 
-What is unknown is left out of a recorded message, so that each field has one type, as programs that plot need it.
+A recorded message leaves out unknown values, so that each field has one type, as plotting programs need it.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _CHANGES: Record = {
 
 @cache
 def units_form() -> Record:
-    """Of `/cfgplan/units`."""
+    """The schema of `/cfgplan/units`."""
     unit = _form(Observation)
     for side in ("inputs", "outputs"):
         counts = unit["properties"][side]["additionalProperties"]
@@ -50,7 +50,7 @@ def units_form() -> Record:
 
 @cache
 def reviews_form() -> Record:
-    """Of `/cfgplan/reviews`."""
+    """The schema of `/cfgplan/reviews`."""
     form = _form(Review)
     seconds = {"type": "object", "properties": {phase: {"type": "number"} for phase in PHASES}}
     return {"type": "object", "properties": {**form["properties"], "seconds": seconds, "says": _TEXT}}
@@ -58,25 +58,25 @@ def reviews_form() -> Record:
 
 @cache
 def events_form() -> Record:
-    """Of `/cfgplan/events`: all fields of all kinds."""
+    """The schema of `/cfgplan/events`: all fields of all kinds."""
     return _form(Union[tuple(kind for kind in get_args(Report) if kind is not UnitEvent) + get_args(Event)])  # noqa: UP007
 
 
 def known(value: Any) -> Any:
-    """A record without what is unknown."""
+    """A record without fields that are None, at any depth."""
     if isinstance(value, dict):
         return {key: known(item) for key, item in value.items() if item is not None}
     return [known(item) for item in value] if isinstance(value, list) else value
 
 
 def unit_record(seen: Mapping[str, Any]) -> Record:
-    """An observation's record with its ports as lists, whose names no schema can know."""
+    """An observation's record with its ports as lists, since no schema can know the ports' names."""
     sides = {side: [{"port": port, **counts} for port, counts in seen[side].items()] for side in ("inputs", "outputs")}
     return {**seen, **sides}
 
 
 def _form(hint: Any) -> Record:
-    """The JSON Schema of what `records.plain` makes of a value of a type; of a union that of all its members."""
+    """The JSON Schema of what `records.plain` makes of a value of a type. A union has the fields of all its members."""
     origin, arguments = get_origin(hint), get_args(hint)
     if hint in _PLAIN:
         return {"type": _PLAIN[hint]}

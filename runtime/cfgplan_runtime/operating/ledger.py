@@ -11,7 +11,7 @@ from cfgplan_runtime.supervision.observation import Observation
 
 @dataclass(frozen=True, slots=True)
 class LedgerEntry:
-    """A unit as it was last seen, and its mean upkeep in microseconds of CPU time per second since it was first."""
+    """A unit's last observation, and its mean upkeep since the first one, in microseconds of CPU time per second."""
 
     seen: Observation
     upkeep_us: int | None
@@ -26,15 +26,13 @@ class Ledger:
         self._entries: tuple[LedgerEntry, ...] = ()
 
     def note(self, observations: Iterable[Observation], now_s: float) -> None:
-        """Note an observation of all units; a unit that is missing has ended. An observation without units is
-        ignored.
-        """
+        """Note an observation of all units: a missing one has ended. An observation without units is ignored."""
         found = tuple(observations)
         if not found:
             return
         with self._lock:
             known = {seen.unit: self._first.get(seen.unit, (now_s, seen.cpu_us)) for seen in found}
-            # A unit that has used less than before is another one of that name.
+            # A unit that has used less CPU time than before is a new one of the same id.
             self._first = {s.unit: known[s.unit] if s.cpu_us >= known[s.unit][1] else (now_s, s.cpu_us) for s in found}
             self._entries = tuple(LedgerEntry(seen, self._upkeep_us(seen, now_s)) for seen in found)
 

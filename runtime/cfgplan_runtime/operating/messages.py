@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 SMALLEST_SIDE = 16
-"""An array is an image if it has as many rows and columns at least; smaller ones are matrices."""
+"""An array with at least this many rows and columns is an image; a smaller one is a matrix."""
 MOST_NUMBERS = 1024
-"""A larger array's numbers are given as base64 of its bytes."""
+"""An array of more numbers than this is recorded as the base64 of its bytes."""
 
 _TIME = {
     "type": "object",
@@ -68,7 +68,7 @@ _ENCODINGS = {
     ("u2", None): "16UC1",
     ("f4", None): "32FC1",
 }
-"""How Foxglove calls pixels of a type, with so many channels."""
+"""Foxglove's name of a pixel encoding, by numpy type and number of channels (None: two dimensions)."""
 _MAGIC = {b"\xff\xd8\xff": "jpeg", b"\x89PNG\r\n\x1a\n": "png"}
 
 
@@ -83,9 +83,9 @@ class Message:
 
 
 def messages(topic: str, value: Any, time_ns: int) -> Iterator[Message]:
-    """A value as messages: one, and one more for each image that a mapping holds, on `topic/key`.
+    """The messages that record a value: one, and one on `topic/key` for each image that a mapping holds.
 
-    A mapping is recorded as it is, another value as `{"value": ...}`.
+    A value that is neither an image nor a mapping is recorded as `{"value": ...}`.
     """
     image = _image(topic, value, time_ns)
     if image is not None:

@@ -1,4 +1,4 @@
-"""What can be asked of a running system, as the control protocol's methods: each a change that a manager takes in."""
+"""The control protocol's methods: reading a manager's state, and requesting changes of it."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Methods:
         self._flows = flows
 
     def by_name(self) -> dict[str, Method]:
-        """For the control server; `runtime/CONTROL.md` says what each takes and gives."""
+        """The methods for the control server; `runtime/CONTROL.md` has their params and results."""
         one_name: dict[str, tuple[str, Callable[[str], Change]]] = {
             "withdraw": ("name", Withdraw),
             "remove_target": ("label", lambda label: RemoveTargets((label,))),

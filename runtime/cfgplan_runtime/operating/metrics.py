@@ -1,4 +1,4 @@
-"""A manager's metrics for Prometheus, with the extra `metrics`: what happened as counters, what there is as gauges."""
+"""A manager's metrics for Prometheus (extra `metrics`): counters of what happened, gauges of what there is."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ _BUCKETS_S = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10,
 
 
 class Metrics:
-    """Counts what a manager tells, and looks at it when it is scraped.
+    """Counts a manager's reports, and reads its snapshot at each scrape.
 
-    `listen` is for `Manager.listen`; `snapshot` is `Manager.snapshot`, `flows` is `Flows.now`. Units that have ended
-    are not shown any more.
+    Pass `listen` to `Manager.listen`; `snapshot` is `Manager.snapshot`, `flows` is `Flows.now`. Units that have ended
+    are left out.
     """
 
     def __init__(

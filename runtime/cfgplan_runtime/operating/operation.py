@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 MOST_WAITING = 10_000
 SILENT_S = 5.0
-"""Seconds of silence after which a met target is reported, unless the target says itself how long it may be silent."""
+"""Seconds after which a met target on whose topic nothing comes is reported."""
 KEEP_ESTIMATES_S = 10.0
 """Estimates are saved at most this often, and at the end."""
 _DRAIN_S = 2.0
@@ -54,9 +54,9 @@ News: TypeAlias = "Report | str"
 
 @dataclass(frozen=True)
 class Settings:
-    """How a run is operated; paths that are None are not written. `estimates` is kept from run to run.
+    """How a run is operated. A file whose path is None is not written; `estimates` is kept from run to run.
 
-    `adjust` is applied to the world whenever it is read, such as for another horizon than the file's.
+    `adjust` is applied to the world whenever it is read, for example to replace the file's horizon.
     """
 
     planner: Planner | None = None
@@ -74,9 +74,9 @@ class Settings:
 class Operation:
     """A run from its start to its end; a context manager that leaves nothing behind.
 
-    `path` is the environment file, which is watched, and what unit code is relative to; what it says of running units
-    does not count: a run starts from nothing. `news` is what happens, to be shown; what nobody fetches is thrown away,
-    oldest first. Raises InputError for a world or a file that can't be used.
+    `path` is the environment file: it is watched, and unit code is relative to its folder. A run starts without units,
+    whatever the file says of running ones. `news` is a queue of what is to be shown; if it is full, the oldest are
+    dropped. Raises InputError for a world or a file that can't be used.
     """
 
     def __init__(self, world: World, path: Path, settings: Settings = Settings()) -> None:
@@ -90,7 +90,7 @@ class Operation:
         self._silent: frozenset[str] = frozenset()
         """The targets that count as unmet, since nothing comes for them."""
         self._quiet_s: dict[str, float] = {}
-        """For the topic of each met target: since when nothing has come; inf once that was reported."""
+        """By topic of a met target: since when it is known that nothing comes; inf once that was reported."""
         self.failure = ""
         """Why the manager ended without being asked; empty otherwise."""
         self.begun = threading.Event()
@@ -137,9 +137,7 @@ class Operation:
             self.ledger.note(self.runtime.observe(), time.monotonic())
 
     def stop(self) -> None:
-        """Begin to stop: units finish what they have taken in, and files are completed. Returns at once; call
-        `wait`.
-        """
+        """Begin to stop: units finish what they have taken in, files are completed. Returns at once: call `wait`."""
         threading.Thread(target=self.manager.stop, name="cfgplan-stopping", daemon=True).start()
 
     def stop_at_once(self) -> None:
@@ -236,14 +234,14 @@ class Operation:
         self._show(report)
 
     def _tell_of_full_disks(self) -> None:
-        """Warn once for each file that can't be written any more; what it loses is counted."""
+        """Warn once for each file that can't be written any more."""
         for file in (self.log, None if self.recorder is None else self.recorder.recording):
             if file is not None and file.failure is not None and file.path not in self._full:
                 self._full.add(file.path)
                 self._show(f"{file.path} takes no more: {file.failure}; what is lost is counted")
 
     def _tell_of_silence(self) -> None:
-        """Warn once for each target that a stream meets but for which nothing comes, and again after something came."""
+        """Warn once for each met target on whose topic nothing comes, and again if something has come in between."""
         now, flows = time.monotonic(), self.flows.now()
         for target in self.manager.snapshot().targets:
             silent_s = flows.get(target.topic, Flow()).silent_s

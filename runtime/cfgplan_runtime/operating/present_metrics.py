@@ -1,4 +1,4 @@
-"""What there is at the moment of a scrape: configuration, targets, units and their ports, as Prometheus knows them."""
+"""Prometheus metrics of what there is at a scrape: configuration, targets, units and their ports."""
 
 from __future__ import annotations
 

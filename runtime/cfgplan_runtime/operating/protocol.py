@@ -13,7 +13,7 @@ from cfgplan.errors import Fault
 
 VERSION = 1
 LONGEST_LINE = 16 << 20
-"""Bytes of a request, and of a reply."""
+"""The most bytes of a request, and of a reply."""
 
 Record: TypeAlias = "dict[str, Any]"
 """An object that JSON can say."""

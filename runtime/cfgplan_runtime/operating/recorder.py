@@ -1,4 +1,4 @@
-"""Fills a recording: elements at once, reports through a queue; everything is soon on the disk."""
+"""Fills a recording: elements at once, reports through a queue; flushes it every few seconds."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from cfgplan_runtime.streams.payload import decode
 REVIEWS, EVENTS, UNITS, LOG = "/cfgplan/reviews", "/cfgplan/events", "/cfgplan/units", "/cfgplan/log"
 MOST_WAITING_REPORTS = 10_000
 FLUSH_S = 5.0
-"""A crash of this process loses what came in so many seconds at most."""
+"""A crash of this process loses at most the last FLUSH_S seconds."""
 CLOSE_S = 10.0
 
 
 class Recorder:
-    """Records a run; its file is finished by `close`. Raises InputError for a file that can't be made.
+    """Records a run until `close`. Raises InputError for a file that can't be made.
 
-    `element` may take as long as the disk does, and is called from the threads of the topics; `report` returns at once.
+    `element` is called from the threads of the topics, and may take as long as the disk does; `report` returns at once.
     """
 
     def __init__(self, path: Path) -> None:

@@ -18,7 +18,7 @@ from cfgplan.errors import InputError
 from cfgplan_runtime.operating.messages import Message
 
 MOST_SCHEMAS = 8
-"""So many forms of a topic's elements have a schema of their own; what is of yet another form is just an object."""
+"""The most schemas of a topic; elements of yet another form get the schema of any object."""
 _CHUNK_BYTES = 1 << 20
 _LAST_RECORDS = 16
 
@@ -26,8 +26,8 @@ _LAST_RECORDS = 16
 class Recording:
     """An MCAP file that is being written; all methods may be called from any thread.
 
-    If the disk is full or fails, the recording ends there as a whole file, `failure` says why, and what comes
-    after is counted in `lost`. Nobody else is troubled.
+    If the disk is full or fails, the recording ends there as a valid file, `failure` says why, and `lost` counts the
+    messages after that. Nothing is raised.
     """
 
     def __init__(self, path: Path) -> None:
@@ -73,7 +73,7 @@ class Recording:
                 self._reach_disk()
 
     def flush(self) -> None:
-        """Bring everything to the disk that is not there yet, so that a crash loses nothing of it."""
+        """Bring everything written so far to the disk, so that a crash does not lose it."""
         with self._lock:
             if not self._is_closed and self.failure is None:
                 self._do(self._writer.flush)
@@ -109,7 +109,7 @@ class Recording:
         return self._channels[message.topic, schema]
 
     def _reach_disk(self) -> None:
-        """What waited in memory is in the file now."""
+        """Count what waited in memory as written."""
         self.written += self._waiting
         self._waiting = 0
 
@@ -124,7 +124,7 @@ class Recording:
 
 
 class _Output:
-    """A file that is written by whole records, and can be ended after any of them."""
+    """A file of whole records that can be cut after any of the last ones."""
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("xb", buffering=0)
@@ -144,7 +144,7 @@ class _Output:
         os.fsync(self._file.fileno())
 
     def end_early(self) -> None:
-        """Cut the file after the last whole records that leave room for its end; it has no index then."""
+        """Cut the file after the last whole record that leaves room for the file's end. It has no index then."""
         from mcap.data_stream import RecordBuilder
         from mcap.records import DataEnd, Footer
         from mcap.writer import MCAP0_MAGIC

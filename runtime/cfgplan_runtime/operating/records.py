@@ -1,7 +1,7 @@
 """Reports and snapshots as plain records, for the control socket, JSON lines and recordings.
 
-Times are in seconds, costs in microseconds of CPU time, and names say so. Everything that is a
-`kind` is the name of a type in `cfgplan_runtime.lifecycle` or `cfgplan_runtime.supervision.events`.
+Times are in seconds, costs in microseconds of CPU time, and names say so. Every `kind` is the name of a type in
+`cfgplan_runtime.lifecycle` or `cfgplan_runtime.supervision.events`.
 """
 
 from __future__ import annotations
@@ -52,10 +52,7 @@ def snapshot_record(snapshot: Snapshot, flows: Mapping[str, Record] | None = Non
 
 
 def review_record(review: Review) -> Record:
-    """A review; of its change set the ids of units and the wiring of those that start or are rewired.
-
-    `says` is all of it in a sentence.
-    """
+    """A review as a record; `says` is its sentence, and its change set is as `change_record` gives it."""
     record = {field.name: plain(getattr(review, field.name)) for field in fields(review)}
     record["says"] = review_sentence(review)
     record["change_set"] = None if review.change_set is None else change_record(review.change_set)
@@ -72,7 +69,7 @@ def change_record(changes: ChangeSet) -> Record:
 
 
 def report_record(report: Report) -> Record:
-    """A report as an event: its `kind`, and what it says."""
+    """A report as a record: its `kind` and its fields."""
     match report:
         case UnitEvent(event):
             return {"kind": type(event).__name__, **_fields(event)}
@@ -103,7 +100,7 @@ def plain(value: Any) -> Any:
         case list() | tuple() | set() | frozenset():
             return [plain(item) for item in value]
     if is_dataclass(value) and not isinstance(value, type):
-        # Faults and observations are known by their place; where a value may be one of several, its type is told.
+        # Only where a value may be of several types is `kind` needed; faults and observations have it all the same.
         return {"kind": type(value).__name__, **_fields(value)}
     return str(value)
 

@@ -1,4 +1,4 @@
-"""What happens, in words for people: one line each."""
+"""Sentences for people about what happens: one line each."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _LONGEST_CAUSE = 300
 
 
 def sentence(report: Report) -> str | None:
-    """What a report says; None for what people need not hear of."""
+    """A report as a sentence; None if people need not hear of it."""
     match report:
         case Perturbed(perturbation):
             return _perturbation(perturbation)
@@ -57,7 +57,7 @@ def sentence(report: Report) -> str | None:
 
 
 def details(report: Report) -> str | None:
-    """Where unit code has raised what it did, in the user's own files; None if there is no more than the sentence."""
+    """The traceback's frames in the user's own files, for failed unit code; None if there are none."""
     match report:
         case UnitEvent(events.UnitFailed(text=text) | events.UnitDied(cause=text)) if _TRACEBACK in text:
             frames = _FRAME.findall(text)
@@ -67,7 +67,7 @@ def details(report: Report) -> str | None:
 
 
 def level(report: Report) -> int:
-    """How bad it is: INFORMATION, WARNING or ERROR."""
+    """A report's severity: INFORMATION, WARNING or ERROR."""
     match report:
         case UnitEvent(
             events.UnitDied()
@@ -120,7 +120,7 @@ def named(names: Iterable[str]) -> str:
 
 
 def because(review: Review) -> str:
-    """Why a review was made, in a few words; what units lose when another dies goes without saying."""
+    """Why a review was made, in a few words. Inputs that are lost since a unit died are not mentioned."""
     gone = any(isinstance(perturbation, kinds.UnitGone) for perturbation in review.perturbations)
     told = [p for p in review.perturbations if not (gone and isinstance(p, kinds.SubscriptionLost))]
     return named(dict.fromkeys(map(_cause, told)))

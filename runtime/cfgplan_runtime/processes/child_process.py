@@ -1,4 +1,4 @@
-"""One child process: what it says and prints, and what it has used.
+"""One child process: its messages, its printed lines, and its CPU time and memory.
 
 Usage comes from its CPU clock where the platform has one, from psutil elsewhere.
 """
@@ -38,7 +38,7 @@ class ChildProcess:
     _line: bytearray = field(default_factory=bytearray)
 
     def printed_lines(self) -> tuple[list[str], bool]:
-        """The lines that it has printed since the last call, and whether there will be more."""
+        """The lines printed since the last call, and whether more may come."""
         try:
             data = self.printed.recv(1 << 16)
         except BlockingIOError:
@@ -77,7 +77,7 @@ def cpu_us(pid: int) -> int | None:
 
 
 def cpu_us_by_psutil(pid: int) -> int | None:
-    """The same by psutil: slower, in the system's ticks of about 10 ms."""
+    """`cpu_us` by psutil: slower, and in the system's ticks of about 10 ms."""
     import psutil
 
     try:

@@ -41,7 +41,7 @@ from cfgplan_runtime.children.unit_child import UnitChild
 
 DUMP_SIGNAL = signal.SIGUSR1
 FAILED = 70
-"""Exit status of a child whose unit code could not be constructed; what it says before tells why."""
+"""Exit status of a child whose unit code failed for good; its last message (Trouble) says why."""
 
 _SIGN_PERIOD_S = 1.0
 _SOCKETS_OF_A_CHILD = 2
@@ -192,9 +192,10 @@ def _limit_memory(limit: int | None) -> None:
 
 
 def _end_of(pid: int) -> int | None:
-    """The exit status of a child that has ended; None while it lives. Processes that the child had started are killed.
+    """The exit status of a child that has ended; None while it lives.
 
-    Its process group is killed before the child is reaped, where the system allows that: afterwards the number is free.
+    Where the system allows it, the child's process group is killed before the child is reaped, as afterwards its
+    number is free.
     """
     if hasattr(os, "waitid"):
         if os.waitid(os.P_PID, pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
@@ -212,16 +213,14 @@ def _kill_group(pid: int) -> None:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Run as a nursery. Arguments: number of the control socket, supervisor's process id, run's id, modules to
-    import.
-    """
+    """Run as a nursery. Arguments: control socket's number, supervisor's process id, run's id, modules to import."""
     number, parent, run, *preload = arguments
     setproctitle(f"cfgplan {run} nursery")
     die_with_parent(int(parent))
     os.setpgid(0, 0)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for name in preload:
-        with contextlib.suppress(Exception):  # units that import it say what is wrong with it
+        with contextlib.suppress(Exception):  # the units that import it will report what is wrong
             importlib.import_module(name)
     gc.collect()
     gc.freeze()

@@ -74,8 +74,8 @@ _HELPER_START_S = 60.0
 """Seconds until the first sign of life: the nursery imports modules first."""
 _OUTLET_QUEUE = 1024
 _AGAIN_S, _MOST_AGAIN_S, _GOOD_LIFE_S = 0.1, 5.0, 10.0
-"""Outlets that are lost again and again are made anew after the first, twice that ... at most the second, unless they
-had lived for so long."""
+"""Seconds until outlets that were lost twice in a row are made anew, doubled for each further loss up to the second
+value. A loss after a life of the third value is not in a row."""
 
 
 class ProcessBackend:
@@ -95,16 +95,16 @@ class ProcessBackend:
         self._by_name: dict[str, ChildProcess] = {}
         self._topics: list[str] = []
         self._unopened: set[str] = set()
-        """Topics whose address could not be made; that is tried again when they are to be fed."""
+        """Topics whose address could not be made. It is tried again when they are to be fed."""
         self._serial = 0
         self._clock_offset_ns = time.time_ns() - time.monotonic_ns()
         self._nursery = NurseryLink(self.run_folder.id, ("numpy", "numpy.random", *preload))
         self._nursery_socket: socket.socket | None = None
         self._outlets_lost = 0
-        """How often in a row."""
+        """How often in a row the outlets were lost."""
         self._outlets_since_s = 0.0
         self._outlets_due_s: float | None = None
-        """When they are to be made anew."""
+        """When the outlets are to be made anew; None if they need not."""
         self._is_short = False
         """Whether there was no descriptor for the last wire."""
 
@@ -250,7 +250,7 @@ class ProcessBackend:
             self._events.append(OutOfDescriptors(f"{what}: {error.strerror}{mend}"))
 
     def _lose_outlets(self, cause: str) -> None:
-        """Tell it; they are made anew at once the first time, later if they are lost again and again."""
+        """Report that the outlets were lost. They are made anew at once the first time, later after losses in a row."""
         lived_well = self.now() - self._outlets_since_s >= _GOOD_LIFE_S
         self._outlets_lost = 1 if lived_well else self._outlets_lost + 1
         self._events += [HelperAlive(OUTLETS_HELPER, inf), OutletsLost(cause)]
@@ -258,7 +258,7 @@ class ProcessBackend:
             self._outlets_due_s = self.now() + doubling_s(self._outlets_lost, _AGAIN_S, _MOST_AGAIN_S)
 
     def _fork(self, name: str, order: UnitOrder | OutletOrder) -> ChildProcess | None:
-        """Have a child made. If the system has no room for it, report it as dead, with that cause."""
+        """Have a child made. If the system has no room, report the child as dead and return None."""
         ends: list[socket.socket] = []
         try:
             if not self._nursery.is_open:
@@ -341,7 +341,7 @@ class ProcessBackend:
         for message, _ in child.control.receive():
             self._understand(child, message)
         if child.control.has_ended:
-            # The nursery tells how it ended, and ends it if that was only its connection.
+            # The nursery reports how the child ended; if only the connection has, the nursery kills the child.
             self._selector.unregister(child.control.socket)
             self._nursery.kill(child.serial)
         else:
@@ -380,7 +380,7 @@ class ProcessBackend:
                 self._events.append(UnitStatus(name, steps, errors, inputs, outputs, state))
 
     def _tell_ready(self, child: ChildProcess) -> None:
-        """A unit is ready when it says so and its process id is known, in whatever order that comes."""
+        """Report a unit as ready once it has said so and its process id is known, in either order."""
         if child.name != OUTLETS and child.pid is not None and child.labor_us is not None:
             self._events.append(UnitReady(child.name, child.labor_us))
 
@@ -396,7 +396,7 @@ class ProcessBackend:
 
 
 def _raise_descriptor_limit() -> None:
-    """Let this process, and all that it makes, open as many files as the system allows: a unit takes several."""
+    """Let this process and its children open as many files as the system allows: a unit takes several."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft != hard:
         with suppress(OSError, ValueError):  # where "no limit" is more than the system really allows

@@ -1,4 +1,4 @@
-"""Channels: one subscription's two ends of a stream socket, and the only place that knows sockets' ways.
+"""Channels: the two ends of one subscription's stream socket. No other module reads or writes elements on sockets.
 
 What the receiver's socket does not take waits at the sender in a bounded queue. When that is full,
 `drop_oldest` drops, and the receiver sees the gap in the numbers; `block` asks the producer to wait.
@@ -29,7 +29,7 @@ def socket_pair() -> tuple[socket.socket, socket.socket]:
 
 
 def widen(sender: socket.socket) -> None:
-    """Enlarge a socket's buffers, as far as the system allows, so that it takes an image at once."""
+    """Enlarge a socket's send buffer, as far as the system allows, so that it takes an image at once."""
     sender.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SOCKET_BUFFER)
 
 
@@ -40,7 +40,7 @@ class Sender:
         end.setblocking(False)
         self.socket = end
         self.wire = wire
-        """The supervisor's number of the subscription; None for a stranger's."""
+        """The supervisor's number of the subscription; None for a subscriber from outside."""
         self.blocks = blocks
         self.dropped = 0
         self.is_closed = False
@@ -52,7 +52,7 @@ class Sender:
 
     @property
     def is_full(self) -> bool:
-        """Whether the producer must wait, only ever so for `block`: then elements queue at the receiver."""
+        """Whether the producer must wait; only with `block`, where elements queue at the receiver."""
         return self.blocks and self.depth > 0
 
     @property
@@ -93,7 +93,7 @@ class Sender:
         return self.is_closed or not self.depth
 
     def give_up(self) -> None:
-        """Send nothing any more. The socket stays open until its owner has stopped watching it."""
+        """Send nothing any more. The owner closes the socket once it has stopped watching it."""
         self.is_closed = True
         self._waiting.clear()
         self._rest = None
@@ -128,10 +128,10 @@ class Receiver:
         self._filled = 0
         self._buffers = Buffers()
         self._wanted = _CHUNK
-        """How much to read at once; after a large payload only a header, so that the next goes to its place at once."""
+        """How many bytes to read at once: after a large payload only a header, so that the next one is not copied."""
 
     def read(self) -> Iterator[Element]:
-        """What has come, in order; `has_ended` tells whether that was all there will ever be."""
+        """The elements that have come, in order. If `has_ended` is set, there will be no more."""
         budget = _MOST_PER_READ
         while budget > 0 and not self.has_ended:
             if self._payload is not None:
@@ -215,7 +215,7 @@ _MOST_KEPT = 32
 
 
 class Buffers:
-    """Buffers of one subscription; what is handed out is free again when every view of it is gone."""
+    """Buffers of one subscription. A buffer is used again when every view of it is gone."""
 
     def __init__(self) -> None:
         self._used: deque[bytearray] = deque()
@@ -233,7 +233,7 @@ class Buffers:
 
 
 def _is_free(buffer: bytearray) -> bool:
-    """A bytearray can't be resized while a view of it exists."""
+    """Whether no view of a bytearray exists: while one does, it can't be resized."""
     try:
         buffer.append(0)
         buffer.pop()

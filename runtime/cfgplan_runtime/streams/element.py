@@ -9,7 +9,7 @@ from typing import NamedTuple, TypeAlias
 from cfgplan_runtime.streams.payload import Buffer
 
 Moment: TypeAlias = "tuple[int, int]"
-"""When an element is: nanoseconds, and its turn among elements of one nanosecond. Rises along a stream."""
+"""An element's time in nanoseconds, and its turn among elements of that time. Moments rise along a stream."""
 
 HEADER = struct.Struct("<IIQq")
 """Length of the payload, turn, sequence number within the subscription, time in nanoseconds."""

@@ -1,8 +1,8 @@
 """Inputs that change their source without losing, repeating or reordering an element.
 
 An inlet has an active source and, while it is rewired, a standby. The standby's elements wait until
-the active source has given everything before the first of them; then the inlet switches and goes on
-with those of the standby that are newer. So the moments of what it hands on always rise.
+the active source has given everything before the first of them; then the inlet switches, and skips those
+of the standby that are not newer. So the moments of the elements that it hands on always rise.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _BEFORE_ALL: Moment = (-(1 << 63), -1)
 
 @dataclass(slots=True)
 class Inlet:
-    """One input. A source is named by the number of its wire; sockets are handled elsewhere."""
+    """One input. Sources are numbers of wires; sockets are handled elsewhere. `limit` is for a standby's elements."""
 
     limit: int
     active: int | None = None

@@ -1,4 +1,4 @@
-"""A run's folder: the sockets of its topics, and a lock by which others see whether it lives.
+"""A run's folder: the sockets of its topics, and a lock that shows others whether the run lives.
 
 The folders of one user's runs are in `$XDG_RUNTIME_DIR/cfgplan`, else in a folder of that user's own
 below the temporary folder. Only the user can enter it.
@@ -29,14 +29,14 @@ _BACKLOG = 64
 
 
 class RunFolder:
-    """The folder of a run that lives as long as this object is open."""
+    """The folder of a run. The run counts as alive until `close`."""
 
     def __init__(self, base: Path | None = None) -> None:
         self.base = base_folder() if base is None else base
         self.id = secrets.token_hex(4)
         self.path = self.base / self.id
         try:
-            with _alone(self.base):  # else one that is being made might be taken for a dead one
+            with _alone(self.base):  # else another process might remove it before it is locked
                 remove_dead_runs(self.base)
                 self.path.mkdir(mode=0o700)
                 self._lock = os.open(self.path / "lock", os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600)
@@ -71,9 +71,9 @@ class RunFolder:
 
 
 def base_folder() -> Path:
-    """The folder of this user's runs, made if need be.
+    """The folder of this user's runs, created if missing.
 
-    Raises RuntimeFaultError if someone else's is in its place, or if its name is too long for sockets.
+    Raises RuntimeFaultError if it is not this user's alone, or if its name is too long for sockets.
     """
     given = os.environ.get("XDG_RUNTIME_DIR")
     base = Path(given) / "cfgplan" if given else Path(tempfile.gettempdir()) / f"cfgplan-{os.getuid()}"
@@ -92,7 +92,7 @@ def base_folder() -> Path:
 
 
 def live_runs(base: Path) -> Iterator[Path]:
-    """The folders of the runs that live."""
+    """The folders of the live runs."""
     for path in sorted(base.iterdir()) if base.is_dir() else ():
         if is_alive(path):
             yield path

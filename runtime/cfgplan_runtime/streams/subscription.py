@@ -29,7 +29,7 @@ class Received:
 
 
 class SubscriptionToTopic:
-    """A connection to a topic; iterate over it for what comes, until the run ends."""
+    """A connection to a topic. Iterate over it for the values that come, until the run ends."""
 
     def __init__(self, topic: str, run: Path, *, timeout_s: float | None) -> None:
         self.topic = topic
@@ -49,7 +49,7 @@ class SubscriptionToTopic:
             yield Received(decode(element.payload), element.time_ns, self.topic)
 
     def elements(self) -> Iterator[Element]:
-        """The same as elements whose values are not decoded."""
+        """Elements as they come, not decoded; ends and raises as iteration does."""
         while self._receiver is not None:
             self._wait(self._receiver)
             for element in self._receiver.read():
@@ -63,7 +63,7 @@ class SubscriptionToTopic:
 
     @property
     def is_connected(self) -> bool:
-        """Whether the topic's run is still connected."""
+        """Whether there is a connection to the topic."""
         return self._receiver is not None
 
     def __enter__(self) -> SubscriptionToTopic:

@@ -1,1 +1,1 @@
-"""What runs, what should, and how the one becomes the other: no process is known here."""
+"""Carrying out change sets and noticing faults; nothing here knows that units are processes."""

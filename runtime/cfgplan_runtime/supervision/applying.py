@@ -1,6 +1,6 @@
-"""Carrying out one change set, as a whole or not at all: start, rewire, then stop; or undo it in reverse.
+"""Carrying out one change set as a whole or not at all: start, rewire, then stop; after a failure, undo.
 
-A generator gives commands and conditions to wait for; whoever drives it carries them out before the next one.
+A generator yields commands and conditions to wait for; its driver carries each out before it asks for the next.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from cfgplan_runtime.supervision.wiring import (
 class Patience:
     """How long the steps of an update may take, in seconds.
 
-    An input whose new source gives nothing for `switch_s` goes over to it when the old one is taken away.
+    An input whose new source gives nothing for `switch_s` switches to it when the old source is taken away.
     """
 
     start_s: float = 30.0
@@ -37,7 +37,7 @@ class Patience:
 
 
 class Actual(Protocol):
-    """What runs, at the moment of asking. `feeds` are the wires of inlets, of which some may not have switched yet."""
+    """What runs, at the moment of asking. `feeds` has each inlet's newest wire, which may not have switched yet."""
 
     @property
     def environment(self) -> Environment: ...
@@ -54,7 +54,7 @@ class Actual(Protocol):
     @property
     def is_abandoned(self) -> bool: ...
     def dry_units(self) -> Set[str]:
-        """Units that give nothing though they could."""
+        """Units with outputs that have given nothing for a while."""
 
     def now(self) -> float:
         """Seconds on a clock that only rises."""
@@ -98,7 +98,7 @@ class EndUnit:
 
 @dataclass(frozen=True, slots=True)
 class Connect:
-    """Let a stream feed an inlet, after what feeds it now if anything does."""
+    """Let a stream feed an inlet, as the successor of its present source, if any."""
 
     stream: Stream
     inlet: Inlet
@@ -113,21 +113,21 @@ class Disconnect:
 
 @dataclass(frozen=True, slots=True)
 class GoOver:
-    """Let an inlet go over to its new source without waiting for the old one."""
+    """Switch an inlet to its new source without waiting for the old one."""
 
     inlet: Inlet
 
 
 @dataclass(frozen=True, slots=True)
 class Believe:
-    """What runs now is this environment."""
+    """Take this environment as what runs now."""
 
     environment: Environment
 
 
 @dataclass(frozen=True, slots=True)
 class WaitUntil:
-    """Wait until a condition on what runs holds, at most for so long."""
+    """Wait until a condition on what runs holds, at most `patience_s`."""
 
     holds: Callable[[], bool]
     patience_s: float
@@ -141,7 +141,7 @@ Commands: TypeAlias = Generator[Command, None, None]
 
 @dataclass(frozen=True, slots=True)
 class CarriedOut:
-    """An update that was carried out: what runs after it, the seconds of each phase, inputs that went over late."""
+    """An update that was carried out: what runs now, the seconds of each phase, and how many inputs switched late."""
 
     environment: Environment
     seconds: Mapping[str, float]
@@ -216,7 +216,7 @@ def _faults(after: Environment, change_set: ChangeSet) -> Iterable[str]:
 
 
 def _as_it_lives(after: Environment, actual: Actual) -> Environment:
-    """The environment that was wanted, less what has died or been lost meanwhile."""
+    """The wanted environment without units that have died and wires that were lost meanwhile."""
     environment = after
     for unit in after.units:
         if unit.id not in actual.alive:
@@ -229,7 +229,7 @@ def _as_it_lives(after: Environment, actual: Actual) -> Environment:
 
 @dataclass(frozen=True, slots=True)
 class _Update:
-    """One change set on its way: the topics it has opened, and what each inlet that it has rewired had before."""
+    """One change set under way: the topics that it has opened, and the former stream of each rewired inlet."""
 
     actual: Actual
     change_set: ChangeSet
@@ -288,7 +288,7 @@ class _Update:
         yield from self.stop_units(self.change_set.stopped)
 
     def undo(self, failed: list[str], *, keeps_new: bool) -> Commands:
-        """Let the inputs that are to stay go back, and only then take the new units away: until then they are fed.
+        """Switch the inputs of old units back, and only then stop the new units, which feed them until then.
 
         The old source is connected anew even if the inlet is not known to have left it: it may have done so
         just now, and what came in between would be lost.
@@ -331,7 +331,7 @@ class _Update:
             yield CloseTopic(topic)
 
     def switching(self) -> list[Inlet]:
-        """The rewired inlets that have not gone over yet."""
+        """The rewired inlets that have not switched yet."""
         feeds = self.actual.feeds
         return [
             inlet for inlet in self.rewired if inlet in feeds and not feeds[inlet].has_switched and self.lives(inlet)
@@ -341,12 +341,12 @@ class _Update:
         return inlet.is_outlet or inlet.unit in self.actual.alive
 
     def replaces_one_of(self, units: Set[str], inlet: Inlet) -> bool:
-        """Whether an inlet has had its elements from one of these units."""
+        """Whether one of these units fed a rewired inlet before."""
         old = self.rewired[inlet]
         return old is not None and old.unit in units
 
     def with_unconnected(self, kept: Set[str]) -> Environment:
-        """The environment that was, with some of the new units, which neither feed anything nor are fed."""
+        """The present environment with the `kept` new units, unconnected."""
         before = self.actual.environment
         new = tuple(
             replace(unit, subscriptions=(), publications=()) for unit in self.change_set.started if unit.id in kept
@@ -356,7 +356,7 @@ class _Update:
         return replace(before, units=(*before.units, *new), library=(*before.library, *library))
 
     def wired(self) -> Set[str]:
-        """The units that feed something afterwards, or are fed."""
+        """The units that feed something after the update, or are fed."""
         wanted = wanted_feeds(self.after)
         return {stream.unit for stream in wanted.values()} | {inlet.unit for inlet in wanted}
 

@@ -37,18 +37,18 @@ class Usage:
 class Backend(Protocol):
     """Runs units and connects them. No method waits for its effect: that comes as an event from `wait`.
 
-    All methods but `wake` are called from the thread that has made it.
+    All methods but `wake` are called from the thread that made the backend.
     """
 
     @property
     def id(self) -> str:
-        """What tells its topics from those of others."""
+        """The run's id, which tells its topics from those of other runs."""
 
     def now(self) -> float:
         """Seconds on a clock that only rises."""
 
     def wait(self, timeout_s: float | None) -> Sequence[Event]:
-        """What has happened since the last call; waits up to `timeout_s` for the first of it."""
+        """The events since the last call. If there are none, waits up to `timeout_s` for the first."""
 
     def wake(self) -> None:
         """Let `wait` return; for any thread."""
@@ -57,7 +57,7 @@ class Backend(Protocol):
         """Start a unit: UnitReady or UnitDied follows."""
 
     def stop(self, unit: str) -> None:
-        """Let a unit give what it has taken in, and end: UnitStopped (or UnitDied) follows."""
+        """Ask a unit to process what it has taken in, then end: UnitStopped (or UnitDied) follows."""
 
     def kill(self, unit: str, *, dump: bool = False) -> None:
         """End a unit at once: UnitDied follows, or UnitStopped if it had been asked to stop.
@@ -72,10 +72,10 @@ class Backend(Protocol):
         """Take a wire away from its inlet, whether it is the source or the standby."""
 
     def end_wire(self, wire: int, stream: Stream, inlet: Inlet) -> None:
-        """One end of a wire is gone: take the other away too, after what has come, whoever else holds it open."""
+        """One end of a wire is gone: close the other after what was sent, even if others hold the wire open."""
 
     def switch_now(self, inlet: Inlet) -> None:
-        """Let an inlet go over to its standby without waiting for the source it has."""
+        """Switch an inlet to its standby without waiting for its present source."""
 
     def open_outlet(self, topic: str) -> None:
         """Give a topic its address."""
@@ -84,13 +84,13 @@ class Backend(Protocol):
         """Take a topic's address away."""
 
     def renew(self, helper: str) -> None:
-        """Replace a process beside the units that gives no sign of life: OutletsLost or UnitDied may follow."""
+        """Replace a helper process that gives no sign of life: OutletsLost or UnitDied may follow."""
 
     def usage(self, unit: str) -> Usage | None:
         """What a unit has used so far; None if it does not run."""
 
     def pid(self, unit: str) -> int | None:
-        """The process of a unit, where it has one."""
+        """The process id of a unit; None if it has none."""
 
     def close(self) -> None:
         """Stop everything at once and leave nothing behind."""

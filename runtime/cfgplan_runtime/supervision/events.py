@@ -35,7 +35,7 @@ class UnitStopped:
 class UnitFailed:
     """Unit code failed in a step, and the unit goes on.
 
-    If `suppressed`, so many failures up to this step are not reported one by one; the text is that of the first.
+    If `suppressed` is not 0, the event stands for that many failures up to this step; `text` is the first one's.
     """
 
     unit: str
@@ -127,7 +127,7 @@ class TopicsStatus:
 class HelperAlive:
     """A sign of life of a process that a backend needs beside the units; the next comes within `patience_s`.
 
-    It is the supervisor's only; others are not told. Once the process is gone, `patience_s` is infinite.
+    Only the supervisor gets it. Once the process is gone, `patience_s` is infinite.
     """
 
     helper: str
@@ -154,8 +154,11 @@ class OutOfDescriptors:
 
 @dataclass(frozen=True, slots=True)
 class Applied:
-    """A change set was carried out. `seconds` is the time of each phase; `unswitched` counts inputs whose new
-    source had given nothing yet when the old one was taken away."""
+    """A change set was carried out.
+
+    `seconds` is the time of each phase; `unswitched` counts inputs whose new source had given nothing yet when the old
+    one was taken away.
+    """
 
     id: str
     seconds: dict[str, float]
@@ -171,7 +174,7 @@ class RolledBack:
 
 
 SIGNS = (UnitStatus, TopicsStatus)
-"""Events that only tell that something lives, and how it goes: they are many, and no log has them."""
+"""Signs of life: they come often, and are not logged."""
 
 Event: TypeAlias = (
     UnitReady

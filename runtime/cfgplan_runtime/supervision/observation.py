@@ -10,7 +10,7 @@ from cfgplan_runtime.supervision.backend import Usage
 from cfgplan_runtime.supervision.events import UnitFailed, UnitStatus
 
 _SHORTEST_S = 0.5
-"""Signs of life that are read together tell no rate."""
+"""The rate is counted over at least this long, since signs of life may be read together."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,11 +34,11 @@ class Observation:
     inputs: Mapping[str, PortCounts] = field(default_factory=dict)
     outputs: Mapping[str, PortCounts] = field(default_factory=dict)
     pid: int | None = None
-    """Its process, where it has one."""
+    """Its process id, where it has a process."""
 
     @property
     def dropped(self) -> int:
-        """Elements that were dropped on their way to this unit or waiting for it."""
+        """The number of elements that were dropped before this unit took them."""
         return sum(counts.dropped for counts in self.inputs.values())
 
 
@@ -49,7 +49,7 @@ class UnitRecord:
     transformation: str
     labor_us: int = 0
     sign_s: float = 0.0
-    """When it last gave a sign of life, on the clock by which silence is judged."""
+    """When it last gave a sign of life, on `Supervisor.now`."""
     status: UnitStatus | None = None
     steps_per_s: float = 0.0
     failure: UnitFailed | None = None
@@ -60,7 +60,7 @@ class UnitRecord:
     """When it was last known to have given another element."""
     _given: int = 0
     _counted: tuple[int, float] | None = None
-    """The steps at the sign of life from which the rate is counted, and when that was."""
+    """The sign of life from which the rate is counted: its steps, and when it came."""
 
     def note_status(self, status: UnitStatus, now_s: float) -> None:
         """Note the counts of a sign of life."""
@@ -74,7 +74,7 @@ class UnitRecord:
         self.status = status
 
     def observe(self, unit: str, usage: Usage, now_s: float) -> Observation:
-        """The unit as it is now; its upkeep is over the time since the last call."""
+        """The unit as it is now. Its upkeep is the mean since the last call, None at the first."""
         upkeep = None
         if self._last_s is not None and now_s > self._last_s:
             upkeep = round((usage.cpu_us - self._last_cpu_us) / (now_s - self._last_s))

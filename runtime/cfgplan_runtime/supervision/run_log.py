@@ -16,7 +16,7 @@ from cfgplan_runtime.supervision.events import SIGNS, Event
 
 
 class RunLog:
-    """Writes events to a file, whatever becomes of that file. Any thread may write."""
+    """Writes events to a file; a failed write is counted, not raised. Any thread may write."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -24,7 +24,7 @@ class RunLog:
         self.lost = 0
         """How many lines could not be written."""
         self.failure: str | None = None
-        """Why the first of them could not."""
+        """Why the first lost line could not be written."""
         self._file = path.open("ab", buffering=0)
         self._unsaid = 0
         self._is_cut = False
@@ -36,7 +36,7 @@ class RunLog:
             self.write_line(type(event).__name__, msgspec.to_builtins(event))
 
     def write_line(self, event: str, says: Mapping[str, Any]) -> None:
-        """Add a line: seconds since 1970 as `time`, the `event`'s name, and what it says, which JSON can say."""
+        """Add a line: seconds since 1970 as `time`, the `event`'s name, and the entries of `says`, plain data."""
         line = {"time": time.time(), "event": event, **says}
         with self._lock:
             if self._unsaid:
@@ -51,7 +51,7 @@ class RunLog:
                 self._unsaid += 1
 
     def _append(self, line: bytes) -> None:
-        """Write a whole line; one that was cut short before it is ended first."""
+        """Write a whole line, after a line break if the last one was cut short. Raises OSError if it is too."""
         data = b"\n" + line if self._is_cut else line
         written = self._file.write(data)
         self._is_cut = not data[:written].endswith(b"\n")

@@ -1,4 +1,4 @@
-"""Units that run only in thought, on a clock that is set: for the tests of what is above, and for experiments."""
+"""A simulation of units on a clock of its own: for tests of the rooms above, and for experiments."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ _OF_A_UNIT = (UnitReady, UnitDied, UnitStopped, UnitStatus)
 class Behaviour:
     """How the units of a transformation behave. Times in seconds; None is never.
 
-    Costs are the transformation's own, unless `labor_us` and `upkeep_us` say otherwise: microseconds of CPU time, and
-    microseconds per second as a function of the clock, which is looked at once per second. `dies_s` counts from being
-    ready; a `quiet` unit gives no element; a `hung` one gives no sign of life and does not stop when asked; each step
-    of a `failing` one has an error; one with an `heir` leaves a process behind that holds its sockets open.
+    Costs are the transformation's own unless given: `labor_us` in microseconds of CPU time; `upkeep_us` in
+    microseconds per second, a function of the clock that is called once per second. `dies_s` counts from readiness. A
+    `quiet` unit gives no element; a `hung` one gives no sign of life and does not stop when asked; each step of a
+    `failing` one has an error; one with an `heir` leaves a process behind that holds its sockets open.
     """
 
     start_s: float = 0.01
@@ -61,10 +61,10 @@ class _Unit:
     steps: int = 0
     used_us: float = 0.0
     used_until_s: float = 0.0
-    """Until when `used_us` counts."""
+    """When `used_us` was last brought up to date."""
 
     def use(self, now_s: float) -> float:
-        """CPU time since the unit was ready, in microseconds, piece by piece as the clock's seconds pass."""
+        """CPU time since the unit was ready, in microseconds; added up second by second, as upkeep may vary."""
         while self.used_until_s < now_s:
             piece_end_s = min(now_s, math.floor(self.used_until_s) + 1.0)
             varies = self.behaviour.upkeep_us
@@ -82,9 +82,9 @@ class _Input:
 
 @dataclass
 class SimulatedBackend:
-    """A backend whose clock moves only in `wait`, straight to the next thing that happens.
+    """A backend whose clock moves only in `wait` (straight to the next event) and `stall`.
 
-    `behaviours` are by transformation. `calls` lists what was asked of it, in order.
+    `behaviours` are by transformation. `calls` lists the calls of its methods, in order.
     """
 
     behaviours: dict[str, Behaviour] = field(default_factory=dict)
@@ -112,7 +112,7 @@ class SimulatedBackend:
             self._now = max(self._now, self._due[0][0])
             _, _, event, unit = heapq.heappop(self._due)
             if isinstance(event, _OF_A_UNIT) and self.units.get(event.unit) is not unit:
-                continue  # it was about one that has had its id before
+                continue  # it is about an earlier unit of this id
             if self._happens(event):
                 return [event]
         if end is not None:
@@ -123,7 +123,7 @@ class SimulatedBackend:
         """Nobody waits in another thread."""
 
     def stall(self, seconds: float) -> None:
-        """Let time pass in which nobody waits: what happens in it is told afterwards."""
+        """Let time pass in which nobody waits. Its events come from the next `wait`."""
         self._now += seconds
 
     def fail(self, unit: str, cause: str = "killed by SIGKILL") -> None:
@@ -135,7 +135,7 @@ class SimulatedBackend:
         self._later(0.0, event)
 
     def feeding(self, inlet: Inlet) -> Stream | None:
-        """The stream that an inlet gets its elements from now."""
+        """The stream that feeds an inlet now; None if there is none."""
         active = self._inputs.get(inlet, _Input()).active
         return None if active is None else self.wires[active][0]
 
@@ -179,7 +179,7 @@ class SimulatedBackend:
             return
         port.standby = wire
         producer = self.units.get(stream.unit)
-        old = self.wires[port.active][0].unit  # one that gives nothing, nor ends, is waited for
+        old = self.wires[port.active][0].unit  # the inlet waits for an old source that neither gives nor ends
         if producer is not None and not producer.behaviour.quiet and self._gives(old):
             self._later(self.switch_s, WireSwitched(wire))
 
@@ -233,7 +233,7 @@ class SimulatedBackend:
         heapq.heappush(self._due, (self._now + delay_s, self._count, event, unit))
 
     def _happens(self, event: Event) -> bool:
-        """Let a due event take effect; whether it still can."""
+        """Let a due event take effect. Returns False if it no longer can."""
         match event:
             case WireSwitched(wire):
                 return self._switch(wire)
@@ -272,7 +272,7 @@ class SimulatedBackend:
         }
 
     def _gives(self, unit: str, above: frozenset[str] = frozenset()) -> bool:
-        """Whether a unit gives elements now: all that feeds it does, in a cycle as well."""
+        """Whether a unit gives elements now: all that feed it must, but for units in `above`, which close a cycle."""
         found = self.units.get(unit)
         if found is None or not found.is_ready or found.behaviour.quiet or found.behaviour.failing:
             return False
@@ -289,7 +289,7 @@ class SimulatedBackend:
         return True
 
     def _end(self, wire: int) -> None:
-        """A wire has no source any more: its inlet goes over to the standby, or has lost its input."""
+        """End a wire: its inlet switches to the standby, or has lost its input if there is none."""
         if wire not in self.wires:
             return
         inlet = self.wires[wire][1]

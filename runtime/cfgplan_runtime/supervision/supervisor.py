@@ -49,22 +49,22 @@ from cfgplan_runtime.supervision.observation import Observation, UnitRecord
 from cfgplan_runtime.supervision.wiring import Wire, Wiring, without_feed, without_unit
 
 HANG_S = 10.0
-"""How long a unit may be silent if its transformation does not say; a source without a rate may be so for ever."""
+"""Seconds that a unit may be silent if its transformation does not say. A source without a rate may be for ever."""
 
 WATCH_PERIOD_S = 0.25
 _LONGEST_ROUND_S = 1.0
-"""A round that takes longer is a gap: this process was stopped, suspended or paused, and has seen nothing meanwhile."""
+"""A longer round is a gap: this process was suspended, and has seen nothing meanwhile."""
 MEGABYTE = 1 << 20
 _TIME_TO_DUMP_S = 0.2
 _DRY_S = 2.5
 _MOST_REMEMBERED = 1000
-"""How many change sets are known by their ids."""
+"""The number of change sets that are remembered by their ids."""
 
 
 class Supervisor:
     """Holds the actual configuration in `environment`; `report` gets every event, in order.
 
-    It is `applying.Actual` for the update under way, and the only one that changes what that sees.
+    The update under way sees it as `applying.Actual`; nobody else changes that state.
     """
 
     def __init__(self, backend: Backend, environment: Environment, report: Callable[[Event], None]) -> None:
@@ -83,13 +83,13 @@ class Supervisor:
         self._states: dict[str, bytes] = {}
         self._library: dict[str, Transformation] = {}
         self._patience: dict[str, tuple[float, float]] = {}
-        """By helper of the backend: when it gave its last sign of life, and how long it may be silent."""
+        """By helper process of the backend: when it gave its last sign of life, and how long it may be silent."""
         self._round_s = backend.now()
         self._gaps_s = 0.0
         self._watched_s = self.now()
 
     def now(self) -> float:
-        """The backend's clock less the gaps of this process: what is late by it is late though somebody watched."""
+        """The backend's clock without the gaps in which this process saw nothing, so that these make no unit late."""
         return self.backend.now() - self._gaps_s
 
     def apply(
@@ -130,7 +130,7 @@ class Supervisor:
         return applied
 
     def pump(self, timeout_s: float) -> None:
-        """Handle what happens within `timeout_s`; returns after the first of it."""
+        """Handle events; waits up to `timeout_s` for the first of them, but never longer than WATCH_PERIOD_S."""
         self._hear(min(max(0.0, timeout_s), WATCH_PERIOD_S))
         if self.now() - self._watched_s >= WATCH_PERIOD_S:
             self._hear(0.0)  # signs of life that wait are read before silence is judged
@@ -152,12 +152,12 @@ class Supervisor:
         self.backend.wake()
 
     def end(self) -> None:
-        """Wait for nothing any more; for any thread."""
+        """Make the update under way fail with RuntimeFaultError; for any thread."""
         self.is_ending = True
         self.backend.wake()
 
     def cut(self, unit: str | None, port: str) -> None:
-        """Take away what feeds an input, or a topic (`unit` is None), as if it had been lost. Raises KeyError."""
+        """Disconnect an input, or a topic (`unit` is None), as if it had lost its source. Raises KeyError."""
         inlet = Inlet(unit or "", port)
         wire = self.wiring.feeds[inlet]
         self.wiring.disconnect(inlet)
@@ -170,7 +170,7 @@ class Supervisor:
         return self.wiring.feeds
 
     def dry_units(self) -> set[str]:
-        """Units that have given nothing for a while, though they have outputs: nothing is to be waited for there."""
+        """Units with outputs that have given nothing for a while: no switch waits for them."""
         now = self.backend.now()
         return {
             unit
@@ -239,7 +239,7 @@ class Supervisor:
                 self._report(event)
 
     def _understand(self, event: Event) -> bool:
-        """Take an event into account; whether it is news to others."""
+        """Update the state by an event. Returns whether to report it to others."""
         match event:
             case UnitReady(unit, labor_us):
                 self.ready.add(unit)
@@ -287,14 +287,14 @@ class Supervisor:
         self._library.pop(unit, None)
 
     def _restore_outlets(self) -> None:
-        """The backend has made the topics' addresses anew: feed them."""
+        """Feed the topics again, whose addresses the backend has made anew."""
         for inlet, wire in list(self.wiring.feeds.items()):
             if inlet.is_outlet:
                 del self.wiring.feeds[inlet]
                 self.wiring.connect(wire.stream, inlet, None)
 
     def _watch(self) -> None:
-        """Kill what hangs or has grown too large."""
+        """Renew helpers that hang, and kill units that hang or have grown too large."""
         now = self.now()
         for helper, (sign_s, silence_s) in list(self._patience.items()):
             if now - sign_s > silence_s:

@@ -9,7 +9,7 @@ from cfgplan.domain import ComputationUnit, Environment, Stream, Subscription, T
 from cfgplan_runtime.supervision.backend import Backend, Inlet
 
 OUTLET_QUEUE = 1024
-"""How many elements may wait on their way to a topic's outlet."""
+"""The most elements that may wait on their way to a topic's outlet."""
 
 
 @dataclass(slots=True, eq=False)
@@ -24,7 +24,7 @@ class Wire:
 
 
 class Wiring:
-    """The wires of running units. Wherever it says `feeds`, it means the source that an inlet has or is to have."""
+    """The wires of running units. `feeds` has, by inlet, the wire of the source that it has or is about to have."""
 
     def __init__(self, backend: Backend) -> None:
         self._backend = backend
@@ -33,7 +33,7 @@ class Wiring:
         self.feeds: dict[Inlet, Wire] = {}
 
     def connect(self, stream: Stream, inlet: Inlet, receiver: Transformation | None) -> None:
-        """Let a stream feed an inlet, of a unit of `receiver` or a topic, after what feeds it now if anything does."""
+        """Let a stream feed an inlet as the successor of its present source, if any. `receiver` is None for a topic."""
         self._last_id += 1
         wire = Wire(self._last_id, stream, inlet, self.feeds.get(inlet))
         self._wires[wire.id] = self.feeds[inlet] = wire
@@ -64,7 +64,7 @@ class Wiring:
         return wire.inlet
 
     def forget_unit(self, unit: str) -> None:
-        """Give up the wires from and to a unit that is gone, those too that are being replaced."""
+        """Give up all wires from and to a unit that is gone, including those that are being replaced."""
         for wire in list(self._wires.values()):
             if unit in (wire.inlet.unit, wire.stream.unit):
                 del self._wires[wire.id]
@@ -73,19 +73,19 @@ class Wiring:
                 self._backend.end_wire(wire.id, wire.stream, wire.inlet)
 
     def forget_inputs(self, unit: str) -> None:
-        """Give up the wires to a unit that is being stopped: that they end is no news."""
+        """Give up the wires to a unit that is being stopped, so that their end is not reported as a loss."""
         for inlet in [inlet for inlet in self.feeds if inlet.unit == unit]:
             del self.feeds[inlet]
 
     def settle(self) -> None:
-        """After an update: what the wires have replaced is past."""
+        """After an update: forget the wires that were replaced."""
         for wire in self.feeds.values():
             wire.replaces = None
         self._wires = {wire.id: wire for wire in self.feeds.values()}
 
 
 def wanted_feeds(environment: Environment) -> Mapping[Inlet, Stream]:
-    """The stream that is to feed each inlet, the topics' outlets too."""
+    """The stream that is to feed each inlet, including the topics' outlets."""
     feeds: dict[Inlet, Stream] = {}
     for unit in environment.units:
         for subscription in unit.subscriptions:
@@ -102,7 +102,7 @@ def wanted_topics(environment: Environment) -> frozenset[str]:
 
 
 def starved_units(environment: Environment) -> set[str]:
-    """The units that have nothing more to give, since something before them in the wiring is missing."""
+    """The units that can't take a step any more, since something upstream is missing."""
     starved: set[str] = set()
     grows = True
     while grows:
