@@ -1,8 +1,8 @@
 """Lower bounds from landmarks: sets of transformations of which every plan has one, or several.
 
-Charging each landmark part of the costs of its members, never more than a member costs in total, adds up to a
-lower bound (LM-cut: Helmert and Domshlak 2009); one that demands several members is worth what it charges each
-of them several times. Landmarks stay good whatever costs become, so a session keeps them.
+Each landmark is charged part of its members' costs, no member more than it costs in total. The sum of the charges is a
+lower bound (LM-cut: Helmert and Domshlak 2009). A landmark that demands several members counts its charge several
+times. Landmarks stay valid whatever costs become, so a session keeps them.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from cfgplan.planners.networks.core import MOST_PASSES, NEVER, Core, Flags, Ints
 
 
 def cheapest_way(core: Core, cost: Ints, above: Ints | None = None) -> tuple[Ints, Ints]:
-    """h_max of each fact and of each label: the dearest chain that can't be avoided before it.
+    """h_max of each fact, and of each label without its own cost: the dearest chain that can't be avoided.
 
-    `above` are values known to be at least as high, as those for greater costs are.
+    `above` are upper bounds on the facts' values, such as h_max at higher costs.
     """
     facts = np.full(len(core.givers), NEVER) if above is None else above
     for _ in range(MOST_PASSES):
@@ -36,7 +36,7 @@ def cheapest_way(core: Core, cost: Ints, above: Ints | None = None) -> tuple[Int
 
 @dataclass
 class Bound:
-    """A lower bound on cost: landmarks of a core, and what is left of each label's cost after charging them."""
+    """A lower bound on cost: the landmarks of a core, their weights, and the residual cost of each label."""
 
     core: Core
     cost: Ints
@@ -63,14 +63,14 @@ class Bound:
         return weight
 
     def recharge(self, weights: Sequence[int]) -> None:
-        """Charge all landmarks anew: each its weight as far as that goes, then each what is left."""
+        """Charge all landmarks anew: first each with its weight, as far as that goes, then each with what is left."""
         self.residual, self.value = self.cost.copy(), 0
         charged = [self.charge(one, weight) for one, weight in zip(self.landmarks, weights, strict=False)]
         self.weights = charged + [0] * (len(self.landmarks) - len(charged))
         self.charge_what_is_left()
 
     def charge_what_is_left(self) -> None:
-        """Charge the landmarks that can take more as much as they can."""
+        """Charge each landmark as much more as residual costs allow. The value is NEVER if a landmark is impossible."""
         if any(landmark.is_impossible for landmark in self.landmarks):
             self.value = int(NEVER)
         elif self.landmarks:
@@ -115,7 +115,7 @@ class Bound:
         return other
 
     def _give_back_what_is_too_much(self) -> None:
-        """Charge the landmarks less that charge labels more than they cost."""
+        """Lower the weights of landmarks that charge a label more than it costs."""
         self.value = sum(weight * one.least for weight, one in zip(self.weights, self.landmarks, strict=True))
         for i, landmark in enumerate(self.landmarks):
             counts = 1 if landmark.crowd is None else landmark.crowd.counts
@@ -126,9 +126,9 @@ class Bound:
                 self.value -= back * landmark.least
 
     def short(self) -> list[Landmark]:
-        """The landmarks with the fewest members, as many as have no more entries than the core has links.
+        """The landmarks with the fewest members, with no more entries in total than the core has links.
 
-        Many that are long make a linear program, or the solver, slower than what they add is worth.
+        More and longer ones slow the linear program, or the solver, more than they help.
         """
         entries = np.cumsum(sorted(len(landmark.members) for landmark in self.landmarks))
         few = int(np.searchsorted(entries, self.core.links, side="right"))
@@ -142,7 +142,7 @@ class Bound:
         return whole
 
     def restricted(self, keep: Flags) -> Bound:
-        """The bound for plans with no labels but those flagged, by the landmarks that count."""
+        """The bound for plans that use flagged labels only; landmarks of weight 0 are dropped."""
         core = self.core.restricted(keep)
         fact = np.full(len(self.core.givers), -1)
         fact[np.searchsorted(self.core.facts, core.facts)] = np.arange(len(core.facts))
@@ -162,7 +162,7 @@ class Bound:
 
 
 def _kept(number: Ints, rows: list[Ints]) -> list[Ints]:
-    """The new numbers of the items that have one, row by row."""
+    """Renumber the items row by row; items whose new number is negative are dropped."""
     if not rows:
         return []
     items = number[np.concatenate(rows)]

@@ -1,9 +1,9 @@
 """A small core decided by depth-first search, with landmarks as the bound at every node.
 
-At a node some labels are taken, so that they cost nothing any more, and some are left out. LM-cut (`bounds`) raises
-its bound, what is too dear by reduced costs is left out, and a label of a landmark is first taken, then left out.
-Landmarks go on from node to node; what those were charged that a taken label would hit is free again. All this on
-plain lists, which up to some hundred labels are faster than arrays, and repeatable, since effort is counted in steps.
+At a node some labels are taken (they cost nothing any more) and some are left out. LM-cut (`bounds`) raises the node's
+bound, reduced costs leave labels out, and the search branches on a label of a landmark: first take it, then leave it
+out. A child inherits the landmarks, but for those that a taken label hits: their charges are released. Plain lists are
+faster than arrays up to some hundred labels. Effort is counted in steps, so a run is repeatable.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ from cfgplan.planners.networks.core import NEVER, Core, Ints
 
 @dataclass(slots=True)
 class _Node:
-    """What labels still cost: what landmarks don't charge, nothing if taken, `LEFT_OUT` if left out."""
+    """The residual cost of each label: 0 if it is taken, `LEFT_OUT` if it is left out."""
 
     residual: list[int]
     paid: int
     charged: int
     landmarks: list[tuple[int, tuple[int, ...]]]
-    """How much each is charged, and those of its members that are not left out."""
+    """The weight of each landmark, and its members that are not left out."""
     share: float
-    """About how much of the whole search it is."""
+    """The estimated share of the whole search that is below this node."""
 
     @property
     def bound(self) -> int:
         return self.paid + self.charged
 
     def charge(self, members: tuple[int, ...]) -> int:
-        """Charge a landmark what its members have left; returns how much."""
+        """Charge a landmark with the least residual cost of its members. Returns that weight."""
         residual = self.residual
         weight = min([residual[member] for member in members])
         if weight:
@@ -46,7 +46,7 @@ class _Node:
         return weight
 
     def take(self, labels: set[int], among: int = 1) -> _Node:
-        """The node below that has the labels, about one of so many."""
+        """The child node that takes the labels. It gets one of `among` parts of this node's share."""
         residual, charged, landmarks = self.residual[:], self.charged, []
         for landmark in self.landmarks:
             weight, members = landmark
@@ -65,7 +65,7 @@ class _Node:
         return _Node(residual, paid, charged, landmarks, share)
 
     def leave_out(self, labels: Collection[int]) -> bool:
-        """Do without the labels from now on; False if a landmark has no other members."""
+        """Leave the labels out. Returns False if a landmark has no other members."""
         if not labels:
             return True
         residual = self.residual
@@ -81,7 +81,7 @@ class _Node:
 
 
 class Branching:
-    """The search for a plan of a core that weighs less than `limit`, both multiples of `step`."""
+    """A search for a plan of a core that weighs less than `limit`. All weights and `limit` are multiples of `step`."""
 
     def __init__(self, core: Core, cost: Ints, limit: int, step: int, is_over: Callable[[], bool]) -> None:
         self.best: set[int] | None = None
@@ -90,7 +90,7 @@ class Branching:
         self._links = Links(core)
         self._cost: list[int] = cost.tolist()
         self.enough = limit - step + 1
-        """A bound of so much says that nothing is better."""
+        """A bound this high proves that no plan is better."""
         self._step = step
         self._steps = 0
         self._is_over = is_over
@@ -98,7 +98,7 @@ class Branching:
         self._first: tuple[list[list[int]], list[tuple[int, tuple[int, ...]]]] | None = None
 
     def bound(self) -> Bound:
-        """The bound of the first node on plans below the limit, as landmarks of the core."""
+        """The root's bound for plans below the limit, with its landmarks in the core's numbering."""
         zones, landmarks = self._first or ([], [])
         found = [Landmark(np.array(z), np.array(m)) for z, (_, m) in zip(zones, landmarks, strict=False)]
         bound = Bound(self._core, self._weight, found)
@@ -106,7 +106,7 @@ class Branching:
         return bound
 
     def run(self, steps: int) -> bool:
-        """Go on for so many steps, a landmark or a node each; whether nothing is better than `best`, or the limit."""
+        """Go on for `steps`, a landmark or a node each. True if nothing is better than `best`, or than the limit."""
         self._steps = steps
         while self._ahead and not self._is_late():
             self._go_on()
@@ -114,18 +114,18 @@ class Branching:
 
     @property
     def least(self) -> int:
-        """What any plan weighs at least, as far as the search has come, up to `enough`: so much if it is over."""
+        """A lower bound on every plan's weight, as far as the search has come; `enough` once it is over."""
         return min([self.enough, *(node.bound for node in self._ahead)])
 
     @property
     def done(self) -> float:
-        """About what share of the whole search is done."""
+        """The estimated share of the search that is done."""
         return 1.0 - sum(node.share for node in self._ahead)
 
     def others(self, plan: Collection[int], steps: int) -> set[int] | None:
-        """Labels outside a plan that plans below the limit have, perhaps more; None if so many steps are too few.
+        """A superset of the labels that any plan cheaper than the limit uses beyond `plan`.
 
-        To be asked instead of `run`, not after it.
+        None if steps or time run out first. Call this or `run`, not both.
         """
         self._steps = steps
         root, found = self._root(), set[int]()
@@ -155,7 +155,7 @@ class Branching:
         return self._steps <= 0 or self._is_over()
 
     def _go_on(self) -> None:
-        """Look at the node ahead; it stays there if steps or time are over."""
+        """Expand the node ahead; it is put back if steps or time run out."""
         node = self._ahead.pop()
         self.nodes += 1
         ways = self._tighten(node)
@@ -196,7 +196,7 @@ class Branching:
         return None
 
     def _nearest(self, node: _Node) -> list[int]:
-        """Of the landmark with the fewest members that may be in a plan that is good enough, these members."""
+        """The members that a better plan may use, of the landmark that has the fewest of them."""
         residual, gap = node.residual, self.enough - node.bound
         fewest, least, nearest = len(residual) + 1, int(NEVER), list[int]()
         for weight, members in node.landmarks:

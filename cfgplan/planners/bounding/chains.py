@@ -1,10 +1,9 @@
-"""A quick lower bound: dearest chains that can't be avoided, each charged as a whole.
+"""A quick lower bound: the dearest chains that can't be avoided, each charged as a whole.
 
-h_max of a fact is the sum of landmarks: for every level up to it, the zone of the facts at or above the
-level from which the fact comes by the dearest needs. Charging all of them at once leaves each label what
-these landmarks don't take, and another chain may be charged from that. Where few labels need more
-than one fact at a time this meets the optimum after a few rounds; elsewhere one landmark after the other is
-better (`bounds`).
+h_max of a fact is a sum of landmarks, one for each level up to it. The zone of a level holds the facts at or above it
+from which the fact comes by the dearest needs. All of them are charged at once, and another chain is charged from what
+they leave of the labels' costs. Where few labels need more than one fact at a time this meets the optimum after a few
+rounds; elsewhere single landmarks are better (`bounds`).
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from cfgplan.planners.networks.core import NEVER, Core, Ints
 
 
 def chained_bound(core: Core, cost: Ints, certain: Sequence[int], is_over: Callable[[], bool]) -> int:
-    """A lower bound on the cost of a plan: labels that are `certain` to run, and the chains for which there is time."""
+    """A lower bound on a plan's cost: the labels that are `certain` to run, plus chains until the time is over."""
     residual, value = cost.copy(), int(cost[certain].sum())
     residual[certain] = 0
     wanted = core.needs[core.goal]
@@ -37,7 +36,7 @@ def chained_bound(core: Core, cost: Ints, certain: Sequence[int], is_over: Calla
 
 
 def _charges(core: Core, facts: Ints, before: Ints, end: int) -> Ints:
-    """What the landmarks of a chain's end take from each label: from the level of its needs to the one it enters."""
+    """The charge on each label by the landmarks of a chain: from the level of its needs to the level it enters."""
     labels, dearest = core.needs_with(facts, before)
     level = np.zeros_like(facts)
     level[end] = facts[end]

@@ -1,10 +1,9 @@
 """Landmarks: sets of transformations of which every plan has one, or several.
 
-For any set of facts (a *zone*) with something that the goal needs, every plan has a transformation that offers a
-fact of the zone and needs none of it: the first to enter. If a fact takes several givers, as many of them have
-entered before anything can need it. Some may count as *there* already, so that the others must be the
-fewer; and one that enters may be replaced by those that enter the zone *behind* it, a zone with something that it
-needs.
+For any set of facts (a *zone*) with something that the goal needs, every plan has a transformation that offers a fact
+of the zone and needs none of it: the first to enter. If a fact takes several givers, that many have entered before
+anything can need it. Labels that count as *there* already lower this number. A label that enters may be replaced by
+those that enter the zone *behind* it: a zone with something that it needs.
 """
 
 from __future__ import annotations
@@ -25,9 +24,9 @@ NOTHING: Zones = MappingProxyType({})
 
 @dataclass(frozen=True)
 class Crowd:
-    """What a landmark demands if its members count differently: those of a plan count at least `least` together.
+    """What a landmark demands whose members have `counts`: those of a plan's members add up to `least` or more.
 
-    `there`, `behind` and `most` are how it was made.
+    `there`, `behind` and `most` are the arguments of `landmark_of` that made it.
     """
 
     least: int
@@ -37,7 +36,7 @@ class Crowd:
     most: int
 
     def renumbered(self, counts: Ints, label: Ints, fact: Ints) -> Crowd:
-        """The crowd with the numbers that labels and facts have in a part of the core or in the whole; -1 for none."""
+        """The crowd in the numbering of a part, or of the whole, with the members' `counts`; -1 stands for none."""
         there = frozenset(number for number in label[list(self.there)].tolist() if number >= 0)
         behind = {
             int(label[i]): [number for number in fact[list(zone)].tolist() if number >= 0]
@@ -48,7 +47,7 @@ class Crowd:
 
     @property
     def key(self) -> tuple[object, ...]:
-        """Equal for those that are made equally."""
+        """Equal for crowds made with the same arguments."""
         return self.most, self.there, tuple((label, tuple(zone)) for label, zone in self.behind.items())
 
 
@@ -62,7 +61,7 @@ class Landmark:
 
     @property
     def least(self) -> int:
-        """How much the members of a plan count at least."""
+        """The counts of a plan's members add up to this or more."""
         return 1 if self.crowd is None else self.crowd.least
 
     @property
@@ -72,27 +71,27 @@ class Landmark:
 
     @property
     def is_impossible(self) -> bool:
-        """Whether there are not enough members for any plan."""
+        """True if all members together count less than `least`."""
         return len(self.counted) < self.least
 
     @property
     def key(self) -> tuple[object, ...]:
-        """Equal for landmarks that are made equally."""
+        """Equal for landmarks made from the same zone with the same arguments."""
         return self.zone.tobytes(), None if self.crowd is None else self.crowd.key
 
     def hit_by(self, fractions: Floats) -> float:
-        """What part of what it demands fractions of labels have."""
+        """The share of its demand that fractions of labels cover: 1 or more if they hit it."""
         if self.crowd is None:
             return float(fractions[self.members].sum())
         return float(fractions[self.members] @ self.crowd.counts) / self.crowd.least
 
     def outside(self, part: Core) -> Landmark:
-        """The landmark of a part of a core with the numbers of the whole; its members are those in the part."""
+        """The landmark of a part of a core in the numbering of the whole, without members outside the part."""
         crowd = self.crowd and self.crowd.renumbered(self.crowd.counts, part.labels, part.facts)
         return Landmark(part.facts[self.zone], part.labels[self.members], crowd)
 
     def made_again(self, core: Core) -> Landmark:
-        """The landmark made in the same way with all members that it has in a core."""
+        """The landmark of the same zone and arguments, with all members that it has in `core`."""
         crowd = self.crowd
         if crowd is None:
             return landmark_of(core, self.zone.tolist())
@@ -108,8 +107,8 @@ def landmark_of(
 ) -> Landmark:
     """The landmark of a zone of the core's facts.
 
-    Where these take several givers, some labels may be `there`, others have a zone `behind` them, and no more than
-    `most` is demanded.
+    Where facts take several givers: labels in `there` count as entered, labels with a zone `behind` them may be
+    replaced by those that enter it, and at most `most` is demanded.
     """
     givers, needed_by = core.givers.lists, core.needed_by.lists
     facts = list(zone)
@@ -134,7 +133,10 @@ def landmark_of(
 
 
 def _entering(core: Core, fact: int, late: Collection[int], there: Collection[int]) -> tuple[list[int], int]:
-    """The givers of a fact that are not late, and how many of them it takes; those that are there already left out."""
+    """The givers of a fact that are not `late`, and how many it takes.
+
+    Where it takes several, those `there` are left out of both as long as more are needed.
+    """
     labels = [label for label in core.givers.lists[fact] if label not in late]
     takes = core.crowd_takes.get(fact, 1)
     others = [label for label in labels if label not in there]
@@ -152,7 +154,7 @@ def _ways_to(core: Core, zone: Collection[int], late: Collection[int], there: Co
 def ways_into(core: Core, goal: int, facts: list[int], residual: list[int]) -> Landmark:
     """The landmark of the zone from which `goal` comes free by the dearest needs; `facts` are h_max of each.
 
-    Labels that are free with all they need count as there; behind others that are free there are zones of their own.
+    Labels that are free together with all they need count as there. Other free labels get a zone behind them.
     """
     givers, needs, takes = core.givers.lists, core.needs.lists, core.crowd_takes
     there: set[int] = set()

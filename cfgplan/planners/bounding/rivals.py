@@ -10,9 +10,9 @@ from cfgplan.planners.solving.clock import Clock
 
 
 def is_without_rival(bound: Bound, plan: Ints, limit: int, clock: Clock) -> bool:
-    """Whether proven: all plans of the bound's core that cost at most `limit` have labels of `plan` only.
+    """True if it is proven that all plans of the bound's core within `limit` use labels of `plan` only.
 
-    Groundedness is left out but for the landmarks, so that "no" may be wrong.
+    Only landmarks stand for groundedness, so False may be wrong.
     """
     from ortools.sat.python.cp_model import INFEASIBLE, CpModel
 

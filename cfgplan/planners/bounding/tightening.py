@@ -7,10 +7,9 @@ from cfgplan.planners.solving.clock import Clock
 
 
 def tightened(bound: Bound, enough: int, limit: int, clock: Clock, *, greedily: bool = False) -> Bound:
-    """The bound with more landmarks, for plans that cost at most `limit`, until it is `enough` or that no longer pays.
+    """Add landmarks to a bound for plans within `limit`, until it is `enough` or more of them no longer pay.
 
-    Where no plan costs as little as `limit`, its value is above that. `greedily`: less long, since `closing` is to
-    follow.
+    Where no plan is within `limit`, the value ends above it. With `greedily` it stops sooner, since `closing` follows.
     """
     rise = clock.tuning.rise
     while bound.value < enough and not clock.is_over():
@@ -30,5 +29,5 @@ def tightened(bound: Bound, enough: int, limit: int, clock: Clock, *, greedily: 
 
 
 def _pays(closed: int, gap: int, took: float, patience: float) -> bool:
-    """Whether, at the pace of a step that closed so much of a gap, all of it would be closed in time."""
+    """Whether the whole gap would be closed within `patience` at the pace of the last step."""
     return closed * patience >= gap * took

@@ -12,7 +12,7 @@ from heapq import heappop, heappush
 from cfgplan.planners.networks.core import NEVER, Core
 
 LEFT_OUT = int(NEVER)
-"""What a label costs that is not to be had."""
+"""The price of a label that is left out."""
 
 
 class Links:
@@ -40,10 +40,10 @@ def _transposed(rows: list[list[int]], columns: int) -> list[list[int]]:
 
 
 class Ways:
-    """What facts cost by their dearest chains, and labels before their own price; `price` is shared, not copied."""
+    """h_max of facts, and of labels without their own price; `price` is shared with the caller, not copied."""
 
     def __init__(self, links: Links, price: list[int], most: int = LEFT_OUT) -> None:
-        """What costs `most` or more at first counts as not to be had."""
+        """Facts that cost `most` or more at first count as out of reach."""
         self._links = links
         self._price = price
         self._facts = [most] * len(links.givers)
@@ -51,7 +51,7 @@ class Ways:
         self._dearest = [-1] * (links.goal + 1)
         self._giver = [-1] * len(links.givers)
         self.zones: list[list[int]] = []
-        """Those of the landmarks so far."""
+        """The zones of the landmarks so far."""
         self._derive()
 
     @property
@@ -59,7 +59,7 @@ class Ways:
         return self._before[self._links.goal]
 
     def _derive(self) -> None:
-        """From sources on, cheapest facts first (Dijkstra)."""
+        """Compute all values from the sources on, cheapest facts first (Dijkstra)."""
         before, dearest, needed_by = self._before, self._dearest, self._links.needed_by
         missing, ahead = self._links.missing[:], list[tuple[int, int]]()
         for label in self._links.sources:
@@ -73,7 +73,7 @@ class Ways:
                     self._offer(label, ahead)
 
     def lower(self, cheaper: Iterable[int]) -> None:
-        """Follow some labels that became cheaper, and all that becomes cheaper through them."""
+        """Update all values after some labels became cheaper."""
         facts, before, dearest = self._facts, self._before, self._dearest
         needs, needed_by, value_of = self._links.needs, self._links.needed_by, self._facts.__getitem__
         ahead = list[tuple[int, int]]()
@@ -88,7 +88,7 @@ class Ways:
                         self._offer(label, ahead)
 
     def _settled(self, ahead: list[tuple[int, int]]) -> Iterator[tuple[int, int]]:
-        """The facts ahead, cheapest first, without those that got cheaper meanwhile; more may be put ahead."""
+        """Yield the facts ahead, cheapest first, without outdated entries. More may be put ahead meanwhile."""
         facts = self._facts
         while ahead:
             value, fact = heappop(ahead)
@@ -96,7 +96,7 @@ class Ways:
                 yield value, fact
 
     def _offer(self, label: int, ahead: list[tuple[int, int]]) -> None:
-        """Put ahead what a label gives more cheaply than was known."""
+        """Put ahead the facts that a label gives more cheaply than was known."""
         if label == self._links.goal:
             return
         facts = self._facts
@@ -107,7 +107,7 @@ class Ways:
                 heappush(ahead, (cost, given))
 
     def landmark(self) -> tuple[int, ...]:
-        """The labels that may enter first the zone from which the goal comes free by the dearest needs."""
+        """A landmark: the labels that may enter first the zone from which the goal comes free by the dearest needs."""
         links, price, before, dearest = self._links, self._price, self._before, self._dearest
         givers, needed_by = links.givers, links.needed_by
         zone = [dearest[links.goal]]
@@ -124,7 +124,7 @@ class Ways:
         return tuple([label for label in sorted(members) if price[label] < LEFT_OUT and before[label] < LEFT_OUT])
 
     def plan(self) -> set[int]:
-        """The labels of the cheapest ways to the goal, which are grounded."""
+        """A grounded plan: the labels of the cheapest ways to the goal."""
         needs, giver = self._links.needs, self._giver
         ahead = list(needs[self._links.goal])
         seen = set(ahead)
@@ -140,6 +140,6 @@ class Ways:
         return chosen
 
     def labels_from(self, cost: int) -> list[int]:
-        """The labels that cost at least so much together with the dearest chain before them."""
+        """The labels whose own price and dearest chain together cost at least `cost`."""
         pairs = zip(self._price, self._before, strict=False)
         return [label for label, (own, before) in enumerate(pairs) if own < LEFT_OUT and own + before >= cost]

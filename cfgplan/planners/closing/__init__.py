@@ -1,5 +1,6 @@
 """Bound and plan brought together where landmarks alone leave a gap.
 
-`gap` takes turns: fractions of labels that hit all landmarks known (`program`, with rows from `feeding` for those
-`alike`), landmarks that these fractions miss (`separation`), plans torn and repaired at their prices (`repairing`).
+`gap` takes turns: the cheapest fractions of labels that hit all known landmarks (`program`, with rows from `feeding`
+for labels that are `alike`), landmarks that these fractions miss (`separation`), and repairs of a plan at prices from
+them (`repairing`).
 """

@@ -1,7 +1,7 @@
 """Transformations alike: they meet the same demands, so that a cheapest plan has at most one of them.
 
-Without the later of two, in a grounded order, all that it gave is still given, and earlier. So it must cost something,
-and nobody may want two different ones.
+If a plan had two, the later one in a grounded order could go: all that it gives is given by the earlier one. So the
+later one must cost something, and nobody may want two different ones.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Rows of the linear program over labels that say how what is used is fed.
+"""Rows of the linear program that say how used labels are fed.
 
-A fact is needed as much as labels that need it are used, and offered as much as its givers are; those alike need it
-together. The charges for these rows are moved from facts to labels (Lagrangian relaxation: Geoffrion 1974): what is
-left are costs at which landmarks may be charged, whatever the charges are.
+A fact is needed as much as labels that need it are used, and offered as much as its givers are used; labels that are
+alike need it together. The prices of these rows are moved from facts to labels (Lagrangian relaxation: Geoffrion 1974).
+Whatever the prices are, landmarks may be charged at the costs that are left.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class Feeding:
-    """The rows of a core in an engine, `uses` being how much of each label is used."""
+    """The feeding rows of a core in an engine; `uses` says how much of each label is used."""
 
     def __init__(self, core: Core, kinds: Ints, engine: pywraplp.Solver, uses: list[pywraplp.Variable]) -> None:
         self._core = core
@@ -49,7 +49,7 @@ class Feeding:
             self._together[pair].SetCoefficient(uses[label], -1.0)
 
     def charged(self, cost: Ints, unit: float) -> tuple[int, Ints]:
-        """A bound by these rows alone, at their prices in the last solution, and what is left of each cost."""
+        """The bound by these rows alone at their prices in the last solution, and what is left of each label's cost."""
         core = self._core
         price = np.array([max(0, int(row.dual_value() * unit)) for row in self._offered], np.int64)
         paid = np.array([max(0, int(row.dual_value() * unit)) for row in self._together], np.int64)

@@ -1,4 +1,4 @@
-"""Bound and plan brought together: missed landmarks for the one, repairs for the other, in turn."""
+"""Bound and plan brought together: missed landmarks raise the one, repairs lower the other, in turn."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from cfgplan.planners.tuning import USUAL, Close, Tuning
 
 
 class Closing:
-    """A bound for plans no dearer than the best one known, and that plan, on their way to each other.
+    """Brings together a plan and the bound for plans no dearer than it.
 
-    `cost` is that of all labels of the network, a multiple of `step`.
+    `cost` holds the costs of all labels of the network, multiples of `step`.
     """
 
     def __init__(self, network: Graph, bound: Bound, cost: Ints, plan: Ints, step: int, tuning: Tuning = USUAL) -> None:
@@ -40,12 +40,12 @@ class Closing:
 
     @property
     def limit(self) -> int:
-        """What the plan costs."""
+        """The plan's cost."""
         return int(self._cost[self.plan].sum())
 
     @property
     def is_closed(self) -> bool:
-        """Whether no plan is cheaper."""
+        """True if the bound proves that no plan is cheaper."""
         return self.bound.value > self.limit - self._step
 
     @property
@@ -53,7 +53,7 @@ class Closing:
         return self._tuning.patience if self.bound.value < (1 - self._tuning.far) * self.limit else 0
 
     def go_on(self, clock: Clock) -> None:
-        """Raise the bound and look for a cheaper plan until they meet or hardly move, or it has taken too long."""
+        """Raise the bound and look for a cheaper plan until they meet or hardly move, or the work is used up."""
         own = self._tuning
         took = self._begin(clock)
         steps = own.work * self._left**1.5
@@ -69,11 +69,14 @@ class Closing:
 
     @property
     def _left(self) -> int:
-        """How many labels may be in a plan that is no dearer."""
+        """The number of labels that reduced costs have not ruled out."""
         return int(self.bound.may_be_used(self.limit).sum())
 
     def _begin(self, clock: Clock) -> float:
-        """The first fractions show where to look for a cheaper plan; returns about how many steps they take."""
+        """Solve a first linear program, then repair the plan at prices from it.
+
+        Returns about how many steps the linear program took.
+        """
         own = self._tuning
         steps = own.work * self._left**1.5
         took = self._round(steps, 1, clock) if self._can_be_built(clock) else 0.0
@@ -81,7 +84,7 @@ class Closing:
         return took
 
     def _round(self, steps: float, most: int, clock: Clock) -> float:
-        """Raise the bound by up to so many linear programs; returns about how many steps they take."""
+        """Raise the bound by up to `most` linear programs. Returns about how many steps they took."""
         own = self._tuning
         if self._rounds is None:
             self._rounds = _Rounds(self.bound, self._kinds, own)
@@ -94,7 +97,7 @@ class Closing:
         return took
 
     def _repair(self, steps: float, clock: Clock) -> None:
-        """Look for a cheaper plan for about so long, unless there is none."""
+        """Look for a cheaper plan for about `steps` steps, unless there is none."""
         if self.is_closed:
             return
         is_left = np.zeros(len(self._cost), np.bool_)
@@ -127,7 +130,7 @@ class _Rounds:
         self._waiting = self.bound.landmarks[:]
 
     def restrict(self, keep: Flags) -> None:
-        """Go on with a part of the labels, and the landmarks that count, if that is much less."""
+        """Drop labels that are not in `keep`, and landmarks without a charge, if much less is left then."""
         counting = sum(weight > 0 for weight in self.bound.weights)
         if keep.sum() < 0.75 * len(keep) or 2 * counting < len(self.bound.landmarks):
             self.bound = self.bound.restricted(keep)
@@ -135,7 +138,7 @@ class _Rounds:
             self._begin()
 
     def improve(self, enough: int, steps: float, most: int, clock: Clock) -> float:
-        """Up to `most` rounds; returns about how many steps they take."""
+        """Do up to `most` rounds. Returns about how many steps they took."""
         own, took = self._tuning, 0.0
         for _ in range(most):
             fractions = self._program.solve(clock.left_s())
@@ -152,7 +155,7 @@ class _Rounds:
         return took
 
     def _add_missed(self, fractions: Floats, clock: Clock) -> bool:
-        """Landmarks missed by a point further inside, which cut deeper; if none are, by the fractions themselves."""
+        """Add landmarks missed by a point further inside (they cut deeper), else by the fractions. False if none is."""
         inward = fractions + self._tuning.inward * (self._inside - fractions)
         if self._add(inward, clock):
             return True
@@ -167,7 +170,7 @@ class _Rounds:
         return bool(new)
 
     def _waiting_missed(self, fractions: Floats) -> list[Landmark]:
-        """Of the landmarks known before those that the fractions hit least, which no longer wait."""
+        """Remove and return the waiting landmarks that the fractions hit least."""
         hit = np.array([landmark.hit_by(fractions) for landmark in self._waiting])
         first = np.argsort(hit, kind="stable")[: self._tuning.again].tolist()
         least = {i for i in first if hit[i] < 1 - self._tuning.missed}

@@ -17,16 +17,16 @@ from cfgplan.planners.networks.core import Core, Floats, Ints
 from cfgplan.planners.solving.clock import Clock
 
 FROM_THE_LAST_BASIS = "use_preprocessing: false use_dual_simplex: true initial_condition_number_threshold: 1e300"
-"""Preprocessing and doubts about the last basis would make the engine begin anew each time."""
+"""With preprocessing, or doubts about the last basis, the engine would begin anew each time."""
 
 FINE, LARGEST = 1024, 2**58
-"""Charges are whole numbers of so small parts of costs that little is lost by rounding, if sums stay below this."""
+"""Charges are integers in 1/FINE of a cost unit, or in coarser parts if their sum would exceed LARGEST."""
 
 
 class LandmarkProgram:
-    """Labels that are fed and hit all landmarks. Labels of the same number in `kinds` are alike.
+    """Finds the cheapest fractions of labels that are fed and hit all landmarks; labels of equal `kinds` are alike.
 
-    `value` is the optimum of the last solution, a bound on cost but for rounding.
+    `value` is the optimum of the last solution: a bound on cost, but for rounding.
     """
 
     def __init__(self, core: Core, kinds: Ints, cost: Ints) -> None:
@@ -53,7 +53,7 @@ class LandmarkProgram:
         self._fed: tuple[int, Ints] = 0, cost * self._parts
 
     def add(self, landmark: Landmark) -> bool:
-        """Demand that the landmark is hit; False if that is done already."""
+        """Demand that the landmark is hit. Returns False if that is demanded already."""
         members, crowd = landmark.members, landmark.crowd
         key = landmark.least, landmark.counted.tobytes()
         if key in self._known:
@@ -80,7 +80,7 @@ class LandmarkProgram:
         return np.array([uses.solution_value() for uses in self._uses])
 
     def bound(self, landmarks: list[Landmark]) -> Bound:
-        """The last solution's bound in whole numbers; the landmarks are those added, in their order."""
+        """The last solution's bound in whole costs; `landmarks` are those added, in their order."""
         value, left = self._fed
         fine = Bound(self._core, left, landmarks)
         fine.recharge(self._weights)
@@ -88,7 +88,10 @@ class LandmarkProgram:
 
 
 def charged(bound: Bound, clock: Clock) -> Bound:
-    """The bound by its landmarks, charged in the best way if that is found in time and better."""
+    """Charge a bound's landmarks in the best way.
+
+    Returns the bound as it was if that takes too long or is no better.
+    """
     if not bound.landmarks or not clock.has_steps(clock.tuning.rise.building * bound.core.links):
         return bound
     program = LandmarkProgram(bound.core, np.arange(bound.core.goal), bound.cost)

@@ -1,7 +1,7 @@
-"""A cheaper plan: members torn out of a plan at random, what is missing repaired at slightly wrong prices.
+"""Looks for a cheaper plan: members are torn out at random, and the plan is repaired at perturbed prices.
 
-Iterated local search (Lourenço, Martin and Stützle 2003): where repairs no longer pay, a plan at wrong
-prices is the next to begin with. Repeatable, since the random numbers are.
+Iterated local search (Lourenço, Martin and Stützle 2003): where repairs no longer pay, a plan made at perturbed prices
+is the next start. The random numbers are seeded, so a run is repeatable.
 """
 
 from __future__ import annotations
@@ -29,7 +29,10 @@ class Repairs:
         self._in_vain = 0
 
     def attempt(self, attempts: int, guide: Floats, is_over: Callable[[], bool]) -> None:
-        """Repair or begin anew so many times, at prices around those of `guide`, infinite for what is not to be had."""
+        """Try `attempts` random repairs or restarts.
+
+        A label's price is drawn around `guide`; a forbidden label costs infinity.
+        """
         for _ in range(attempts):
             if is_over():
                 return

@@ -1,9 +1,9 @@
 """Landmarks that fractions of labels do not hit, by minimum cuts.
 
-If every label is fed through only one of its needs, what is left is a directed graph, and a cheapest set of labels
-without which the goal can't be reached is a minimum cut (Ford and Fulkerson 1956). Its side with the goal is a
-zone, and the labels that enter this zone, all their needs considered, are a landmark and no more than the
-cut. Taken is the need that the fractions support least.
+Let every label be fed through only one of its needs: the one that the fractions support least. Then the core is a
+directed graph, and a cheapest set of labels that cuts the goal off is a minimum cut (Ford and Fulkerson 1956). The side
+of the cut with the goal is a zone. The labels that enter this zone, all their needs considered, are a landmark and no
+more than the cut.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ CREEP = 50
 
 
 class Separator:
-    """Finds missed landmarks of a core."""
+    """Finds landmarks of a core that fractions miss."""
 
     def __init__(self, core: Core, tuning: Close = USUAL.close) -> None:
         self._core, self._tuning = core, tuning
@@ -40,7 +40,10 @@ class Separator:
         times: int = 1,
         is_over: Callable[[], bool] = lambda: False,
     ) -> list[Landmark]:
-        """Landmarks that the fractions do not hit, those for which there is time; needs are taken so many times."""
+        """Landmarks that the fractions miss, as many as there is time for.
+
+        Needs are chosen `times` times: by their support, then with noise on it.
+        """
         support = self._support(fractions)
         wanted = self._core.needs[self._core.goal]
         found: dict[bytes, Landmark] = {}
@@ -54,7 +57,7 @@ class Separator:
         return list(found.values())
 
     def _nested(self, fractions: Floats, feeding: Ints, goal: int) -> Iterable[Landmark]:
-        """Missed landmarks one behind the other: what one takes counts as used for the next."""
+        """Missed landmarks one behind the other: the members of one count as used for the next."""
         left = fractions.copy()
         for _ in range(self._tuning.nested):
             flow, zones = self._cut(left, feeding, goal)
@@ -66,7 +69,7 @@ class Separator:
             left[missed[-1].members] = 1.0
 
     def _support(self, fractions: Floats) -> Floats:
-        """For each fact at most how much of it the fractions can support."""
+        """An upper bound on how much of each fact the fractions support."""
         core = self._core
         facts = np.zeros(len(core.givers))
         for _ in range(self._tuning.followed):
@@ -85,7 +88,7 @@ class Separator:
         return feeding[:-1]
 
     def _cut(self, fractions: Floats, feeding: Ints, goal: int) -> tuple[float, list[Ints]]:
-        """The least that cuts a fact off, and the smallest and the largest zone behind such a cut."""
+        """The value of a minimum cut that separates `goal`, and the smallest and the largest zone behind such a cut."""
         from ortools.graph.python.max_flow import SimpleMaxFlow  # type: ignore[import-untyped]
 
         core, facts = self._core, len(self._core.givers)

@@ -25,7 +25,7 @@ Number = TypeVar("Number", np.int64, np.float64)
 NEVER = np.int64(2**60)
 """A cost that no sum of real costs reaches."""
 MOST_PASSES = 60
-"""After so many passes over a whole core the way is so deep that facts are better followed one by one."""
+"""A core that takes more passes than this is deep: its facts are better followed one by one."""
 
 
 @dataclass(frozen=True)
@@ -87,8 +87,8 @@ def _starts(counts: npt.ArrayLike) -> Ints:
 class Core:
     """`needs[label]` are facts, `givers[fact]` labels. The last label is the goal, which needs all that is wanted.
 
-    `labels` and `facts` are the numbers that they have in the network of which this is a part. So many givers
-    as a fact `takes` must be there for it to hold; None if one is enough everywhere.
+    `labels` and `facts` are the numbers that they have in the whole network. A fact holds when as many of its givers
+    are there as it `takes`; None if one is enough everywhere.
     """
 
     needs: Rows
@@ -124,7 +124,7 @@ class Core:
 
     @cached_property
     def crowds(self) -> Crowds | None:
-        """The facts that take more than one giver, if there are any."""
+        """The facts that take more than one giver; None if there are none."""
         facts = np.flatnonzero(self.takes > 1) if self.takes is not None else np.zeros(0, np.int64)
         if self.takes is None or not len(facts):
             return None
@@ -133,7 +133,7 @@ class Core:
 
     @cached_property
     def crowd_takes(self) -> dict[int, int]:
-        """How many givers they take."""
+        """How many givers each fact of `crowds` takes."""
         if self.takes is None or self.crowds is None:
             return {}
         return {fact: int(self.takes[fact]) for fact in self.crowds.facts.tolist()}
@@ -192,16 +192,16 @@ class Core:
         return total if self.takes is None else total / self.takes
 
     def least_sum_of_givers(self, of_label: Floats) -> Floats:
-        """For each fact the least sum over as many labels that offer it as it takes; every fact has such labels."""
+        """For each fact the least sum over as many of its givers as it takes. Every fact must have givers."""
         least = self.least_of_givers(of_label)
         if self.crowds is not None:
             least[self.crowds.facts] = self.crowds.least_sums(of_label)
         return least
 
     def least_of_givers(self, of_label: npt.NDArray[Number]) -> npt.NDArray[Number]:
-        """For each fact the least value that as many labels that offer it as it takes do not exceed.
+        """For each fact the n-th least value of its givers, n being how many it takes.
 
-        Every fact has labels that offer it.
+        Every fact must have givers.
         """
         if not len(self.givers):
             return np.zeros(0, of_label.dtype)
@@ -211,9 +211,9 @@ class Core:
         return least
 
     def facts_one_by_one(self, price: Sequence[Number], join: Callable[[list[Number]], Number]) -> dict[int, Number]:
-        """What facts that can be had cost, cheapest first, each looked at once (Knuth 1977).
+        """The cost of each fact that can be reached; facts are settled cheapest first, each once (Knuth 1977).
 
-        A label costs its price and what `join` makes of its needs; so does a fact that takes several givers.
+        A label costs its price plus `join` of its needs; a fact that takes several givers costs `join` of theirs.
         """
         needs, gives, needed_by, takes = self.needs.lists, self.gives.lists, self.needed_by.lists, self.crowd_takes
         missing = {label: len(needs[label]) for label in range(self.goal)}

@@ -1,8 +1,7 @@
 """Facts that take several different givers at once, as the inputs of a distinct group do.
 
-A group can be fed by different transformations if and only if any of its inputs together have at least as many
-givers as they are (Hall 1935). So it is a need for some *crowds*: facts that hold as soon as so many of
-their givers are there.
+A group can be fed by different transformations if and only if any n of its inputs have at least n givers together (Hall
+1935). So it needs some *crowds*: facts that hold as soon as so many of their givers are there.
 """
 
 from __future__ import annotations
@@ -15,13 +14,16 @@ import numpy as np
 import numpy.typing as npt
 
 MOST = 4
-"""If a group asks for more different things than this, only single ones, pairs and all together are looked at."""
+"""A group that asks for more different things has crowds for single ones, pairs and all together only."""
 
 Number = TypeVar("Number", np.int64, np.float64)
 
 
 def crowds_of_group(inputs: Mapping[tuple[int, ...], int]) -> Iterator[tuple[tuple[int, ...], int]]:
-    """What a distinct group needs: givers, and how many of them. Of `inputs` so many are fed by the same givers."""
+    """The crowds of a distinct group: givers, and how many of them it takes.
+
+    `inputs` says how many inputs of the group each set of givers feeds.
+    """
     sizes: Iterable[int] = range(1, len(inputs) + 1) if len(inputs) <= MOST else (1, 2, len(inputs))
     for size in sizes:
         for together in combinations(inputs, size):
@@ -31,7 +33,7 @@ def crowds_of_group(inputs: Mapping[tuple[int, ...], int]) -> Iterator[tuple[tup
 
 
 class Crowds:
-    """Those of some facts that take more than one giver; their givers are numbers below `labels`."""
+    """The facts that take more than one giver; their givers are numbers below `labels`."""
 
     def __init__(self, facts: npt.NDArray[np.int64], takes: Sequence[int], givers: Sequence[list[int]], labels: int):
         self.facts = facts
@@ -41,7 +43,7 @@ class Crowds:
         self._places = np.arange(len(takes)), np.array(takes) - 1
 
     def least(self, of_label: npt.NDArray[Number]) -> npt.NDArray[Number]:
-        """For each of the facts the least value that as many givers as it takes do not exceed."""
+        """For each of the facts the n-th least value of its givers, n being how many it takes."""
         values: npt.NDArray[Number] = self._sorted(of_label)[self._places]
         return values
 

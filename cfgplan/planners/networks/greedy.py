@@ -15,7 +15,7 @@ from cfgplan.planners.networks.network import Graph
 from cfgplan.reasons import assign_different, distinct_groups
 
 DEAREST = 1e200
-"""No support counts as dearer than that: its sums stay finite."""
+"""The cost of a support is capped at this, so that sums stay finite."""
 FREE = 1e-3
 """The price of a label that is there already: of two such supports the smaller one is better."""
 
@@ -50,7 +50,7 @@ def improved(network: Graph, cost: Ints, plan: set[int], doubtful: set[int], is_
 
 
 def _without(network: Graph, cost: Ints, plan: set[int], label: int) -> set[int]:
-    """The plan, or a cheaper one around a member, with the other members for nothing."""
+    """The plan, or a cheaper one that avoids `label` and has the other members for nothing."""
     other = _supported(network, cost, plan - {label}, avoid=label)
     return other if other is not None and cost_of(cost, other) < cost_of(cost, plan) else plan
 
@@ -61,7 +61,7 @@ def cost_of(cost: Ints, labels: Iterable[int]) -> int:
 
 
 def _supported(network: Graph, cost: Ints, free: set[int], avoid: int | None = None) -> set[int] | None:
-    """The cheapest support of the goal by h_add, where `free` labels cost nothing and `avoid` is not to be had."""
+    """The cheapest support of the goal by h_add: `free` labels cost nothing, `avoid` is forbidden; or None."""
     price = cost.astype(np.float64) + 1.0
     price[list(free)] = FREE
     if avoid is not None:
@@ -70,7 +70,7 @@ def _supported(network: Graph, cost: Ints, free: set[int], avoid: int | None = N
 
 
 def plan_at(network: Graph, cost: Ints, price: Floats) -> set[int] | None:
-    """The cheapest support of the goal by h_add at some prices, less what it can do without; None if it is no plan."""
+    """A cheapest support of the goal by h_add at these prices, without redundant labels; None if it is no plan."""
     total = _total(network, price)
     if total is None:
         return None
@@ -106,7 +106,7 @@ def _added(values: list[float]) -> float:
 
 
 def _below(network: Graph, labels: list[int], total: list[float]) -> set[int]:
-    """The cheapest giver of each fact that some labels need, and so on down, and these labels but the goal."""
+    """These labels but the goal, and the cheapest givers of all facts needed, directly or through others."""
     chosen = set(labels)
     fed: set[int] = set()
     ahead = list(labels)
@@ -146,7 +146,7 @@ def _assigned(network: Graph, by_price: dict[str, list[int]]) -> list[str]:
 
 
 def without_redundant(network: Graph, cost: Ints, chosen: set[int]) -> set[int]:
-    """Drop, the dearest first, what the rest can do without."""
+    """The plan without redundant labels; the dearest are dropped first."""
     gives_of, needs, takes = network.core.gives.lists, network.core.needs.lists, network.core.crowd_takes
     givers_left: dict[int, int] = {}
     for label in chosen:
@@ -196,7 +196,7 @@ def is_plan(network: Graph, chosen: set[int]) -> bool:
 
 
 def _special_inputs_are_fed(network: Graph, label: int, before: set[int], chosen: set[int]) -> bool:
-    """Whether distinct groups can be filled and feedback inputs fed; in doubt (a later feeder) no."""
+    """Whether distinct groups can be filled and feedback inputs fed; in doubt (a later feeder) False."""
     transformation = network.transformations[label]
 
     def feeders(tag: str, among: set[int]) -> list[str]:

@@ -43,7 +43,7 @@ def unused_required(problem: Problem, units: Collection[ComputationUnit]) -> tup
 
 
 def may_stay(problem: Problem, labels: Collection[str], unit: ComputationUnit) -> bool:
-    """Whether the unit's wiring is valid as far as it can tell by itself, if units of no other labels run."""
+    """Whether the unit's wiring is valid, looked at by itself, if only units of these labels run."""
     environment, holds = problem.environment, problem.similarity.holds
     transformation = environment.transformation[unit.transformation]
     if unit.feeds.keys() != transformation.input.keys():

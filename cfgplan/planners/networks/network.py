@@ -40,7 +40,7 @@ class Graph:
 class Network(Graph):
     """The core of a problem with the names of its labels and the facts of its tags.
 
-    What the targets, or labels that have to run, can get from nobody else runs in every plan too.
+    Labels that are the only ones to feed a target or a pinned label run in every plan, so they are pinned too.
     """
 
     def __init__(
@@ -98,9 +98,9 @@ class Network(Graph):
 
 
 def costs(problem: Problem, network: Network, pinned: Collection[str]) -> tuple[int, Ints]:
-    """What units of the network's pinned labels cost whatever is planned, and what each label costs beyond that.
+    """The fixed cost of the network's pinned labels, and what each label costs beyond that, in microseconds.
 
-    Of those in `pinned` all running units are kept, of others one is enough.
+    Of labels in `pinned` all running units are kept, of others one is enough.
     """
     running: dict[str, int] = {}
     for unit in problem.environment.units:

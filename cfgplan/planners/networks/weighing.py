@@ -1,7 +1,7 @@
-"""What a label weighs where plans are compared: its cost and, beyond that, the change that it means.
+"""The weight of a label where plans are compared: its cost and, beyond that, the change that it means.
 
-Of plans that cost the same the one with fewer rewired units is better, then that with fewer started ones. All is added
-up, so that a bound on the sum may prove a plan the best in all of it.
+Of plans that cost the same the one with fewer rewired units is better, then the one with fewer started units. Cost and
+changes are one sum, so that a bound on it may prove a plan best in all of them.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from cfgplan.planning import Problem
 
 @dataclass(frozen=True)
 class Weighing:
-    """`weight` of each label of a network: `scale` for a microsecond.
+    """The `weight` of each label of a network: `scale` for a microsecond of cost.
 
-    If `scale` exceeds 1 there is 1 for a start beside it, and `rewiring` for a rewiring that can't be avoided. What
-    pinned labels cost whatever is planned is left out: `fixed_us`.
+    If `scale` exceeds 1, a start adds 1 and a rewiring that can't be avoided adds `rewiring`. The fixed cost of pinned
+    labels is left out: `fixed_us`.
     """
 
     weight: Ints
@@ -33,7 +33,7 @@ class Weighing:
 
     @classmethod
     def of(cls, problem: Problem, network: Network, pinned: Collection[str]) -> Weighing:
-        """Cost and, where nothing runs, starts; see `costs`. Of labels in `pinned` all running units are kept."""
+        """Weigh cost and, where nothing runs, starts. For `pinned` see `costs`."""
         fixed_us, cost = costs(problem, network, pinned)
         scale = len(cost) + 1
         if (
@@ -70,24 +70,24 @@ class Weighing:
 
     @cached_property
     def step(self) -> int:
-        """What the weight of every plan is a multiple of."""
+        """Every plan's weight is a multiple of this."""
         return max(1, int(np.gcd.reduce(self.weight)))
 
     def of_plan(self, labels: Ints) -> int:
         return int(self.weight[labels].sum())
 
     def least(self, bound: int) -> int:
-        """The least weight not below a bound that a plan can have."""
+        """The least weight that a plan can have: the bound rounded up to a multiple of `step`."""
         return -(-bound // self.step) * self.step
 
     def cost_us(self, weight: int) -> int:
-        """The cost in a weight, with what is fixed; of a bound on weight a bound on cost."""
+        """The cost in a weight, `fixed_us` included. A bound on the weight gives a bound on the cost."""
         return weight // self.scale + self.fixed_us
 
     def of_key(self, key: Key) -> int:
-        """The weight of a plan by its cost and what it really changes."""
+        """The weight of a plan with this key: its cost and what it really changes."""
         return (key.cost_us - self.fixed_us) * self.scale + key.rewired * self.rewiring + key.started
 
     def changes(self, weight: int) -> tuple[int, int] | None:
-        """The rewired and the started units in a weight, if they count."""
+        """The rewired and the started units in a weight; None if they don't count."""
         return divmod(weight % self.scale, self.rewiring) if self.counts_starts else None

@@ -1,4 +1,4 @@
-"""The time that is left, what it is to be spent on, and what each phase took."""
+"""The time that is left, the tuning that says how to spend it, and what each phase took."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from cfgplan.planners.tuning import USUAL, Tuning
 from cfgplan.planning import Plan, PlannerFaultError
 
 STOPPING_S = 10.0
-"""So long after `stop` is set a first plan may still be looked for, if there is none yet."""
+"""For so long after `stop` a first plan may still be looked for, if there is none yet."""
 
 
 class OutOfTimeError(Exception):
-    """The time is over in the middle of something that is of no use unless it is finished."""
+    """The time ran out in the middle of work that is of no use unless it is finished."""
 
 
 class ContradictionError(Exception):
@@ -33,7 +33,7 @@ class Clock:
         self.tuning = tuning
         self.stop = stop or Event()
         self.has_plan = False
-        """Whether there is a plan already: after `stop` no other is looked for then."""
+        """Whether there is a plan already: if so, `stop` ends the search at once."""
         self.seconds: dict[str, float] = {}
 
     def elapsed_s(self) -> float:
@@ -44,7 +44,7 @@ class Clock:
         return None if self._limit_s is None else max(0.0, self._limit_s - self.elapsed_s())
 
     def has_steps(self, steps: float) -> bool:
-        """Whether there is time for so much work."""
+        """Whether there is time for so many steps."""
         left_s = self.left_s()
         return not self.is_over() and (left_s is None or steps * self.tuning.seconds_per_step < left_s)
 
@@ -69,10 +69,10 @@ class Clock:
         return self.seconds
 
     def run(self, work: Callable[[], None], so_far: Callable[[], Plan]) -> None:
-        """Work until that ends or the time is over. After Ctrl-C it is begun again to end soon if there is no plan yet.
+        """Work until that ends or the time is over. After Ctrl-C without a plan it begins again, to find one soon.
 
-        A second Ctrl-C raises KeyboardInterrupt. Raises PlannerFaultError with the plan so far, if there is one, where
-        a bug ends the work.
+        A second Ctrl-C raises KeyboardInterrupt. If a bug ends the work, PlannerFaultError with the plan so far is
+        raised, if there is one.
         """
         try:
             try:

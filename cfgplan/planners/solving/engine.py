@@ -11,7 +11,7 @@ from cfgplan.planners.solving.clock import Clock
 
 
 def repeatable_solver(*, small: bool, time_limit_s: float | None) -> CpSolver:
-    """One worker is repeatable; a full linearisation is what proves these models (the default takes 10 times as long).
+    """A solver with one worker, which is repeatable, and full linearisation (the default proves 10 times as slowly).
 
     In `small` models, probing and looking for symmetries take longer than they save.
     """
@@ -29,7 +29,7 @@ def repeatable_solver(*, small: bool, time_limit_s: float | None) -> CpSolver:
 
 
 def at_least(model: CpModel, least: int, literals: Sequence[IntVar]) -> None:
-    """At least so many of the literals hold; one that is there twice counts twice."""
+    """Demand that at least `least` of the literals hold; one that is there twice counts twice."""
     if least == 1:
         model.add_bool_or(literals)
     else:
@@ -39,8 +39,8 @@ def at_least(model: CpModel, least: int, literals: Sequence[IntVar]) -> None:
 def solve(solver: CpSolver, model: CpModel, callback: CpSolverSolutionCallback, clock: Clock) -> CpSolverStatus:
     """Solve in a thread, so that `stop` and Ctrl-C end it with the best solution so far.
 
-    Raises KeyboardInterrupt if Ctrl-C comes before the thread is there, and what the callback raises. None is left
-    behind that solves: at the end of the process it would make it abort.
+    Raises KeyboardInterrupt if Ctrl-C comes before the thread is there, and what the callback raises. No solving thread
+    is left behind: at the end of the process it would make it abort.
     """
     status: list[CpSolverStatus] = []
     raised: list[BaseException] = []
@@ -79,7 +79,7 @@ def solve(solver: CpSolver, model: CpModel, callback: CpSolverSolutionCallback, 
 
 
 class OnSolution(CpSolverSolutionCallback):
-    """Hands each solution to `look_at`, as the function that says which booleans hold; that says whether to go on."""
+    """Calls `look_at` at each solution with a function that says which booleans hold; it returns whether to go on."""
 
     def __init__(self, look_at: Callable[[Callable[[IntVar], bool]], bool]) -> None:
         super().__init__()

@@ -47,7 +47,7 @@ class Support:
         return rank
 
     def cut(self, true: Collection[int], rank: Collection[int]) -> tuple[list[int], list[int]]:
-        """Why the ungrounded ones are not: (propositions, ways in), where any of the former needs one of the latter.
+        """What is not grounded, as a cut (propositions, ways in): any of the former needs one of the latter.
 
         The propositions are the true ones that rest on any of others and can't be derived.
         """
@@ -55,10 +55,10 @@ class Support:
         return unfounded, self._ways_into(unfounded)
 
     def _ways_into(self, unfounded: list[int]) -> list[int]:
-        """What any of some propositions can rest on first.
+        """The choices by which some unfounded propositions can be derived first.
 
-        Whatever rests on all of some parts, one of them among these, can't be the first way into them; what is left
-        can.
+        A choice that can only hold after one of them can't be the first: it rests on all of some parts, one of which is
+        such, or on any of choices that all are.
         """
         dead = set(unfounded)
         ahead = list(unfounded)
