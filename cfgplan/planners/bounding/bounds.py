@@ -48,7 +48,7 @@ class Bound:
         self.residual = self.cost.copy()
 
     def charge(self, landmark: Landmark, at_most: int = int(NEVER)) -> int:
-        """Charge a landmark what its members have left, or less; returns how much for each time that they count."""
+        """Charge a landmark what its members have left, up to `at_most`. Returns its weight: the charge per count."""
         if not len(landmark.members):
             return 0
         members, crowd = landmark.members, landmark.crowd
@@ -135,7 +135,7 @@ class Bound:
         return nsmallest(few, self.landmarks, key=lambda landmark: len(landmark.members))
 
     def as_of(self, parts: int, more: int, cost: Ints) -> Bound:
-        """The bound, and `more`, made in parts of which costs have so many, as one on whole costs."""
+        """The bound on whole costs of one in `parts` of a cost unit; `more`, also in parts, is added to its value."""
         whole = Bound(self.core, cost, self.landmarks, [weight // parts for weight in self.weights])
         whole.value = -(-(self.value + more) // parts)
         whole.residual = self.residual // parts

@@ -1,9 +1,8 @@
 """A flat fleet with its hosts forgotten: which units run at all, and which demands are met anywhere.
 
-Every plan of the fleet is one without hosts too, so all that holds of those holds of it: a demand met somewhere
-was met first by a unit that does not need it, and landmarks are hit. The model over hosts does not say so by itself,
-since its relaxation spreads a unit over the hosts; and a decision that a unit runs, wherever that is, is what its
-search lacks most.
+Every plan of the fleet is a plan without hosts too, so what holds of all those holds of it: a demand met somewhere was
+met first by a unit that does not need it, and landmarks are hit. The model over hosts does not imply this, since its
+relaxation spreads a unit over the hosts. What its search lacks most is a decision that a unit runs, wherever that is.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from cfgplan.planners.solving.clock import Clock
 class Anywhere:
     """The units that have a place, and the facts without hosts.
 
-    `bound` is on the cost of the units, by landmarks, for plans whose units cost at most `limit_us`.
+    `bound` is a landmark bound on the units' cost, for plans whose units cost at most `limit_us`.
     """
 
     def __init__(self, flat: Flat, limit_us: int, clock: Clock) -> None:
@@ -51,7 +50,7 @@ class Anywhere:
         return sorted({self._fact_of[_hostless(fact)] for fact in facts})
 
     def add_to(self, model: FlatModel) -> None:
-        """Add what holds whatever the hosts to the model of the fleet."""
+        """Add the units and facts without hosts, and what holds of them, to the fleet's model."""
         cp = model.cp
         there = [cp.new_bool_var("") for _ in self.units]
         for unit, is_there in zip(self.units, there, strict=True):

@@ -1,6 +1,6 @@
 """How good streams can be at best, and how bad they may be at worst, attribute by attribute.
 
-At best all that can run runs. What would miss every bound even then is of no use anywhere.
+The best values assume that all that can run runs. A stream that misses every bound even then is of no use anywhere.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from cfgplan.qualities import MICRO, Better, Contribution, Over, QualityAttribut
 
 
 def leave_out_what_is_too_bad(candidates: Candidates) -> None:
-    """Streams that no plan can take where a tag is demanded, since they would miss the bounds of all targets."""
+    """Leave out, where a tag is demanded, the streams that would miss the bounds of all targets."""
     for name in sorted({attribute for _, attribute in candidates.bounds}):
         attribute = candidates.environment.quality[name]
         best = best_values(candidates, attribute)
@@ -32,8 +32,8 @@ def leave_out_what_is_too_bad(candidates: Candidates) -> None:
 def range_of_use(candidates: Candidates, attribute: QualityAttribute) -> dict[Stream, tuple[int, int]]:
     """For each stream that a plan may use its best value, and the worst with which its unit is of use.
 
-    That is the worst there is for spares, which may get any quality, for units that are asked for whatever
-    they give, and for those of which another stream may be used instead.
+    The latter is the attribute's worst for spares, which may get any quality, for units that are asked for whatever
+    they give, and for units of which another stream may be used instead.
     """
     best = best_values(candidates, attribute)
     allowed = worst_of_use(candidates, attribute) if Notion.SURVIVAL not in candidates.problem.notions else {}
@@ -54,7 +54,7 @@ def range_of_use(candidates: Candidates, attribute: QualityAttribute) -> dict[St
 
 
 def least_prices_us(candidates: Candidates) -> dict[tuple[str, str], int]:
-    """What each target charges for an attribute at least, whatever the plan."""
+    """The least price of each target for each attribute, whatever the plan."""
     prices: dict[tuple[str, str], int] = {}
     for attribute in candidates.environment.qualities:
         weighed = [
@@ -72,9 +72,10 @@ def least_prices_us(candidates: Candidates) -> dict[tuple[str, str], int]:
 
 
 def least_of_all(candidates: Candidates) -> tuple[int, int]:
-    """What every plan costs at least, and how many units it starts at least.
+    """The least cost of any plan, and the least number of units that it starts.
 
-    It runs a unit of each transformation that no plan does without, and no target gets more than the best quality.
+    Every plan runs a unit of each transformation that no plan does without, and no target gets more than the best
+    quality.
     """
     network = candidates.network
     indispensable = [[c for c in candidates.of(network.labels[n]) if c.may_run] for n in network.pinned]
@@ -84,7 +85,7 @@ def least_of_all(candidates: Candidates) -> tuple[int, int]:
 
 
 def bound_by_price(candidates: Candidates, most_us: int) -> None:
-    """Bound what targets weigh, where all else and the best quality leave at most `most_us` for all prices."""
+    """Turn weights of targets into bounds on quality: all prices together are at most `most_us`."""
     least = least_prices_us(candidates)
     for target in candidates.environment.targets:
         for wish in target.quality:
@@ -102,14 +103,14 @@ def bound_by_price(candidates: Candidates, most_us: int) -> None:
 
 
 def best_values(candidates: Candidates, attribute: QualityAttribute) -> dict[Stream, int]:
-    """No wiring gives a stream a better value. Streams that nothing can feed are left out."""
+    """For each stream a value that no wiring betters. Streams that nothing can feed are left out."""
     if attribute not in candidates.best:
         candidates.best[attribute] = _best_values(candidates, attribute)
     return candidates.best[attribute]
 
 
 def _best_values(candidates: Candidates, attribute: QualityAttribute) -> dict[Stream, int]:
-    """Round by round for one more unit in a row; no row is longer than there are units."""
+    """Each round allows chains of one more unit; no chain is longer than there are units."""
     best: dict[Stream, int] = {}
     at: dict[str, int] = {}
     demands = _demands(candidates)
@@ -152,7 +153,7 @@ def _demands(candidates: Candidates) -> dict[str, list[str]]:
 
 
 def worst_of_use(candidates: Candidates, attribute: QualityAttribute) -> dict[str, int]:
-    """For each demanded tag the worst value that anybody who demands it may take, if it is of use at all."""
+    """For each demanded tag the worst value that is of use to anybody who demands it; tags of no use are left out."""
     key = attribute, *sorted(candidates.bounds.items())
     if key not in candidates.allowed:
         candidates.allowed[key] = _worst_of_use(candidates, attribute)
@@ -202,7 +203,7 @@ def _worst_of_use(candidates: Candidates, attribute: QualityAttribute) -> dict[s
 
 
 def _allowed_before(attribute: QualityAttribute, candidate: Candidate, stated: Contribution | None, out: int) -> int:
-    """The worst value of an input with which an output is still good enough, as far as the rule says that."""
+    """The worst input value with which an output is no worse than `out`, as far as the rule says that."""
     if stated is None:
         return out
     ordinary = sum(not port.feedback for port in candidate.transformation.inputs)

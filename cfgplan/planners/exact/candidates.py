@@ -21,7 +21,7 @@ Host = str | None
 
 @dataclass(frozen=True)
 class Candidate:
-    """A unit of the environment, or a new one of its transformation; `may_run` or `may_wait` as a cold spare.
+    """A unit of the environment, or a new one of a transformation. It `may_run`, or `may_wait` as a cold spare.
 
     `hosts` are those it may be on: its own if it is there already, only None where there are no hosts.
     """
@@ -46,7 +46,7 @@ class Closure:
 
     @classmethod
     def of(cls, problem: Problem, watch: Callable[[], None] = lambda: None) -> Closure:
-        """The closure of a library. `watch` is called again and again, and can end that by an exception."""
+        """The closure of a library. `watch` is called again and again, and may end the work by an exception."""
         givers = Givers(problem.environment.library, problem.similarity)
         givers.watch = watch
         possible = startable(problem.environment, givers)
@@ -65,7 +65,8 @@ class Candidates:
     ) -> None:
         """All candidates, or those of the transformations in `among`.
 
-        `watch` is called again and again, here and in what is made of the candidates, and can end it by an exception.
+        `watch` is called again and again, here and by those who use the candidates, and may end the work by an
+        exception.
         """
         self.problem = problem
         self.environment = problem.environment
@@ -93,22 +94,22 @@ class Candidates:
         """The worst value that a target may get of an attribute, as far as is known."""
         self.best: dict[QualityAttribute, dict[Stream, int]] = {}
         self.allowed: dict[tuple[object, ...], dict[str, int]] = {}
-        """What `best_case` found out: the best value of each stream, and what may be allowed with some bounds."""
+        """Caches of `best_case`: the best value of each stream, and the worst values of use with some bounds."""
 
     def among(self, labels: Collection[str]) -> Candidates:
-        """Those of some transformations, with what is known of quality."""
+        """The candidates of some transformations, with the bounds and useless streams known so far."""
         part = Candidates(self.problem, self.closure, labels, self.watch)
         part.bounds, part._useless = dict(self.bounds), set(self._useless)
         return part
 
     @property
     def labels(self) -> Collection[str]:
-        """The transformations that there are candidates of."""
+        """The transformations that have candidates."""
         return self._units.keys()
 
     @cached_property
     def network(self) -> Network:
-        """The transformations that candidates are of and that can be started among themselves, whatever the hosts.
+        """The network of transformations that have candidates and can be started among themselves, whatever the hosts.
 
         Targets that none of them can meet are left out.
         """
@@ -138,11 +139,11 @@ class Candidates:
         return [self.all[i] for i in self._units.get(label, ())]
 
     def units_of(self, label: str) -> Sequence[int]:
-        """The same by index."""
+        """The indices of the candidates of a transformation."""
         return self._units.get(label, ())
 
     def first_of_each(self, labels: Iterable[str]) -> set[int]:
-        """The first unit of each label, a running one if there is one; of pinned ones all that run."""
+        """The first unit of each label, a running one if there is one; of pinned labels all running units."""
         return {self._units[label][0] for label in labels} | set(filter(self.is_pinned, range(len(self.all))))
 
     def streams(self, tag: str) -> tuple[Stream, ...]:
@@ -168,7 +169,7 @@ class Candidates:
         return self._feeders[tag]
 
     def leave_out(self, useless: Collection[tuple[str, Stream]]) -> None:
-        """Streams that no plan uses where a tag is demanded."""
+        """Note pairs of a demanded tag and a stream that no plan uses for it."""
         self._useless.update(useless)
         self._may_stay.clear()
         for tag, _ in useless:
@@ -191,7 +192,7 @@ class Candidates:
         return Stream(candidate.id, next(p.name for p in candidate.transformation.outputs if holds(p.tag, tag)))
 
     def may_stay(self, index: int) -> bool:
-        """Whether a running unit's wiring is valid as far as it can tell by itself: see `networks.keys`."""
+        """Whether a running unit's wiring is valid, looked at by itself: see `networks.keys`."""
         if index not in self._may_stay:
             unit = self.all[index].running
             self._may_stay[index] = unit is not None and self.all[index].may_run and self._is_valid(unit)
@@ -287,8 +288,8 @@ def _may_go_on(problem: Problem, unit: ComputationUnit) -> bool:
 def _numbers_of_new(problem: Problem, labels: frozenset[str]) -> dict[str, int]:
     """How many new units of each transformation there may be.
 
-    Where nothing is asked beyond the paper one beside a running unit can pay only if it costs no labor, or lets more
-    required ones be used.
+    Where nothing is asked beyond the paper, a new unit beside a running one pays only if it costs no labor, or lets
+    more required transformations be used.
     """
     environment, library = problem.environment, problem.environment.transformation
     is_any = problem.notions or any(library[label].required for label in labels)

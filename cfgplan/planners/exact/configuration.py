@@ -1,6 +1,7 @@
 """A configuration made of chosen units: placed, wired, and with spares for the failures that it has to survive.
 
-Failure by failure, what would then meet the targets most cheaply is added to what is left, cold where that is enough.
+For each failure, the units that then meet the targets most cheaply are added to those left, as cold spares if that is
+enough.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from cfgplan.qualities import QualityAttribute
 
 
 def spare_prices(candidates: Candidates) -> Floats:
-    """What a spare of each transformation in the network costs where no unit of it is there; 0 if none is needed."""
+    """The price of a spare of each transformation in the network; all 0 if no failure has to be survived."""
     if candidates.problem.survive is None:
         return np.zeros(len(candidates.network.labels))
     units = [candidates.of(label) for label in candidates.network.labels]
@@ -46,9 +47,9 @@ class Configuration:
         spare_us: Floats,
         is_quick: bool,
     ) -> None:
-        """Inputs take the streams with the best of an `attribute`; `spare_us` are the `spare_prices`.
+        """Inputs take the streams whose `attribute` is best; `spare_us` are the `spare_prices`.
 
-        If it has to be quick, spares are of the transformations that are lost.
+        With `is_quick` the spares are further units of the transformations that a failure takes.
         """
         self.candidates = candidates
         self._spare_us = spare_us
@@ -60,7 +61,7 @@ class Configuration:
         self._grounded = Grounded(candidates, (), attribute)
 
     def units(self) -> list[ComputationUnit] | None:
-        """The lean configuration; None if there is no room or no way to survive a failure."""
+        """The lean configuration; None if hosts have no room or a failure can't be survived."""
         if not (self._bears_lost_units() and self._place(None)):
             return None
         if self.candidates.problem.survive is Failures.HOSTS and not self._bears_lost_hosts():
@@ -116,7 +117,7 @@ class Configuration:
         return frozenset(self.candidates.all[i].transformation.label for i in units)
 
     def _bears(self, host: str | None, left: Collection[int], targets: tuple[Target, ...]) -> bool:
-        """Add what targets need of what is not left after a failure."""
+        """Add spares that meet the targets together with the units `left` after a failure. False if there are none."""
         candidates, labels = self.candidates, self._labels(left)
         if not unmet(candidates, Failure(host, labels, targets)):
             return True
@@ -138,7 +139,7 @@ class Configuration:
         return support is not None
 
     def _doubled(self, left: frozenset[str], host: str | None) -> bool:
-        """Add one more unit of each transformation that is not left; False if there is none."""
+        """Add one more unit of each transformation that is not left; False if one has no further candidate."""
         twins = [self._spare(label, host) for label in sorted(self._labels(self.hot | self.cold) - left)]
         found = [twin for twin in twins if twin is not None]
         if len(found) == len(twins):
@@ -146,14 +147,14 @@ class Configuration:
         return len(found) == len(twins)
 
     def _spare(self, label: str, host: str | None) -> int | None:
-        """The cheapest further candidate of a transformation that may be on another host."""
+        """The cheapest further candidate of a transformation that may be on another host; None if there is none."""
         candidates = self.candidates
         numbers = [candidates.index_of[c.id] for c in candidates.of(label) if host is None or c.hosts != (host,)]
         further = [i for i in numbers if i not in self.hot and i not in self.cold]
         return min(further, key=lambda i: (_spare_us(candidates.all[i]), i), default=None)
 
     def _add(self, spares: Collection[int]) -> None:
-        """Those that can't wait run; what is to feed them then runs too."""
+        """Mark as running the spares that can't wait, or all if those are not fed otherwise. The others wait."""
         all_of, network = self.candidates.all, self.candidates.network
         hot = {i for i in spares if not all_of[i].may_wait}
         if hot:

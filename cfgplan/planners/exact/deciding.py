@@ -1,6 +1,6 @@
-"""Small problems, and what bounds leave of others, are decided by a search of the planner's own.
+"""The planner's own search decides small problems, and what bounds leave of others.
 
-Building a model and calling the solver takes longer there than looking at all that may be in a better plan.
+There, to build a model and call the solver takes longer than to search all that a better plan may have.
 """
 
 from __future__ import annotations
@@ -24,10 +24,11 @@ from cfgplan.planners.networks.weighing import Weighing
 
 
 def decide(standing: Standing, structure: Structure, among: Collection[str] | None = None) -> Candidates | None:
-    """Look for a better plan for some steps; no labels but `among` these can be in one.
+    """Search for a better plan for some steps; with `among`, no other labels can be in one.
 
-    Returns the candidates of a better plan if all is proven or, where only the cost is, all that one can have; None if
-    more is open. A plan must be no more than its labels, without distinct and feedback inputs, else nothing is done.
+    If all is proven, returns the candidates of the plan; if only the cost is, all candidates that a better plan can
+    have. Returns None if more is open. Nothing is done if the network is large, or if distinct or feedback inputs make
+    a plan more than its labels.
     """
     network, tuning = structure.network, standing.clock.tuning.decide
     is_large = len(network.labels) > tuning.labels if among is None else len(among) > tuning.left
@@ -49,7 +50,7 @@ def decide(standing: Standing, structure: Structure, among: Collection[str] | No
 
 
 class _Deciding:
-    """A search for what weighs less than a plan, and what its answer means for a standing."""
+    """Searches for a plan that weighs less, and brings the standing forward by the answer."""
 
     def __init__(
         self, standing: Standing, structure: Structure, weighing: Weighing, among: Collection[str] | None
@@ -101,7 +102,7 @@ class _Deciding:
         return candidates
 
     def _all(self, prepared: Prepared, plan: set[int]) -> Candidates | None:
-        """What plans have that change less than the incumbent, which is a cheapest one; None if that is not known."""
+        """The candidates of all plans that may change less than the incumbent, a cheapest plan; None if not known."""
         network, standing = self._structure.network, self._standing
         if standing.best is None:
             return None
@@ -114,7 +115,7 @@ class _Deciding:
         return self._told(replace(prepared, labels=labels, counts=counts, is_complete=True))
 
     def _below(self, limit: int) -> tuple[Core, Branching]:
-        """A search for plans that weigh less, and the core that it looks at."""
+        """The core to search, and a search in it for plans that weigh less than `limit`."""
         core, weight, step = self._core, self._weight, self._weighing.step
         if not self._is_part and core.goal > self._tuning.filtered:
             bound = Bound(core, weight)
@@ -128,7 +129,7 @@ def _numbers(labels: set[int]) -> Ints:
 
 
 def _lean(network: Network, weight: Ints, plan: set[int]) -> set[int]:
-    """The plan without what it can do without for nothing."""
+    """Drop redundant members from a plan that has members of no weight."""
     while not weight[_numbers(plan)].all():
         lean = without_redundant(network, weight, plan)
         if lean == plan:

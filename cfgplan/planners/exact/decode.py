@@ -122,9 +122,9 @@ class _Decoding:
 
 
 def lean(candidates: Candidates, units: Collection[ComputationUnit]) -> list[ComputationUnit]:
-    """The units less those that no target, pin, number or failure needs, taken away one after the other.
+    """Take away, one after the other, the units that no target, pin, number or failure needs.
 
-    What has to survive failures does so before.
+    Where failures have to be survived, `units` must survive them.
     """
     problem, left = candidates.problem, list(units)
     spares: set[str] = set()
@@ -145,7 +145,7 @@ def lean(candidates: Candidates, units: Collection[ComputationUnit]) -> list[Com
 
 
 def without_broken(units: list[ComputationUnit]) -> list[ComputationUnit]:
-    """The units less those whose feeders are gone, as in a ring through feedback inputs that went."""
+    """Drop the units whose feeders are gone, then those that they fed: a ring through feedback inputs may break."""
     while True:
         there = {unit.id for unit in units}
         whole = [unit for unit in units if all(s.stream.unit in there for s in unit.subscriptions)]
@@ -176,7 +176,7 @@ def _needed(units: Iterable[ComputationUnit], roots: Iterable[ComputationUnit]) 
 
 
 def named(candidates: Candidates, units: list[ComputationUnit]) -> list[ComputationUnit]:
-    """New units with the first free ids, in canonical order of what they are."""
+    """Give new units the first free ids, in canonical order."""
     new: dict[str, list[ComputationUnit]] = defaultdict(list)
     for unit in sorted(units, key=lambda unit: candidates.index_of[unit.id]):
         if candidates.all[candidates.index_of[unit.id]].running is None:

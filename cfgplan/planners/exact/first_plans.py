@@ -1,6 +1,6 @@
 """Plans for a fleet before any model is built: cheapest supports by h_add, placed, wired and given spares.
 
-What that takes for granted is looked at in the end: a configuration that breaks a rule is not offered.
+Not all rules are kept on the way, so a configuration is checked in the end and offered only if it is valid.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class FirstPlans:
         self._is_weighed = any(wish.weight_us for target in candidates.environment.targets for wish in target.quality)
 
     def look(self, attempts: int) -> None:
-        """Offer a plan of cheap transformations, and better ones after attempts to do without some of its dearest."""
+        """Offer a plan of cheap transformations. Then try, up to `attempts` times, to do without one of its dearest."""
         candidates, standing = self.candidates, self.standing
         if len(self.network.targets) < len(candidates.environment.targets):
             return
@@ -58,9 +58,10 @@ class FirstPlans:
             self._offer_supports(around)
 
     def _first(self) -> Floats | None:
-        """The prices at which there is a plan first, of costs alone and of more and more for what bounds are on.
+        """The first prices at which there is a plan; None if there are none.
 
-        Where quality has a price, those with the best plan.
+        Prices are costs, plus more and more for each `_burden`. Where quality has a price, those with the best plan are
+        returned.
         """
         price = self._run_us + 1
         if self.candidates.problem.survive is not None:
@@ -95,7 +96,7 @@ class FirstPlans:
         return np.maximum(np.array(added, np.float64), 0.0)
 
     def _offer_supports(self, price: Floats) -> bool:
-        """Offer the cheapest support; where transformations conflict, without the dearer of the two."""
+        """Offer the cheapest support at these prices; where two transformations conflict, one without the dearer."""
         for _ in self.candidates.environment.library:
             support = plan_at(self.network, self._cost, price)
             if support is None:
@@ -128,7 +129,7 @@ class FirstPlans:
         return chosen
 
     def offer(self, hot: Collection[int]) -> bool:
-        """Offer a configuration in which these candidates run; False if there is none."""
+        """Offer a configuration in which these candidates run; False if none is valid."""
         is_offered = False
         ways = (True, False) if self.candidates.problem.survive is not None and self.standing.best is None else (False,)
         for is_quick in ways:
@@ -140,7 +141,7 @@ class FirstPlans:
         return is_offered
 
     def is_valid(self, units: list[ComputationUnit]) -> bool:
-        """Whether a configuration that is wired keeps the bounds, the limits of hosts, numbers and failures."""
+        """Whether a wired configuration keeps quality bounds, room on hosts, numbers, conflicts, pins and failures."""
         environment = self.candidates.environment
         reached = qualities_of_targets(environment, units)
         there = Counter(unit.transformation for unit in units)
@@ -167,7 +168,7 @@ class FirstPlans:
 
 
 def _asked(candidates: Candidates) -> QualityAttribute | None:
-    """The attribute that targets ask for, rather one that they bound."""
+    """An attribute that targets ask for, if possible one that they bound; None if they ask for none."""
     wishes = [wish for target in candidates.environment.targets for wish in target.quality]
     bounded = [wish.attribute for wish in wishes if wish.bound is not None]
     names = bounded or [wish.attribute for wish in wishes]

@@ -42,7 +42,7 @@ class Carried:
 
 @dataclass(frozen=True, slots=True)
 class Met:
-    """A fact: what a tag demands is there on a host, or, on no host in particular, anywhere."""
+    """A fact: a demanded tag is met on a host; with host None, anywhere."""
 
     tag: str
     host: Host
@@ -62,7 +62,7 @@ Fact = Met | Runs
 class Flat:
     """The labels and facts of a fleet, their costs, and the core for bounds.
 
-    `streams` says by which streams a label meets a demand.
+    `givers` says which labels give a fact, and by which streams.
     """
 
     def __init__(self, candidates: Candidates) -> None:
@@ -101,7 +101,7 @@ class Flat:
         self.givers = {fact: self._givers(fact) for fact in self.facts}
 
     def _alive(self) -> list[int]:
-        """The labels that can be grounded at all."""
+        """The labels that can be grounded."""
         giving: dict[int, list[Fact]] = defaultdict(list)
         needing: dict[Fact, list[int]] = defaultdict(list)
         for fact, givers in self.givers.items():

@@ -49,7 +49,7 @@ def true_of(model: FlatModel, holds: Callable[[IntVar], bool]) -> set[int]:
 
 
 def _stream(model: FlatModel, fact: Met, holds: Callable[[IntVar], bool], rank: dict[int, int]) -> Stream:
-    """The stream by which a grounded fact is met: the one chosen, or else the first to be there."""
+    """The stream that meets a grounded fact: the one chosen, or else the first in the order of derivation."""
     if fact in model.feeds:
         return next(stream for stream, feeds in model.streams(fact) if holds(feeds))
     givers = model.flat.givers[fact]

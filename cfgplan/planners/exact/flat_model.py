@@ -23,7 +23,7 @@ class FlatModel:
         self.support = Support()
         self.anywhere = Support()
         self.units_anywhere: list[IntVar] = []
-        """The same with hosts forgotten, filled by `anywhere`: cuts are fewer and stronger there."""
+        """The booleans of `anywhere`, the support with hosts forgotten, where cuts are fewer and stronger."""
         self.uses = [self._boolean() for _ in flat.labels]
         self.holds = {fact: self._boolean() for fact in flat.facts}
         self.feeds: dict[Fact, dict[tuple[int, Stream], IntVar]] = {}
@@ -44,7 +44,7 @@ class FlatModel:
         return self.cp.new_bool_var("")
 
     def ground(self) -> None:
-        """Facts rest on what gives them: call when it is known where `feeds` matter."""
+        """Let each fact rest on what gives it. Call it when `feeds` is filled."""
         for fact, holds in self.holds.items():
             self.candidates.watch()
             if fact in self.feeds:
@@ -71,7 +71,7 @@ class FlatModel:
         return LinearExpr.sum([LinearExpr.weighted_sum(self.uses, self.flat.cost_us), *self.more_costs])
 
     def started(self) -> list[IntVar]:
-        """What runs if a unit was started, label by label."""
+        """The booleans of new units, one for each host."""
         units = self.candidates.all
         return [run for i, runs in self.runs.items() for run in runs if units[i].running is None]
 
@@ -85,7 +85,7 @@ def a_label_needs_its_facts(model: FlatModel) -> None:
 
 
 def a_unit_is_in_one_place(model: FlatModel) -> None:
-    """And its streams are carried nowhere but to other places."""
+    """A unit is on one host at most, and its streams are carried to other hosts only."""
     number = model.flat.number
     for runs in model.runs.values():
         if len(runs) > 1:

@@ -29,7 +29,7 @@ EXACT = 2**50
 
 
 class FlatSearch:
-    """Finds the least cost and the fewest started units for it; `is_done` if that is proven."""
+    """Minimises cost, then started units; `is_done` if the incumbent is proven best in both."""
 
     def __init__(
         self,
@@ -42,10 +42,10 @@ class FlatSearch:
         bound: Bound | None = None,
         limit_us: int | None = None,
     ) -> None:
-        """With `is_all` false some candidates are left out: nothing is learned but plans.
+        """With `is_all` false some candidates are left out: the search gives plans, but no bounds.
 
-        `bound` is what is known of plans that are no dearer than the best; with `limit_us` only plans that cost no
-        more are looked for.
+        `bound` holds for plans that are no dearer than the incumbent. With `limit_us` only plans within it are looked
+        for.
         """
         self.flat = flat
         self.standing = standing
@@ -94,7 +94,7 @@ class FlatSearch:
             self.model.cp.add(self.objective <= self._weight(self._beaten) - 1)
 
     def run(self) -> bool:
-        """Rounds of solving and cutting until the cost is proven; False if a round takes too long."""
+        """Solve and cut in rounds until the cost is proven; False if a round takes too long."""
         self.model.cp.minimize(self.objective)
         while not self.standing.clock.is_over():
             self.standing.counts["rounds"] = self.standing.counts.get("rounds", 0) + 1
@@ -118,14 +118,14 @@ class FlatSearch:
         return True
 
     def left(self) -> frozenset[str]:
-        """The transformations that may be in a plan as cheap as the best one."""
+        """The transformations that may be in a plan as cheap as the incumbent."""
         assert self.standing.best is not None
         keep = self._bound.may_be_used(self.standing.best.key.cost_us - self._price_us)
         units = {self.flat.labels[label].unit for label in self._bound.core.labels[keep].tolist()}
         return frozenset(self.flat.candidates.all[unit].transformation.label for unit in units)
 
     def _is_proven_by(self, solver: CpSolver) -> bool:
-        """Whether the optimum of a round is a plan."""
+        """Offer the optimum of a round. True if it is a plan, which is then proven."""
         units = decoded(self.model, solver.boolean_value)
         if units is None:
             return False
@@ -188,7 +188,7 @@ class FlatSearch:
         )
 
     def _look_at(self, holds: Callable[[IntVar], bool]) -> bool:
-        """Take a solution as a plan if it is grounded; the solver goes on in any case."""
+        """Offer a solution if it is grounded. Returns True: the solver goes on in any case."""
         units = decoded(self.model, holds)
         if units is not None:
             self.standing.offer(units)
@@ -218,7 +218,7 @@ class FlatSearch:
         self.standing.raise_bound(bound_us)
 
     def _solver(self) -> CpSolver:
-        """An engine for one round, of a length that does not depend on the machine."""
+        """A solver for one round, of a length that does not depend on the machine."""
         small = len(self.model.cp.proto.variables) < self.standing.clock.tuning.fleet.small
         solver = repeatable_solver(small=small, time_limit_s=self.standing.clock.left_s())
         solver.parameters.max_deterministic_time = self.slice_s
@@ -227,7 +227,7 @@ class FlatSearch:
         return solver
 
     def _hint(self) -> None:
-        """Start from the best plan's units and hosts, unless only better ones are looked for."""
+        """Hint the incumbent's units and hosts, unless only better plans are looked for."""
         self.model.cp.clear_hints()  # type: ignore[no-untyped-call]
         if self._beaten is not None:
             return

@@ -12,8 +12,8 @@ from cfgplan.reasons import distinct_groups
 def is_flat(candidates: Candidates) -> bool:
     """Whether one stream can meet a demand for all who have it.
 
-    With one attribute all want the best stream. Where no stream of a ring of demands is better than what it
-    is made of, the best is there before all that is made of it.
+    With one attribute all want the best stream. Where no stream in a ring of demands is better than its inputs, the
+    best one is there before all that is made of it.
     """
     problem = candidates.problem
     asked = {wish.attribute for target in problem.environment.targets for wish in target.quality}
@@ -54,7 +54,7 @@ def _is_no_better_than_its_inputs(attribute: QualityAttribute, of: Transformatio
 
 
 def _rings(candidates: Candidates) -> dict[str, int]:
-    """The strongly connected component of each tag, where what is offered hangs on what is demanded for it."""
+    """The strongly connected component of each tag; an offered tag depends on the tags demanded to make it."""
     from networkx import DiGraph, strongly_connected_components
 
     graph: DiGraph[str] = DiGraph()

@@ -1,7 +1,7 @@
 """The exact planner for what the paper leaves to the future: quality, hosts, conflicts, instances, spares.
 
-First plans are made without search. Where it does not matter who feeds whom, landmarks and a model of what is
-where prove the cost; all else is a model in which inputs are told apart where they have to be.
+First plans are made without search. Where it does not matter who feeds whom, landmarks and a model of what is where
+prove the cost. All else goes to a model that tells inputs apart where it has to.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def plan(
 ) -> Plan:
     """The optimal update, see `planning.Planner`; `stop` ends it early with the best plan so far, as Ctrl-C does.
 
-    `last` are the transformations of the last plan, of which a good first one may be made.
+    `last` are the transformations of the last plan: a first plan is made of them if possible.
     """
     clock = Clock(time_limit_s, stop, tuning)
     standing = Standing(problem, clock, report)
@@ -50,7 +50,7 @@ def plan(
 
 
 def _bring_forward(standing: Standing, last: Collection[str]) -> None:
-    """From what runs to what is proven."""
+    """Go through the stages, from what runs to a proof."""
     problem, clock = standing.problem, standing.clock
     if not clock.tuning.is_solver_only:
         offer_what_runs(standing)
@@ -82,7 +82,7 @@ def _bring_forward(standing: Standing, last: Collection[str]) -> None:
 
 
 def _search(candidates: Candidates, standing: Standing, first: FirstPlans) -> None:
-    """The fast way where it is exact; what it leaves open, and all else, in the model of who feeds whom."""
+    """Search a flat fleet by labels on hosts. What is open then, and all else, goes to the model of who feeds whom."""
     clock = standing.clock
     clock.check()
     if is_flat(candidates):
@@ -103,7 +103,7 @@ def _search(candidates: Candidates, standing: Standing, first: FirstPlans) -> No
 
 
 def _solve(candidates: Candidates, standing: Standing, landmarks: Iterable[tuple[list[str], int]] = ()) -> None:
-    """The solver to the end, in the model of who feeds whom."""
+    """Run the solver to the end, in the model of who feeds whom."""
     from cfgplan.planners.exact.search import Search
 
     search = Search(candidates, standing, landmarks=landmarks)
@@ -112,7 +112,7 @@ def _solve(candidates: Candidates, standing: Standing, landmarks: Iterable[tuple
 
 
 def _solve_flat(candidates: Candidates, standing: Standing, first: FirstPlans) -> FlatSearch | None:
-    """The search that proved the cost, or the last one; None if no plan is possible."""
+    """Search a flat fleet until its cost is proven. Returns the last search; None if no plan is possible."""
     from cfgplan.planners.exact.flat_search import FlatSearch  # the solver takes long to import
     from cfgplan.planners.exact.kernels import look_among_few, well_below_best_us
 

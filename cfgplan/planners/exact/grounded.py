@@ -1,7 +1,7 @@
 """Which chosen candidates can run on each other's streams, and which streams may feed each of their inputs.
 
-Streams come one after the other, the best first, and a unit runs as soon as its inputs can be fed by those that
-came before: so there is no cycle, and values are as good as the choice allows where no rule makes them better.
+Streams are added one by one, the best first, and a unit runs as soon as earlier streams can feed its inputs. So there
+is no cycle. Where no rule makes a value better than its inputs, values are as good as the choice allows.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ class Grounded:
     """The candidates that run, in an `order` in which they can be started, and the `streams` that meet each tag."""
 
     def __init__(self, candidates: Candidates, chosen: Collection[int], attribute: QualityAttribute | None) -> None:
-        """With an `attribute` inputs are fed by streams whose value of it is best."""
+        """With an `attribute`, inputs are fed by the streams whose value of it is best."""
         self.candidates = candidates
         self._attribute = attribute
         self._meets = self._tags_of_streams(chosen)
@@ -46,7 +46,7 @@ class Grounded:
         )
 
     def choices(self, unit: int, port: InputPort) -> list[Stream]:
-        """The streams that may feed an input of a unit that runs, the first to come first."""
+        """The streams that may feed an input of a unit that runs, in the order in which they were added."""
         if (unit, port.name) in self._assigned:
             return [self._assigned[unit, port.name]]
         before = len(self._place) if port.feedback else self._before[unit]
@@ -104,7 +104,7 @@ class Grounded:
                 self._run(unit)
 
     def _assign(self, unit: int) -> bool:
-        """Feed the distinct groups of a unit by the streams so far, if that is possible."""
+        """Feed the distinct groups of a unit by the streams so far. False if that is not possible."""
         all_of, index_of = self.candidates.all, self.candidates.index_of
         for group in distinct_groups(all_of[unit].transformation):
             first: dict[str, dict[str, Stream]] = {}

@@ -1,6 +1,6 @@
 """Good plans for a fleet before anything is proven: the problem among few units, then among more (kernel search).
 
-First come the units that a cheap plan may have, as far as landmarks say.
+Units of least reduced cost come first.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from cfgplan.planners.exact.standing import Standing
 
 
 def look_among_few(flat: Flat, standing: Standing) -> Bound:
-    """Offer plans made of the best plan's transformations and of more and more others.
+    """Search among the incumbent's transformations and more and more others; offer what is found.
 
-    Returns the bound that says which are more likely.
+    Returns the bound by which the others are ordered.
     """
     candidates = flat.candidates
     _look_among(_best(standing), candidates, standing, None)
@@ -52,9 +52,9 @@ def _look_among(labels: Collection[str], candidates: Candidates, standing: Stand
 
 @dataclass(frozen=True)
 class Left:
-    """The transformations that a plan no dearer than the best may have, and landmarks that every such plan hits.
+    """The transformations that a plan no dearer than the incumbent may have, and landmarks that every such plan hits.
 
-    `order` has those first that a cheaper plan is more likely to have.
+    `order` sorts the transformations by reduced cost, the least first.
     """
 
     labels: frozenset[str]
@@ -63,7 +63,7 @@ class Left:
 
 
 def left_by_bounds(candidates: Candidates, standing: Standing) -> Left:
-    """What landmarks leave; the proven bound is raised.
+    """Leave out transformations by reduced costs, and raise the proven bound.
 
     Hosts, transfers, failures, conflicts and numbers only add to the cost, and quality adds at least its least price.
     """
@@ -93,7 +93,7 @@ def left_by_bounds(candidates: Candidates, standing: Standing) -> Left:
 
 
 def look_among_few_of(candidates: Candidates, standing: Standing, first: FirstPlans) -> None:
-    """Offer plans made of the best plan's transformations and of more and more others; raise the bound."""
+    """Search among the incumbent's transformations and more and more others; offer plans and raise the bound."""
     from cfgplan.planners.exact.search import Search
 
     tuning, order = standing.clock.tuning, left_by_bounds(candidates, standing).order
@@ -111,12 +111,15 @@ def look_among_few_of(candidates: Candidates, standing: Standing, first: FirstPl
 
 
 def _best(standing: Standing) -> set[str]:
-    """The best plan's transformations."""
+    """The incumbent's transformations; none if there is no incumbent."""
     return set() if standing.best is None else {unit.transformation for unit in standing.best.units}
 
 
 def well_below_best_us(standing: Standing) -> int | None:
-    """A cost whose plans, if there are none, are soon known not to be there; None without a plan."""
+    """A limit so far below the incumbent's cost that it is refuted soon if no plan is within it.
+
+    None without an incumbent.
+    """
     if standing.best is None:
         return None
     best_us, parts = standing.best.key.cost_us, standing.clock.tuning.fleet.gap
@@ -124,7 +127,7 @@ def well_below_best_us(standing: Standing) -> int | None:
 
 
 def _by_least_cost(flat: Flat, bound: Bound) -> list[int]:
-    """The units, those first that a cheaper plan may have."""
+    """The units by their reduced cost, the least first."""
     _, before = cheapest_way(bound.core, bound.residual)
     least: dict[int, int] = {}
     for label, us in zip(bound.core.labels.tolist(), (before[:-1] + bound.residual).tolist(), strict=True):

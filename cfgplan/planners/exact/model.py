@@ -36,7 +36,7 @@ class Model:
         self.cp = CpModel()
         self.support = Support()
         self.anywhere = Support()
-        """The same with hosts forgotten: what is not grounded there is cut by fewer and stronger clauses."""
+        """The support with hosts forgotten: what is not grounded there is cut by fewer and stronger clauses."""
         self.literals: list[IntVar] = []
         self.runs: dict[int, IntVar] = {}
         self.waits: dict[int, IntVar] = {}
@@ -77,25 +77,25 @@ class Model:
         self.cp.add_bool_or([literal.negated(), *choices])
 
     def rests_on_any(self, literal: IntVar, choices: Sequence[IntVar]) -> None:
-        """The literal needs one of the choices, and one that comes before it."""
+        """The literal implies one of the choices, and one that is derived before it."""
         self.needs_any(literal, choices)
         self.support.rests_on_any(literal.index, [choice.index for choice in choices])
 
     def rests_on_all(self, literal: IntVar, parts: Iterable[IntVar]) -> None:
-        """The literal needs all parts, and all before it."""
+        """The literal implies all parts, each derived before it."""
         parts = list(parts)
         for part in parts:
             self.cp.add_implication(literal, part)
         self.support.rests_on_all(literal.index, [part.index for part in parts])
 
     def choices(self, tag: str) -> tuple[Stream, ...]:
-        """The streams that match a demanded tag; where it does not matter which, one without a port for each unit."""
+        """The streams that match a demanded tag. Where ports don't matter, each unit has one stream, without a port."""
         if self.tells_ports:
             return self.candidates.streams(tag)
         return tuple([self._any_stream[feeder] for feeder in self.candidates.feeders(tag)])
 
     def demand(self, tag: str) -> int:
-        """The number of a demand: tags that the same streams match are one."""
+        """The number of a demand; tags that the same streams match are one demand."""
         if tag not in self._demand_of_tag:
             streams = self.choices(tag)
             demand = self._demand_of_tag[tag] = self._demand_of_streams.setdefault(streams, len(self._streams))
@@ -108,7 +108,7 @@ class Model:
         return self._streams[demand]
 
     def _units_by_demand(self) -> dict[int, set[int]]:
-        """The candidates that need each demand before they run, told apart or not."""
+        """The candidates that have each demand at an ordinary input, told apart or not."""
         needing: dict[int, set[int]] = defaultdict(set)
         for i, candidate in enumerate(self.candidates.all):
             self.candidates.watch()
@@ -131,14 +131,14 @@ class Model:
         )
 
     def hub(self, tag: str, host: Host) -> IntVar:
-        """The boolean that what the tag demands is there on a host; on no host in particular, if it is made at all."""
+        """The boolean that a demanded tag is met on a host; with host None, that it is met at all."""
         key = self.hub_key(tag, host)
         if key not in self.hubs:
             self.hubs[key] = self.boolean()
         return self.hubs[key]
 
     def hub_key(self, tag: str, host: Host) -> tuple[int, Host]:
-        """What a hub is known by: where nothing that meets the demand costs to be carried, hosts do not matter."""
+        """The key of a hub: its demand, and its host only if a stream that meets the demand costs to be carried."""
         demand = self.demand(tag)
         is_carried = host is not None and any(map(self.price_us, self._streams[demand]))
         return demand, host if is_carried else None
@@ -148,7 +148,7 @@ class Model:
         return self._price_us.get(stream, 0)
 
     def ways(self, stream: Stream, host: Host) -> list[IntVar]:
-        """Booleans one of which holds if the stream is there on a host."""
+        """Booleans one of which holds if the stream is there on a host; one for carrying it is added if needed."""
         unit = self.unit_of(stream)
         is_made_elsewhere = self.runs_on[unit].keys() != {host}
         if host is not None and self.price_us(stream) and is_made_elsewhere and (stream, host) not in self.carried:
@@ -158,7 +158,7 @@ class Model:
         return self.known_ways(stream, host)
 
     def known_ways(self, stream: Stream, host: Host) -> list[IntVar]:
-        """Those of the booleans that the model has: a stream may be there by no other way."""
+        """Those of `ways` that the model has: the stream is there by no other way."""
         unit = self.unit_of(stream)
         if host is None or not self.price_us(stream):
             return [self.runs[unit]]
@@ -184,7 +184,7 @@ class Model:
         return dict.fromkeys(places, self.is_wired[unit]) if len(places) == 1 else places
 
     def enough_of_each_run(self, landmarks: Iterable[tuple[Iterable[str], int]]) -> None:
-        """Every plan has so many transformations of each landmark, or more; each counts as often as it is named."""
+        """Demand so many units, or more, of each landmark's labels; a label counts as often as it is named."""
         for labels, least in landmarks:
             units = [i for label in labels for i in self.candidates.units_of(label)]
             at_least(self.cp, least, [self.runs[i] for i in units if i in self.runs])
@@ -203,7 +203,7 @@ class Model:
         return (len(started) + 1) * LinearExpr.sum(rewired) + LinearExpr.sum(started)
 
     def started(self) -> list[IntVar]:
-        """The booleans of new units."""
+        """The booleans that new units are there."""
         return [there for i, there in self.is_there.items() if self.candidates.all[i].running is None]
 
 

@@ -1,4 +1,4 @@
-"""Hosts for chosen units, one after the other, so that they have room and little is carried."""
+"""Places chosen units on hosts one after the other, where they have room and little has to be carried."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Places:
         self._price_us: dict[Stream, int] = {}
 
     def put_all(self, grounded: Grounded, but_on: Host = None) -> bool:
-        """Place and feed all that runs and is not placed, but not on one host; False if there is no room."""
+        """Place the units that run and have no host yet, none on `but_on`, and feed all. False if there is no room."""
         new = [unit for unit in grounded.order if unit not in self.host_of]
         hosts_of = {unit: [h for h in self.candidates.all[unit].hosts if h is None or h != but_on] for unit in new}
         if not all(self.put(unit, hosts) for unit, hosts in hosts_of.items() if len(hosts) <= 1):
@@ -38,7 +38,7 @@ class Places:
         return True
 
     def put(self, unit: int, hosts: Iterable[Host]) -> bool:
-        """Place a unit on the first of some hosts that has room for it."""
+        """Place a unit on the first of some hosts that has room for it; False if none has."""
         for host in hosts:
             if self._has_room(unit, host):
                 for resource, amount in self.candidates.all[unit].transformation.takes.items():
@@ -58,14 +58,14 @@ class Places:
         )
 
     def _carry_us(self, grounded: Grounded, unit: int, host: Host) -> int:
-        """What it costs to carry a unit's inputs to a host, where their feeders are placed."""
+        """The cost to carry a unit's inputs to a host from those of their feeders that are placed."""
         return sum(
             min(self._price_to(stream, host) for stream in grounded.choices(unit, port))
             for port in self.candidates.all[unit].transformation.inputs
         )
 
     def _price_to(self, stream: Stream, host: Host) -> int:
-        """What it costs to have a stream on a host; nothing where its unit is not placed yet."""
+        """The cost to have a stream on a host; 0 while its unit is not placed."""
         at = self.host_of.get(self.candidates.index_of[stream.unit])
         return 0 if host is None or at is None or at == host else self._price(stream)
 
@@ -77,7 +77,7 @@ class Places:
         return self._price_us[stream]
 
     def _feed(self, grounded: Grounded) -> None:
-        """Each input takes a stream that is on its host already if it can, or one that is cheap to carry there."""
+        """Feed each input by a stream that is on its host already if possible, or is cheap to carry there."""
         carried: set[tuple[Stream, Host]] = set()
 
         def taken(choices: Collection[Stream], host: Host, now: Stream | None) -> Stream:

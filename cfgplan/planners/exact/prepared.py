@@ -14,10 +14,10 @@ from cfgplan.planners.exact.wiring import forced_changes, wire
 class Prepared:
     """What preprocessing leaves: labels that may be used, a first plan, its cost, a bound, landmarks.
 
-    Of a landmark's labels, of which those count twice that are in it twice, a plan has so many or more.
-    A plan that costs as little as the bound rewires and starts at least `fewest_changes` units, if these are known.
-    With `is_complete` no other labels can be in a better plan. If `holds_for` is given, all that is so for plans that
-    leave no more required transformations unused.
+    A landmark is (labels, number): a plan has so many of the labels or more, a label counts as often as it is named. A
+    plan that costs as little as the bound rewires and starts at least `fewest_changes` units; None if these are not
+    known. With `is_complete` no other labels can be in a better plan. With `holds_for` all this holds only for plans
+    that leave no more required transformations unused.
     """
 
     labels: list[str]
@@ -31,7 +31,7 @@ class Prepared:
     is_complete: bool = True
 
     def tell(self, standing: Standing, candidates: Candidates) -> None:
-        """Bring a standing forward: a better plan, a higher bound. `candidates` are those of the labels."""
+        """Bring a standing forward: raise its bound and offer the plan. `candidates` are those of the labels."""
         standing.counts |= self.counts
         if self.holds_for != standing.holds_for:
             standing.holds_for, standing.bound_us = self.holds_for, 0
@@ -49,8 +49,8 @@ class Prepared:
     def _proves_all(self, standing: Standing, candidates: Candidates, chosen: set[int]) -> bool:
         """Whether the incumbent can't be beaten in changes, or is the only choice of units at its cost.
 
-        No more must be rewired then than has to be. It is the only choice if it has all candidates and each costs
-        something, or has to run: one that costs nothing might be done without.
+        An only choice must not rewire more than it has to. A choice is the only one if it has all candidates and each
+        of them costs something, or has to run: one that costs nothing might be left out.
         """
         best = standing.best
         if best is None:

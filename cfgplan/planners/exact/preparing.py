@@ -22,9 +22,9 @@ from cfgplan.planners.tuning import Close
 
 
 class Preparation:
-    """Labels that may be used, a plan, a bound, landmarks: handed to the search, and brought closer if it takes long.
+    """What the search is given: labels that may be used, a plan, a bound, landmarks. `go_on` brings them closer.
 
-    Where `left` is given it is all that is known, else `begin` has to be called. No plan weighs less than `least`.
+    Without `left`, `begin` has to be called first. No plan weighs less than `least`.
     """
 
     def __init__(
@@ -45,9 +45,9 @@ class Preparation:
         self._closing: Closing | None = None
 
     def begin(self, bound: Bound, clock: Clock) -> None:
-        """Raise the bound by landmarks, charged greedily if closing may follow and there are no crowds.
+        """Raise the bound by landmarks, less long if closing may follow and there are no crowds.
 
-        Charged best, what they leave for nothing often is a cheaper plan where inputs are distinct.
+        With crowds (distinct inputs) the labels that a good bound charges in full often make a cheaper plan.
         """
         weighing, plan = self._weighing, self._plan
         limit = int(weighing.weight.sum()) if plan is None else weighing.of_plan(plan)
@@ -64,7 +64,7 @@ class Preparation:
             self._closing = Closing(self._structure.network, bound, weighing.weight, plan, weighing.step, clock.tuning)
 
     def _at_what_is_left(self, bound: Bound, plan: Ints) -> Ints:
-        """The plan, or a cheaper one made of labels that landmarks charge all they cost, as far as possible."""
+        """The plan, or a cheaper one that is made at residual costs."""
         network, weight = self._structure.network, self._weighing.weight
         price = np.full(len(weight), np.inf)
         price[bound.core.labels] = bound.residual + FREE
@@ -74,7 +74,7 @@ class Preparation:
 
     @property
     def may_go_on(self) -> bool:
-        """Whether there is something left to be found out."""
+        """True while the bound is below the plan's cost and closing may help."""
         return self._closing is not None and not self._closing.is_closed
 
     def go_on(self, clock: Clock) -> None:
@@ -86,7 +86,7 @@ class Preparation:
         self._left = Left.by(bound.restricted(bound.may_be_used(limit)), limit)
 
     def prepared(self, clock: Clock) -> Prepared:
-        """What is handed to the search; after the time limit no labels but the plan's."""
+        """What the search is given; after the time limit no labels but the plan's."""
         assert self._left is not None, "begin was called"
         network, weighing, plan, left = self._structure.network, self._weighing, self._plan, self._left
         value = weighing.least(max(left.value, self._least))
@@ -104,7 +104,7 @@ class Preparation:
         )
 
     def missed(self, labels: Collection[str], clock: Clock) -> list[tuple[list[str], int]]:
-        """Landmarks that some labels do not hit; none if they can be grounded and meet what is wanted."""
+        """Landmarks that these labels do not hit; none if the labels are grounded and meet what is wanted."""
         network = self._structure.network
         uses = np.zeros(len(network.labels))
         uses[[network.number[label] for label in labels]] = 1.0

@@ -43,9 +43,9 @@ def targets_get_the_quality_they_ask_for(
     value_at: Callable[[QualityAttribute, int, InputPort, Values], IntVar],
     cuts: Iterable[ChainCut] = (),
 ) -> None:
-    """Bounds are met; prices are added to the cost.
+    """Demand the targets' bounds on quality, and add their prices to the cost.
 
-    `published` says what a target may take, `value_at` gives a variable for the value at a candidate's input.
+    `published` gives what a target may take, `value_at` a variable for the value at a candidate's input.
     """
     for attribute in model.environment.qualities:
         asked = [
@@ -65,7 +65,7 @@ def targets_get_the_quality_they_ask_for(
 def chains_are_as_bad_as_who_runs_lets_them(
     model: Model, cuts: Iterable[ChainCut], missed_by: dict[str, IntVar], step: int
 ) -> None:
-    """Implied, but what the linear relaxation needs; `missed_by` of each target is in steps."""
+    """Add the cuts on chains: implied, but the linear relaxation needs them. `missed_by` of each target is in steps."""
     for cut in cuts:
         terms = [missed_by[cut.target]]
         terms += [
@@ -101,7 +101,7 @@ class Scaled:
 
 
 def value_of_choice(model: Model, attribute: QualityAttribute, choices: Choices, values: Values) -> IntVar:
-    """A variable no better than the value of the stream taken."""
+    """A variable no better than the value of the stream that is taken."""
     choices = [(stream, taken) for stream, taken in choices if stream in values]
     is_low = attribute.better is Better.LOWER
     ends = [end for stream, _ in choices for end in values[stream].proto.domain]
@@ -118,7 +118,7 @@ def value_of_choice(model: Model, attribute: QualityAttribute, choices: Choices,
 
 
 def _grant(model: Model, scaled: Scaled, wish: Wish, choices: Choices, values: Values) -> IntVar:
-    """What a target asks of what it may take is granted; returns by how much its stream misses the best."""
+    """Demand what a target asks. Returns the variable for what its stream misses the best by, in steps."""
     attribute = scaled.attribute
     missed_by = model.cp.new_int_var(0, abs(attribute.worst - attribute.best), "")
     for stream, published in choices:
@@ -135,7 +135,7 @@ def _grant(model: Model, scaled: Scaled, wish: Wish, choices: Choices, values: V
 
 
 def grant(model: Model, scaled: Scaled, wish: Wish, missed_by: IntVar) -> None:
-    """A bound on what a target's stream misses the best by is kept, its price is added to the cost."""
+    """Demand a wish's bound on `missed_by`, and add its price to the cost."""
     attribute = scaled.attribute
     if wish.bound is not None:
         bound = scaled.at_most(wish.bound)
@@ -203,10 +203,10 @@ def _combined(model: Model, attribute: QualityAttribute, over: Over, inputs: Seq
 
 @dataclass(frozen=True)
 class _NoBetter:
-    """Keeps a candidate's value from being better than something; `end` is the worst value it can have.
+    """Keeps a candidate's value from being better than another; `end` is the worst value that it can have.
 
-    Values worse than the scale count as its worst. Where the end is before that, the candidate does not run
-    unless its value is good enough.
+    Values worse than the scale count as its worst. If `end` is better than that, the candidate does not run unless its
+    value is good enough.
     """
 
     model: Model
@@ -216,7 +216,7 @@ class _NoBetter:
     unit: int
 
     def than(self, other: LinearExprT, by: int = 1) -> None:
-        """The value times `by` is not better."""
+        """Demand that the value times `by` is no better than `other`."""
         cp, is_low = self.model.cp, self.attribute.better is Better.LOWER
         no_better = by * self.value >= other if is_low else by * self.value <= other
         if self.end != self.attribute.worst:

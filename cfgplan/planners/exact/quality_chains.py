@@ -1,15 +1,15 @@
-"""How bad a target's stream must be, whatever is wired, unless units run that are better than was reckoned with.
+"""How bad a target's stream must be, whatever is wired, unless units run that are better than estimated.
 
-The value of a stream is made along a chain of units, and every unit adds its part to what its worst input has.
-Choose a *potential* for each demand: how bad one reckons that what meets it will be. A unit is *ahead* by as
-much as its stream is better than the potential of a demand that it meets while its own inputs are as bad as
-theirs. On the chain that decides a target's value being ahead adds up, and nothing else helps, so that
+The value of a stream is made along a chain of units, and every unit adds its part to what its worst input has. Choose a
+*potential* for each demand: an estimate of how bad the stream is that meets it. A unit is *ahead* by as much as its
+stream is better than the potential of a demand that it meets, while its own inputs are as bad as theirs. On the chain
+that decides a target's value, being ahead adds up and nothing else helps, so that
 
     badness of the target + sum over units (ahead * runs) >= potential of the target's demand
 
-whatever the potentials are: they are a dual solution of the longest chain of a wiring, and these are the cuts of
-Benders. Badness is the distance from the best of the scale in micro-units, all rounded to the safe side. A value
-that is kept at the worst of the scale is no better than any potential, since these are kept there too.
+whatever the potentials are. They are a dual solution of the longest chain of a wiring, and these are the cuts of
+Benders. Badness is the distance from the best of the scale in micro-units, all rounded to the safe side. A value that
+is kept at the worst of the scale is no better than any potential, since these are kept there too.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from cfgplan.planners.tuning import USUAL, Quality
 from cfgplan.qualities import MICRO, Better, Contribution, Over, QualityAttribute, Rule
 
 MOST_GAIN = 64 * MICRO
-"""By how much units in a row may amplify; beyond that all hangs on them."""
+"""The largest factor by which units in a row amplify, in millionths; beyond it being ahead counts in full."""
 
 
 @dataclass(frozen=True)
 class ChainCut:
-    """A target's badness plus what each of the candidates `units` is `ahead`, if it runs, is at least `least`."""
+    """A cut: a target's badness, plus `ahead` of each of the candidates `units` that runs, is at least `least`."""
 
     target: str
     attribute: str
@@ -133,14 +133,14 @@ class Chains:
 
     @cached_property
     def part(self) -> float:
-        """What a unit adds to the badness of its worst input in the middle."""
+        """The median of what units add to the badness of their worst input."""
         theirs = np.where(self.inputs >= 0, np.append(self.best, 0)[self.inputs], 0).max(axis=1)
         return max(1.0, float(np.median((self.least - theirs)[self.count > 0]))) if self.count.any() else 1.0
 
     def deciding(self, stream: int, potential: Ints, spread: float) -> list[tuple[int, float]]:
         """The demands of a stream's inputs that decide its value, each with its part in that.
 
-        Inputs about as bad as the worst, by what units add times `spread`, share in that.
+        With a `spread`, inputs nearly as bad as the worst have a part too; `part` times `spread` is near.
         """
         inputs = self.inputs[stream, : self.count[stream]]
         if not len(inputs):
@@ -162,7 +162,7 @@ class Chains:
         ]
 
     def root(self, tag: str) -> Root:
-        """What a target that demands a tag hangs on."""
+        """The root of a target that demands a tag: how much being ahead counts at each demand."""
         end = self.demand[tag]
         weight = np.zeros(len(self.demand), np.int64)
         weight[end] = MICRO
@@ -202,7 +202,7 @@ class Root:
         return np.minimum(ahead, all_of_it)
 
     def lifted(self, potential: Ints) -> Ints:
-        """Potentials at least as high for which no candidate is further ahead."""
+        """Potentials at least as high at which no candidate is further ahead."""
         chains = self.chains
         for _ in range(self.chains.tuning.lifts if self._is_even else 0):
             met = chains.met(potential)

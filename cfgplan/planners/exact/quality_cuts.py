@@ -1,7 +1,7 @@
 """Which cuts on chains of streams help: those that the linear relaxation of a flat fleet violates.
 
-The relaxation has landmarks, what units need and the cuts so far. Its solution runs each unit to some share, and a
-chain that goes by the best streams first, as far as their shares reach, says what potentials to choose.
+The relaxation has landmarks, what units need and the cuts so far. Its solution runs each unit to some share. Potentials
+are chosen by a chain that takes the best streams first, as far as their shares reach.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from cfgplan.qualities import MICRO, Wish
 Spreads = Sequence[float]
 
 QUICK, CLOSE = (0.0,), (0.0, 1.0)
-"""Ways in which inputs share in deciding, one after the other."""
+"""The spreads to try one after the other, see `Chains.deciding`."""
 
 
 def chain_cuts(flat: Flat, landmarks: list[list[int]], clock: Clock, spreads: Spreads) -> tuple[list[ChainCut], Floats]:
-    """Cuts for all that targets ask, and the share to which the relaxation runs each candidate; none if it is large."""
+    """Cuts for all that targets ask, and each candidate's share in the relaxation; no cuts if that is too large."""
     tuning = clock.tuning.quality
     if sum(len(flat.givers[fact]) for needs in flat.needs for fact in needs) > tuning.largest:
         return [], np.zeros(len(flat.candidates.all))
@@ -104,7 +104,7 @@ class Relaxation:
                 self._any_of([giver for giver in flat.givers[fact] if fact not in flat.needs[giver]], label)
 
     def _any_of(self, labels: list[int], unless_without: int | None = None) -> None:
-        """One of some labels is used, if another one is used."""
+        """Demand that one of `labels` is used; if `unless_without` is a label, only where that is used."""
         row = self.lp.Constraint(1.0 if unless_without is None else 0.0, self.lp.infinity())
         for label in labels:
             row.SetCoefficient(self._uses[label], 1.0)
@@ -142,10 +142,7 @@ class Relaxation:
 
 
 def _best_potential(root: Root, share: Floats, known: float, spreads: Spreads) -> tuple[Ints, float]:
-    """Potentials with which a target's badness is bounded by much at these shares of units, and by how much.
-
-    The search ends when the bound is well above what is `known`.
-    """
+    """Potentials that give a high bound on a target's badness at these shares of units, and that bound."""
     best, most = root.chains.best, -np.inf
     for spread in spreads:
         amount = np.where(root.is_before, 1.0, 0.0)
@@ -161,7 +158,7 @@ def _best_potential(root: Root, share: Floats, known: float, spreads: Spreads) -
 
 
 def _reached(root: Root, share: Floats, amount: Floats) -> Ints:
-    """Potentials as bad as the last of the best streams that together have the amount wanted of each demand."""
+    """For each demand the badness of the last stream that its amount takes, the best streams first."""
     chains = root.chains
     potential = chains.best
     for _ in range(chains.tuning.passes):
@@ -180,7 +177,7 @@ def _reached(root: Root, share: Floats, amount: Floats) -> Ints:
 
 
 def _flow(root: Root, share: Floats, potential: Ints, spread: float) -> Floats:
-    """How much of each demand a chain of one unit to the root passes that takes the best streams first."""
+    """The amount of each demand that one unit of flow to the root passes, the best streams first."""
     chains = root.chains
     amount = np.zeros(len(chains.demand))
     amount[root.demand] = 1.0

@@ -1,8 +1,8 @@
-"""How bad demands are met in the model of a flat fleet without hosts, without a value for each stream in between.
+"""The badness of demands in the model of a flat fleet without hosts; streams have no values of their own.
 
-Where each rule takes the worst input, a demand is no better than the rule of the stream that meets it makes of any
-of that one's inputs: a row for each, held where the stream is taken. Badness is the distance from the best of the
-scale, in steps.
+Where each rule takes the worst input, a stream is no better than its rule makes of any single input. So each input of a
+stream that may meet a demand has a row, which holds if the stream is taken. Badness is the distance from the best of
+the scale, in steps.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def takes_the_worst(candidates: Candidates, attribute: QualityAttribute) -> bool
 
 
 class DemandModel:
-    """A variable for the badness of each demand in the model, to which `feeds` belong already."""
+    """A variable for the badness of each demand in a model whose `feeds` are filled."""
 
     def __init__(self, model: FlatModel, attribute: QualityAttribute) -> None:
         self.model, self.scaled = model, Scaled(model.candidates, attribute)
@@ -57,7 +57,7 @@ class DemandModel:
             self._is_no_better_than_what_meets_it(fact)
 
     def grant_all(self, cuts: Iterable[ChainCut]) -> None:
-        """What targets ask is granted; `cuts` are of this attribute."""
+        """Demand what targets ask; `cuts` are of this attribute."""
         missed_by = {}
         for target in self.model.environment.targets:
             for wish in target.quality:
@@ -89,7 +89,7 @@ class DemandModel:
                 cp.add(by * bad >= gain * self.bad[before] + more).only_enforce_if(held)
 
     def _rule(self, stream: Stream) -> Iterable[tuple[Met, int, int, int]]:
-        """For each input that counts its demand, and what its badness becomes: times a gain, by a divisor, and more."""
+        """For each input that counts its demand, and what its badness is changed by: a gain, a divisor, an addend."""
         candidate = self.model.candidates.all[self.model.candidates.index_of[stream.unit]]
         port = candidate.transformation.output[stream.port]
         stated = {c.attribute: c for c in port.quality}.get(self.scaled.attribute.name)

@@ -1,8 +1,8 @@
 """A good plan without search where targets ask for quality: cheapest support over demands met no worse than a step.
 
 The badness of demands is cut into steps. A stream meets a demand at a step if its unit's inputs are met at the step
-that its rule asks for; then h_add adds up costs, and a target takes the step at which cost and price are least.
-What that leaves out or rounds is made good by reckoning each plan exactly: its units are wired to the best streams.
+that its rule asks for; then h_add adds up costs, and a target takes the step at which cost and price are least. What
+that rounds or leaves out is corrected: each plan is evaluated exactly, its units wired to the best streams.
 """
 
 from __future__ import annotations
@@ -50,9 +50,10 @@ class QualityPlanner:
         self.steps = Steps(chains, self.inputs, self.targets, clock.tuning.quality)
 
     def best(self, plans: Iterable[Collection[int] | None], share: Floats) -> set[int] | None:
-        """The best of some plans and of those found from costs alone and from what a relaxation has of each candidate.
+        """The best of some plans and of two more, one at costs and one at costs less each candidate's `share`.
 
-        After attempts to do without its dearest members; None if there is no plan.
+        `share` is what a relaxation runs of each candidate. The plans are improved by doing without their dearest
+        members. None if there is no plan.
         """
         left = self.cost * (1 - np.minimum(share, 1)) + 1
         ways = [*plans, self.steps.support(self.cost + 1, self.pinned), self.steps.support(left, self.pinned)]
@@ -67,7 +68,7 @@ class QualityPlanner:
         return self.improved(*min([*found, (best, total_us)], key=lambda one: one[1]), left)[0]
 
     def improved(self, best: set[int], total_us: int, price: Floats) -> tuple[set[int], int]:
-        """A plan, or a better one after attempts to do without its dearest members, and its cost in total."""
+        """The plan, or a better one after attempts to do without its dearest members, and its total cost."""
         tried: set[int] = set()
         while len(tried) < self.clock.tuning.quality.attempts and not self.clock.is_over():
             ahead = sorted(best - tried - self.pinned, key=lambda unit: (-self.cost[unit], unit))
@@ -87,7 +88,7 @@ class QualityPlanner:
         return best, total_us
 
     def lean(self, plan: Collection[int]) -> tuple[set[int], int]:
-        """What is left of a plan without what it is better without, the dearest first, and what it costs in total."""
+        """The plan without members that only make it worse, the dearest tried first, and its total cost."""
         left, total_us = set(plan), self.total_us(plan)
         assert total_us is not None
         for unit in sorted(left - self.pinned, key=lambda unit: (-self.cost[unit], unit)):
@@ -100,7 +101,7 @@ class QualityPlanner:
         return left, total_us
 
     def total_us(self, plan: Collection[int]) -> int | None:
-        """Costs and prices; None if it is no plan, or too bad."""
+        """A plan's costs and prices; None if it is not fed or misses a bound."""
         stream_of, value_of = self._wired(plan)
         total_us = sum(self.candidates.all[unit].cost_us for unit in plan)
         for target, demand in self.targets:
@@ -115,7 +116,7 @@ class QualityPlanner:
         return total_us
 
     def _wired(self, plan: Collection[int]) -> tuple[dict[int, int], dict[int, int]]:
-        """The stream that meets each demand first, in the order of their values, and its value."""
+        """The stream that meets each demand, and its value; the best streams come first."""
         missing = {unit: len(set(self.inputs[unit])) for unit in plan}
         waiting: dict[int, list[int]] = {}
         ahead: list[tuple[int, int]] = []

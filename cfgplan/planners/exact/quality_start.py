@@ -1,4 +1,4 @@
-"""What is known before the search of a flat fleet whose targets ask for quality: a good plan, and so narrow ranges."""
+"""What a flat fleet whose targets ask for quality is given before its search: a good plan, cuts, narrower bounds."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cfgplan.planners.networks.greedy import first_plan
 
 
 class QualityStart:
-    """Cuts on chains of streams, a good plan that is offered, and bounds on what targets weigh by what it costs."""
+    """Offers a good plan, finds cuts on chains of streams, and bounds what targets weigh by the plan's cost."""
 
     def __init__(self, candidates: Candidates, standing: Standing, first: FirstPlans) -> None:
         self.candidates, self.standing, self._first = candidates, standing, first
@@ -29,7 +29,7 @@ class QualityStart:
             self._look(QUICK)
 
     def look_closer(self) -> None:
-        """Take more time, once."""
+        """Look again and take more time, once."""
         if self._ahead:
             self._look(self._ahead.pop())
 

@@ -1,4 +1,4 @@
-"""Which units support the targets most cheaply, price included, where a demand may be met at some steps of badness."""
+"""The cheapest support of the targets, prices included, where a demand may be met at some steps of badness."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Steps:
         return self.chains.made(np.full(len(self.chains.demand), step, np.int64))
 
     def support(self, price: Floats, pinned: Collection[int]) -> set[int] | None:
-        """The candidates that support targets and pinned ones; infinite prices are not to be had."""
+        """The cheapest candidates at these prices that support targets and pinned ones; None if there are none."""
         meets = self._cheapest(price)
         ahead = [(demand, len(self.step) - 1) for unit in sorted(pinned) for demand in self.inputs[unit]]
         cheapest = np.minimum.reduceat(meets, self.chains.starts, axis=0)

@@ -1,7 +1,7 @@
-"""What some transformations can start among themselves, from sources on, kept while more are added.
+"""Which transformations can start among themselves, from sources on; kept up to date while more are added.
 
-Feedback inputs count as fed, and so does a distinct group with enough feeders: where there are such, more is
-reached than there really is.
+Feedback inputs count as fed, and so does a distinct group with enough feeders: where there are such, some labels that
+are reached can't really run.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Reach:
         return self._missing.get(label) == 0
 
     def add(self, label: int) -> None:
-        """One more label is there."""
+        """Add a label, and what it starts."""
         self._added, self._fired = None, []
         if label in self._missing:
             return
@@ -61,7 +61,7 @@ class Reach:
                             self._fired.append(consumer)
 
     def take_back(self) -> None:
-        """The label added last is not there after all."""
+        """Undo the last `add`."""
         if self._added is None:
             return
         core = self._network.core

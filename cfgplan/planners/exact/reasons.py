@@ -12,7 +12,7 @@ from cfgplan.reasons import Givers, startable
 
 
 def joint_reasons(problem: Problem) -> dict[str, str]:
-    """A reason for each target that can't be met for itself; else one for all targets together."""
+    """A reason for each target that can't be met by itself; else one for all targets together."""
     bounded = {w.attribute for target in problem.environment.targets for w in target.quality if w.bound is not None}
     best = {name: _best_values(problem, name) for name in sorted(bounded)}
     unreachable = {
@@ -44,7 +44,7 @@ def _missed_bound(problem: Problem, target: Target, best: Mapping[str, Mapping[s
 
 
 def _missing_room(problem: Problem, target: Target) -> str | None:
-    """The transformations too large for every host that they may run on, if there is no stream without them."""
+    """Name a transformation too large for every host that it may run on; None if the target does without such."""
     library = problem.environment.library
     too_large = {t.label: lack for t in library for lack in [_lack(problem.environment, t)] if lack}
     if not too_large or _has_stream(problem, target, too_large):
@@ -54,7 +54,7 @@ def _missing_room(problem: Problem, target: Target) -> str | None:
 
 
 def _missing_together(problem: Problem) -> str | None:
-    """A resource of which all hosts together have less than those need without which there is no plan."""
+    """Name a resource of which all hosts together have less than the indispensable transformations need; or None."""
     environment = problem.environment
     for resource in sorted(
         {resource for t in environment.library for resource in t.needs} if environment.hosts else ()
@@ -81,14 +81,14 @@ def _lack(environment: Environment, t: Transformation) -> str | None:
 
 
 def _has_stream(problem: Problem, target: Target, without: Collection[str]) -> bool:
-    """Whether some units that there could be give a target a stream if some transformations are gone."""
+    """Whether the target can have a stream without some transformations, whatever units there are."""
     library = tuple(t for t in problem.environment.library if t.label not in without)
     givers = Givers(library, problem.similarity)
     return not startable(Environment((), library), givers).isdisjoint(givers.of(target.tag))
 
 
 def _fatal_failure(problem: Problem, target: Target) -> str | None:
-    """A failure after which no units that there could be give a target's stream."""
+    """Name a failure after which no units could give the target a stream; None if there is none."""
     environment = problem.environment
     if problem.survive is None:
         return None
@@ -111,7 +111,7 @@ def _fatal_failure(problem: Problem, target: Target) -> str | None:
 def _best_values(problem: Problem, name: str) -> dict[str, int]:
     """For each offered tag a value that no stream with it can beat: rules are monotone, so best feeds best.
 
-    A transformation of which there can be only one unit does not feed itself, longer rings are not looked for.
+    A transformation of which there can be only one unit does not feed itself; longer rings are not excluded.
     """
     environment = problem.environment
     attribute = environment.quality[name]

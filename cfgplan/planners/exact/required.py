@@ -1,7 +1,7 @@
 """Required transformations: a first plan that uses all of them, and what may be in a cheaper one.
 
-A plan that uses all has them all in it, so that bounds may count them as wanted. Where no plan uses
-all, the search finds out how many can be, without bounds.
+A plan that uses all of them runs all of them, so bounds may count them as wanted. Where no plan uses all, the search
+finds without bounds how many can be used.
 """
 
 from __future__ import annotations
@@ -71,9 +71,9 @@ def _few(
     shunned: set[int],
     clock: Clock,
 ) -> list[str] | None:
-    """Labels of a greedy plan with all required ones and, for each, a cheap way on to a target.
+    """Labels of a greedy plan with all required ones and, for each, a cheap way on to a target; None if there is none.
 
-    Ways go around the `shunned`, to which theirs are added.
+    Ways avoid the `shunned` labels, and their own labels are added to these.
     """
     network = structure.network
     _, cost = costs(problem, network, structure.pinned)
@@ -90,9 +90,9 @@ def _few(
 
 
 def _way_to_a_target(network: Network, cost: Ints, label: int, shunned: set[int]) -> list[int]:
-    """The cheapest row of labels, each of which offers what the next one needs, to one that offers what is wanted.
+    """The cheapest chain from a label to one that offers what is wanted; each offers what the next one needs.
 
-    What feeds the first is not taken, as it could hardly be fed by it.
+    Labels that feed the first are avoided, as they could hardly be fed by it. The chain is empty if there is none.
     """
     core = network.core
     shunned = shunned | support_of(network, cost, label)
@@ -118,7 +118,7 @@ def _way_to_a_target(network: Network, cost: Ints, label: int, shunned: set[int]
 
 
 def _among(few: list[str], problem: Problem, structure: Structure, clock: Clock) -> Incumbent | None:
-    """The best plan among a few labels that uses all required ones."""
+    """The best plan among a few labels that uses all required ones; None if none is found."""
     from cfgplan.planners.exact.search import Search
 
     standing = Standing(problem, clock, None)

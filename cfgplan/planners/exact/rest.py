@@ -1,9 +1,9 @@
 """What a proven plan says about the plans after a small change.
 
-At rest nothing is to be changed: the plan runs, and no other is cheaper. Then costs change: a unit that dies costs
-its labor more, estimates move. A plan that has all labels of the plan at rest that got dearer, and no others that
-got cheaper, is no better than the plan at rest; any other lacks one of the former or has one of the latter, and
-landmarks, charged from where they stood at rest, mostly show that to be dearer.
+At rest nothing is to be changed: the plan runs, and no other is cheaper. Then costs change: a unit that dies costs its
+labor again, estimates move. A plan is no better than the plan at rest if it has all labels of that one that got dearer,
+and no other labels that got cheaper. Any other plan lacks one of the former or has one of the latter: landmarks,
+charged as at rest, mostly show that it is dearer.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from cfgplan.planners.solving.clock import Clock
 
 @dataclass(frozen=True)
 class Left:
-    """What bounds leave of a network: labels, and a bound on cost with its landmarks if there are any."""
+    """The labels that bounds leave of a network, and a bound on cost, with its landmarks if there are any."""
 
     labels: Ints
     value: int
@@ -40,9 +40,9 @@ class Left:
         return 0 if self.bound is None else len(self.bound.landmarks)
 
     def landmarks(self, among: Ints, names: Sequence[str]) -> list[tuple[list[str], int]]:
-        """Short landmarks for plans that have no labels but these, by the names of labels.
+        """Short landmarks, by the names of labels, for plans that have no labels but `among`.
 
-        Of the labels of a landmark, of which those count twice that are in it twice, a plan has so many or more.
+        Each is (labels, number): a plan has so many of the labels or more, a label counts as often as it is named.
         """
         if self.bound is None:
             return []
@@ -55,7 +55,7 @@ class Left:
 class Rest:
     """A plan proven cheapest at some costs, and a bound there for all plans that cost at most `limit`.
 
-    The plan holds labels of the network, in order; `rivals` are labels that any other plan as cheap has one of.
+    The plan's labels are numbers in the network, in order. Any other plan as cheap has one of the labels `rivals`.
     """
 
     plan: Ints
@@ -66,7 +66,7 @@ class Rest:
 
     @classmethod
     def of(cls, plan: Ints, cost: Ints, limit: int, bound: Bound, clock: Clock) -> Rest:
-        """Look at a proven plan and a bound for plans that cost at most `limit`, so that replanning can begin there."""
+        """The rest at a proven plan: its bound is tightened for plans within `limit`, and its rivals are looked for."""
         value = int(cost[plan].sum())
         bound = _charged(bound.restricted(bound.may_be_used(limit)), value, limit, clock)
         bound = bound.restricted(bound.may_be_used(limit))
@@ -78,19 +78,19 @@ class Rest:
         return cls(plan, cost, limit, bound, rivals)
 
     def moved(self, plan: Ints, cost: Ints, limit: int, clock: Clock) -> Rest | None:
-        """The rest at other costs, for plans that cost at most `limit` or more; None if too little is known of them."""
+        """The rest at other costs, for plans within `limit` or more; None if the bound does not reach as far."""
         known = self.limit_at(cost)
         return Rest.of(plan, cost, known, self._bound_at(cost), clock) if limit <= known else None
 
     def limit_at(self, cost: Ints) -> int:
-        """The limit of the bound at other costs: plans that cost no more cost no more than `limit` at rest."""
+        """The bound's limit at other costs: plans within it cost at most `limit` at rest."""
         fallen = cost < self.cost
         less = int((self.cost - cost)[fallen].sum())
         share = float((cost[fallen] / self.cost[fallen]).min(initial=1.0))
         return max(self.limit - less, int(self.limit * share * (1 - 1e-9)) if share else -1)
 
     def left(self, cost: Ints, step: int, plan: Ints, clock: Clock) -> Left | None:
-        """What may be in a plan as good as this one at these costs; None if they differ too much.
+        """What may be in a plan as good as this one at these costs; None if the costs differ too much.
 
         The costs of all plans are multiples of `step`.
         """
@@ -119,7 +119,7 @@ class Rest:
 
 
 def _charged(bound: Bound, enough: int, limit: int, clock: Clock) -> Bound:
-    """The bound tightened, its landmarks then charged in the best way, which may leave more to be tightened."""
+    """The bound tightened, its landmarks then charged in the best way, and tightened again."""
     bound = tightened(bound, enough, limit, clock)
     return bound if bound.value >= enough else tightened(charged(bound, clock), enough, limit, clock)
 

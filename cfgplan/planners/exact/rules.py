@@ -31,7 +31,7 @@ def a_unit_runs_or_waits_in_one_place(model: Model) -> None:
 
 
 def _any_of(model: Model, literals: list[IntVar]) -> IntVar:
-    """The boolean that one of some literals holds, of which no two do."""
+    """The boolean that one of some literals holds; no two of them may."""
     if len(literals) == 1:
         return literals[0]
     found = model.boolean()
@@ -63,7 +63,7 @@ def a_staying_unit_keeps_its_feeders(model: Model) -> None:
 
 
 def a_wired_unit_is_fed(model: Model) -> None:
-    """Through hubs, or told apart; feedback inputs by any unit that runs."""
+    """Inputs rest on hubs, or on feeders told apart; a feedback input is fed by any unit that runs."""
     for i in model.runs:
         model.candidates.watch()
         inputs = model.candidates.all[i].transformation.inputs
@@ -82,7 +82,7 @@ def a_wired_unit_is_fed(model: Model) -> None:
 
 
 def an_input_told_apart_has_one_feeder(model: Model, unit: int, port: InputPort) -> list[IntVar]:
-    """Booleans of the streams that may feed an input; returns what the unit's wiring then rests on."""
+    """Add a boolean for each stream that may feed an input. Returns what the unit's wiring then rests on."""
     streams = [s for s in model.choices(port.tag) if model.unit_of(s) != unit or port.feedback]
     connects = model.connects[unit, port.name] = {stream: model.boolean() for stream in streams}
     model.cp.add_exactly_one(*connects.values(), model.runs[unit].negated())
@@ -168,9 +168,9 @@ def _first_ways(model: Model, stream: Stream, demand: int, host: Host) -> list[I
 
 
 def what_is_met_on_a_host_is_met_at_all(model: Model) -> None:
-    """And so is what a unit needs that runs on any host.
+    """And what a unit needs that runs on any host is met at all.
 
-    Implied, but the model's relaxation spreads units over hosts, and its search lacks it most.
+    This is implied, but the model's relaxation spreads units over hosts, and its search lacks it most.
     """
     on_hosts = list(dict.fromkeys(demand for demand, host in model.hubs if host is not None))
     for demand in on_hosts:
@@ -204,9 +204,9 @@ def pinned_units_run(model: Model) -> None:
 
 
 def required_transformations_serve_a_target(model: Model) -> None:
-    """A unit serves a target that it publishes, or through a unit that it feeds and that serves one.
+    """A unit serves a target if it publishes it, or feeds a unit that serves one.
 
-    The distance to the target grows along the way, or two units could serve through each other's feedback inputs.
+    The distance to the target grows along the way; else two units could serve through each other's feedback inputs.
     """
     candidates = model.candidates
     tracked = sorted(model.tracked)
@@ -238,7 +238,7 @@ def required_transformations_serve_a_target(model: Model) -> None:
 
 
 def hosts_bear_their_units(model: Model) -> None:
-    """In each resource; cold spares count as if they ran, since they must be able to."""
+    """They have room for them in each resource; cold spares count as if they ran, since they must be able to."""
     candidates = model.candidates.all
     for host in model.environment.hosts:
         here = [
@@ -290,9 +290,9 @@ def new_units_come_in_order(model: Model) -> None:
 
 
 def one_of_new_units_alike_is_enough(model: Model) -> None:
-    """Of new units that meet the same demands one runs, and those that need something need it together.
+    """Of new units that meet the same demands at most one runs, and those that have a need share it.
 
-    It shortens the proof where nothing is asked beyond the paper: why that is so, see `closing.alike`. Where
+    It shortens the proof where nothing is asked beyond the paper; `closing.alike` says why it holds. Where
     transformations are required two of them may be wanted.
     """
     if model.problem.notions or model.tracked:

@@ -1,4 +1,4 @@
-"""What runs as a configuration of a fleet, before anything is searched for: no plan is worse than to change nothing."""
+"""Offers what runs as a fleet's first plan: no plan is worse than to change nothing."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def offer_what_runs(standing: Standing) -> None:
 
 
 def _wired(candidates: Candidates) -> list[ComputationUnit]:
-    """The running units whose inputs are fed as they have to be, without the topics that nobody wants; and spares."""
+    """The running units that are fed, without the topics that nobody wants, and the cold spares."""
     topics = {target.topic for target in candidates.environment.targets}
     units = [candidate.running for candidate in candidates.all if candidate.running is not None]
     hot = [

@@ -58,10 +58,10 @@ class Search:
         missed: Callable[[Collection[str], Clock], Landmarks] = lambda *_: (),
         rules: Sequence[Rule] = RULES,
     ) -> None:
-        """With `is_all` false some candidates are left out: nothing is learned but plans. `is_apart` is the model's.
+        """With `is_all` false some candidates are left out: the search gives plans, but no bounds.
 
-        What `landmarks` say holds of every plan that may be optimal. `missed` finds landmarks that the transformations
-        of a solution do not hit.
+        `is_apart` is the model's. `landmarks` hold of every plan that may be optimal. `missed` finds landmarks that the
+        transformations of a solution do not hit.
         """
         self.problem = candidates.problem
         self.standing = standing
@@ -94,7 +94,10 @@ class Search:
             self.model.cp.add(self._cost <= largest_us)
 
     def run(self, slice_s: float = inf) -> None:
-        """Go through the objectives until the clock stops one, or `slice_s` of the engine's own seconds are over."""
+        """Minimise unused required transformations, cost and changes, until the clock or `slice_s` ends it.
+
+        `slice_s` is in the engine's own seconds.
+        """
         self._left_s = slice_s
         try:
             if self._use_required():
@@ -104,7 +107,10 @@ class Search:
                 self.standing.prove_infeasible()
 
     def run_with_all_required(self) -> bool:
-        """The same for plans that use all required transformations that can be used; False if there are none."""
+        """Minimise cost, then changes, of plans that use all required transformations; False if there are none.
+
+        Transformations that can never be used do not count.
+        """
         for used in self.model.uses_required.values():
             self.model.cp.add_bool_or([used])
         try:
@@ -128,7 +134,7 @@ class Search:
         return True
 
     def _minimise_cost_then_changes(self) -> None:
-        """In one sum where that is exact."""
+        """Minimise both in one sum where that is exact, else one after the other."""
         model, standing, scale = self.model, self.standing, self._scale()
         is_proven = standing.is_cost_proven
         if not is_proven and scale:
@@ -153,7 +159,7 @@ class Search:
         return (len(self.model.started()) + 1) * key.rewired + key.started
 
     def _scale(self) -> int:
-        """What a microsecond weighs against changes where both are added up; 0 if the sum would not be exact."""
+        """The weight of a microsecond in a sum of cost and changes; 0 if the sum would not be exact."""
         candidates, best = self.model.candidates, self.standing.best
         started = len(self.model.started())
         scale = (started + 1) * (len(candidates.all) - started + 1)
@@ -162,7 +168,7 @@ class Search:
         return scale if scale * (1 + largest_us) < LARGEST and scale * (1 + exact_us) < EXACT else 0
 
     def minimise(self, objective: LinearExprT, level_of: Callable[[Key], int], scale: int) -> bool:
-        """Rounds of solving and of forbidding; True with a proof that the incumbent is best in this.
+        """Solve and forbid in rounds. True if the incumbent is proven best in this objective.
 
         `level_of` gives the objective of a plan. A microsecond of cost weighs `scale` in it, 0 if it does not count.
         Raises InfeasibleError if there is no plan at all.
@@ -199,7 +205,7 @@ class Search:
         return False
 
     def _refuse(self) -> None:
-        """Raise what it means that the engine refuses the model."""
+        """Raise the error that says why the engine refuses the model."""
         if self.problem.is_plain:
             raise ContradictionError("the engine refuses the model")
         mend = "give the quality attributes a `worst` and a `best` that are closer, or fewer decimals"
@@ -209,17 +215,17 @@ class Search:
         return {literal.index for literal in self.model.literals if holds(literal)}
 
     def consider(self, true: set[int]) -> Key | None:
-        """The key of a solution, kept if it beats the incumbent; None if it is no plan."""
+        """Offer a solution as a plan. Returns its key, or None if the solution is no plan."""
         units = decode(self.model, true)
         if units is None or (self._survival is not None and self._survival.missed(units)):
             return None
         return self.standing.offer(named(self.model.candidates, lean(self.model.candidates, units)))
 
     def _look_at(self, holds: Callable[[IntVar], bool]) -> bool:
-        """Look at a solution on the way: after a plan the solver may go on.
+        """Consider a solution on the way. Returns whether the solver goes on, as it does after a plan.
 
-        What is none is forbidden at once, since to see what is best beside it takes long; but for hosts, where to begin
-        anew takes longer.
+        What is no plan is forbidden at once, since to find the best solution beside it takes long; but with hosts, to
+        begin anew takes longer.
         """
         return self.consider(self.true_of(holds)) is not None or self._has_hosts
 
@@ -245,7 +251,7 @@ class Search:
         model.enough_of_each_run(self._missed(used, self.standing.clock))
 
     def solver(self) -> CpSolver:
-        """An engine for one round, with the time that is left."""
+        """A solver for one round, with the time that is left."""
         size, tuning = len(self.model.literals), self.standing.clock.tuning
         small = size < (tuning.fleet.small if self._has_hosts else tuning.solve.small)
         solver = repeatable_solver(small=small, time_limit_s=self.standing.clock.left_s())
@@ -256,7 +262,7 @@ class Search:
         return solver
 
     def _hint(self) -> None:
-        """Start from the incumbent's units and hosts."""
+        """Hint the incumbent's units and hosts."""
         model = self.model
         model.cp.clear_hints()  # type: ignore[no-untyped-call]
         if self.standing.best is None:

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 
 class _Course:
-    """One plan on its way: what its stages hand on to each other."""
+    """What the stages of one plan hand on to each other."""
 
     structure: Structure
     preparation: Preparation
@@ -57,12 +57,12 @@ class _Course:
         self.has_ended = False
 
     def take(self, prepared: Prepared) -> None:
-        """Go on with what was found out."""
+        """Go on with what preprocessing found, and bring the standing forward by it."""
         self.prepared, self.candidates = prepared, self.structure.candidates(self.problem, prepared.labels)
         prepared.tell(self.standing, self.candidates)
 
     def decides(self, among: Collection[str] | None = None) -> bool:
-        """Whether a search proves the least cost, after which the solver chooses among equals if it has to."""
+        """Search without the solver. True if the cost is proven; the solver then breaks ties if it has to."""
         candidates = decide(self.standing, self.structure, among)
         self.clock.end("bounds")
         if candidates is not None and not self.standing.is_over:
@@ -153,7 +153,7 @@ class PlannerSession:
             course.has_ended = True
 
     def _turn_to(self, similarity: Similarity) -> None:
-        """Remember what is known of this matching, and set aside what is known of the last one."""
+        """Turn to what is remembered of this matching, and set aside what is known of the last one."""
         structure, aside = self._structure, self._aside
         if structure is None or structure.similarity == similarity:
             return
@@ -179,13 +179,13 @@ class PlannerSession:
                 return
 
     def _decide_all(self, course: _Course) -> None:
-        """What is new is searched."""
+        """Search a structure of which nothing is known yet."""
         course.is_new = not course.structure.has_landmarks
         if course.is_new and not course.decides():
             course.has_ended = course.clock.is_over() and course.standing.best is not None
 
     def _raise_bound(self, course: _Course) -> None:
-        """Bounds on the cost from both sides, and what may still be used between them."""
+        """Find a plan and a bound, and leave out labels by reduced costs."""
         standing, is_first = course.standing, not self._last
         self._remember(standing)
         if standing.best is None:
@@ -208,7 +208,7 @@ class PlannerSession:
             course.clock.end("bounds")
 
     def _solve(self, course: _Course) -> None:
-        """What is still open is left to the solver."""
+        """Leave to the solver what is still open."""
         if not course.standing.is_over:
             landmarks = course.prepared.landmarks()
             _search(course.candidates, course.standing, landmarks, course.preparation.missed).run()
@@ -219,7 +219,7 @@ class PlannerSession:
             self._last = frozenset(unit.transformation for unit in standing.best.units)
 
     def _prepare(self, problem: Problem, structure: Structure, clock: Clock, *, is_first: bool) -> Preparation:
-        """Bounds on the cost from both sides, and what may still be used between them."""
+        """A plan and a bound, and the labels that reduced costs leave between them."""
         network = structure.network
         weighing = Weighing.of(problem, network, structure.pinned)
         quick = 0
@@ -239,10 +239,10 @@ class PlannerSession:
     def _first_plan(
         self, problem: Problem, structure: Structure, weighing: Weighing, quick: int, clock: Clock, *, is_first: bool
     ) -> Ints | None:
-        """The plan at rest or the last one, mended where units died; or a new one if that no longer is one.
+        """The plan at rest or the last one, mended where units died; a new one if that no longer is a plan.
 
-        Where the session is asked first the last plan is what runs, and a new one may be better; and so may one with
-        less, unless `quick`, a bound, says that there is none.
+        In a session's first call the last plan is what runs: then a new one is tried too, and ways to do without
+        members, unless the bound `quick` says that nothing is cheaper. None if there is no plan.
         """
         network, cost = structure.network, weighing.weight
         known = set(network.pinned)
@@ -262,7 +262,7 @@ class PlannerSession:
         return None if plan is None else np.array(sorted(plan), np.int64)
 
     def _settle(self, problem: Problem, structure: Structure, clock: Clock) -> None:
-        """Where a proven plan changes nothing, there is time to see what will be needed when something does."""
+        """After a proven plan that changes nothing, prepare for the next one: remember its `Rest`."""
         network = structure.network
         _, cost = costs(problem, network, structure.pinned)
         plan = np.array(sorted({network.number[label] for label in self._last} | set(network.pinned)), np.int64)

@@ -32,7 +32,7 @@ class Standing:
         self.best: Incumbent | None = None
         self.bound_us = 0
         self.holds_for: int | None = None
-        """If given, the bound is one for plans that leave no more required transformations unused than this."""
+        """If given, the bound holds only for plans that leave no more required transformations unused than this."""
         self.is_infeasible = False
         self.reasons: dict[str, str] = {}
         """Why targets can't be met, whatever runs."""
@@ -54,7 +54,10 @@ class Standing:
 
     @property
     def largest_us(self) -> int | None:
-        """No optimal plan costs more; None if not known: one that uses more required transformations may be dearer."""
+        """The largest cost that an optimal plan may have: the incumbent's.
+
+        None if not known: a plan that uses more required transformations may be dearer.
+        """
         is_as_useful = self.best is not None and self.best.key.unused <= self.fewest_unused
         return self.best.key.cost_us if self.best is not None and is_as_useful else None
 
@@ -74,18 +77,18 @@ class Standing:
         return key
 
     def prove_cost(self) -> None:
-        """No plan is cheaper than the incumbent."""
+        """Note the proof that no plan is cheaper than the incumbent."""
         assert self.best is not None
         self.is_cost_proven = True
         self.raise_bound(self.best.key.cost_us)
 
     def prove_all(self) -> None:
-        """No plan is better than the incumbent, in cost or in changes."""
+        """Note the proof that no plan is better than the incumbent, in cost or in changes."""
         self.prove_cost()
         self.are_ties_proven = True
 
     def prove_infeasible(self) -> None:
-        """There is no plan. Raises ContradictionError if there is one."""
+        """Note the proof that there is no plan. Raises ContradictionError if one is known."""
         if self.best is not None:
             raise ContradictionError("no plan is said to be possible, but one is known")
         self.is_infeasible = True

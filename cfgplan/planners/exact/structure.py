@@ -20,7 +20,7 @@ from cfgplan.reasons import Givers, startable
 class Structure:
     """What depends on library, matching and targets alone, whatever runs and whatever it costs.
 
-    `possible` is what can be started at all, and `givers` are among these.
+    `possible` are the transformations that can be started at all, and `givers` are among these.
     """
 
     environment: Environment
@@ -34,7 +34,7 @@ class Structure:
 
     @classmethod
     def of(cls, problem: Problem, old: Structure | None, clock: Clock) -> Structure:
-        """What is known before any bound, as far as possible from an old one; raises OutOfTimeError."""
+        """The structure of a problem; what still holds is taken from an `old` one. Raises OutOfTimeError."""
         environment = problem.environment
         if old is not None and old.similarity == problem.similarity and _alike(old.environment, environment):
             givers, possible = old.givers, old.possible
@@ -100,16 +100,16 @@ class Structure:
         return len(self.environment.required) - sum(t.required for t in self.network.transformations)
 
     def remember(self, bound: Callable[[], Bound], scale: int) -> None:
-        """Keep the landmarks that count for the next time. In the bound a microsecond weighs `scale`."""
+        """Keep a bound's landmarks that have a charge for the next plan. In the bound a microsecond weighs `scale`."""
         self._found = bound, scale
 
     @property
     def has_landmarks(self) -> bool:
-        """Whether some are remembered."""
+        """Whether landmarks are remembered."""
         return self._found is not None or bool(self._landmarks)
 
     def landmarks(self) -> tuple[list[Landmark], list[int]]:
-        """What is remembered, as landmarks of the whole network, and how much each was charged."""
+        """The remembered landmarks in the whole network's numbering, and how much each was charged."""
         if self._found is not None:
             (found, scale), self._found = self._found, None
             bound = found()

@@ -1,10 +1,9 @@
 """Single failures in the constraint model, as landmarks that have to be hit twice.
 
-A landmark of a target is a set of transformations of which every way to meet the target runs one. After the
-failure of a unit the others can still meet all targets exactly if every landmark has two units there: the failing
-one may be one of them, and a lone cold spare is no way to meet the target now. After the failure of a host
-every landmark needs a unit on another one. There are too many landmarks to name, so those that a solution
-misses are added, round by round.
+A landmark of a target is a set of transformations of which every way to meet the target runs one. After the failure of
+a unit the others can still meet all targets exactly if every landmark has two units there: one of them may be the
+failing one, and a lone cold spare does not meet the target now. After the failure of a host every landmark needs a unit
+on another one. There are too many landmarks to name, so those that a solution misses are added, round by round.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ class Missed:
 
 
 class Survival:
-    """Finds what failures a configuration does not survive, and demands that of the model."""
+    """Finds the failures that a configuration does not survive, and demands the landmarks that it misses."""
 
     def __init__(self, candidates: Candidates) -> None:
         self.candidates = candidates
@@ -53,7 +52,7 @@ class Survival:
         return list(dict.fromkeys(found))
 
     def demand(self, model: Model, missed: Collection[Missed]) -> None:
-        """Every landmark that was missed has enough units from now on."""
+        """Demand enough units of every missed landmark."""
         for each in missed:
             if each in self._known:
                 continue
@@ -66,7 +65,7 @@ class Survival:
                 model.cp.add_bool_or([there for on in places for host, there in on.items() if host != each.host])
 
     def _landmark(self, target: Target, left: Collection[str]) -> frozenset[str]:
-        """What a largest set of transformations that does not meet the target lacks; the dear ones are in the set."""
+        """All transformations but a largest set that does not meet the target; the dear ones go into the set first."""
         candidates = self.candidates
         without = set(left)
         reach = Reach(candidates.network, candidates.numbers(left))

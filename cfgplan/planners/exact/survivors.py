@@ -1,4 +1,4 @@
-"""Which single failures leave a target without a stream: what is left is closed under what it can start."""
+"""Which single failures leave a target without a stream, judged by what the units that are left can start."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cfgplan.reasons import startable
 
 @dataclass(frozen=True)
 class Failure:
-    """What may fail, the transformations of the units that are left, and the targets to be met by those.
+    """A failure: the transformations of the units that are left, and the targets that those have to meet.
 
     A `host` fails, or, without one, the only unit of a transformation.
     """
@@ -43,7 +43,7 @@ def failures(candidates: Candidates, units: Collection[ComputationUnit]) -> Iter
 def unmet(candidates: Candidates, failure: Failure) -> list[Target]:
     """The targets that nothing that is left after a failure can meet.
 
-    Units of one transformation feed alike, so the transformations that are left tell all.
+    Units of one transformation feed alike, so it is enough to know which transformations are left.
     """
     reach = Reach(candidates.network, candidates.numbers(failure.left))
     return [target for target in failure.targets if not is_met(candidates, reach, failure.left, target)]
@@ -66,7 +66,7 @@ def bears_all_failures(candidates: Candidates, units: Collection[ComputationUnit
 
 
 def can_do_without(candidates: Candidates, units: Collection[ComputationUnit], one: ComputationUnit) -> bool:
-    """Whether units that bear all failures do so without one of them: it matters where no other of its kind is left."""
+    """Whether units that bear all failures do so without `one`; failures that leave others of its kind don't matter."""
     others = [unit for unit in units if unit is not one]
     return not any(
         unmet(candidates, failure) for failure in failures(candidates, others) if one.transformation not in failure.left

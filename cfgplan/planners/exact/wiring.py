@@ -56,8 +56,8 @@ def wire(candidates: Candidates, chosen: Collection[int]) -> list[ComputationUni
 def what_runs(problem: Problem) -> list[ComputationUnit] | None:
     """The running units that targets and pinned units need, rewired where they have to be; None if they are too few.
 
-    They are valid where nothing is asked beyond the paper. It is known before anything is searched for, so that no plan
-    is worse than to change nothing.
+    They are valid where nothing is asked beyond the paper. Offered first, they keep any plan from being worse than to
+    change nothing.
     """
     library = running_library(problem.environment)
     givers = Givers(library, problem.similarity)
@@ -92,7 +92,10 @@ def published_stream(candidates: Candidates, publisher: int, target: Target) -> 
 
 
 def _publisher(candidates: Candidates, target: Target, chosen: Collection[int]) -> int | None:
-    """Who publishes a target: a unit that does already and may stay, else one that has to change anyway."""
+    """The publisher of a target: a unit that is it already and may stay, else one that has to change anyway.
+
+    None if no chosen unit can be.
+    """
 
     def reluctance(feeder: int) -> tuple[bool, bool, int]:
         running = candidates.all[feeder].running
@@ -105,7 +108,7 @@ def _publisher(candidates: Candidates, target: Target, chosen: Collection[int]) 
 class _Ordering:
     """Places chosen units from sources on, each with the feeder of each input; units that can stay come first.
 
-    A unit is looked at when the last thing that it waits for is placed, so that a chain takes as many looks as it has
+    A unit is looked at when the last unit that it waits for is placed, so that a chain takes as many looks as it has
     units.
     """
 
@@ -177,7 +180,7 @@ class _Ordering:
         return self._feeders[tag]
 
     def _look_at(self, unit: int) -> None:
-        """Let a unit be wired anew if now it can be."""
+        """Queue a unit to be wired anew if now it can be."""
         if self._unfed[unit] or unit in self._ready or unit in self.placed or self._new_feeds(unit) is None:
             return
         self._ready.add(unit)

@@ -45,7 +45,7 @@ class Weighing:
 
     @classmethod
     def with_changes(cls, problem: Problem, network: Network, pinned: Collection[str]) -> Weighing | None:
-        """Cost, rewirings and starts; None if the sum would be too large. Of a pinned label no change is counted."""
+        """Weigh cost, rewirings and starts; None if the sum would be too large. No change of a pinned label counts."""
         fixed_us, cost = costs(problem, network, pinned)
         rewiring = len(cost) + 1
         scale = rewiring**2
