@@ -36,7 +36,7 @@ Indexed = tuple[int, P]
 
 @dataclass(frozen=True)
 class Broken:
-    """A part with faults; the index is None if the whole list is broken, the name if that is missing too."""
+    """A part with faults. Its index is None if the whole list is broken, its name if it has none."""
 
     index: int | None = None
     name: str | None = None
@@ -44,7 +44,7 @@ class Broken:
 
 @dataclass(frozen=True)
 class File:
-    """The valid parts of one file, and by list those that have faults."""
+    """The valid parts of one file, and the broken ones by list."""
 
     source: Source
     transformations: tuple[Indexed[TransformationPart], ...] = ()
@@ -64,19 +64,19 @@ class Document:
 
     @property
     def ontology_paths(self) -> tuple[FilePath, ...]:
-        """The ontology files, from the working folder."""
+        """The ontology files, relative to the working folder."""
         names = self.header.ontology or []
         return tuple(self.path.parent / name for name in ([names] if isinstance(names, str) else names))
 
     @property
     def imports(self) -> Imports:
-        """The file of each IRI that the file says, from the working folder."""
+        """The file of each IRI under `imports:`, relative to the working folder; None if the import is ignored."""
         written = self.header.imports or {}
         named = {ANY_IMPORT: written} if isinstance(written, str) else written
         return tuple((i, None if name == IGNORE else self.path.parent / name) for i, name in sorted(named.items()))
 
     def at_ontology(self, fault: Fault) -> Fault:
-        """A fault of a whole ontology file as one of the entry that names the file."""
+        """Move a fault of a whole ontology file to the entry that names the file; any other stays as it is."""
         source = self.files[0].source
         written: Any = source.data
         iri = next((iri for iri, path in self.imports if path is not None and str(path) == fault.file), None)
@@ -126,7 +126,7 @@ def _read_document(main: FilePath) -> Document:
 
 
 def read_declared(name: str, data: Mapping[str, Any]) -> tuple[File, list[Fault]]:
-    """What somebody declares at run-time as an included file would, with its faults. Raises InputError."""
+    """Read what is declared at run-time like an included file. Returns its parts and faults. Raises InputError."""
     source = Source(name, dict(data), lambda _path, _at_key: Spot(1, 1))
     _, file, faults = _read_source(source, IncludedPart)
     return file, faults
@@ -155,7 +155,7 @@ def _read_source(source: Source, part: type[P]) -> tuple[P, File, list[Fault]]:
 
 
 def _bad_entries(paths: list[Path]) -> dict[Any, set[int]]:
-    """The top-level keys with faults: to the positions of the bad entries, or to none if all of it is bad."""
+    """The positions of the bad entries by top-level key with faults; empty if the whole value is bad."""
     bad: dict[Any, set[int]] = {}
     wholly = set()
     for path in paths:
@@ -242,7 +242,7 @@ def _included(main: FilePath, source: Source, names: list[str]) -> tuple[list[Fi
 
 
 def _at_entry(fault: Fault, name: str, source: Source, entry: Path) -> Fault:
-    """A fault of a whole file belongs to the entry that names the file, if one does."""
+    """Move a fault of a whole file to the entry that names the file, if one does."""
     has_entry = isinstance(source.data, dict) and entry[0] in source.data
     return (
         fault

@@ -60,7 +60,7 @@ def as_xml(document: Document) -> str:
 
 
 def plain_document(document: Document) -> dict[str, Any]:
-    """What a document and its includes say, as written: nothing is expanded. Raises InputError."""
+    """A document and its includes as one mapping, as written: nothing is expanded. Raises InputError."""
     if document.faults:
         raise InputError(document.faults)
     whole: dict[str, Any] = {"format": FORMAT}

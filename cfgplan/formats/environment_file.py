@@ -37,7 +37,7 @@ Imports: TypeAlias = tuple[tuple[str, FilePath | None], ...]
 
 @dataclass(frozen=True)
 class EnvironmentFile:
-    """An environment with what planning it needs besides, and the way back to its files.
+    """An environment, what else planning needs, and where its parts are written.
 
     `origins` maps ("transformation", label), ("unit", id) and ("target", label) to where that is written.
     """
@@ -53,7 +53,7 @@ class EnvironmentFile:
 
     @cached_property
     def digest(self) -> str:
-        """What tells this world from others, see `environment_digest`."""
+        """A hash of all that a plan depends on, see `environment_digest`."""
         return environment_digest(
             self.environment, self.horizon_s, self.max_cost_us, self.ontology_paths, self.survive, self.imports
         )
@@ -96,8 +96,8 @@ def environment_digest(
 ) -> str:
     """SHA-256 (hex) of all that a plan depends on, the ontology files and `imports` too.
 
-    Comments, the order of lists and fields that planning does not use don't count. Nor does a file that is only found
-    by a search for what an ontology imports: to find it would take reading ontologies.
+    Comments, the order of lists and fields that planning does not use don't count. Nor do imported files that
+    `imports` does not name: to find them would take reading ontologies.
     """
     content: list[object] = [
         horizon_s,
@@ -157,11 +157,11 @@ _HELD: Mapping[type[Part], str] = {
     UnitPart: "id transformation inputs topics host standby",
     TargetPart: "label topic tag priority quality host",
 }
-"""The keys that digests held before fields were rows. Of every later one that planning uses, its value counts."""
+"""The keys that digests held before fields were rows. A later one that planning uses counts unless it is default."""
 
 
 def later_fields(part: type[Part], value: object) -> dict[str, object]:
-    """What planning uses of a value's later fields, by the domain's names, but what is so anyway."""
+    """A value's later fields that planning uses, without defaults, by the domain's names."""
     rows = _later_rows(part).items()
     return {row.to: getattr(value, row.to) for key, row in rows if part.plain(key, value) is not None}
 
@@ -191,7 +191,7 @@ def _later_parts(environment: Environment) -> Iterator[list[object]]:
 
 
 def _beyond_the_paper(environment: Environment, survive: Failures | None) -> list[object]:
-    """What only some environments have: it counts where it is there, and is empty in all others."""
+    """What goes beyond the paper; every entry is empty in an environment without it."""
     placed, library = bool(environment.hosts), environment.library
     measured = bool(environment.qualities)
     numbered = (t for t in library if t.conflicts or t.min_instances or t.max_instances is not None)

@@ -140,7 +140,7 @@ class Expander:
     def _filled(
         self, source: Source, path: Path, part: TransformationPart, filled: TransformationPart, values: Values
     ) -> Iterator[Transformation]:
-        """The transformation that a part with all variables filled in says, unless it has faults."""
+        """The transformation of a part with all variables filled in; none if it has faults."""
         names = [substitute(name, values) for key in _PORTS for name in getattr(part, key) or ()]
         if len(set(names)) != len(names):
             self._check_plain_tags(source, path, part)
@@ -200,7 +200,7 @@ class Expander:
             yield _PORTS[key](name, **said)
 
     def _check_plain_tags(self, source: Source, path: Path, part: TransformationPart) -> None:
-        """Check what can be checked of a template that has no expansion, so that all its faults are told at once."""
+        """Check the plain tags of a template that can't be expanded, so that all its faults are told at once."""
         for key in _PORTS:
             for name, written in (getattr(part, key) or {}).items():
                 place, tag = _tag_of(written, (*path, key, name))

@@ -1,9 +1,9 @@
-"""The environment file's fields, a row each: from it are made what reads, checks and writes them, and the JSON Schema.
+"""The environment file's fields, a row each, from which readers, checks, writers and the JSON Schema are derived.
 
-A row says the key, its values, what they mean and what is so where the key is absent; `to`, where the domain's value
-has it (the key if absent); `use`, who looks at it; and `xml`, the attribute of the XML format (the key if absent).
-XML refuses a value that is no text, number or flag, but for an ELEMENT; what is UNSAID there means nothing without
-what it refuses. Every text of a transformation may hold template variables.
+A row says the key, its values, their meaning and the default; `to`, the attribute of the domain's value (the key if
+absent); `use`, who looks at it; and `xml`, the attribute of the XML format (the key if absent). XML refuses a value
+that is no text, number or flag, unless it is an ELEMENT. It leaves out an UNSAID value, which means nothing without a
+refused one. Every text of a transformation may hold template variables.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def as_it_is(value: Any) -> Any:
 
 
 class Use(Flag):
-    """Who looks at a field: a plan for another value is another plan, a unit with another value is started anew."""
+    """Who looks at a field. If its value changes, PLANNING makes another plan, and RUNNING starts units anew."""
 
     NONE = 0
     PLANNING = 1
@@ -97,7 +97,7 @@ def row(
     xml: str | None = None,
     **limits: Any,
 ) -> Any:
-    """A field of a part; `...` as default if the key can't be absent."""
+    """A field of a part. With `...` as default the key can't be absent."""
     field = Field(default=default, description=meaning, **limits)
     field.metadata.append(_Said(to, use, xml))
     return field
@@ -119,13 +119,13 @@ class Part(BaseModel):
     @classmethod
     @cache
     def attributes(cls) -> Mapping[str, str]:
-        """The key that each attribute of the XML format says; those of the paper and the costs come first."""
+        """The keys by attribute of the XML format; the paper's attributes and the costs come first."""
         found = {row.xml: key for key, row in cls.rows().items() if row.xml not in (None, ELEMENT, UNSAID)}
         return {str(name): found[name] for name in sorted(found, key=lambda name: name not in _FIRST_IN_XML)}
 
     @classmethod
     def plain(cls, key: str, value: object) -> Any:
-        """What a file says of a domain's value under a key; None if that is so anyway."""
+        """What a file says of a domain's value under a key; None if it is the default."""
         row = cls.rows()[key]
         own = getattr(value, row.to)
         plain = None if own is None else row.plain(own)
@@ -133,9 +133,9 @@ class Part(BaseModel):
 
     @classmethod
     def written(cls, value: object, **said: Any) -> dict[str, Any]:
-        """What a file says of a domain's value, but what is so anyway.
+        """What a file says of a domain's value, without defaults.
 
-        `said` has the plain values of keys that say more than one attribute of it; None and empty ones are left out.
+        `said` has the plain values of keys that are not just one attribute of it; None and empty ones are left out.
         """
         found = ((key, said[key] if key in said else cls.plain(key, value)) for key in cls.rows())
         return {key: plain for key, plain in found if plain is not None and plain not in ([], {})}
@@ -362,7 +362,7 @@ class EnvironmentPart(Part):
 
 
 def what_runs(transformation: Transformation) -> tuple[object, ...]:
-    """What sets units of a transformation apart from those of another: the fields that running uses, and the ports."""
+    """What is equal if units of two transformations run alike: the fields that running uses, and the ports."""
     ports = [(port.name, *_running(InputPart, port)) for port in transformation.inputs]
     ports += [(port.name, *_running(OutputPart, port)) for port in transformation.outputs]
     return *_running(TransformationPart, transformation), *ports, len(transformation.inputs)

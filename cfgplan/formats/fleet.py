@@ -53,7 +53,7 @@ class Fleet:
         return Failures(written) if isinstance(written, str) else None
 
     def check_host(self, source: Source, path: Path, name: str, *, is_choice: bool = False) -> None:
-        """Note a host that is not declared. Where none are, the host of a transformation is free text."""
+        """Note a host that is not declared. If none are declared, the host of a transformation is free text."""
         if name in self.hosts or self._left_out.any_of("hosts"):
             return
         if self.hosts or is_choice:
@@ -75,9 +75,9 @@ class Fleet:
     def contributions(
         self, source: Source, path: Path, written: Mapping[str, int | ContributionPart]
     ) -> tuple[Contribution, ...]:
-        """What an output makes of the attributes; `path` is that of the mapping.
+        """The contributions of an output to quality attributes; `path` is that of the mapping.
 
-        Where no attributes are declared nobody asks, so that a library may say more than an environment wants.
+        Empty if no attributes are declared, so that a library may say more than an environment wants.
         """
         found: list[Contribution] = []
         if not self.attributes and not self._left_out.any_of("qualities"):

@@ -111,7 +111,7 @@ class _JsonLocator:
         return self._spot(node)
 
     def repeated_keys(self) -> Iterator[tuple[str, Spot]]:
-        """Every key that stands in its mapping before, with its place."""
+        """Every repeated key of a mapping, with the place of the repetition."""
         ahead = deque([self._tree()])
         while ahead:
             node = ahead.popleft()

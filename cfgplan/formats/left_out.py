@@ -22,7 +22,7 @@ class LeftOut:
                     self.add(kind, part.name)
 
     def add(self, kind: str, name: str | None) -> None:
-        """A part is left out; None if not even its name is known, and the name may be a template."""
+        """Note a part that is left out. Its name may be a template; None if it is not known."""
         if name is None:
             self._nameless.add(kind)
         elif "$" in name:

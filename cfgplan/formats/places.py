@@ -35,7 +35,7 @@ class Spot:
 
 
 Locate: TypeAlias = Callable[[Path, bool], Spot]
-"""Finds the value at a path or, if the flag is set, its key; else what is nearest above."""
+"""Finds the value at a path or, if the flag is set, its key; the nearest value above if the path leads nowhere."""
 
 
 @dataclass(frozen=True)

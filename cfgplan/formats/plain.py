@@ -36,7 +36,7 @@ def plain_environment(
     survive: Failures | None = None,
     imports: Mapping[str, str | None] | None = None,
 ) -> dict[str, Any]:
-    """What an environment file says, as mappings and lists; costs are Decimal or int.
+    """An environment as the mappings and lists of an environment file; costs are Decimal or int.
 
     Loading it gives the same environment back. `ontology` holds paths as the file is to name them, `imports` the path
     of each IRI, or None where that import is ignored, with ANY_IMPORT for every one that can't be found.

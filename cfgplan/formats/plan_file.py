@@ -128,8 +128,8 @@ def plain_plan(plan: Plan, problem: Problem, digest: str) -> dict[str, Any]:
 def load_plan(path: str | os.PathLike[str], digest: str | None = None) -> Plan:
     """The plan in a file; raises InputError, also if it was made for another environment than `digest`.
 
-    Only the form is checked, and without `digest` not even which environment the plan is for. Nothing that it says of
-    costs, wiring or proofs is: for a plan that is to be carried out call `cfgplan.load_plan`, which asks the judge.
+    Only the form is checked, and the environment if `digest` is given; costs, wiring and proofs are not. For a plan
+    that is to be carried out call `cfgplan.load_plan`, which asks the judge.
     """
     source = read_json(read_text(FilePath(path)), str(path))
     if source.faults:

@@ -21,7 +21,7 @@ MOST_CYCLES_SHOWN = 10
 class UnitChecker:
     """Makes the units of one document; what is wrong goes into `faults`.
 
-    A reference is not called dangling where what it names may be a part that is left out for its own faults.
+    A reference to what may be a part that is left out for its own faults is no fault.
     """
 
     def __init__(

@@ -40,7 +40,7 @@ def schema_faults(source: Source, root: Path, errors: Sequence[Any], part: type[
 
 
 def _is_nominal(error: Any) -> bool:
-    """Whether a port's tag is missing since the tag itself, {a}, was read as the mapping from a to nothing."""
+    """Whether a port's tag is missing because the tag {a} was read as a mapping from a to nothing."""
     value = error["input"]
     return (
         error["type"] == "missing"

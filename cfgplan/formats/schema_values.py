@@ -153,7 +153,7 @@ def _amount(value: object) -> Decimal | int:
 
 
 def _resources(amounts: dict[str, Decimal | int]) -> dict[str, int]:
-    """Whole amounts of resources by name, but for CPU time: microseconds of it each second."""
+    """Amounts of resources by name: whole numbers, and for CPU time microseconds per second."""
     found = {name: _microseconds(amount) if name == CPU else amount for name, amount in amounts.items()}
     parts = next((f"{amount} of `{name}`" for name, amount in found.items() if type(amount) is not int), None)
     if parts is not None:

@@ -56,7 +56,7 @@ class TagChecker:
         template: str | None = None,
         values: Mapping[Variable, str] | None = None,
     ) -> None:
-        """Note what is wrong with a tag, which may be a template's expansion; once for each place."""
+        """Note the fault of a tag, which may be a template's expansion, once for each place."""
         if tag in self._good or (source.file, path) in self._reported:
             return
         try:

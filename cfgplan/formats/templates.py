@@ -105,7 +105,7 @@ def original_column(text: str, values: Mapping[Variable, str], column: int) -> i
 
 
 def pattern(text: str) -> re.Pattern[str]:
-    """What the expansions of a text may look like, whatever its variables stand for."""
+    """A pattern that every expansion of a text matches, whatever its variables stand for."""
     pieces = re.split(r"\$?\$\{[^}]*\}?", text)
     return re.compile(".*".join(map(re.escape, pieces)), re.DOTALL)
 

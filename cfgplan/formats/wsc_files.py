@@ -22,8 +22,10 @@ class Service:
 
 @dataclass(frozen=True)
 class TestSet:
-    """A set. `parent` leads from each concept to the one above it (None at the top), `concept` from each
-    instance to its concept; an instance may be used where one of its concept or of one above is needed.
+    """A set of the challenge.
+
+    `parent` maps each concept to the one above it (None at the top), `concept` each instance to its concept. An
+    instance may be used where one of its concept, or of a concept above, is needed.
     """
 
     __test__ = False

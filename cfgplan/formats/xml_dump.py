@@ -97,7 +97,7 @@ def _unit(part: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _attributes(part: type[Part], data: Mapping[str, Any]) -> dict[str, object]:
-    """What attributes say of a part; raises InvalidValueError for what neither they nor elements can say."""
+    """The attributes of a part. Raises InvalidValueError for what neither attributes nor elements can say."""
     for key, row in part.rows().items():
         is_attribute = row.xml not in (None, ELEMENT, UNSAID)
         if data.get(key) and (row.xml is None or (is_attribute and isinstance(data[key], list | dict))):
@@ -107,7 +107,7 @@ def _attributes(part: type[Part], data: Mapping[str, Any]) -> dict[str, object]:
 
 
 def _param(value: object) -> tuple[str, str]:
-    """The type and the text that say a parameter's value."""
+    """A parameter's value as a type and a text."""
     if value is None:
         return "null", ""
     if isinstance(value, bool):

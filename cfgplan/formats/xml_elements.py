@@ -102,7 +102,7 @@ class SafeParser:
 
     @property
     def place(self) -> tuple[int, int]:
-        """The line and column of what is being called back for; both count from 1."""
+        """The line and column of the present callback; both count from 1."""
         return self._parser.CurrentLineNumber, self._parser.CurrentColumnNumber + 1
 
     def parse(self, content: bytes) -> None:
@@ -121,7 +121,7 @@ class SafeParser:
             raise InputError.of(f"this is not XML: {error}", file=self._file, mend="save it as UTF-8") from None
 
     def stop(self, message: str, mend: str) -> NoReturn:
-        """Raise a fault at the place that is being called back for."""
+        """Raise a fault at the place of the present callback."""
         line, column = self.place
         raise InputError([Fault(message, self._file, line, column, mend=mend)])
 

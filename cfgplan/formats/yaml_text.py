@@ -24,7 +24,7 @@ _NO_KEY = object()
 
 
 def read_yaml(text: str, file: str) -> Source:
-    """Read one YAML document, None if there is nothing; raises InputError where reading can't go on."""
+    """Read one YAML document; its data is None if there is none. Raises InputError where reading can't go on."""
     with no_garbage_collection():
         try:
             data, faults = _Reading(text, file).document()

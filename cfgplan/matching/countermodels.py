@@ -538,10 +538,10 @@ class Countermodels:
                 waiting += [some[: len(some) // 2], some[len(some) // 2 :]]
 
     def _build(self, group: list[Concept], turn: int, deadline: float | None, besides: Collection[Tree] = ()) -> bool:
-        """Build a model, or one for each half of the group if there is none for all; whether it had choices.
+        """Build a model, or one for each half of the group if there is none for all. Returns whether it had choices.
 
-        What has a concept of the group has all that is `besides`, too. Without a group the model is one of the ontology
-        alone. Raises _OutOfTimeError.
+        The thing of each concept in the group is in all expressions of `besides`, too. For an empty group the model is
+        one of the ontology alone. Raises _OutOfTimeError.
         """
         if not self._builds_left:
             raise _OutOfTimeError

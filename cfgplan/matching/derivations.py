@@ -55,7 +55,7 @@ class _Trace:
         self._saturation = Saturation(rules, reasons=self._reasons)
 
     def steps(self, start: Concept, goal: Concept) -> tuple[str, ...] | None:
-        """The steps from a concept to one that subsumes it."""
+        """The steps from a concept to one that subsumes it; None if none are found."""
         context = self._saturation.context((self._rules.atom(start),))
         for atom in (self._rules.atom(goal), BOTTOM_ATOM):
             if atom in context.atoms:
@@ -63,7 +63,7 @@ class _Trace:
         return None
 
     def clash(self) -> tuple[str, ...]:
-        """The steps to something that exists and can't."""
+        """The steps to something that exists though it can't; () if there is none."""
         for fact in list(self._reasons):
             if fact[0].exists and fact[1:] == (BOTTOM_ATOM,):
                 return self._told(fact)
@@ -84,7 +84,7 @@ class _Trace:
         return tuple(steps)
 
     def _in_order(self, goal: Fact) -> Iterator[Fact]:
-        """The facts that a fact rests on, each after those that it rests on itself."""
+        """The facts from which a fact follows, itself included, each after its premises."""
         done: set[Fact] = set()
         waiting: list[tuple[Fact, bool]] = [(goal, False)]
         while waiting:

@@ -178,10 +178,10 @@ class Descriptions:
 
 
 def disjuncts(concept: Concept) -> tuple[tuple[Concept, ...], bool]:
-    """Conjunctions without ⊔ whose union a tag is, and whether it is exactly that or only part of it.
+    """Conjunctions without ⊔ whose union is the tag, and True; or whose union is more general, and False.
 
-    What the engine has no words for is left out of conjunctions (then False): the result is more general than the
-    tag. Too many disjuncts come to (⊤,), False.
+    What the engine has no words for is left out of conjunctions, which makes them more general. Too many disjuncts
+    give (⊤,), False.
     """
     if _is_conjunctive(concept):
         return (concept,), True

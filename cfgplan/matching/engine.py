@@ -26,7 +26,7 @@ class Offer:
 
 
 class FastEngine:
-    """Offers and demands of tags. Every match that it finds is one; see `Offer` for when the others are none.
+    """Offers and demands of tags. Every match that it finds holds; `Offer` says when no others do.
 
     `outside` maps every axiom that is outside the fragment or was dropped to the reason. If there is one, nothing is
     certified.
@@ -51,10 +51,10 @@ class FastEngine:
         return self.saturation.is_inconsistent
 
     def take_in(self, added: Mapping[str, Tree], removed: Mapping[str, Tree], left: Collection[str]) -> bool:
-        """Whether the engine holds for the ontology with these axioms more and fewer, and all its answers stay right.
+        """Take in a change of the ontology. Returns whether it could; if not, the engine must not be used any more.
 
-        `left` are the individuals of the ontology then. The engine holds where whole individuals come and go that
-        say nothing new of others. If not, it must not be used any more.
+        `left` are the individuals of the ontology after the change. The engine can take in whole individuals that come
+        and go and say nothing new of others.
         """
         gone, come = _subjects(removed), _subjects(added)
         if gone is None or come is None or self._replaced_roles or not gone.isdisjoint(left):

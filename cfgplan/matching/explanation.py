@@ -126,7 +126,7 @@ def conjuncts(concept: Concept, ontology: Ontology) -> list[str]:
 
 
 PATIENCE_S: Final = 20.0
-"""How long axioms are left out to see whether they are needed; each try is a call of the reasoner."""
+"""Seconds for leaving out axioms to see whether they are needed; each try is a call of the reasoner."""
 
 _NAME: Final = re.compile(r"<[^<>\s]+>")
 

@@ -82,7 +82,7 @@ def is_left_hand(concept: Concept) -> bool:
 
 
 def right_hand_parts(concept: Concept, reasons: list[str]) -> Iterator[Concept]:
-    """Conjuncts inside the fragment that the concept implies; `reasons` tells what they leave out."""
+    """Conjuncts inside the fragment that the concept implies; `reasons` gets what they leave out."""
     match concept:
         case Intersection(parts):
             for part in parts:

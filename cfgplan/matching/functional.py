@@ -70,7 +70,7 @@ _USES: Final = {
 }
 
 _FIRST_DISJOINT: Final = {"DisjointUnion": 2, "DisjointClasses": 1, "DisjointObjectProperties": 1}
-"""Where what is disjoint begins, by keyword."""
+"""The position of the first disjoint argument, by keyword."""
 
 LOGICAL: Final = frozenset(
     keyword for keyword in _USES if keyword not in {"Class", "ObjectProperty"} and not keyword.endswith("Atom")

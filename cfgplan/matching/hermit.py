@@ -46,8 +46,8 @@ def satisfiable(
 ) -> dict[str, bool]:
     """Whether there can be a member of each class, asked in this order, until time is over or no answer comes.
 
-    It gives up on all that is left once an answer takes longer than `patience_s` to twice as long. The ontology is in
-    functional syntax (ASCII). Raises InconsistentOntologyError, or ReasonerError when HermiT refuses the ontology.
+    It gives up on the rest once no answer has come for `patience_s`, at the latest after twice as long. The ontology is
+    in functional syntax (ASCII). Raises InconsistentOntologyError, or ReasonerError when HermiT refuses the ontology.
     """
     import tempfile
 
@@ -61,7 +61,7 @@ def satisfiable(
 def _run(
     folder: str, document: str, arguments: Sequence[str], time_limit_s: float | None, patience_s: float | None
 ) -> bool:
-    """Have HermiT read a document; whether it came to an end in time. What it prints is in said.txt."""
+    """Run HermiT on a document. Returns whether it ended in time. What it prints is in said.txt."""
     import subprocess
 
     question, said, errors = (Path(folder, name) for name in ("ontology.ofn", "said.txt", "errors.txt"))
@@ -85,7 +85,7 @@ def _run(
 
 
 def _ends(process: Popen[bytes], said: Path, time_limit_s: float | None, patience_s: float | None) -> bool:
-    """Wait for a process; False once time is over, or nothing new was said for as long as patience lasts."""
+    """Wait for a process to end. Returns False once time is over, or nothing new was said for `patience_s`."""
     from subprocess import TimeoutExpired
 
     deadline = math.inf if time_limit_s is None else time.monotonic() + time_limit_s

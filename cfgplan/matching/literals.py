@@ -1,7 +1,7 @@
 """What literals say about the individuals that have them, and what of it reasoners can be told.
 
-The datatypes that reasoners know are those of OWL 2, but for base64Binary: to HermiT no literal is of it, so that it
-finds contradictions.
+Reasoners know the datatypes of OWL 2 except base64Binary: to HermiT no literal is of it, so that it finds
+contradictions.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def is_known(datatype: str) -> bool:
 
 
 def is_well_formed(text: str, datatype: str) -> bool:
-    """Whether a text is a literal of a datatype that is known; reasoners refuse an ontology for one that is not."""
+    """Whether a text is a literal of a known datatype; reasoners refuse an ontology with one that is not."""
     name = datatype.removeprefix(_XSD)
     if name in _RANGES:
         least, most = _RANGES[name]
@@ -93,9 +93,9 @@ _RESTRICTING: Final = (
 def told(axioms: Collection[str]) -> tuple[frozenset[str], dict[str, str]]:
     """The axioms as reasoners can be told them, and what is lost by that, with the reason.
 
-    Literals that are malformed, or of datatypes that they don't know, become texts where nothing restricts them, or
-    only ranges of their own datatype. Else what is told is that there is some literal. A restriction to such a
-    datatype or literal is not told.
+    Malformed literals and those of unknown datatypes become texts if nothing restricts them but ranges of their own
+    datatype. Else reasoners are told only that there is some literal. A restriction to such a datatype or literal is
+    left out.
     """
     foreign = {axiom: kinds for axiom in axioms if "^^" in axiom and (kinds := _foreign(axiom))}
     restricting = {a: parse(a) for a in axioms if a.startswith(_RESTRICTING) or " Data" in a or "(Data" in a}
@@ -145,7 +145,7 @@ class _Usage:
         return [axiom for axiom, others in self._names.items() if not others.isdisjoint(names)]
 
     def is_missed(self, axiom: str, untold: Mapping[str, frozenset[str]]) -> bool:
-        """Whether a restriction that is not told says more than a range that all its literals are of, and no others."""
+        """Whether leaving a restriction out loses something: all do but a sole range that all its literals are of."""
         tree, kinds = self._restricting[axiom], untold[axiom]
         if tree[0] == "DatatypeDefinition":
             return False
@@ -158,7 +158,7 @@ class _Usage:
 
 
 def _foreign(axiom: str) -> frozenset[str]:
-    """What of an axiom's literals reasoners can't be told: datatypes that they don't know, malformed literals."""
+    """What is foreign in an axiom's literals: datatypes that reasoners don't know, and malformed literals."""
     return frozenset(kind for text, name in _TYPED.findall(axiom) if (kind := _foreign_kind(text, name)) is not None)
 
 
@@ -190,7 +190,7 @@ def _names(tree: Tree) -> Iterator[str]:
 
 
 def _foreign_in(tree: Tree) -> Iterator[str]:
-    """The datatypes that an axiom or expression names and reasoners don't know, and what is foreign in its literals."""
+    """The unknown datatypes that an axiom or expression names, and what is foreign in its literals."""
     keyword, arguments = tree[0], tree[1:]
     if keyword in ("DataPropertyRange", "DataSomeValuesFrom", "DataAllValuesFrom"):
         places = arguments[-1:]
@@ -210,7 +210,7 @@ def _foreign_in(tree: Tree) -> Iterator[str]:
 
 
 def _above(trees: Iterable[Tree]) -> Mapping[Tree, set[Tree]]:
-    """The data properties right above each."""
+    """The direct super-properties of each data property."""
     above: defaultdict[Tree, set[Tree]] = defaultdict(set)
     for tree in trees:
         if tree[0] == "SubDataPropertyOf":
@@ -232,7 +232,7 @@ def _reached(name: Tree, above: Mapping[Tree, set[Tree]]) -> set[Tree]:
 
 
 def translate_data_properties(trees: Mapping[str, Tree], result: Translation) -> None:
-    """What literals say about their individuals: the domains; what could contradict them is outside."""
+    """Add what literals say about their individuals: the domains. What could contradict literals is outside."""
     above = _above(trees.values())
     individuals: defaultdict[Tree, set[str]] = defaultdict(set)
     for tree in trees.values():

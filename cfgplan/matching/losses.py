@@ -2,9 +2,9 @@
 
 An ontology is *open to newcomers* if things that have no class and no link break none of its axioms: then its models
 have any size. Two parts of it without a common name do not bear on each other, as a model of one can be laid over a
-model of the other. So what was dropped concerns only names that axioms with common names join to it, and only if it is
-not known which names these are, or the ontology is not open to newcomers, all names. That the ontology with all that
-was dropped does not contradict itself is taken for granted.
+model of the other. So what was dropped concerns only the names that axioms with common names join to it. It concerns
+all names if its own are not known, or if the ontology is not open to newcomers. The ontology with all that was dropped
+is taken to be free of contradictions.
 """
 
 from __future__ import annotations

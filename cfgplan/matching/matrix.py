@@ -56,7 +56,7 @@ class Matches:
         cache: Path | None = None,
         most: int | None = None,
     ) -> None:
-        """Open pairs are all asked about if they are at most `most`. All questions together take the time limit."""
+        """Ask about all open pairs unless they are more than `most`. All questions share the time limit."""
         self._tags = offered, demanded
         self._cache = cache
         self._left_s = time_limit_s

@@ -81,7 +81,7 @@ def expanded(name: str, prefixes: Mapping[str, str]) -> str | None:
 
 
 def suggestion(name: str, known: Iterable[str]) -> str | None:
-    """A question after the name that was probably meant, if there is one like it."""
+    """A question with the known name that was probably meant; None if none is like it."""
     choices = sorted(known)
     close = difflib.get_close_matches(name, choices, n=1, cutoff=0.6)
     if not close:

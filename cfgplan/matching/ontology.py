@@ -25,9 +25,9 @@ class Ontology:
 
     An *open* ontology knows no names: every name is free to use in tags and means nothing but itself.
     Ontologies are values: those with the same axioms and prefixes are equal. `files` says where it was read from.
-    `dropped` maps what its files say and no reasoner is told to the reason: matches are right all the same, but
-    whatever does not match may do so by it. `ignored` are the IRIs of imports that are left out on request: what they
-    say is no part of the ontology, so that nothing is open for them.
+    `dropped` maps what its files say but no reasoner is told to the reason: matches hold all the same, but pairs that
+    don't match might by what was dropped. `ignored` are the IRIs of imports that are left out on request: what they
+    say is no part of the ontology, so that no pair is open for them.
     """
 
     def __init__(

@@ -40,7 +40,7 @@ _REASON: Final = re.compile(
 
 _TERM: Final = re.compile(r'(?:Iri\()?IRI\(\\*"([^"\\]+)\\*"\)\)?')
 _DL_SAFE: Final = ("ofn", "owx")
-"""The syntaxes whose rules are about named individuals only by definition; those of others are about everything."""
+"""The syntaxes whose rules are by definition about named individuals only; rules of others are about everything."""
 _BUILT_INS: Final = "<http://www.w3.org/2003/11/swrlb#"
 """Manchester syntax does not tell built-ins from data properties."""
 _NOT_TOLD: Final = "its built-ins are told to no reasoner"
@@ -142,7 +142,7 @@ def read_owlready(onto: Any) -> Ontology:
 
 
 def _with_own_anonymous(axiom: str, number: int) -> str:
-    """The axiom with anonymous individuals that no other document has, whatever they are called there."""
+    """The axiom with its anonymous individuals renamed, so that no other document has the same ones."""
     if "_:" not in axiom:
         return axiom
     return _ANONYMOUS.sub(lambda found: f"_:d{number}x{found[1]}" if found[1] else found.group(), axiom)
@@ -303,7 +303,7 @@ def _fault_of(error: str, text: str, syntax: str, shown: str) -> Fault:
 
 
 def _first_line_with(text: str, iris: Iterable[str]) -> int | None:
-    """The first line that mentions the first of some IRIs that is mentioned, in full or else by its short name."""
+    """The line of the first of some IRIs that the text mentions, in full or by its short name; None if none is."""
     lines = text.splitlines()
     for name in (name for iri in iris for name in (f"<{iri}>", f'"{iri}"', short_name(iri))):
         found = next((number for number, line in enumerate(lines, start=1) if name in line), None)
@@ -360,7 +360,7 @@ def _relative_path(path: Path, folder: Path) -> Path:
 
 
 def _line_with(path: Path, wanted: str) -> int | None:
-    """The line of an import: the first that mentions it, best one that says so."""
+    """The line of an import: the first that mentions it, preferably as an import; None if none does."""
     lines = [*enumerate(path.read_text("utf-8-sig").splitlines(), start=1)]
     found = [(number, line) for number, line in lines if wanted in line]
     return next((number for number, line in found if "mport" in line), found[0][0] if found else None)

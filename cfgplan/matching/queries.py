@@ -15,7 +15,7 @@ from cfgplan.matching.rules import TOP_ATOM, Rules
 from cfgplan.matching.saturation import Context, Edge
 
 _FEW: Final = 64
-"""Up to so many new members are checked one by one; for more a row is found anew."""
+"""Up to this many new members are checked one by one; with more, a row is found anew."""
 
 
 class Want:
@@ -29,7 +29,7 @@ class Want:
 
 
 class Demand:
-    """What must all be met: `atoms` to have, `wants` to have links for."""
+    """Requirements that must all be met: `atoms` to have, `wants` to have links for."""
 
     __slots__ = ("atoms", "wants")
 
@@ -39,7 +39,7 @@ class Demand:
 
 
 class Demands:
-    """Concepts as demands; equal concepts are the same object, so that rows can be remembered by it."""
+    """Turns concepts into demands. Equal concepts give the same object, so that rows can be remembered by it."""
 
     def __init__(self, rules: Rules) -> None:
         self._rules = rules
@@ -76,7 +76,7 @@ class Described(Protocol):
 
 
 class Fillers:
-    """Everything that links lead to, and which of it meets a demand."""
+    """The contexts that links lead to, and which of them meet a demand."""
 
     def __init__(self) -> None:
         self._family: Family[Context] = Family(self)
@@ -115,7 +115,7 @@ _Row: TypeAlias = "set[_Member] | frozenset[_Member]"
 
 
 class Family(Generic[_Member]):
-    """Members with what is known of them, indexed by their atoms and links, and the rows of demands."""
+    """Members with their descriptions, indexed by atoms and links, and the rows of demands."""
 
     def __init__(self, fillers: Fillers) -> None:
         self._fillers = fillers

@@ -55,7 +55,7 @@ _KEYWORDS: Final = {
     f"<{OWL}sameAs>": ("SameIndividual",),
     f"<{OWL}differentFrom>": ("DifferentIndividuals",),
 }
-"""The axioms that triples with a predicate come to."""
+"""The keywords of the axioms that a triple may stand for, by its predicate."""
 _CHARACTERISTICS: Final = {
     f"<{OWL}{kind}Property>": tuple(f"{kind}{of}Property" for of in ("Object", "Data"))
     for kind in (
@@ -70,7 +70,7 @@ _ROOTS: Final = {
     f"<{OWL}NegativePropertyAssertion>": ("NegativeObjectPropertyAssertion", "NegativeDataPropertyAssertion"),
     f"<{SWRL}Imp>": ("DLSafeRule",),
 }
-"""The axioms that nodes of a type come to."""
+"""The keywords of the axioms that a node may stand for, by its type."""
 _NAME: Final = r"<[^<>]*>"
 _PLACES: Final = re.compile(rf"(\w+)\(({_NAME})?.*?({_NAME})?\)$", re.DOTALL)
 
@@ -100,7 +100,7 @@ class TripleGraph:
             self._of[subject].append((predicate, value))
 
     def lossless(self) -> str:
-        """The document in N-Triples; what has no triples that survive is in `axioms`, in functional syntax."""
+        """The document in N-Triples; what would be dropped from any triples is in `axioms`, in functional syntax."""
         self._drop_what_means_nothing()
         self._give_names_a_type()
         self._write_disjointness_as_axioms()
@@ -120,7 +120,7 @@ class TripleGraph:
         ]
 
     def _give_names_a_type(self) -> None:
-        """Classes and properties of RDF Schema as those of OWL: a property is one of data if it has a literal."""
+        """Type classes and properties of RDF Schema as those of OWL: a property that has a literal is one of data."""
         properties: dict[str, bool] = {}
         for subject, predicate, value in list(self._triples):
             if predicate == _TYPE and value == f"<{RDFS}Class>":
@@ -139,7 +139,7 @@ class TripleGraph:
                 self._triples.append((name, _TYPE, _PROPERTY_TYPES[is_data]))
 
     def _untyped_classes(self, one: str, other: str) -> list[str]:
-        """Which of two equivalent terms are names without a type, if no type of the other says that it is data."""
+        """Those of two equivalent terms that are names without the type of a class; none if one is a datatype."""
         data = (_TYPE, f"<{RDFS}Datatype>")
         if any(data in self._of[term] or term.startswith(f"<{XSD}") for term in (one, other)):
             return []
@@ -148,7 +148,7 @@ class TripleGraph:
         ]
 
     def unread(self, axioms: Collection[str]) -> Iterator[str]:
-        """What the triples say and none of the axioms read from `lossless` does, shortened."""
+        """What the triples say but no axiom read from `lossless` does, shortened."""
         known = frozenset(axioms)
         direct: set[str] = set()
         expected: defaultdict[tuple[tuple[str, ...], str, str], set[object]] = defaultdict(set)
@@ -169,7 +169,7 @@ class TripleGraph:
                 yield f"`{about} {short_name(predicate.strip('<>'))} ...`"
 
     def _triples_of_axioms(self) -> Iterator[tuple[str, str, str]]:
-        """The triples that an axiom each comes from: no annotations, declarations or parts of expressions."""
+        """The triples that each stand for an axiom: no annotations, declarations or parts of expressions."""
         annotations = {s for s, p, o in self._triples if p == _TYPE and o == _PROPERTY_TYPES[2]}
         for subject, predicate, value in self._triples:
             is_part = subject.startswith("_:") and subject not in self._individuals
@@ -244,7 +244,7 @@ class TripleGraph:
 
 
 def _axiom_of(subject: str, predicate: str, value: str) -> tuple[tuple[str, ...], str, str]:
-    """The keywords of the axiom that a triple comes to, a name that stands first or last in it, its arguments."""
+    """The keywords that the axiom of a triple may have, a name that stands first or last in it, and its arguments."""
     name = "" if subject.startswith("_:") else subject
     if predicate in _KEYWORDS:
         return _KEYWORDS[predicate], name, f"{subject} {value}"

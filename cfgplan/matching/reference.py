@@ -90,7 +90,7 @@ def _document(
 ) -> str:
     """The ontology, and a class for each concept: below it if it is offered, above it if it is demanded.
 
-    One class is below another by the ontology just where the concepts are, and costs questions about others nothing.
+    One class is below another exactly if the concepts are, and it makes no question about others harder.
     """
     iri = {concept: f"<{_tag_iri(index)}>" for concept, index in number.items()}
     tags = [f"SubClassOf({iri[concept]} {in_functional_syntax(concept)})" for concept in dict.fromkeys(offered)]

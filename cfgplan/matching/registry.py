@@ -71,7 +71,7 @@ class TagRegistry:
         return again
 
     def add(self, read: Iterable[tuple[str, Concept]]) -> dict[str, Concept]:
-        """Register texts; the meanings that are new, by name."""
+        """Register texts. Returns the new meanings by name."""
         fresh: dict[str, Concept] = {}
         for text, concept in read:
             self._counts[text] += 1
@@ -82,7 +82,7 @@ class TagRegistry:
         return fresh
 
     def _enter(self, text: str, concept: Concept) -> bool:
-        """Note what a text means; whether nothing meant that before."""
+        """Note what a text means. Returns whether the meaning is new."""
         self._concepts[text] = concept
         name = self._name_of.get(concept)
         if name is not None:
@@ -93,7 +93,7 @@ class TagRegistry:
         return True
 
     def remove(self, texts: Iterable[str]) -> tuple[dict[str, Concept], dict[str, Concept]]:
-        """Take texts back; the names that are gone, and the names that stand in for some of them.
+        """Take texts back. Returns the names that are gone, and those that replace some of them, with their meanings.
 
         Raises KeyError for a text that is not registered; nothing is taken back then.
         """

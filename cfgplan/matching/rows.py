@@ -12,7 +12,7 @@ from cfgplan.matching.engine import FastEngine, Offer
 from cfgplan.matching.queries import Demand, DemandIndex, Family, Fillers
 
 _FEW: Final = 64
-"""Up to so many new offers are looked up in the demands one by one; for more all rows are found anew."""
+"""Up to this many new offers are looked up in the demands one by one; with more, all rows are found anew."""
 
 _Member: TypeAlias = "str | tuple[str, int]"
 """An offer's name, or its name with the number of a disjunct where it has several."""

@@ -56,7 +56,7 @@ class Rules:
         self.outside_chain = self._chain_that_breaks_a_range()
 
     def say(self, inclusions: Iterable[Inclusion]) -> None:
-        """Add what is said of individuals that are new."""
+        """Add the rules of inclusions; after the construction only of those about new individuals."""
         for inclusion in inclusions:
             self._imply(self._recognise(inclusion.sub), inclusion.sup, inclusion.axiom)
 
@@ -81,7 +81,7 @@ class Rules:
         return number
 
     def _recognise(self, concept: Concept) -> int:
-        """An atom that everything gets that the rules find to be a `concept`."""
+        """Add rules that give every member of a `concept` its atom. Returns the atom."""
         atom = self.atom(concept)
         if concept in self._recognised:
             return atom
@@ -113,7 +113,7 @@ class Rules:
         self.joint[other].setdefault(one, set()).add(result)
 
     def _imply(self, atom: int, concept: Concept, axiom: str) -> None:
-        """Everything with this atom is a `concept`, which is a name, ⊓ or ∃."""
+        """Add rules that make everything with this atom a `concept`, which is a name, ⊓ or ∃."""
         if isinstance(concept, Intersection):
             for part in concept.parts:
                 self._imply(atom, part, axiom)
@@ -133,7 +133,7 @@ class Rules:
             self.origin.setdefault(("sub", atom, implied), axiom)
 
     def _expand(self, atom: int, axiom: str) -> None:
-        """Say what an atom that stands for a complex concept implies: just that concept."""
+        """Add rules that make an atom of a complex concept imply that concept."""
         concept = self.concepts[atom]
         if isinstance(concept, Intersection | Some) and concept not in self._implied:
             self._implied.add(concept)
@@ -171,7 +171,7 @@ class Rules:
                     self.origin.setdefault(("range", role, atom), self.origin["range", upper, atom])
 
     def _chain_that_breaks_a_range(self) -> str | None:
-        """The axiom of a chain whose range its last role doesn't have (the restriction of OWL EL), if any."""
+        """The axiom of a chain whose last role lacks the chain's range, which OWL EL forbids; None if there is none."""
         for first, pairs in self.chains.items():
             for second, target in pairs:
                 if not self.ranges[target] <= self.ranges[second]:

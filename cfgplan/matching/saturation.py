@@ -70,7 +70,7 @@ class Saturation:
         return any(context.exists and context.is_unsatisfiable for context in self._contexts.values())
 
     def context(self, seeds: Iterable[int]) -> Context:
-        """The saturated context of the things with these atoms, at most one of which is a nominal, and that alone."""
+        """The saturated context of the things with these atoms. A nominal must be the only atom."""
         key = frozenset(seeds) or frozenset((TOP_ATOM,))
         known = self._contexts.get(key)
         if known is None:
@@ -81,7 +81,7 @@ class Saturation:
         return known
 
     def let_individuals_come(self, atoms: Iterable[int]) -> bool:
-        """Make contexts of individuals that are new; False if that changes a context that was there before."""
+        """Make contexts of new individuals. Returns False if that changes a context that was there before."""
         self._disturbed = False
         for atom in atoms:
             self._let_exist(self._context(frozenset((atom,))))

@@ -29,9 +29,9 @@ REFUTING: Final = 0.25
 
 @dataclass(frozen=True)
 class Matching:
-    """The similarity of tags, what is odd about them, and how many pairs of distinct tags each reasoner decided.
+    """The similarity of tags, warnings, and how many pairs of distinct tags each reasoner decided.
 
-    About `asked` pairs the reference was asked by now, whether it answered or not.
+    `asked` is the number of pairs that the reference was asked about by now, whether it answered or not.
     """
 
     similarity: Similarity
@@ -52,8 +52,8 @@ class Matcher:
     Tags are counted: one that was added twice is there until it was removed twice. The fast engine takes changes in
     at once. The reference is asked about pairs that the engine leaves open: all of them by `matching`, those that
     matter by `decide`, after which `matching(decide=False)` knows the answers. No pair is asked about twice.
-    An offered tag that nothing can have matches nothing as soon as that is known: always after `matching`, if time
-    suffices, and after `decide` of those that it asked about. Until then it matches what the fast engine finds.
+    An offered tag that nothing can have matches nothing as soon as that is known: after `matching` if time suffices,
+    and after `decide` for the tags that it asked about. Until then it matches what the fast engine finds.
     Raises UnknownNameError for a reasoner that is none of REASONERS.
     """
 
@@ -106,9 +106,9 @@ class Matcher:
     def change_ontology(self, ontology: Ontology) -> None:
         """Match by another ontology from now on.
 
-        Where whole individuals come and go that say nothing new of others, such as robots that register, what the
-        fast engine knows stays; else it starts over, and so does the reference in any case. Raises InputError with
-        every tag that can't be read in the new ontology; nothing is changed then.
+        The fast engine keeps what it knows if only whole individuals come and go that say nothing new of others, such
+        as robots that register; else it starts over. The reference always does. Raises InputError with every tag that
+        can't be read in the new ontology; nothing is changed then.
         """
         faults: list[Fault] = []
         offered, demanded = self._offered.reread(ontology, faults), self._demanded.reread(ontology, faults)
@@ -244,7 +244,7 @@ class Matcher:
         return frozenset() if self._countermodels is None else self._countermodels.refuted(demand)
 
     def _for_certain(self, demand: Concept, denied: frozenset[Concept]) -> frozenset[Concept]:
-        """Those of the offers denied by what reasoners are told that nothing else in the ontology can make match."""
+        """Those of the denied offers that can't match by what was dropped from the ontology either."""
         if not self._ontology.dropped:
             return denied
         return frozenset(offered for offered in denied if not self._losses.concern(offered, demand))

@@ -1,8 +1,8 @@
 """Finite interpretations of an ontology's names, and which of their things break an axiom.
 
 A structure in which nothing breaks any axiom is a model: what does not hold in it does not follow from the ontology.
-Class expressions and axioms mean what they mean in OWL 2 Direct Semantics (W3C, 2012). Literals are only known by how
-they are written, so that expressions about them have members for certain, and others that may be members or not.
+Class expressions and axioms mean what they mean in OWL 2 Direct Semantics (W3C, 2012). Literals are known only as they
+are written, so that expressions about them have certain members and possible ones.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class Interpretation:
         return thing
 
     def put(self, name: str, things: Set[int]) -> bool:
-        """Make things members of a class; whether some were not."""
+        """Make things members of a class. Returns whether some were not."""
         members = self.classes[name]
         if things <= members:
             return False
@@ -83,7 +83,7 @@ class Interpretation:
         return self._touch(name)
 
     def link(self, role: Tree, source: int, target: int) -> bool:
-        """Link one thing to another; whether that is new."""
+        """Link one thing to another. Returns whether the link is new."""
         if isinstance(role, tuple):
             return self.link(role[1], target, source)
         targets = self._links[role][source]
@@ -94,7 +94,7 @@ class Interpretation:
         return self._touch(role)
 
     def give(self, name: str, thing: int, value: Tree) -> bool:
-        """Give a thing a literal, or something of a datatype; whether that is new."""
+        """Give a thing a literal, or something of a datatype. Returns whether it is new."""
         values = self.values[name][thing]
         if value in values:
             return False
@@ -118,7 +118,7 @@ class Interpretation:
         return self.values.get(str(name), {})
 
     def merge(self, kept: int, gone: int) -> None:
-        """Make two things one."""
+        """Merge `gone` into `kept`."""
         self.things.discard(gone)
         for name, thing in self.individuals.items():
             if thing == gone:
@@ -140,7 +140,7 @@ class Interpretation:
         self._forget_all()
 
     def remove(self, things: Set[int]) -> None:
-        """Leave things out."""
+        """Remove things with their memberships, links and literals."""
         self.things -= things
         for members in self.classes.values():
             members -= things
@@ -240,9 +240,9 @@ class Interpretation:
         return set() if certain else self.things
 
     def broken(self, axiom: tuple[Tree, ...]) -> Set[int]:
-        """The things by which an axiom does not hold, or may not hold: without any it holds.
+        """The things that break an axiom, or may break it. If there are none, the axiom holds.
 
-        If there are any, then it may hold without them.
+        If there are any, it may hold once they are removed.
         """
         keyword, *parts = axiom
         if keyword in _NOTHING_TO_BREAK:

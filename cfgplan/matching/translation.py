@@ -22,7 +22,7 @@ from cfgplan.matching.statements import RoleInclusion, Translation, add_range, i
 
 
 def translate(trees: Mapping[str, Tree], roles_of_tags: Collection[str] = ()) -> Translation:
-    """The statements of some axioms. Inverses that `roles_of_tags` doesn't name are rather replaced than others."""
+    """The statements of some axioms. Of two inverse roles, one that `roles_of_tags` doesn't name is replaced first."""
     result = Translation()
     inverses = replaceable_inverses(trees.values(), roles_of_tags)
     result.replaced_roles = frozenset(inverses)
@@ -177,7 +177,7 @@ def _words(trees: Collection[Tree]) -> Iterator[str]:
 
 
 def without_inverses(tree: Tree, inverses: Mapping[str, str]) -> Tree:
-    """An axiom with the properties that inverses replace. Raises OutsideError for inverses that stay."""
+    """An axiom with its replaceable inverses replaced. Raises OutsideError for inverses that stay."""
     assert not isinstance(tree, str), "an axiom is a keyword with arguments"
     keyword, rest = tree[0], tree[1:]
     if keyword == "InverseObjectProperties":

@@ -23,15 +23,15 @@ PATIENCE: Final = 0.1
 PATIENCE_S: Final = 30.0
 """How long the answer for one pair may take at first where there is no time limit, seconds."""
 FIRST_PAIRS: Final = 64
-"""So many pairs are asked for in the first call, in each later one four times as many as in the one before it."""
+"""The number of pairs asked for in the first call; each later call asks for four times as many as the last."""
 MOST_PAIRS: Final = 8192
-"""So many pairs are asked for in one call: a command line has its limits."""
+"""The most pairs asked for in one call: a command line has its limits."""
 
 
 class Verdicts:
-    """The answers to questions about one ontology: for each demanded concept, about which offered ones.
+    """The answers for one ontology: by demanded concept, the offered ones asked about and those found to be below it.
 
-    Answers stay right as long as the ontology does, whether the tags are still registered or not.
+    Answers stay right whether the tags are still registered or not.
     """
 
     def __init__(self, ontology: Ontology, reference: Reference | None) -> None:
@@ -55,7 +55,7 @@ class Verdicts:
         return self._answered.get(demanded, frozenset()) - self.accepted(demanded)
 
     def check(self, concepts: Collection[Concept], time_limit_s: float | None) -> None:
-        """Ask which concepts something can have; about ⊤ only as long as nothing is known to have any of them.
+        """Ask which concepts something can have; about ⊤ only while no concept is known that something can have.
 
         Raises what the reasoner raises, such as InconsistentOntologyError.
         """
