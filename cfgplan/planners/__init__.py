@@ -19,7 +19,7 @@ from cfgplan.planning import Plan, Planner, Problem, Progress
 
 
 def _imported_on_use(module: str) -> Planner:
-    """The module's function `plan`, honest about open pairs; it and its engine are imported at the first call."""
+    """The module's function `plan`, in a `Deciding` where pairs are open; the module is imported at the first call."""
 
     def planner(
         problem: Problem,

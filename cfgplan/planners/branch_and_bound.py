@@ -165,7 +165,7 @@ class Tree:
             _propagate(option, option.cost_us)
 
     def best_cost_chain(self, node: TreeNode, slot: int) -> int | float:
-        """The cheapest known completion of the slot or of one on the way to the root, with what leads there."""
+        """The cost, from the root on, of the cheapest known completion of the slot or of one on the way to the root."""
         at: TreeNode | None = node
         limit = self.problem.max_cost_us
         best = float("inf") if limit is None else limit + 1
@@ -176,7 +176,7 @@ class Tree:
         return best
 
     def cost_us(self, label: str, *, running: bool) -> int:
-        """Reuse is free but for its upkeep."""
+        """The cost of a unit: upkeep, and labor unless it runs already."""
         cost = keep_cost_us if running else start_cost_us
         return cost(self.library[label], self.problem.horizon_s)
 
@@ -258,7 +258,7 @@ class Compilation:
 
 
 def _best_options(node: TreeNode) -> list[TreeNode]:
-    """The root's targets stand for themselves; other slots for their best option."""
+    """The best option of each slot; at the root these are the targets and pinned units."""
     return [node.best[i] for i in range(len(node.slots))]
 
 

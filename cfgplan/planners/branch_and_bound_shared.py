@@ -1,11 +1,10 @@
 """Branch-and-bound that counts sharing correctly: over sets of units instead of trees of them.
 
-What the paper's search could be at its best, to compare against. A state is a set of chosen units; it
-branches over who feeds a demand that none of them feeds, most promising state first. Each unit is paid
-for once. The bound adds the cheapest feeders of open demands that have no feeder in common. A set
-without open demands that is not grounded (or not distinct) branches over who could be fed from outside it:
-one of these must run. Now and then it dives for a plan. Equal costs are told apart by nothing, so the
-status is feasible even where the bound says that the cost is proven.
+What the paper's search could be at its best, to compare against. A state is a set of chosen units, each paid for once.
+It branches over the feeders of a demand that no chosen unit feeds, most promising state first. The bound adds the
+cheapest feeders of open demands that have no feeder in common. A set without open demands that is not grounded (or not
+distinct) branches over the further units of which one must run (`Selection.ways_in`). Now and then it dives for a plan.
+Ties are not told apart, so they are never proven.
 """
 
 from __future__ import annotations
@@ -90,7 +89,7 @@ def _state(selection: Selection, chosen: Set) -> State:
 
 
 def _children(selection: Selection, chosen: Set) -> list[Set]:
-    """The chosen and one more, such that every valid superset of the chosen is one of a child."""
+    """The chosen and one more unit each; every valid superset of the chosen is a superset of one of these."""
     demands = selection.open_demands(chosen).values()
     ways = min(demands, key=lambda feeders: (len(feeders), feeders)) if demands else selection.ways_in(chosen)
     return [chosen | {i} for i in ways]

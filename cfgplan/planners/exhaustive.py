@@ -1,7 +1,7 @@
 """The oracle: every set of units, every wiring of it, judged by the definitions alone.
 
-It shares nothing with the other planners but the domain, and is slow on purpose: what it can't try
-within its size it refuses.
+It shares nothing with the other planners but the domain, and is slow on purpose. It refuses problems that are too large
+for it.
 """
 
 from __future__ import annotations
@@ -181,7 +181,7 @@ def _wirings(
 ) -> Iterator[list[ComputationUnit]]:
     """Every wiring of the chosen units that meets the targets, is grounded and distinct; not all are lean.
 
-    Wirings with so many rewired units that they are not `worth_it` are left.
+    Wirings are skipped that rewire so many units that they are not `worth_it`.
     """
     demands = _demands(problem, chosen)
     label_of = {unit.id: unit.transformation for unit in chosen}
@@ -233,7 +233,7 @@ def _wired(chosen: tuple[ComputationUnit, ...], choice: list[tuple[_Demand, Stre
 
 
 def _key(problem: Problem, units: list[ComputationUnit]) -> Key | None:
-    """How good a wiring is, or None if it runs a unit that nothing needs."""
+    """The key of a wiring, or None if it runs a unit that nothing needs."""
     environment = problem.environment
     pinned = {unit.id for unit in units if _is_pinned(problem, unit)}
     publishing = {unit.id for unit in units if unit.publications}

@@ -147,7 +147,7 @@ def _named(environment: Environment, chosen: Sequence[Sequence[Kind]]) -> Iterat
 
 
 def _is_allowed(problem: Problem, units: Units) -> bool:
-    """Whether pinned units are kept, numbers and conflicts are right and hosts can bear their units."""
+    """Whether pinned units are kept, numbers and conflicts are right, and hosts have room for their units."""
     environment = problem.environment
     library = environment.transformation
     there = Counter(unit.transformation for unit in units)

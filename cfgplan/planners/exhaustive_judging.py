@@ -1,6 +1,6 @@
 """How the oracle judges a finished configuration of a fleet: cost, leanness, failures.
 
-What quality is reached and what is carried it asks the judge.
+It asks the judge which quality is reached and what is carried.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Steps:
         self.number = 0
 
     def take(self) -> None:
-        """Raises InputError after `MOST_STEPS`."""
+        """Count a step. Raises InputError after `MOST_STEPS`."""
         self.number += 1
         if self.number > MOST_STEPS:
             raise InputError.of(
@@ -76,7 +76,7 @@ def is_borne(problem: Problem, units: Sequence[ComputationUnit]) -> bool:
 
 
 def key_of(problem: Problem, units: Units) -> Key | None:
-    """How good a wiring is, or None if a bound is missed or a unit is there that nothing needs."""
+    """The key of a wiring, or None if a bound is missed or a unit is there that nothing needs."""
     environment = problem.environment
     after = replace(environment, units=units)
     if any(quality_violations(after)) or not _is_lean(problem, units):
@@ -116,7 +116,7 @@ def needed_by(units: Sequence[ComputationUnit], roots: Sequence[ComputationUnit]
 
 
 def reached_from(edges: list[tuple[str, str]], start: str) -> set[str]:
-    """What is reached from a unit along the streams, itself too."""
+    """The units reached from one along the streams, that one included."""
     seen, ahead = {start}, [start]
     while ahead:
         here = ahead.pop()

@@ -51,7 +51,7 @@ class Selection:
     def answer(
         self, chosen: Collection[int] | None, bound_us: int, *, seconds: Mapping[str, float], counts: Mapping[str, int]
     ) -> Plan:
-        """The plan that runs the chosen, given that no plan costs less than the bound; of equal costs any will do."""
+        """The plan that runs the chosen; `bound_us` is proven. Of plans that cost the same any will do."""
         largest = self.problem.max_cost_us
         if largest is not None and bound_us > largest:
             return Plan(self.who, Status.TOO_EXPENSIVE, bound_us=bound_us, seconds=seconds, counts=counts)
@@ -74,10 +74,9 @@ class Selection:
             alive = frozenset(order)
 
     def ways_in(self, chosen: Collection[int]) -> list[int]:
-        """Those not chosen of which one must be in every valid set with the chosen, if these are not valid yet.
+        """The further units of which every valid superset of the chosen has one, if these are not valid by themselves.
 
-        In the order of feeding of such a set its first unit that is not chosen is fed by chosen ones, or
-        needs no feeding.
+        In the order of feeding of such a superset, the first further unit is fed by chosen ones, or needs no feeding.
         """
         anyone = range(len(self.candidates))
         fed = set(self._fed_in_order(frozenset(chosen), anyone))
@@ -95,7 +94,7 @@ class Selection:
         return order
 
     def can_be_fed(self, index: int, before: Collection[int], anywhere: Collection[int]) -> bool:
-        """Whether a candidate's inputs match those `before` it, its feedback inputs those `anywhere`."""
+        """Whether candidates `before` can feed a candidate's inputs, and candidates `anywhere` its feedback inputs."""
         return self._feed(index, before, anywhere) is not None
 
     def satisfied(self, chosen: Collection[int]) -> bool:
@@ -103,18 +102,18 @@ class Selection:
         return not self.open_demands(frozenset(chosen)) and len(self.grounded(chosen)) == len(chosen)
 
     def open_demands(self, chosen: frozenset[int]) -> dict[str, tuple[int, ...]]:
-        """The demands of the targets and of the chosen that no chosen one feeds, with who could."""
+        """The demands of the targets and of the chosen that no chosen one feeds, each with its feeders."""
         tags = dict.fromkeys(self.wanted)
         for i in sorted(chosen):
             tags.update(dict.fromkeys(port.tag for port in self.candidates[i].transformation.inputs))
         return {tag: self.feeders(tag) for tag in tags if chosen.isdisjoint(self.feeders(tag))}
 
     def needed(self, chosen: Collection[int]) -> frozenset[int]:
-        """Those of the satisfied chosen that targets and pinned units need in the wiring of `answer`."""
+        """Those of a satisfied set that targets and pinned units need in the wiring of `answer`."""
         return frozenset(self._wired(chosen))
 
     def _wired(self, chosen: Collection[int]) -> dict[int, ComputationUnit]:
-        """The units of the needed ones; old streams are preferred."""
+        """The needed ones of the chosen as wired units; old streams are preferred."""
         order = self.grounded(chosen)
         topics: dict[int, list[Publication]] = defaultdict(list)
         for target in self.problem.environment.targets:
@@ -174,7 +173,7 @@ class Selection:
         return Subscription(port.name, old if old is not None and keeps else Stream(giver.id, fit[0]))
 
     def _publisher(self, tag: str, topic: str, order: list[int]) -> tuple[int, str]:
-        """Who publishes a target and on which port: as it is now if that may stay."""
+        """The publisher of a target and its port: the present ones if they may stay."""
         fit = [(i, port) for i in order if i in self.feeders(tag) for port in self._ports(i, tag)]
 
         def is_old(choice: tuple[int, str]) -> bool:

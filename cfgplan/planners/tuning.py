@@ -27,7 +27,7 @@ FLEETS = "`fleets.py`"
 
 @dataclass(frozen=True)
 class Decide:
-    """The planner's own search of what is small."""
+    """The planner's own search of small problems."""
 
     labels: Annotated[int, Said("labels", "so many a network may have that is searched before all else", LIBRARIES)] = (
         600
@@ -68,7 +68,7 @@ class Rise:
 
 @dataclass(frozen=True)
 class Rest:
-    """What is looked at where nothing is to be changed, and from there."""
+    """Looking ahead where nothing is to be changed, and replanning from there."""
 
     cases: Annotated[int, Said("labels", "if more changed their costs all plans are looked at together", AT_REST)] = 4
     room: Annotated[float, Said("times", "what the dearest failure costs is bounded", AT_REST)] = 1.05
@@ -132,7 +132,7 @@ class Fleet:
 
 @dataclass(frozen=True)
 class Quality:
-    """What streams are worth, before the solver and in linear cuts."""
+    """Quality of streams: first plans and linear cuts."""
 
     badness_steps: Annotated[int, Said("steps of badness", "from the best to the worst", FLEETS)] = 48
     reach: Annotated[int, Said("times the best badness", "up to which steps go without a bound", FLEETS)] = 3
@@ -152,7 +152,7 @@ class Quality:
 
 @dataclass(frozen=True)
 class Tuning:
-    """All of it; with `is_solver_only` there are no bounds, no first plans and no search of the planner's own."""
+    """All tuning. With `is_solver_only` there are no bounds, no first plans and no search of the planner's own."""
 
     decide: Decide = Decide()
     begin: Begin = Begin()
@@ -167,7 +167,7 @@ class Tuning:
 
     @classmethod
     def solver_only(cls) -> Tuning:
-        """The solver has to find every plan, and prove it, by itself: for tests of the model."""
+        """A tuning with which the solver finds and proves every plan by itself: for tests of the model."""
         return cls(is_solver_only=True)
 
     def without_search(self) -> Tuning:

@@ -1,12 +1,13 @@
-"""Planning where it is not decided of some pairs of tags whether they match: what matters is asked, nothing is claimed.
+"""Planning where some pairs of tags are open: those that matter are decided, nothing is claimed of the others.
 
 An update is planned as if every open pair matched. If it uses none of them, it is the answer: no completion of the
-relation has a better one. Else the pairs that it uses are asked, and more of the same demands, and it is planned again.
-What can't be decided leaves the best plan of the decided relation, with the optimistic one's cost as its bound.
+relation has a better one. Else the pairs that it uses, and more of the same demands, are decided, and it is planned
+again. If they can't be decided, the answer is the best plan of the decided relation, with the optimistic one's cost as
+its bound.
 
-More matches make plans cheaper, but for two things: a required transformation that can be used only then has to be, and
-a pinned unit that can be fed only then has to be kept. Where that may be so, a bound or a refusal is taken from the
-problem that requires nothing and lets such units go.
+More matches make plans cheaper, with two exceptions. A required transformation that can be used only then has to be
+used, and a pinned unit that can be fed only then has to be kept. Where that may be so, a bound or a refusal is taken
+from the problem that requires nothing and lets such units go.
 """
 
 from __future__ import annotations
@@ -24,10 +25,12 @@ from cfgplan.reasons import Givers, startable
 
 FIRST_BATCH: Final = 16
 GROWTH: Final = 8
-"""So many pairs are asked in the first round, so many times more in each next one: a round costs seconds, a pair few
-milliseconds (experiments/matching/deciding.py)."""
+"""The pairs asked in the first round, and how many times more each next round asks.
+
+A round costs seconds, a pair few milliseconds (experiments/matching/deciding.py).
+"""
 LEAST_S: Final = 0.01
-"""Even where time is over a planner may look so long for a plan."""
+"""A planner may look for a plan for at least so long, even if the time is over."""
 _REFUSED: Final = (Status.INFEASIBLE, Status.TOO_EXPENSIVE)
 
 
@@ -89,7 +92,7 @@ class Deciding:
         return self._counted(_answer(problem, best, uses, certain, budget), budget)
 
     def _learns(self, problem: Problem, uses: tuple[Pair, ...], batch: int) -> bool:
-        """Have some pairs decided, and tell whether any was."""
+        """Have some pairs decided. Returns whether any was."""
         if self._decider is None:
             return False
         before = self._decider.similarity
@@ -151,7 +154,7 @@ def _hopeful(problem: Problem) -> Problem:
 
 
 def _bounds_only(problem: Problem, report: Callable[[Progress], None] | None) -> Callable[[Progress], None] | None:
-    """A reporter of the bound of a hopeful plan, whose cost may hang on open pairs; None if its bound may be none."""
+    """A reporter of bounds only, since a hopeful plan's cost may hang on open pairs; None if its bound may, too."""
     if report is None or not _is_monotone(problem):
         return None
     return lambda progress: report(replace(progress, cost_us=None))
@@ -175,7 +178,7 @@ def _hangs_on(problem: Problem, best: Plan, budget: _Budget) -> tuple[tuple[Pair
 
 
 def _pairs_among(environment: Environment, similarity: Similarity) -> Iterator[Pair]:
-    """The open pairs of what units offer and what units and targets demand."""
+    """The open pairs between what units offer and what units and targets demand."""
     kinds = {unit.transformation for unit in environment.units} & environment.transformation.keys()
     offered = {port.tag for label in kinds for port in environment.transformation[label].outputs}
     demanded = {port.tag for label in kinds for port in environment.transformation[label].inputs}
@@ -199,7 +202,7 @@ def _most_wanted(problem: Problem, uses: tuple[Pair, ...], batch: int) -> Iterat
 
 
 def _dear_us(problem: Problem, possible: Iterable[str]) -> Mapping[str, int]:
-    """What the cheapest transformation that offers a tag costs by itself, by tag."""
+    """For each tag the cost of the cheapest transformation that offers it, by itself."""
     environment = problem.environment
     running = {unit.transformation for unit in environment.units}
     dear_us: dict[str, int] = {}
@@ -265,7 +268,7 @@ def _doubtful(problem: Problem) -> frozenset[str]:
 
 
 def _relaxed(problem: Problem) -> Problem:
-    """The hopeful problem that requires nothing and lets doubtful units go: no valid update is cheaper than its."""
+    """The hopeful problem that requires nothing and lets doubtful units go: its optimum bounds every valid update."""
     doubtful, environment = _doubtful(problem), problem.environment
     library = tuple(
         replace(t, required=False, pinned=t.pinned and t.label not in doubtful) for t in environment.library

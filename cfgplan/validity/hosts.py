@@ -31,7 +31,7 @@ def placing_violations(environment: Environment) -> Iterator[Violation]:
 
 
 def carried_us(environment: Environment, horizon_s: int) -> int:
-    """What it costs to carry streams to other hosts, each once for each host that it is wanted on."""
+    """The cost to carry streams to other hosts; a stream is paid once for each host that it is wanted on."""
     at = {unit.id: unit.host for unit in environment.units}
     topic_host = {target.topic: target.host for target in environment.targets}
     journeys: set[tuple[str, str, str]] = set()

@@ -18,10 +18,10 @@ from cfgplan.validity.startable import givers_by_tag, startable
 def plan_violations(problem: Problem, plan: Plan) -> list[Violation]:
     """Every way in which a plan fails to be what it says it is; empty for a good plan.
 
-    That no plan is cheaper, or uses more of what is required, is the planner's proof and is not repeated here; but what
-    runs may refute it. Where pairs of tags are open, what is done must be valid though none of them matches; what is
-    claimed must hold though all of them match: that there is no plan, and with `optimal` that every pinned unit is kept
-    that can be fed. An optimal plan hangs on no open pair.
+    The planner's proof that no plan is cheaper, or uses more of what is required, is not repeated here; but what runs
+    may refute it. Where pairs of tags are open, the change set must be valid even if none of them matches. Claims must
+    hold even if all of them match: that there is no plan and, with `optimal`, that every pinned unit is kept that can
+    be fed. An optimal plan hangs on no open pair.
     """
     if (plan.change_set is not None) != (plan.status in (Status.OPTIMAL, Status.FEASIBLE)):
         text = f"a plan that is {plan.status} must have a change set exactly if one was found"
@@ -84,7 +84,7 @@ def _bad_change_set(before: Environment, plan: Plan, after: Environment) -> Iter
 
 
 def silent_stops(problem: Problem, plan: Plan) -> list[Violation]:
-    """The pinned units that a plan stops and does not say why; planners need not say it, what is handed out has to."""
+    """The pinned units that a plan stops without a reason; planners need not give one, what is handed out must."""
     if plan.change_set is None:
         return []
     dropped = _dropped_pinned(problem.environment, problem.environment.update(plan.change_set))
@@ -129,7 +129,7 @@ def _misreported_required(plan: Plan, after: Environment) -> Iterator[Violation]
 
 
 def _refuted_by_what_runs(problem: Problem, plan: Plan) -> Iterator[Violation]:
-    """What a plan that changes something claims of all plans, held against what runs if that is valid."""
+    """The claims about all plans that what runs refutes, if that is valid and the plan changes something."""
     before, changes = problem.environment, plan.change_set
     if not changes or violations(before, problem.similarity, problem.survive):
         return

@@ -45,7 +45,7 @@ def _asked(environment: Environment) -> Iterator[tuple[Target, Wish, int]]:
 
 
 def _feeders_first(environment: Environment) -> list[tuple[ComputationUnit, Transformation]]:
-    """The units after all that feed their inputs, feedback aside, without those in a ring or behind one."""
+    """The units, each after those that feed its inputs (feedback aside); those in a ring or behind one are left out."""
     sorter: TopologicalSorter[str] = TopologicalSorter()
     known = {unit.id: (unit, transformation) for unit, transformation in known_units(environment)}
     for unit, transformation in known.values():
@@ -62,7 +62,7 @@ def _feeders_first(environment: Environment) -> list[tuple[ComputationUnit, Tran
 
 
 def _values(attribute: QualityAttribute, order: Iterable[tuple[ComputationUnit, Transformation]]) -> dict[Stream, int]:
-    """The value of each stream; a gap, and what is not in the order, counts as the worst."""
+    """The value of each stream; an input counts as the worst if it is not fed, or from outside the order."""
     values: dict[Stream, int] = {}
     for unit, transformation in order:
         feeds = [unit.feeds.get(port.name) for port in transformation.inputs if not port.feedback]

@@ -36,7 +36,7 @@ class Rule(StrEnum):
 class Violation:
     """One broken rule, with the unit or target (and port) where it is broken.
 
-    It `is_open` if nobody knows whether it is broken: that hangs on a pair of tags that is not decided.
+    It `is_open` if a pair of tags has to be decided to know whether it is broken.
     """
 
     rule: Rule

@@ -29,7 +29,7 @@ def chained_bound(core: Core, cost: Ints, certain: Sequence[int], is_over: Calla
         if level == 0 or value == NEVER or is_over():
             break
         charges = _charges(core, facts, before, end)
-        # A label that is there before others that a fact takes is charged no more than it has left.
+        # With crowds, the cheaper givers of a fact would be charged more than they have left.
         residual -= charges if core.crowds is None else np.minimum(charges, residual)
         facts, before = cheapest_way(core, residual, facts)
     return value

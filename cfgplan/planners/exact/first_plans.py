@@ -79,7 +79,7 @@ class FirstPlans:
         return found
 
     def _burden(self) -> Floats:
-        """What each transformation adds to the badness of what it is made of, or takes of what hosts have."""
+        """Each transformation's burden: badness that it adds or, with no attribute, its share of hosts' resources."""
         attribute, transformations = self._attribute, self.network.transformations
         if attribute is None:
             hosts = self.candidates.environment.hosts

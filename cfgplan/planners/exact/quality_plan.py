@@ -88,7 +88,7 @@ class QualityPlanner:
         return best, total_us
 
     def lean(self, plan: Collection[int]) -> tuple[set[int], int]:
-        """The plan without members that only make it worse, the dearest tried first, and its total cost."""
+        """The plan without members that it is no worse without, the dearest tried first, and its total cost."""
         left, total_us = set(plan), self.total_us(plan)
         assert total_us is not None
         for unit in sorted(left - self.pinned, key=lambda unit: (-self.cost[unit], unit)):

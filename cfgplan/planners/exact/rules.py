@@ -168,7 +168,7 @@ def _first_ways(model: Model, stream: Stream, demand: int, host: Host) -> list[I
 
 
 def what_is_met_on_a_host_is_met_at_all(model: Model) -> None:
-    """And what a unit needs that runs on any host is met at all.
+    """So is what a running unit needs, whatever its host.
 
     This is implied, but the model's relaxation spreads units over hosts, and its search lacks it most.
     """
@@ -238,7 +238,7 @@ def required_transformations_serve_a_target(model: Model) -> None:
 
 
 def hosts_bear_their_units(model: Model) -> None:
-    """They have room for them in each resource; cold spares count as if they ran, since they must be able to."""
+    """Each host has room for its units in each resource; cold spares count as running, as they must be able to run."""
     candidates = model.candidates.all
     for host in model.environment.hosts:
         here = [

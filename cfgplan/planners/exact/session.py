@@ -62,7 +62,7 @@ class _Course:
         prepared.tell(self.standing, self.candidates)
 
     def decides(self, among: Collection[str] | None = None) -> bool:
-        """Search without the solver. True if the cost is proven; the solver then breaks ties if it has to."""
+        """Search without the solver. True if that proves the cost; the solver has then broken ties if it had to."""
         candidates = decide(self.standing, self.structure, among)
         self.clock.end("bounds")
         if candidates is not None and not self.standing.is_over:

@@ -57,8 +57,8 @@ class Support:
     def _ways_into(self, unfounded: list[int]) -> list[int]:
         """The choices by which some unfounded propositions can be derived first.
 
-        A choice that can only hold after one of them can't be the first: it rests on all of some parts, one of which is
-        such, or on any of choices that all are.
+        A choice is dead if it can only be derived after one of them: one of all the parts that it rests on is dead, or
+        every choice that it rests on is. Dead choices are left out.
         """
         dead = set(unfounded)
         ahead = list(unfounded)
