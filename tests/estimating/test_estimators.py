@@ -254,7 +254,7 @@ def test_estimated_costs_never_add_up_to_more_than_can_be_computed(horizon_s: in
 def test_a_simulated_unit_uses_what_its_behaviour_says() -> None:
     behaviour = Behaviour(start_s=0.5, labor_us=70_000, upkeep_us=lambda second: 1000 * second)
     backend = SimulatedBackend({"work": behaviour})
-    backend.start("work.1", WORK, None)
+    backend.start("work.1", WORK, None, None)
     while backend.now() < 2.5:
         backend.wait(2.5 - backend.now())
     usage = backend.usage("work.1")

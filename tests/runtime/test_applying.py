@@ -28,7 +28,7 @@ from cfgplan_runtime.supervision.backend import Inlet
 from cfgplan_runtime.supervision.wiring import Wire, wanted_feeds, wanted_topics
 from world import RESULT, source, start, unit, worker
 
-from cfgplan.domain import ChangeSet, Environment
+from cfgplan.domain import ChangeSet, Environment, Host
 
 COUNT, WORK = unit("count.1"), unit("work.1", topic="/result", x="count.1/n")
 NEW = unit("work.2", topic="/result", x="count.1/n")
@@ -232,3 +232,11 @@ def test_what_died_meanwhile_is_not_rewired_and_missing_afterwards() -> None:
             scene.obey(next(commands))
     assert set(caught.value.value.environment.unit) == {"count.1", "other.1"}
     assert "other.1/n > work.1/x" not in scene.said
+
+
+def test_a_topic_gets_its_address_on_the_host_of_its_target() -> None:
+    hosts = (Host("r1"), Host("r2"))
+    wanted = replace(RUNNING, units=(), targets=(replace(RESULT, host="r2"),), hosts=hosts)
+    change_set = ChangeSet(started=(replace(COUNT, host="r1"), replace(WORK, host="r2")))
+    commands = carry_out(Scene(wanted), change_set, environment_after(wanted, change_set), Patience())
+    assert next(commands) == OpenTopic("/result", "r2")

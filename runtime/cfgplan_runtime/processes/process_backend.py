@@ -133,7 +133,7 @@ class ProcessBackend:
         events, self._events = self._events, []
         return events
 
-    def start(self, unit: str, transformation: Transformation, state: bytes | None) -> None:
+    def start(self, unit: str, transformation: Transformation, state: bytes | None, host: str | None) -> None:  # noqa: ARG002
         order = unit_order(unit, transformation, state, self._code_folder, self._clock_offset_ns)
         self._fork(unit, order)
 
@@ -185,7 +185,7 @@ class ProcessBackend:
         if child is not None:
             self._tell(child, SwitchNow(inlet.port))
 
-    def open_outlet(self, topic: str) -> None:
+    def open_outlet(self, topic: str, host: str | None) -> None:  # noqa: ARG002
         self._topics.append(topic)
         if OUTLETS in self._by_name:
             self._open(self._by_name[OUTLETS], topic)

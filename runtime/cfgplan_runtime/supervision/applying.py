@@ -62,9 +62,10 @@ class Actual(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class OpenTopic:
-    """Give a topic its address."""
+    """Give a topic its address on the host of its target."""
 
     topic: str
+    host: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +77,7 @@ class CloseTopic:
 
 @dataclass(frozen=True, slots=True)
 class StartUnit:
-    """Start a unit without any wire."""
+    """Start a unit on its host, without any wire."""
 
     unit: ComputationUnit
     transformation: Transformation
@@ -244,9 +245,10 @@ class _Update:
 
     def start(self) -> Commands:
         actual = self.actual
+        host = {target.topic: target.host for target in self.after.targets}
         for topic in sorted(wanted_topics(self.after) - actual.topics):
             self.opened.append(topic)
-            yield OpenTopic(topic)
+            yield OpenTopic(topic, host.get(topic))
         for unit in self.change_set.started:
             yield StartUnit(unit, self.after.transformation[unit.transformation])
         awaited = {*self.started, *(self.wired() & actual.alive - actual.ready)}

@@ -37,7 +37,8 @@ class Usage:
 class Backend(Protocol):
     """Runs units and connects them. No method waits for its effect: that comes as an event from `wait`.
 
-    All methods but `wake` are called from the thread that made the backend.
+    All methods but `wake` are called from the thread that made the backend. A host is None where the problem has no
+    hosts: that is this computer. What is asked of a host that is not there has no effect, and nothing follows.
     """
 
     @property
@@ -53,8 +54,8 @@ class Backend(Protocol):
     def wake(self) -> None:
         """Let `wait` return; for any thread."""
 
-    def start(self, unit: str, transformation: Transformation, state: bytes | None) -> None:
-        """Start a unit: UnitReady or UnitDied follows."""
+    def start(self, unit: str, transformation: Transformation, state: bytes | None, host: str | None) -> None:
+        """Start a unit on a host: UnitReady or UnitDied follows, or HostLost."""
 
     def stop(self, unit: str) -> None:
         """Ask a unit to process what it has taken in, then end: UnitStopped (or UnitDied) follows."""
@@ -77,8 +78,8 @@ class Backend(Protocol):
     def switch_now(self, inlet: Inlet) -> None:
         """Switch an inlet to its standby without waiting for its present source."""
 
-    def open_outlet(self, topic: str) -> None:
-        """Give a topic its address."""
+    def open_outlet(self, topic: str, host: str | None) -> None:
+        """Give a topic its address on a host; None: where its target has none. Called again after HostJoined."""
 
     def close_outlet(self, topic: str) -> None:
         """Take a topic's address away."""

@@ -153,6 +153,21 @@ class OutOfDescriptors:
 
 
 @dataclass(frozen=True, slots=True)
+class HostLost:
+    """A host can't be reached any more: none of its units and topics will be heard of again, not even of their end."""
+
+    host: str
+    cause: str
+
+
+@dataclass(frozen=True, slots=True)
+class HostJoined:
+    """A host is there, for the first time or again. Nothing of the run is on it."""
+
+    host: str
+
+
+@dataclass(frozen=True, slots=True)
 class Applied:
     """A change set was carried out.
 
@@ -194,6 +209,8 @@ Event: TypeAlias = (
     | HelperAlive
     | HelperHung
     | OutOfDescriptors
+    | HostLost
+    | HostJoined
     | Applied
     | RolledBack
 )

@@ -139,7 +139,7 @@ class SimulatedBackend:
         active = self._inputs.get(inlet, _Input()).active
         return None if active is None else self.wires[active][0]
 
-    def start(self, unit: str, transformation: Transformation, state: bytes | None) -> None:
+    def start(self, unit: str, transformation: Transformation, state: bytes | None, host: str | None) -> None:  # noqa: ARG002
         self.calls.append(("start", unit))
         behaviour = self.behaviours.get(transformation.label, Behaviour())
         ready_s = self._now + behaviour.start_s
@@ -197,7 +197,7 @@ class SimulatedBackend:
         if port.standby is not None:
             self._later(0.0, WireSwitched(port.standby))
 
-    def open_outlet(self, topic: str) -> None:
+    def open_outlet(self, topic: str, host: str | None) -> None:  # noqa: ARG002
         self.calls.append(("open", topic))
         if not self._gave_s:
             self._later(self.sign_period_s, TopicsStatus({}))

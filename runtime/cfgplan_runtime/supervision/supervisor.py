@@ -189,9 +189,9 @@ class Supervisor:
 
     def _obey(self, command: Command) -> None:
         match command:
-            case OpenTopic(topic):
+            case OpenTopic(topic, host):
                 self.topics.add(topic)
-                self.backend.open_outlet(topic)
+                self.backend.open_outlet(topic, host)
             case CloseTopic(topic):
                 self.topics.discard(topic)
                 self.backend.close_outlet(topic)
@@ -226,7 +226,7 @@ class Supervisor:
         self.cause_of_death.pop(unit.id, None)
         self._library[unit.id] = transformation
         self._records[unit.id] = UnitRecord(transformation.label)
-        self.backend.start(unit.id, transformation, self._states.get(transformation.label))
+        self.backend.start(unit.id, transformation, self._states.get(transformation.label), unit.host)
 
     def _hear(self, timeout_s: float) -> None:
         events = self.backend.wait(timeout_s)
