@@ -1,0 +1,1 @@
+"""Fleets: units on several computers, connected over Zenoh."""

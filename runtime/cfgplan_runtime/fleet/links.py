@@ -1,0 +1,59 @@
+"""How the computers of a fleet reach each other: Zenoh's configuration, and what may listen where."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from ipaddress import ip_address
+from pathlib import Path
+from typing import Any
+
+from cfgplan.errors import InputError
+
+LEASE_S = 2.0
+"""Seconds of silence after which a host is taken for lost. With 1 s, a stalled machine was once taken for lost."""
+_SIGNS_PER_LEASE = 4
+_PRIVATE = "unixsock-stream"
+"""The protocol of links within one computer: a socket in a folder that only its user can enter."""
+
+Config = dict[str, Any]
+
+
+def config(
+    listen: Sequence[str] = (), connect: Sequence[str] = (), certificates: Path | None = None, *, mode: str = "router"
+) -> Config:
+    """Zenoh's configuration of one session; endpoints are written `tcp/192.168.1.5:7447` or `unixsock-stream/PATH`.
+
+    Raises InputError for an endpoint that strangers could reach without certificates.
+    """
+    for endpoint in listen if certificates is None else ():
+        _refuse_strangers(endpoint)
+    return {
+        "mode": mode,
+        "listen": {"endpoints": list(listen)},
+        "connect": {
+            "endpoints": list(connect),
+            "timeout_ms": -1,
+            "exit_on_failure": False,
+            "retry": {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 1.5},
+        },
+        "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
+        "transport": {
+            "link": {"tx": {"lease": round(LEASE_S * 1000), "keep_alive": _SIGNS_PER_LEASE}},
+            # Containers of one computer share it, but not always what is needed to read it.
+            "shared_memory": {"enabled": False},
+        },
+    }
+
+
+def _refuse_strangers(endpoint: str) -> None:
+    protocol, _, address = endpoint.partition("/")
+    if protocol == _PRIVATE:
+        return
+    host = address.rpartition(":")[0].strip("[]")
+    try:
+        is_loopback = host == "localhost" or ip_address(host).is_loopback
+    except ValueError:
+        is_loopback = False
+    if not is_loopback:
+        mend = "name a folder of certificates, or listen on tcp/127.0.0.1:7447"
+        raise InputError.of(f"{endpoint}: without certificates an agent listens on loopback only", mend=mend)

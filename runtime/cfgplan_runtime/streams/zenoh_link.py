@@ -1,0 +1,130 @@
+"""A computer's connection to the others of its fleet, over Zenoh. No other module imports it.
+
+What is put may be lost on the way: `crossing` sends it again.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from queue import SimpleQueue
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+from cfgplan.errors import InputError
+from cfgplan_runtime.errors import RuntimeFaultError
+
+if TYPE_CHECKING:
+    import zenoh
+
+Lane: TypeAlias = Literal["orders", "small", "large"]
+"""What is put on an earlier lane overtakes what waits on a later one."""
+
+_CLOSE_S = 2.0
+"""Zenoh may wait long for a peer that is gone when a session is closed."""
+
+
+class ZenohLink:
+    """One session. Callbacks come from threads of Zenoh's. Raises InputError without Zenoh, or if it can't listen."""
+
+    def __init__(self, config: Mapping[str, Any]) -> None:
+        try:
+            import zenoh
+        except ModuleNotFoundError:
+            mend = "pip install 'cfgplan[fleet]'"
+            raise InputError.of("several computers need the package eclipse-zenoh", mend=mend) from None
+        self._zenoh = zenoh
+        priority = zenoh.Priority
+        self._priorities: dict[Lane, zenoh.Priority] = {
+            "orders": priority.INTERACTIVE_HIGH,
+            "small": priority.DATA_HIGH,
+            "large": priority.DATA_LOW,
+        }
+        try:
+            self._session = zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
+        except zenoh.ZError as error:
+            endpoints = ", ".join(config["listen"]["endpoints"]) or "nothing"
+            raise InputError.of(f"can't listen on {endpoints}: {_first_line(error)}") from None
+
+    def hear(self, keys: str, take: Callable[[str, bytes, bytes], None]) -> None:
+        """Have everything that is put below `keys` told: its key, head and payload."""
+
+        def tell(sample: zenoh.Sample) -> None:
+            head = b"" if sample.attachment is None else sample.attachment.to_bytes()
+            take(str(sample.key_expr), head, sample.payload.to_bytes())
+
+        self._session.declare_subscriber(keys, tell)
+
+    def watch(self, keys: str, tell: Callable[[str, bool], None]) -> None:
+        """Have told which keys are, or become, alive (True) and which cease to be (False)."""
+        put = self._zenoh.SampleKind.PUT
+        self._session.liveliness().declare_subscriber(
+            keys, lambda sample: tell(str(sample.key_expr), sample.kind == put), history=True
+        )
+
+    def live(self, key: str) -> None:
+        """Be alive under a key until the link is closed or cut."""
+        self._token = self._session.liveliness().declare_token(key)
+
+    def alive(self, keys: str) -> list[str]:
+        """The keys that are alive now."""
+        return [str(reply.ok.key_expr) for reply in self._session.liveliness().get(keys) if reply.ok is not None]
+
+    def answer(self, key: str, give: Callable[[], bytes]) -> None:
+        """Answer whoever asks at a key."""
+        self._session.declare_queryable(key, lambda query: query.reply(key, give()))
+
+    def ask(self, keys: str, timeout_s: float) -> Iterator[tuple[str, bytes]]:
+        """What is answered at keys, until all have answered or the time is over."""
+        for reply in self._session.get(keys, timeout=timeout_s):
+            if reply.ok is not None:
+                yield str(reply.ok.key_expr), reply.ok.payload.to_bytes()
+
+    def publisher(self, key: str, lane: Lane) -> Callable[[bytes, bytes], None]:
+        """A function that puts a head and a payload at a key. It may wait for 1 ms, with a large payload for 50 ms."""
+        publisher = self._session.declare_publisher(
+            key,
+            congestion_control=self._zenoh.CongestionControl.DROP,
+            priority=self._priorities[lane],
+            express=True,
+            reliability=self._zenoh.Reliability.RELIABLE,
+        )
+
+        def put(head: bytes, payload: bytes) -> None:
+            try:
+                publisher.put(payload, attachment=head)
+            except self._zenoh.ZError as error:
+                raise RuntimeFaultError(f"{key}: {_first_line(error)}") from None
+
+        return put
+
+    def close(self) -> None:
+        """Close the session; it is left to itself if it does not close in time."""
+        thread = threading.Thread(target=self._session.close, daemon=True)
+        thread.start()
+        thread.join(_CLOSE_S)
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).strip().partition("\n")[0]
+
+
+class PutThread:
+    """Puts what it is given in a thread of its own, so that a full link stops nobody else."""
+
+    def __init__(self, put: Callable[[bytes, bytes], None]) -> None:
+        self._put = put
+        self._waiting: SimpleQueue[tuple[bytes, bytes] | None] = SimpleQueue()
+        threading.Thread(target=self._run, daemon=True).start()
+
+    def give(self, head: bytes, payload: bytes) -> None:
+        """Put it soon."""
+        self._waiting.put((head, payload))
+
+    def close(self) -> None:
+        """End after what was given."""
+        self._waiting.put(None)
+
+    def _run(self) -> None:
+        while (given := self._waiting.get()) is not None:
+            self._put(*given)
