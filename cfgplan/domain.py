@@ -192,7 +192,7 @@ class ChangeSet:
     """Additions and removals (Definition 6).
 
     Over units it has three disjoint parts: `started` and `rewired` hold units as they are
-    afterwards, `stopped` holds ids.
+    afterwards, `stopped` holds ids. What is added replaces what is there of the same name.
     """
 
     started: tuple[ComputationUnit, ...] = ()
@@ -202,6 +202,10 @@ class ChangeSet:
     removed_transformations: tuple[str, ...] = ()
     added_targets: tuple[Target, ...] = ()
     removed_targets: tuple[str, ...] = ()
+    added_hosts: tuple[Host, ...] = ()
+    removed_hosts: tuple[str, ...] = ()
+    added_qualities: tuple[QualityAttribute, ...] = ()
+    removed_qualities: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         store_sorted(self, "started", self.started, attrgetter("id"))
@@ -312,8 +316,8 @@ class Environment:
                 change_set.removed_transformations,
             ),
             _updated(self.target, {t.label: t for t in change_set.added_targets}, change_set.removed_targets),
-            self.hosts,
-            self.qualities,
+            _updated(self.host, {h.name: h for h in change_set.added_hosts}, change_set.removed_hosts),
+            _updated(self.quality, {q.name: q for q in change_set.added_qualities}, change_set.removed_qualities),
             self.transfer_us,
         )
 

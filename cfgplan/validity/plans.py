@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 from cfgplan.domain import ComputationUnit, Environment, Transformation
 from cfgplan.errors import InvalidValueError
@@ -65,8 +66,8 @@ def _bad_refusal(problem: Problem, plan: Plan) -> Iterator[Violation]:
 
 def _bad_change_set(before: Environment, plan: Plan, after: Environment) -> Iterator[Violation]:
     assert plan.change_set is not None
-    if (after.library, after.targets) != (before.library, before.targets):
-        yield Violation(Rule.CONSISTENT, "a planner may change units, not the library or the targets")
+    if replace(after, units=before.units) != before:
+        yield Violation(Rule.CONSISTENT, "a planner may change units, and nothing else")
     mentioned = {s.stream.unit for unit in before.units for s in unit.subscriptions}
     for unit in plan.change_set.started:
         if unit.id in mentioned:

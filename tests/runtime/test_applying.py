@@ -55,7 +55,9 @@ class Scene:
     def __post_init__(self) -> None:
         self.alive = set(self.environment.unit)
         self.ready = set(self.environment.unit)
-        self.topics = set(wanted_topics(self.environment)) if self.environment.units else set()
+        self.lost_hosts: set[str] = set()
+        opened = wanted_topics(self.environment) if self.environment.units else ()
+        self.topics: dict[str, str | None] = dict.fromkeys(opened)
         wanted = wanted_feeds(self.environment)
         self.feeds = {inlet: Wire(0, stream, inlet, has_switched=True) for inlet, stream in wanted.items()}
         self.said: list[str] = []
@@ -68,11 +70,11 @@ class Scene:
 
     def obey(self, command: Command) -> None:
         match command:
-            case OpenTopic(topic):
-                self.topics.add(topic)
+            case OpenTopic(topic, host):
+                self.topics[topic] = host
                 self.said.append(f"open {topic}")
             case CloseTopic(topic):
-                self.topics.discard(topic)
+                self.topics.pop(topic, None)
                 self.said.append(f"close {topic}")
             case StartUnit(started):
                 self.said.append(f"start {started.id}")
@@ -213,7 +215,7 @@ def test_a_topic_that_an_undone_update_has_opened_is_closed() -> None:
     scene = Scene(dying={"work.2"})
     with pytest.raises(ApplyError):
         scene.carry_out(start(replace(NEW, publications=unit("work.2", topic="/other").publications)))
-    assert (scene.said[0], scene.said[-1], scene.topics) == ("open /other", "close /other", {"/result"})
+    assert (scene.said[0], scene.said[-1], scene.topics.keys()) == ("open /other", "close /other", {"/result"})
 
 
 def test_what_died_meanwhile_is_not_rewired_and_missing_afterwards() -> None:

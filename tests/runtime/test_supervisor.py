@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -15,6 +16,7 @@ from cfgplan_runtime.supervision.events import (
     Event,
     HelperAlive,
     HelperHung,
+    HostLost,
     InputLost,
     RolledBack,
     UnitDied,
@@ -26,7 +28,7 @@ from cfgplan_runtime.supervision.simulated_backend import Behaviour
 from cfgplan_runtime.supervision.wiring import starved_units, wanted_feeds
 from world import RESULT, source, start, unit, worker
 
-from cfgplan.domain import ChangeSet, ComputationUnit, Environment, RunOptions, Stream, Target, Transformation
+from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Host, RunOptions, Stream, Target, Transformation
 
 TOPIC = Inlet("", "/result")
 ONE = (unit("count.1"), unit("work.1", topic="/result", x="count.1/n"))
@@ -53,7 +55,11 @@ class Simulation:
     def check(self) -> None:
         """What the supervisor believes is what is."""
         environment = self.supervisor.environment
-        assert set(environment.unit) == set(self.backend.units) == self.supervisor.alive
+        assert (
+            {unit.id for unit in environment.units if not unit.standby}
+            == set(self.backend.units)
+            == self.supervisor.alive
+        )
         for inlet, stream in wanted_feeds(environment).items():
             assert self.backend.feeding(inlet) == stream, inlet
 
@@ -149,7 +155,7 @@ def test_an_update_that_is_undone_leaves_no_outlet_and_no_unit_of_its_own() -> N
     started = (unit("work.2", topic="/other", x="count.1/n"), unit("bad.1", x="count.1/n"))
     with pytest.raises(ApplyError):
         simulation.apply(ChangeSet(started=started, added_targets=(Target("other", "Y", "/other"),)))
-    assert simulation.backend.topics == simulation.supervisor.topics == {"/result"}
+    assert set(simulation.backend.topics) == set(simulation.supervisor.topics) == {"/result"}
     assert set(simulation.backend.units) == {"count.1", "work.1"}
 
 
@@ -387,9 +393,9 @@ def test_labor_and_upkeep_are_observed() -> None:
 def test_a_targets_topic_is_there_while_it_is_wanted() -> None:
     simulation = Simulation()
     simulation.apply(ChangeSet(started=(ONE[0],)))
-    assert simulation.backend.topics == {"/result"}
+    assert simulation.backend.topics.keys() == {"/result"}
     simulation.apply(ChangeSet(removed_targets=("result",)))
-    assert simulation.backend.topics == set()
+    assert not simulation.backend.topics
 
 
 def test_any_history_of_swaps_and_deaths_leaves_what_is_believed() -> None:
@@ -446,4 +452,101 @@ def test_a_unit_that_dies_before_it_is_rewired_leaves_no_wire_to_its_successor_o
     assert set(simulation.supervisor.environment.unit) == {"other.1"}
     simulation.apply(start(rewired))
     assert simulation.backend.feeding(Inlet("work.1", "x")) == Stream("other.1", "n")
+    simulation.check()
+
+
+def at(host: str, one: ComputationUnit, *, standby: bool = False) -> ComputationUnit:
+    return replace(one, host=host, standby=standby)
+
+
+HOSTS = (Host("r1"), Host("r2"), Host("r3"))
+AT_R3 = replace(RESULT, host="r3")
+PLACED = (at("r1", ONE[0]), at("r2", ONE[1]))
+
+
+def fleet() -> Simulation:
+    """A source on r1 that feeds a worker on r2, whose result is wanted on r3, where a spare of it is ready."""
+    simulation = Simulation()
+    spare = at("r3", unit("work.9"), standby=True)
+    simulation.apply(ChangeSet((*PLACED, spare), added_targets=(AT_R3,), added_hosts=HOSTS))
+    return simulation
+
+
+def test_a_cold_spare_is_known_and_nothing_runs_for_it() -> None:
+    simulation = fleet()
+    assert {one[1] for one in simulation.asked("start")} == {"count.1", "work.1"}
+    simulation.check()
+    awake = at("r3", unit("work.2", topic="/result", x="count.1/n"))
+    simulation.apply(ChangeSet((awake,), stopped=("work.1", "work.9")))
+    assert simulation.asked("stop") == [("stop", "work.1")]
+    assert simulation.supervisor.environment.unit.keys() == {"count.1", "work.2"}
+    simulation.check()
+
+
+def test_the_units_of_a_lost_host_are_dead_at_once_and_their_wires_are_ended() -> None:
+    simulation = fleet()
+    simulation.backend.calls.clear()
+    simulation.backend.lose_host("r2")
+    simulation.pass_time(0.01)
+    assert sorted(simulation.backend.calls) == [("end", "count.1/n", "work.1/x"), ("end", "work.1/y", "/result")]
+    assert simulation.supervisor.environment.unit.keys() == {"count.1", "work.9"}
+    assert [event for event in simulation.events if isinstance(event, HostLost | UnitDied | InputLost)] == [
+        HostLost("r2", "its link is cut")
+    ]
+    simulation.check()
+    simulation.backend.lose_host("r3")
+    simulation.pass_time(0.01)
+    assert simulation.supervisor.environment.unit.keys() == {"count.1"}
+
+
+def test_a_topic_on_a_lost_host_has_no_source_and_gets_its_address_again_when_the_host_is_back() -> None:
+    simulation = fleet()
+    simulation.backend.lose_host("r3")
+    simulation.pass_time(0.01)
+    assert simulation.asked("end") == [("end", "work.1/y", "/result")]
+    assert not simulation.supervisor.environment.unit["work.1"].publications
+    assert not simulation.backend.topics
+    simulation.backend.join_host("r3")
+    simulation.pass_time(0.01)
+    assert simulation.backend.topics == {"/result": "r3"}
+    simulation.apply(ChangeSet(rewired=(PLACED[1],)))
+    assert simulation.backend.feeding(TOPIC) == Stream("work.1", "y")
+    simulation.check()
+
+
+def test_nothing_waits_for_a_unit_on_a_host_that_is_lost_while_it_starts() -> None:
+    simulation = fleet()
+    before = simulation.supervisor.environment
+    simulation.backend.lose_host("r3")
+    began_s = simulation.backend.now()
+    new = at("r3", unit("work.2", topic="/result", x="count.1/n"))
+    with pytest.raises(ApplyError, match=r"work\.2 was on r3, which is gone: its link is cut"):
+        simulation.apply(ChangeSet((new,), stopped=("work.1",)), basis=before)
+    assert simulation.backend.now() - began_s < 0.1
+    simulation.check()
+    with pytest.raises(StaleChangeSetError, match=r"work\.2.* is to run on r3, which is gone"):
+        simulation.apply(ChangeSet((new,), stopped=("work.1",)))
+    simulation.backend.join_host("r3")
+    simulation.pass_time(0.01)
+    simulation.apply(ChangeSet((new,), stopped=("work.1",)))
+    simulation.check()
+
+
+def test_nothing_waits_for_a_unit_to_stop_on_a_host_that_is_lost() -> None:
+    simulation = fleet()
+    simulation.backend.behaviours["work"] = Behaviour(hung=True)
+    simulation.backend.units["work.1"].behaviour = Behaviour(hung=True)
+    simulation.backend.lose_host("r2")
+    new = at("r1", unit("work.2", topic="/result", x="count.1/n"))
+    applied = simulation.apply(ChangeSet((new,), stopped=("work.1",)))
+    assert sum(applied.seconds.values()) < 0.1
+    simulation.check()
+
+
+def test_a_new_unit_that_an_undone_update_leaves_is_known_with_its_host() -> None:
+    simulation = Simulation(source(), worker(), worker("bad"), bad=Behaviour(dies_at_start="no"))
+    new = (*PLACED, at("r3", unit("bad.1", x="count.1/n")))
+    with pytest.raises(ApplyError):
+        simulation.apply(ChangeSet(new, added_hosts=HOSTS), keeps_new=True)
+    assert {unit.id: unit.host for unit in simulation.supervisor.environment.units} == {"count.1": "r1", "work.1": "r2"}
     simulation.check()

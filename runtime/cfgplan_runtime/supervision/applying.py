@@ -46,7 +46,11 @@ class Actual(Protocol):
     @property
     def ready(self) -> Set[str]: ...
     @property
-    def topics(self) -> Set[str]: ...
+    def topics(self) -> Mapping[str, str | None]:
+        """By topic that has an address: the host of its target."""
+
+    @property
+    def lost_hosts(self) -> Set[str]: ...
     @property
     def feeds(self) -> Mapping[Inlet, Wire]: ...
     @property
@@ -149,7 +153,9 @@ class CarriedOut:
     unswitched: int
 
 
-def environment_after(environment: Environment, change_set: ChangeSet) -> Environment:
+def environment_after(
+    environment: Environment, change_set: ChangeSet, lost_hosts: Set[str] = frozenset()
+) -> Environment:
     """What is to run after an update.
 
     Raises StaleChangeSetError if the change set does not fit what runs, NoSourceError if there is no code.
@@ -167,7 +173,7 @@ def environment_after(environment: Environment, change_set: ChangeSet) -> Enviro
             without,
             f"it has no unit code: {mend}",
         )
-    for fault in _faults(after, change_set):
+    for fault in _faults(after, change_set, lost_hosts):
         raise StaleChangeSetError(f"the change set does not fit what runs now: {fault}")
     return after
 
@@ -190,7 +196,7 @@ def carry_out(
     unswitched = len(update.switching())
     yield from _timed("stop", update.stop(), actual, seconds)
     yield WaitUntil(lambda: not update.switching(), patience.stop_s)
-    yield from update.close_topics(actual.topics - wanted_topics(after))
+    yield from update.close_topics(actual.topics.keys() - wanted_topics(after))
     return CarriedOut(_as_it_lives(after, actual), seconds, unswitched)
 
 
@@ -200,8 +206,10 @@ def _timed(phase: str, commands: Commands, actual: Actual, seconds: dict[str, fl
     seconds[phase] = actual.now() - began_s
 
 
-def _faults(after: Environment, change_set: ChangeSet) -> Iterable[str]:
+def _faults(after: Environment, change_set: ChangeSet, lost_hosts: Set[str]) -> Iterable[str]:
     for unit in (*change_set.started, *change_set.rewired):
+        if unit.host in lost_hosts:
+            yield f"unit {unit.id!r} is to run on {unit.host}, which is gone"
         transformation = after.transformation.get(unit.transformation)
         if transformation is None:
             yield f"unit {unit.id!r} has no transformation {unit.transformation!r} in the library"
@@ -220,7 +228,7 @@ def _as_it_lives(after: Environment, actual: Actual) -> Environment:
     """The wanted environment without units that have died and wires that were lost meanwhile."""
     environment = after
     for unit in after.units:
-        if unit.id not in actual.alive:
+        if unit.host in actual.lost_hosts if unit.standby else unit.id not in actual.alive:
             environment = without_unit(environment, unit.id)
     for inlet in wanted_feeds(environment):
         if inlet not in actual.feeds:
@@ -241,16 +249,18 @@ class _Update:
 
     @property
     def started(self) -> list[str]:
-        return [unit.id for unit in self.change_set.started]
+        """The new units that run; cold spares are only noted."""
+        return [unit.id for unit in self.change_set.started if not unit.standby]
 
     def start(self) -> Commands:
         actual = self.actual
         host = {target.topic: target.host for target in self.after.targets}
-        for topic in sorted(wanted_topics(self.after) - actual.topics):
+        for topic in sorted(wanted_topics(self.after) - actual.topics.keys()):
             self.opened.append(topic)
             yield OpenTopic(topic, host.get(topic))
         for unit in self.change_set.started:
-            yield StartUnit(unit, self.after.transformation[unit.transformation])
+            if not unit.standby:
+                yield StartUnit(unit, self.after.transformation[unit.transformation])
         awaited = {*self.started, *(self.wired() & actual.alive - actual.ready)}
         yield WaitUntil(
             lambda: bool(self.dead()) or not self.loading(awaited) or actual.is_abandoned, self.patience.start_s
@@ -318,7 +328,9 @@ class _Update:
         yield from self.close_topics(self.opened)
 
     def stop_units(self, units: Iterable[str]) -> Commands:
-        actual, stopped = self.actual, tuple(units)
+        actual = self.actual
+        spares = {unit.id for unit in actual.environment.units if unit.standby}
+        stopped = tuple(unit for unit in units if unit not in spares)
         for unit in stopped:
             yield StopUnit(unit)
             if unit not in actual.ready:
@@ -340,7 +352,10 @@ class _Update:
         ]
 
     def lives(self, inlet: Inlet) -> bool:
-        return inlet.is_outlet or inlet.unit in self.actual.alive
+        """Whether there is something that a stream may be led to: a living unit, or a topic whose host is there."""
+        if inlet.is_outlet:
+            return self.actual.topics.get(inlet.port) not in self.actual.lost_hosts
+        return inlet.unit in self.actual.alive
 
     def replaces_one_of(self, units: Set[str], inlet: Inlet) -> bool:
         """Whether one of these units fed a rewired inlet before."""
@@ -353,9 +368,13 @@ class _Update:
         new = tuple(
             replace(unit, subscriptions=(), publications=()) for unit in self.change_set.started if unit.id in kept
         )
-        labels = {unit.transformation for unit in new}.difference(before.transformation)
-        library = tuple(self.after.transformation[label] for label in sorted(labels))
-        return replace(before, units=(*before.units, *new), library=(*before.library, *library))
+        library, hosts = dict(before.transformation), dict(before.host)
+        for unit in new:
+            library.setdefault(unit.transformation, self.after.transformation[unit.transformation])
+            if unit.host is not None:
+                hosts.setdefault(unit.host, self.after.host[unit.host])
+        units = (*before.units, *new)
+        return replace(before, units=units, library=tuple(library.values()), hosts=tuple(hosts.values()))
 
     def wired(self) -> Set[str]:
         """The units that feed something after the update, or are fed."""

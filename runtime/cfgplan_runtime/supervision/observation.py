@@ -35,6 +35,7 @@ class Observation:
     outputs: Mapping[str, PortCounts] = field(default_factory=dict)
     pid: int | None = None
     """Its process id, where it has a process."""
+    host: str | None = None
 
     @property
     def dropped(self) -> int:
@@ -47,6 +48,7 @@ class UnitRecord:
     """What the supervisor remembers of a unit."""
 
     transformation: str
+    host: str | None = None
     labor_us: int = 0
     sign_s: float = 0.0
     """When it last gave a sign of life, on `Supervisor.now`."""
@@ -94,4 +96,5 @@ class UnitRecord:
             status.inputs if status else {},
             status.outputs if status else {},
             usage.pid,
+            self.host,
         )

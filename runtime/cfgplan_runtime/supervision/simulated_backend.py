@@ -12,6 +12,8 @@ from cfgplan_runtime.children.messages import Flow, PortCounts
 from cfgplan_runtime.supervision.backend import Inlet, Usage
 from cfgplan_runtime.supervision.events import (
     Event,
+    HostJoined,
+    HostLost,
     InputLost,
     TopicsStatus,
     UnitDied,
@@ -56,6 +58,7 @@ class _Unit:
     transformation: Transformation
     behaviour: Behaviour
     state: bytes | None
+    host: str | None
     is_ready: bool = False
     is_stopping: bool = False
     steps: int = 0
@@ -84,14 +87,17 @@ class _Input:
 class SimulatedBackend:
     """A backend whose clock moves only in `wait` (straight to the next event) and `stall`.
 
-    `behaviours` are by transformation. `calls` lists the calls of its methods, in order.
+    `behaviours` are by transformation. `calls` lists the calls of its methods, in order. All hosts are there until
+    `lose_host`.
     """
 
     behaviours: dict[str, Behaviour] = field(default_factory=dict)
     switch_s: float = 0.005
     sign_period_s: float = 1.0
     calls: list[tuple[str, ...]] = field(default_factory=list)
-    topics: set[str] = field(default_factory=set)
+    topics: dict[str, str | None] = field(default_factory=dict)
+    """By topic that can be subscribed to: its host."""
+    lost_hosts: set[str] = field(default_factory=set)
     units: dict[str, _Unit] = field(default_factory=dict)
     wires: dict[int, tuple[Stream, Inlet]] = field(default_factory=dict)
     _now: float = 0.0
@@ -134,16 +140,35 @@ class SimulatedBackend:
         """Let an event happen now."""
         self._later(0.0, event)
 
+    def lose_host(self, host: str, cause: str = "its link is cut") -> None:
+        """Let a host with all its units be gone, of which nothing but HostLost tells."""
+        self.lost_hosts.add(host)
+        for unit in [unit for unit, at in self.units.items() if at.host == host]:
+            del self.units[unit]
+        for topic in [topic for topic, at in self.topics.items() if at == host]:
+            del self.topics[topic]
+        for wire, (_, inlet) in list(self.wires.items()):
+            if inlet.port not in self.topics if inlet.is_outlet else inlet.unit not in self.units:
+                self._inputs.pop(self.wires.pop(wire)[1], None)
+        self._later(0.0, HostLost(host, cause))
+
+    def join_host(self, host: str) -> None:
+        """Let a host be there again, with nothing on it."""
+        self.lost_hosts.discard(host)
+        self._later(0.0, HostJoined(host))
+
     def feeding(self, inlet: Inlet) -> Stream | None:
         """The stream that feeds an inlet now; None if there is none."""
         active = self._inputs.get(inlet, _Input()).active
         return None if active is None else self.wires[active][0]
 
-    def start(self, unit: str, transformation: Transformation, state: bytes | None, host: str | None) -> None:  # noqa: ARG002
+    def start(self, unit: str, transformation: Transformation, state: bytes | None, host: str | None) -> None:
         self.calls.append(("start", unit))
+        if host in self.lost_hosts:
+            return
         behaviour = self.behaviours.get(transformation.label, Behaviour())
         ready_s = self._now + behaviour.start_s
-        self.units[unit] = _Unit(transformation, behaviour, state, used_until_s=ready_s)
+        self.units[unit] = _Unit(transformation, behaviour, state, host, used_until_s=ready_s)
         if behaviour.dies_at_start is not None:
             self._later(behaviour.start_s, UnitDied(unit, behaviour.dies_at_start))
             return
@@ -169,7 +194,7 @@ class SimulatedBackend:
 
     def connect(self, wire: int, stream: Stream, inlet: Inlet, *, queue: int, blocks: bool) -> None:  # noqa: ARG002
         self.calls.append(("connect", str(stream), str(inlet)))
-        if not inlet.is_outlet and inlet.unit not in self.units:
+        if inlet.port not in self.topics if inlet.is_outlet else inlet.unit not in self.units:
             return
         self.wires[wire] = (stream, inlet)
         port = self._inputs.setdefault(inlet, _Input())
@@ -197,16 +222,17 @@ class SimulatedBackend:
         if port.standby is not None:
             self._later(0.0, WireSwitched(port.standby))
 
-    def open_outlet(self, topic: str, host: str | None) -> None:  # noqa: ARG002
+    def open_outlet(self, topic: str, host: str | None) -> None:
         self.calls.append(("open", topic))
         if not self._gave_s:
             self._later(self.sign_period_s, TopicsStatus({}))
-        self.topics.add(topic)
+        if host not in self.lost_hosts:
+            self.topics[topic] = host
         self._gave_s[topic] = None
 
     def close_outlet(self, topic: str) -> None:
         self.calls.append(("close", topic))
-        self.topics.discard(topic)
+        self.topics.pop(topic, None)
         self._gave_s.pop(topic, None)
 
     def renew(self, helper: str) -> None:

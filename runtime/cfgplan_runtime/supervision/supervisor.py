@@ -33,6 +33,8 @@ from cfgplan_runtime.supervision.events import (
     Event,
     HelperAlive,
     HelperHung,
+    HostJoined,
+    HostLost,
     InputLost,
     OutletsOpened,
     RolledBack,
@@ -73,7 +75,8 @@ class Supervisor:
         self.wiring = Wiring(backend)
         self.alive: set[str] = set()
         self.ready: set[str] = set()
-        self.topics: set[str] = set()
+        self.topics: dict[str, str | None] = {}
+        self.lost_hosts: set[str] = set()
         self.cause_of_death: dict[str, str] = {}
         self.is_ending = False
         self.is_abandoned = False
@@ -111,7 +114,8 @@ class Supervisor:
             return self._applied[id]
         if basis is not None and basis.units != self.environment.units:
             raise StaleChangeSetError("the change set was planned for other running units than there are now")
-        after, name = environment_after(self.environment, change_set), id or uuid.uuid4().hex[:12]
+        after = environment_after(self.environment, change_set, self.lost_hosts)
+        name = id or uuid.uuid4().hex[:12]
         self.cause_of_death.clear()
         self.is_abandoned = False
         try:
@@ -190,10 +194,10 @@ class Supervisor:
     def _obey(self, command: Command) -> None:
         match command:
             case OpenTopic(topic, host):
-                self.topics.add(topic)
+                self.topics[topic] = host
                 self.backend.open_outlet(topic, host)
             case CloseTopic(topic):
-                self.topics.discard(topic)
+                self.topics.pop(topic, None)
                 self.backend.close_outlet(topic)
             case StartUnit(unit, transformation):
                 self._start(unit, transformation)
@@ -225,7 +229,7 @@ class Supervisor:
         self.ready.discard(unit.id)
         self.cause_of_death.pop(unit.id, None)
         self._library[unit.id] = transformation
-        self._records[unit.id] = UnitRecord(transformation.label)
+        self._records[unit.id] = UnitRecord(transformation.label, unit.host)
         self.backend.start(unit.id, transformation, self._states.get(transformation.label), unit.host)
 
     def _hear(self, timeout_s: float) -> None:
@@ -268,6 +272,12 @@ class Supervisor:
                 return False
             case OutletsOpened():
                 self._restore_outlets()
+            case HostLost(host, cause):
+                self._lose(host, cause)
+            case HostJoined(host):
+                self.lost_hosts.discard(host)
+                for topic in [topic for topic, at in self.topics.items() if at == host]:
+                    self.backend.open_outlet(topic, host)
         return True
 
     def _note_status(self, unit: str, status: UnitStatus) -> None:
@@ -285,6 +295,19 @@ class Supervisor:
         self.wiring.forget_unit(unit)
         self._records.pop(unit, None)
         self._library.pop(unit, None)
+
+    def _lose(self, host: str, cause: str) -> None:
+        """Bury the units on a host that is gone, cold spares too, and end what was led to its topics."""
+        self.lost_hosts.add(host)
+        for unit in [unit for unit, record in self._records.items() if record.host == host]:
+            self.cause_of_death[unit] = f"was on {host}, which is gone: {cause}"
+            self._bury(unit)
+        for unit_there in [unit for unit in self.environment.units if unit.host == host]:
+            self.environment = without_unit(self.environment, unit_there.id)
+        for topic in [topic for topic, at in self.topics.items() if at == host]:
+            outlet = Inlet("", topic)
+            self.wiring.forget_inlet(outlet)
+            self.environment = without_feed(self.environment, outlet)
 
     def _restore_outlets(self) -> None:
         """Feed the topics again, whose addresses the backend has made anew."""

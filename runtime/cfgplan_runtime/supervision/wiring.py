@@ -65,17 +65,23 @@ class Wiring:
 
     def forget_unit(self, unit: str) -> None:
         """Give up all wires from and to a unit that is gone, including those that are being replaced."""
-        for wire in list(self._wires.values()):
-            if unit in (wire.inlet.unit, wire.stream.unit):
-                del self._wires[wire.id]
-                if self.feeds.get(wire.inlet) is wire:
-                    del self.feeds[wire.inlet]
-                self._backend.end_wire(wire.id, wire.stream, wire.inlet)
+        self._forget([wire for wire in self._wires.values() if unit in (wire.inlet.unit, wire.stream.unit)])
+
+    def forget_inlet(self, inlet: Inlet) -> None:
+        """Give up all wires to an inlet that is gone."""
+        self._forget([wire for wire in self._wires.values() if wire.inlet == inlet])
 
     def forget_inputs(self, unit: str) -> None:
         """Give up the wires to a unit that is being stopped, so that their end is not reported as a loss."""
         for inlet in [inlet for inlet in self.feeds if inlet.unit == unit]:
             del self.feeds[inlet]
+
+    def _forget(self, wires: list[Wire]) -> None:
+        for wire in wires:
+            del self._wires[wire.id]
+            if self.feeds.get(wire.inlet) is wire:
+                del self.feeds[wire.inlet]
+            self._backend.end_wire(wire.id, wire.stream, wire.inlet)
 
     def settle(self) -> None:
         """After an update: forget the wires that were replaced."""
