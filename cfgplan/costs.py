@@ -8,6 +8,7 @@ from cfgplan.domain import OutputPort, Transformation
 from cfgplan.errors import InvalidValueError
 
 MICROSECONDS = 1_000_000
+MILLISECONDS = MICROSECONDS // 1000
 LARGEST_COST_US = 2**53 - 1
 """Above this a sum of costs is no longer exact in every engine: about 285 years of CPU time."""
 

@@ -44,7 +44,7 @@ class Better(StrEnum):
     HIGHER = "higher"
 
 
-class Rule(StrEnum):
+class QualityRule(StrEnum):
     """What an output makes of the combined value of its inputs."""
 
     ADD = "add"
@@ -77,7 +77,7 @@ class QualityAttribute:
 
     name: str
     better: Better
-    rule: Rule = Rule.ADD
+    rule: QualityRule = QualityRule.ADD
     unit: str | None = None
     worst: int = -1
     best: int = -1
@@ -105,15 +105,15 @@ class Contribution:
     """
 
     attribute: str
-    rule: Rule
+    rule: QualityRule
     value: int
     over: Over = Over.WORST
 
     def __post_init__(self) -> None:
-        largest = LARGEST_FACTOR if self.rule is Rule.SCALE else LARGEST_QUALITY
-        least = -LARGEST_QUALITY if self.rule is Rule.ADD else 0
+        largest = LARGEST_FACTOR if self.rule is QualityRule.SCALE else LARGEST_QUALITY
+        least = -LARGEST_QUALITY if self.rule is QualityRule.ADD else 0
         if not least <= self.value <= largest:
-            what = "factor" if self.rule is Rule.SCALE else "value"
+            what = "factor" if self.rule is QualityRule.SCALE else "value"
             raise InvalidValueError(
                 f"the {what} {units(self.value):f} of {self.attribute} is out of range: "
                 f"write {units(least):f} to {units(largest):f}"
@@ -144,14 +144,14 @@ def propagated(attribute: QualityAttribute, contribution: Contribution | None, i
         return _combined(attribute, Over.WORST, inputs)
     theirs = _combined(attribute, contribution.over, inputs)
     match contribution.rule:
-        case Rule.ADD:
+        case QualityRule.ADD:
             return _within(attribute, theirs + contribution.value)
-        case Rule.LIMIT:
+        case QualityRule.LIMIT:
             is_worse = attribute.is_better(theirs, contribution.value)
             return _within(attribute, contribution.value if is_worse else theirs)
-        case Rule.SCALE:
+        case QualityRule.SCALE:
             return _within(attribute, _divided(attribute, theirs * contribution.value, MICRO))
-        case Rule.SET:
+        case QualityRule.SET:
             return _within(attribute, contribution.value)
 
 

@@ -24,16 +24,16 @@ from cfgplan.drawing import picture
 from cfgplan.errors import InvalidValueError
 from cfgplan.figures import qualities_of_targets
 from cfgplan.planning import Failures, Plan, Problem, Status
-from cfgplan.qualities import Better, Contribution, QualityAttribute, Rule, Wish
+from cfgplan.qualities import Better, Contribution, QualityAttribute, QualityRule, Wish
 from cfgplan.validity import Rule as Broken
 from cfgplan.validity import plan_violations, violations
 
 ERROR = QualityAttribute("error", Better.LOWER, worst=9_000_000)
 IMAGE = OutputPort(
-    "out", "Image", (Contribution("error", Rule.ADD, 200_000),), rate_uhz=2_500_000, size_bytes=1_000_000
+    "out", "Image", (Contribution("error", QualityRule.ADD, 200_000),), rate_uhz=2_500_000, size_bytes=1_000_000
 )
 CAMERA = Transformation("camera", (), (IMAGE,), labor_us=5, upkeep_us=4, host="robot", memory_mb=30, standby_us=1)
-BALL = OutputPort("ball", "Ball", (Contribution("error", Rule.SCALE, 500_000),))
+BALL = OutputPort("ball", "Ball", (Contribution("error", QualityRule.SCALE, 500_000),))
 DETECTOR = Transformation(
     "detector",
     (InputPort("image", "Image"),),
@@ -191,7 +191,7 @@ def chain(length: int) -> tuple[Problem, Plan]:
         Transformation(
             f"t{i}",
             (InputPort("in", tags[i - 1]),) if i else (),
-            (OutputPort("out", tag, (Contribution("error", Rule.ADD, 1),)),),
+            (OutputPort("out", tag, (Contribution("error", QualityRule.ADD, 1),)),),
             labor_us=1,
             pinned=i == 0,
         )

@@ -16,7 +16,7 @@ from cfgplan.qualities import (
     Contribution,
     Over,
     QualityAttribute,
-    Rule,
+    QualityRule,
     Wish,
     is_met,
     micro_units,
@@ -26,38 +26,38 @@ from cfgplan.qualities import (
 )
 
 LATENCY = QualityAttribute("latency", Better.LOWER)
-RATE = QualityAttribute("rate", Better.HIGHER, Rule.LIMIT, best=30_000_000)
-ERROR = QualityAttribute("error", Better.LOWER, Rule.SCALE, worst=5_000_000)
+RATE = QualityAttribute("rate", Better.HIGHER, QualityRule.LIMIT, best=30_000_000)
+ERROR = QualityAttribute("error", Better.LOWER, QualityRule.SCALE, worst=5_000_000)
 
 
-def says(attribute: QualityAttribute, rule: Rule, value: int, over: Over = Over.WORST) -> Contribution:
+def says(attribute: QualityAttribute, rule: QualityRule, value: int, over: Over = Over.WORST) -> Contribution:
     return Contribution(attribute.name, rule, value, over)
 
 
 def test_a_latency_is_added_to_that_of_the_slowest_input() -> None:
-    assert propagated(LATENCY, says(LATENCY, Rule.ADD, 5), [3, 20]) == 25
+    assert propagated(LATENCY, says(LATENCY, QualityRule.ADD, 5), [3, 20]) == 25
 
 
 def test_a_rate_is_that_of_the_slowest_part() -> None:
-    assert propagated(RATE, says(RATE, Rule.LIMIT, 10), [30, 20]) == 10
-    assert propagated(RATE, says(RATE, Rule.LIMIT, 25), [30, 20]) == 20
+    assert propagated(RATE, says(RATE, QualityRule.LIMIT, 10), [30, 20]) == 10
+    assert propagated(RATE, says(RATE, QualityRule.LIMIT, 25), [30, 20]) == 20
 
 
 def test_a_fusion_improves_the_mean_of_its_inputs() -> None:
-    fusion = says(ERROR, Rule.SCALE, 500_000, Over.MEAN)
+    fusion = says(ERROR, QualityRule.SCALE, 500_000, Over.MEAN)
     assert propagated(ERROR, fusion, [300_000, 500_000]) == 200_000
 
 
 def test_each_step_rounds_to_the_worse_side() -> None:
-    assert propagated(ERROR, says(ERROR, Rule.SCALE, 500_000, Over.MEAN), [1, 2]) == 1
-    assert propagated(ERROR, says(ERROR, Rule.SCALE, 1_000_000, Over.MEAN), [1, 2]) == 2
-    assert propagated(RATE, says(RATE, Rule.SCALE, 1_000_000, Over.MEAN), [1, 2]) == 1
+    assert propagated(ERROR, says(ERROR, QualityRule.SCALE, 500_000, Over.MEAN), [1, 2]) == 1
+    assert propagated(ERROR, says(ERROR, QualityRule.SCALE, 1_000_000, Over.MEAN), [1, 2]) == 2
+    assert propagated(RATE, says(RATE, QualityRule.SCALE, 1_000_000, Over.MEAN), [1, 2]) == 1
 
 
 def test_values_stay_within_the_scale() -> None:
-    assert propagated(ERROR, says(ERROR, Rule.ADD, 5_000_000), [1]) == 5_000_000
-    assert propagated(RATE, says(RATE, Rule.SET, 90_000_000), [1]) == 30_000_000
-    assert propagated(LATENCY, says(LATENCY, Rule.ADD, -5), [3]) == 0
+    assert propagated(ERROR, says(ERROR, QualityRule.ADD, 5_000_000), [1]) == 5_000_000
+    assert propagated(RATE, says(RATE, QualityRule.SET, 90_000_000), [1]) == 30_000_000
+    assert propagated(LATENCY, says(LATENCY, QualityRule.ADD, -5), [3]) == 0
 
 
 def test_an_output_that_states_nothing_passes_on_the_worst_and_a_source_has_the_worst_there_is() -> None:
@@ -67,7 +67,7 @@ def test_an_output_that_states_nothing_passes_on_the_worst_and_a_source_has_the_
 
 
 def test_a_source_has_its_own_value_whatever_the_rule() -> None:
-    assert [propagated(ERROR, says(ERROR, rule, 7), []) for rule in Rule] == [7, 7, 7, 7]
+    assert [propagated(ERROR, says(ERROR, rule, 7), []) for rule in QualityRule] == [7, 7, 7, 7]
 
 
 def test_the_price_is_for_what_the_best_is_missed_by_rounded_up() -> None:
@@ -98,8 +98,8 @@ def test_a_scale_the_wrong_way_round_is_refused() -> None:
 def test_a_better_input_never_gives_a_worse_output(data: st.DataObject) -> None:
     values = st.integers(0, LARGEST_QUALITY)
     attribute = QualityAttribute("q", data.draw(st.sampled_from(Better)))
-    rule = data.draw(st.sampled_from(Rule))
-    own = data.draw(st.integers(0, LARGEST_FACTOR if rule is Rule.SCALE else LARGEST_QUALITY))
+    rule = data.draw(st.sampled_from(QualityRule))
+    own = data.draw(st.integers(0, LARGEST_FACTOR if rule is QualityRule.SCALE else LARGEST_QUALITY))
     contribution = says(attribute, rule, own, data.draw(st.sampled_from(Over)))
     pairs = data.draw(st.lists(st.tuples(values, values), min_size=1, max_size=4))
     better = [min(pair) if attribute.better is Better.LOWER else max(pair) for pair in pairs]

@@ -19,14 +19,14 @@ from cfgplan.canonical import normal
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.run_report import printable
-from cfgplan.cli.screen import FORMAT_VERSION, Screen
+from cfgplan.cli.screen import OUTPUT_VERSION, Screen
 from cfgplan.errors import Fault, InputError
 
 if TYPE_CHECKING:
     from cfgplan_runtime.operating.control_client import Control, RunningSystem
     from cfgplan_runtime.operating.protocol import RefusedError
 
-_EXAMPLE = """\
+_CTL_EXAMPLE = """\
 example:
   cfgplan ctl state
   cfgplan ctl add robot2.yaml          (what a robot brings: individuals, transformations, targets)
@@ -73,7 +73,7 @@ _COMMANDS = (
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
-    parser.epilog = _EXAMPLE
+    parser.epilog = _CTL_EXAMPLE
     parser.add_argument("--run", dest="run_id", metavar="ID", help="the run, if several are live")
     shared.add_json(parser)
     parser.set_defaults(run=run)
@@ -136,7 +136,7 @@ def _events(control: Control, screen: Screen) -> Exit:
     try:
         for event in control.events():
             if screen.json:
-                screen.write(json.dumps({"format_version": FORMAT_VERSION, **event}) + "\n")
+                screen.write(json.dumps({"format_version": OUTPUT_VERSION, **event}) + "\n")
             elif event["says"] is not None:
                 screen.write(f"{time.strftime('%H:%M:%S')}  {printable(event['says'])}\n")
             screen.flush()
@@ -204,7 +204,7 @@ def _faults(error: RefusedError, options: argparse.Namespace) -> Iterable[Fault]
     return [replace(fault, file=options.operand) if fault.file == name else fault for fault in error.faults]
 
 
-_MOST_REVIEWS = 5
+_MOST_REVIEWS_TOLD = 5
 
 
 def state_text(system: RunningSystem, state: Mapping[str, Any]) -> RenderableType:
@@ -235,7 +235,7 @@ def _parts(system: RunningSystem, state: Mapping[str, Any]) -> Iterator[Renderab
         yield Text(f"Removed: {', '.join(state['removed'])}.")
     if state["reviews"]:
         yield Text()
-    for review in state["reviews"][-_MOST_REVIEWS:]:
+    for review in state["reviews"][-_MOST_REVIEWS_TOLD:]:
         yield Text(review["says"])
 
 

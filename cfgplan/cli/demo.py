@@ -14,7 +14,7 @@ from cfgplan.errors import InputError
 
 _NEEDS = {"cv2": "OpenCV", "jinja2": "Jinja2", "matplotlib": "Matplotlib"}
 _HERE = Path(__file__)
-_PLACES = (_HERE.parents[1] / "worlds", _HERE.parents[2] / "models")
+_FOLDERS = (_HERE.parents[1] / "worlds", _HERE.parents[2] / "models")
 """In an installed package, and in a clone of the repository."""
 
 
@@ -43,7 +43,7 @@ def _folder(world: str) -> Path:
     missing = [title for module, title in _NEEDS.items() if find_spec(module) is None]
     if missing:
         raise InputError.of(f"the demo needs {' and '.join(missing)}", mend="pip install 'cfgplan[demo]'")
-    for place in _PLACES:
+    for place in _FOLDERS:
         if (place / world / "units.py").is_file():
             return place / world
     raise InputError.of(

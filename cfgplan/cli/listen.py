@@ -62,14 +62,14 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     return Exit.OK
 
 
-_LONGEST_LINE = 160
+_WIDEST_ELEMENT = 160
 _MOST_NUMBERS = 1000
 
 
 def readable(value: Any) -> str:
     """A value on one line; of large arrays only what they are, of long texts only the beginning."""
     text = repr(_summed_up(value))
-    return text if len(text) <= _LONGEST_LINE else f"{text[: _LONGEST_LINE - 3]}..."
+    return text if len(text) <= _WIDEST_ELEMENT else f"{text[: _WIDEST_ELEMENT - 3]}..."
 
 
 def plain(value: Any) -> Any:
@@ -103,7 +103,7 @@ def _summed_up(value: Any) -> Any:
         return {key: _summed_up(item) for key, item in value.items()}
     if isinstance(value, list):
         return [_summed_up(item) for item in value]
-    if isinstance(value, bytes) and len(value) > _LONGEST_LINE:
+    if isinstance(value, bytes) and len(value) > _WIDEST_ELEMENT:
         return _Words(f"<{len(value):,} bytes>")
     if _is_array(value):
         if value.size <= 8:

@@ -16,7 +16,7 @@ from cfgplan.planning import Failures, Plan, Problem, Status
 from cfgplan.qualities import Better, QualityAttribute, Wish, units
 
 _STYLE = {"+": "green", "~": "yellow", "-": "red", "=": "dim"}
-MOST_PAIRS, MOST_NAMES = 10, 3
+MOST_OPEN_PAIRS, MOST_NAMES = 10, 3
 """More open pairs, and more ports of one tag, are left to `--json`."""
 _DECIDED = "pairs decided by "
 _VERB = {"+": "start", "~": "rewire", "-": "stop", "=": "keep"}
@@ -160,14 +160,14 @@ def undecided_lines(problem: Problem, plan: Plan) -> Iterator[Text]:
     outputs = [(port.tag, f"{t.label}/{port.name}") for t in environment.library for port in t.outputs]
     inputs = [(port.tag, f"{t.label}/{port.name}") for t in environment.library for port in t.inputs]
     inputs += [(target.tag, f"target {target.label}") for target in environment.targets]
-    for offered, demanded in plan.undecided[:MOST_PAIRS]:
+    for offered, demanded in plan.undecided[:MOST_OPEN_PAIRS]:
         ways = (
             ", ".join([name for tag, name in ports if tag == one][:MOST_NAMES])
             for ports, one in ((outputs, offered), (inputs, demanded))
         )
         yield Text(f"Not decided: whether `{offered}` is `{demanded}` ({' -> '.join(ways)}).", style="yellow")
-    if len(plan.undecided) > MOST_PAIRS:
-        yield Text(f"  ... nor are {len(plan.undecided) - MOST_PAIRS} further pairs.", style="yellow")
+    if len(plan.undecided) > MOST_OPEN_PAIRS:
+        yield Text(f"  ... nor are {len(plan.undecided) - MOST_OPEN_PAIRS} further pairs.", style="yellow")
     if plan.undecided:
         yield Text(f"If so, an update for {cpu(plan.bound_us)} may exist.", style="yellow")
     if asked := plan.counts.get("pairs asked"):

@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Any
 from cfgplan.canonical import normal
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import Exit
-from cfgplan.cli.screen import FORMAT_VERSION, Screen, counted
+from cfgplan.cli.screen import OUTPUT_VERSION, Screen, counted
 from cfgplan.errors import Fault, InputError, InvalidValueError
 
 if TYPE_CHECKING:
-    from cfgplan_runtime.reasoning.answers import Answer, Progressed, Report
+    from cfgplan_runtime.reasoning.answers import Answer, Progressed, QueryReport
     from cfgplan_runtime.reasoning.features import DeclaredFeatures
     from cfgplan_runtime.reasoning.monitor import Waiting
     from cfgplan_runtime.reasoning.queries import Query
@@ -217,21 +217,21 @@ def _interruptible() -> Iterator[None]:
             signal.signal(one, handler)
 
 
-def as_json(screen: Screen) -> Callable[[Report], None]:
-    def show(report: Report) -> None:
-        line = {"format_version": FORMAT_VERSION, "event": type(report).__name__, **asdict(report)}
+def as_json(screen: Screen) -> Callable[[QueryReport], None]:
+    def show(report: QueryReport) -> None:
+        line = {"format_version": OUTPUT_VERSION, "event": type(report).__name__, **asdict(report)}
         screen.write(json.dumps(line, default=sorted, ensure_ascii=False) + "\n")
         screen.flush()
 
     return show
 
 
-def as_text(screen: Screen, formula: str, *, verbose: bool) -> Callable[[Report], None]:
+def as_text(screen: Screen, formula: str, *, verbose: bool) -> Callable[[QueryReport], None]:
     from cfgplan_runtime.reasoning import answers
 
     last: list[object] = [None]
 
-    def show(report: Report) -> None:
+    def show(report: QueryReport) -> None:
         match report:
             case answers.SetUp(topics, seconds):
                 streams = ", ".join(f"{name} on {topic}" for name, topic in topics.items())

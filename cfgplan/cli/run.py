@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import OF_STATUS, Exit
 from cfgplan.cli.interrupts import Interrupts
-from cfgplan.cli.run_output import Output, output_for
+from cfgplan.cli.run_output import RunOutput, output_for
 from cfgplan.cli.screen import Screen, counted
 from cfgplan.errors import InputError
 from cfgplan.planning import Decider, Problem
@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from cfgplan.explaining.best_effort import BestEffort
     from cfgplan.planning import Plan, Planner, Problem
 
-_LOOK_S = 0.1
+_LIVE_LOOK_S = 0.1
 _ESTIMATORS = ("declared", "latest", "average", "trend", "holt")
 _GUESSES = ("declared", "optimistic", "pessimistic")
-_EXAMPLE = """\
+_RUN_EXAMPLE = """\
 example:
   cfgplan run env.yaml --for 30s --record run.mcap
   cfgplan listen /result      (in another terminal)
@@ -42,7 +42,7 @@ Exit codes: 0 stopped with every target met, 12 with one that was not, 30 bad in
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
-    parser.epilog = _EXAMPLE
+    parser.epilog = _RUN_EXAMPLE
     shared.add_environment(parser)
     parser.add_argument("--for", dest="span", type=shared.duration, metavar="TIME", help="stop after 30s, 5m, 1h")
     parser.add_argument("--dry-run", action="store_true", help="say what would be started, and start nothing")
@@ -151,21 +151,21 @@ def _operate(options: argparse.Namespace, world: World, screen: Screen) -> Exit:
 
 def _await_first_review(operation: Operation, interrupts: Interrupts, screen: Screen) -> None:
     with screen.phase("plan"):
-        while not interrupts.count and not operation.begun.wait(_LOOK_S):
+        while not interrupts.count and not operation.begun.wait(_LIVE_LOOK_S):
             pass
 
 
-def _hold(operation: Operation, output: Output, interrupts: Interrupts, span_s: float | None) -> None:
+def _hold(operation: Operation, output: RunOutput, interrupts: Interrupts, span_s: float | None) -> None:
     """Show what happens until the time is over or somebody stops it."""
     end = None if span_s is None else time.monotonic() + span_s
     while not operation.wait(0) and not interrupts.count and (end is None or time.monotonic() < end):
-        output.update(_LOOK_S if end is None else max(0.0, min(_LOOK_S, end - time.monotonic())))
+        output.update(_LIVE_LOOK_S if end is None else max(0.0, min(_LIVE_LOOK_S, end - time.monotonic())))
     if not operation.wait(0):
         output.note("stopping ...")
         operation.observe()
         operation.stop()
         while not operation.wait(0) and interrupts.count < 2:
-            output.update(_LOOK_S)
+            output.update(_LIVE_LOOK_S)
     if interrupts.count > 1:
         operation.stop_at_once()
     output.update(0.0)

@@ -9,16 +9,16 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Protocol
 
 from cfgplan.cli.run_report import fetched, printable, show_files, show_ledger
-from cfgplan.cli.screen import FORMAT_VERSION, Screen, counted
+from cfgplan.cli.screen import OUTPUT_VERSION, Screen, counted
 
 if TYPE_CHECKING:
     from cfgplan_runtime.operating.operation import Operation
 
 
-class Output(Protocol):
+class RunOutput(Protocol):
     """Shows a run; entered as long as the run lasts."""
 
-    def __enter__(self) -> Output: ...
+    def __enter__(self) -> RunOutput: ...
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -34,7 +34,7 @@ class Output(Protocol):
         """Print the summary, after the end."""
 
 
-def output_for(screen: Screen, operation: Operation, *, plain: bool) -> Output:
+def output_for(screen: Screen, operation: Operation, *, plain: bool) -> RunOutput:
     """The output that suits where it goes."""
     if screen.json:
         return JsonLines(screen, operation)
@@ -146,4 +146,4 @@ class JsonLines:
             self._say("Recorded", file=str(recording.path), failure=recording.failure, **counts)
 
     def _say(self, event: str, **facts: Any) -> None:
-        self._screen.tell(json.dumps({"format_version": FORMAT_VERSION, "event": event, **facts}))
+        self._screen.tell(json.dumps({"format_version": OUTPUT_VERSION, "event": event, **facts}))

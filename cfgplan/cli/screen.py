@@ -16,7 +16,7 @@ from cfgplan.errors import Fault
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
 
-FORMAT_VERSION = 1
+OUTPUT_VERSION = 1
 FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 _WIDTH_OF_A_FILE = 1000
 
@@ -50,7 +50,7 @@ class Screen:
 
     def show_json(self, document: dict[str, Any]) -> None:
         """Print a result for machines."""
-        print(json.dumps({"format_version": FORMAT_VERSION, **document}, indent=2, ensure_ascii=False))
+        print(json.dumps({"format_version": OUTPUT_VERSION, **document}, indent=2, ensure_ascii=False))
 
     def write(self, text: str) -> None:
         """Print text as it is."""

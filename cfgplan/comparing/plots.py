@@ -9,7 +9,7 @@ from statistics import median
 from typing import TYPE_CHECKING, NamedTuple
 
 from cfgplan.comparing.invariants import by_instance, gap, references
-from cfgplan.comparing.report import LEAST_S, planners
+from cfgplan.comparing.report import SHORTEST_PROOF_S, planners
 from cfgplan.comparing.rows import Row, RunFailure
 
 if TYPE_CHECKING:
@@ -63,7 +63,8 @@ def scaling(rows: Sequence[Row], everyone: Sequence[Row]) -> Figure | None:
             xs = sorted({x for x, row in points if row.planner == planner})
             at = {x: [row for value, row in points if (value, row.planner) == (x, planner)] for x in xs}
             times = {
-                x: median(max(LEAST_S, row.proof_s or row.total_s or row.time_limit_s) for row in at[x]) for x in xs
+                x: median(max(SHORTEST_PROOF_S, row.proof_s or row.total_s or row.time_limit_s) for row in at[x])
+                for x in xs
             }
             axis.plot(xs, [times[x] for x in xs], color=style.color, linestyle=style.line, linewidth=1)
             for proven in (True, False):
@@ -121,14 +122,17 @@ def performance_profile(rows: Sequence[Row]) -> Figure | None:
     import matplotlib.pyplot as plt
 
     groups = by_instance(rows).values()
-    fastest = [min((max(LEAST_S, r.proof_s) for r in group if r.proof_s is not None), default=None) for group in groups]
+    fastest = [
+        min((max(SHORTEST_PROOF_S, r.proof_s) for r in group if r.proof_s is not None), default=None)
+        for group in groups
+    ]
     counted = sum(best is not None for best in fastest)
     if not counted:
         return None
     figure, axis = plt.subplots(figsize=(7.5, 4.8), layout="constrained")
     for planner, style in _styles(rows).items():
         ratios = sorted(
-            max(LEAST_S, row.proof_s) / best
+            max(SHORTEST_PROOF_S, row.proof_s) / best
             for group, best in zip(groups, fastest, strict=True)
             for row in group
             if row.planner == planner and row.proof_s is not None and best is not None
@@ -153,9 +157,9 @@ def anytime(rows: Sequence[Row]) -> Figure | None:
     figure, axes = _grid(len(hardest), 3)
     for axis, (title, least_us, group) in zip(axes, hardest, strict=False):
         for row in group:
-            points = [(max(LEAST_S, when), cost) for when, cost, _ in row.trace if cost is not None]
+            points = [(max(SHORTEST_PROOF_S, when), cost) for when, cost, _ in row.trace if cost is not None]
             if row.has_plan and row.cost_us is not None:
-                points.append((max(LEAST_S, row.best_s or 0.0), row.cost_us))
+                points.append((max(SHORTEST_PROOF_S, row.best_s or 0.0), row.cost_us))
             _steps(axis, row, [(when, max(LEAST_GAP, cost / least_us - 1)) for when, cost in points], rows)
         axis.set_xscale("log")
         axis.set_yscale("log")
@@ -174,9 +178,9 @@ def bounds(rows: Sequence[Row]) -> Figure | None:
     figure, axes = _grid(len(hardest), 3)
     for axis, (title, least_us, group) in zip(axes, hardest, strict=False):
         for row in group:
-            points = [(max(LEAST_S, when), bound / least_us) for when, _, bound in row.trace if bound > 0]
+            points = [(max(SHORTEST_PROOF_S, when), bound / least_us) for when, _, bound in row.trace if bound > 0]
             if row.total_s is not None and row.bound_us > 0:
-                points.append((max(LEAST_S, row.proof_s or row.total_s), row.bound_us / least_us))
+                points.append((max(SHORTEST_PROOF_S, row.proof_s or row.total_s), row.bound_us / least_us))
             _steps(axis, row, points, rows)
         axis.set_xscale("log")
         axis.set_ylim(0, 1.05)

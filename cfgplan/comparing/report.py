@@ -13,7 +13,7 @@ from cfgplan.comparing.invariants import LeastCost, breaches, by_instance, gap, 
 from cfgplan.comparing.rows import PROVEN, Row, RunFailure
 from cfgplan.planning import Status
 
-LEAST_S = 1e-4
+SHORTEST_PROOF_S = 1e-4
 """Times below are taken for this when ratios are formed."""
 
 
@@ -160,7 +160,7 @@ def ratio_to(rows: Sequence[Row], planner: str, base: str) -> tuple[float | None
     proof: dict[str, dict[tuple[str, str], float]] = defaultdict(dict)
     for row in rows:
         if row.proof_s is not None:
-            proof[row.planner][row.instance, row.digest] = max(LEAST_S, row.proof_s)
+            proof[row.planner][row.instance, row.digest] = max(SHORTEST_PROOF_S, row.proof_s)
     both = proof[planner].keys() & proof[base].keys()
     if not both:
         return None, 0

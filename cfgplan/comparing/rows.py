@@ -30,7 +30,7 @@ PROVEN = frozenset({Status.OPTIMAL, Status.INFEASIBLE, Status.TOO_EXPENSIVE})
 Point = tuple[float, int | None, int]
 """Seconds since the start, best cost so far, proven bound."""
 
-Key = tuple[str, str, str, float, int | None]
+RunKey = tuple[str, str, str, float, int | None]
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Row:
     seconds: Mapping[str, float] = field(default_factory=dict)
 
     @property
-    def key(self) -> Key:
+    def key(self) -> RunKey:
         """What must be equal for a run to be the same one."""
         return (self.instance, self.digest, self.planner, self.time_limit_s, self.memory_mb)
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from cfgplan.comparing.entrants import Entrant
 from cfgplan.comparing.instances import Instance
-from cfgplan.comparing.rows import PROVEN, Key, Point, Row, RunFailure, append_row, read_rows, thinned
+from cfgplan.comparing.rows import PROVEN, Point, Row, RunFailure, RunKey, append_row, read_rows, thinned
 from cfgplan.errors import InputError, InvalidValueError
 from cfgplan.planning import Status
 
@@ -177,7 +177,7 @@ def machine() -> dict[str, object]:
     }
 
 
-def _key(instance: Instance, entrant: Entrant, limits: Limits) -> Key:
+def _key(instance: Instance, entrant: Entrant, limits: Limits) -> RunKey:
     return (instance.name, instance.digest, entrant.name, limits.time_limit_s, limits.memory_mb)
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Literal
 
 from cfgplan.comparing.instances import Instance, generated
 from cfgplan.errors import InputError
+from cfgplan.formats.wsc import Objective
 from cfgplan.planning import Problem
 
 
@@ -88,7 +88,6 @@ def full() -> Iterator[Instance]:
 
 SUITES: Mapping[str, Callable[[], Iterator[Instance]]] = MappingProxyType({"tiny": tiny, "short": short, "full": full})
 
-Objective = Literal["services", "length"]
 OBJECTIVES: tuple[Objective, ...] = ("services", "length")
 
 

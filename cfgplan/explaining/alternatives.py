@@ -11,7 +11,7 @@ from itertools import combinations
 
 from cfgplan.costs import keep_cost_us, start_cost_us
 from cfgplan.errors import InputError
-from cfgplan.explaining.kept import Kept, unused_required
+from cfgplan.explaining.kept import Kept, Labels, unused_required
 from cfgplan.explaining.together import REFUSED
 from cfgplan.planning import Notion, Plan, Planner, Problem, Status
 from cfgplan.reasons import Givers, startable
@@ -21,8 +21,7 @@ FIRST_LOOK_S = 1.0
 as long.
 """
 
-Labels = frozenset[str]
-Key = tuple[int, int, int, int]
+RankKey = tuple[int, int, int, int]
 """Unused required transformations, cost in microseconds, rewired and started units: the order of optimality."""
 
 
@@ -95,7 +94,7 @@ class _Ranking:
     def plans(self, end_s: float | None) -> Iterator[Plan | None]:
         """The plans in order; None when time is over, or when it is not decided which one is next."""
         whole = _Part(frozenset(), frozenset())
-        heap: list[tuple[Key, int, bool, list[str], list[str], _Part | Plan | None]] = [
+        heap: list[tuple[RankKey, int, bool, list[str], list[str], _Part | Plan | None]] = [
             ((0,) * 4, 0, False, [], [], whole)
         ]
         while heap:
@@ -211,7 +210,7 @@ class _Ranking:
         after = self._problem.environment.update(plan.change_set)
         return frozenset(unit.transformation for unit in after.units) - self._kept
 
-    def _key(self, plan: Plan) -> Key:
+    def _key(self, plan: Plan) -> RankKey:
         assert plan.change_set is not None and plan.cost_us is not None
         changes = plan.change_set
         return len(plan.unused_required), plan.cost_us, len(changes.rewired), len(changes.started)

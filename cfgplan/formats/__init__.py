@@ -8,7 +8,7 @@ from cfgplan.formats.fields import environment_schema
 from cfgplan.formats.places import Place
 from cfgplan.formats.plain import plain_environment
 from cfgplan.formats.plan_file import dump_plan, load_plan, plain_plan, plan_schema
-from cfgplan.formats.tags import BadClassError, BadTagError, Vocabulary
+from cfgplan.formats.tags import BadClassError, BadTagError, TagVocabulary
 from cfgplan.formats.wsc import read_wsc, wsc_texts
 from cfgplan.formats.xml_dump import dump_xml
 
@@ -18,7 +18,7 @@ __all__ = [
     "Document",
     "EnvironmentFile",
     "Place",
-    "Vocabulary",
+    "TagVocabulary",
     "as_xml",
     "as_yaml",
     "build",

@@ -9,29 +9,29 @@ from cfgplan.errors import Fault, InputError
 from cfgplan.formats.document import Document, File
 from cfgplan.formats.environment_file import EnvironmentFile
 from cfgplan.formats.expansion import Expander
-from cfgplan.formats.fleet import Fleet
+from cfgplan.formats.fleet import FleetReader
 from cfgplan.formats.garbage import no_garbage_collection
 from cfgplan.formats.left_out import LeftOut
 from cfgplan.formats.places import Path, Source
 from cfgplan.formats.references import UnitChecker
 from cfgplan.formats.suggestions import did_you_mean
-from cfgplan.formats.tags import TagChecker, Vocabulary
+from cfgplan.formats.tags import TagChecker, TagVocabulary
 
 Origins = dict[tuple[str, str], tuple[Source, Path]]
 
 
-def build(document: Document, vocabulary: Vocabulary) -> EnvironmentFile:
+def build(document: Document, vocabulary: TagVocabulary) -> EnvironmentFile:
     """The environment that a document describes; raises InputError with every fault of both stages."""
     with no_garbage_collection():
         return _build(document, vocabulary)
 
 
-def _build(document: Document, vocabulary: Vocabulary) -> EnvironmentFile:
+def _build(document: Document, vocabulary: TagVocabulary) -> EnvironmentFile:
     faults = list(document.faults)
     origins: Origins = {}
     left_out = LeftOut(document)
     tags = TagChecker(vocabulary, faults)
-    fleet = Fleet(document, left_out, faults)
+    fleet = FleetReader(document, left_out, faults)
     expander = Expander(document.header.defaults, vocabulary, tags, fleet, left_out, faults)
     library = _library(document, expander, origins, faults)
     targets = _targets(document, tags, fleet, origins, faults)
@@ -75,7 +75,7 @@ def _library(
 
 
 def _targets(
-    document: Document, tags: TagChecker, fleet: Fleet, origins: Origins, faults: list[Fault]
+    document: Document, tags: TagChecker, fleet: FleetReader, origins: Origins, faults: list[Fault]
 ) -> dict[str, Target]:
     targets: dict[str, Target] = {}
     topics: Origins = {}

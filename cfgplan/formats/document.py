@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from cfgplan.errors import Fault, InputError
-from cfgplan.formats.environment_file import ANY_IMPORT, Imports
+from cfgplan.formats.environment_file import ANY_IMPORT, FoundImports
 from cfgplan.formats.fields import (
     FORMAT,
     IGNORE,
@@ -69,7 +69,7 @@ class Document:
         return tuple(self.path.parent / name for name in ([names] if isinstance(names, str) else names))
 
     @property
-    def imports(self) -> Imports:
+    def imports(self) -> FoundImports:
         """The file of each IRI under `imports:`, relative to the working folder; None if the import is ignored."""
         written = self.header.imports or {}
         named = {ANY_IMPORT: written} if isinstance(written, str) else written

@@ -15,11 +15,11 @@ from cfgplan.domain import Environment
 from cfgplan.formats.fields import (
     AttributePart,
     EnvironmentPart,
+    FieldRow,
     HostPart,
     InputPart,
     OutputPart,
     Part,
-    Row,
     TargetPart,
     TransformationPart,
     UnitPart,
@@ -31,7 +31,7 @@ from cfgplan.planning import Failures
 ANY_IMPORT = ""
 """Stands for every IRI that is imported and can't be found."""
 
-Imports: TypeAlias = tuple[tuple[str, FilePath | None], ...]
+FoundImports: TypeAlias = tuple[tuple[str, FilePath | None], ...]
 """The file of each IRI that an ontology imports, sorted by IRI; None: the import is ignored."""
 
 
@@ -48,7 +48,7 @@ class EnvironmentFile:
     max_cost_us: int | None = None
     ontology_paths: tuple[FilePath, ...] = ()
     survive: Failures | None = None
-    imports: Imports = ()
+    imports: FoundImports = ()
     origins: Mapping[tuple[str, str], tuple[Source, Path]] = field(default_factory=dict, repr=False, compare=False)
 
     @cached_property
@@ -92,7 +92,7 @@ def environment_digest(
     max_cost_us: int | None = None,
     ontology_paths: Sequence[FilePath] = (),
     survive: Failures | None = None,
-    imports: Imports = (),
+    imports: FoundImports = (),
 ) -> str:
     """SHA-256 (hex) of all that a plan depends on, the ontology files and `imports` too.
 
@@ -167,7 +167,7 @@ def later_fields(part: type[Part], value: object) -> dict[str, object]:
 
 
 @cache
-def _later_rows(part: type[Part]) -> Mapping[str, Row]:
+def _later_rows(part: type[Part]) -> Mapping[str, FieldRow]:
     held = _HELD[part].split()
     return {key: row for key, row in part.rows().items() if Use.PLANNING in row.use and key not in held}
 

@@ -16,11 +16,11 @@ from cfgplan.formats.fields import (
     OutputPart,
     TransformationPart,
 )
-from cfgplan.formats.fleet import Fleet
+from cfgplan.formats.fleet import FleetReader
 from cfgplan.formats.left_out import LeftOut
 from cfgplan.formats.places import Path, Source
 from cfgplan.formats.suggestions import did_you_mean
-from cfgplan.formats.tags import BadClassError, TagChecker, Vocabulary
+from cfgplan.formats.tags import BadClassError, TagChecker, TagVocabulary
 from cfgplan.formats.templates import (
     MOST_EXPANSIONS,
     BadTemplateError,
@@ -33,8 +33,8 @@ from cfgplan.formats.templates import (
     variables,
 )
 
-Values = Mapping[Variable, str]
-_PORTS: dict[Any, Any] = {"inputs": InputPort, "outputs": OutputPort}
+VariableValues = Mapping[Variable, str]
+_PORT_TYPES: dict[Any, Any] = {"inputs": InputPort, "outputs": OutputPort}
 
 
 class Expander:
@@ -43,9 +43,9 @@ class Expander:
     def __init__(
         self,
         defaults: DefaultsPart | None,
-        vocabulary: Vocabulary,
+        vocabulary: TagVocabulary,
         tags: TagChecker,
-        fleet: Fleet,
+        fleet: FleetReader,
         left_out: LeftOut,
         faults: list[Fault],
     ) -> None:
@@ -138,16 +138,16 @@ class Expander:
         return self._instances[class_name]
 
     def _filled(
-        self, source: Source, path: Path, part: TransformationPart, filled: TransformationPart, values: Values
+        self, source: Source, path: Path, part: TransformationPart, filled: TransformationPart, values: VariableValues
     ) -> Iterator[Transformation]:
         """The transformation of a part with all variables filled in; none if it has faults."""
-        names = [substitute(name, values) for key in _PORTS for name in getattr(part, key) or ()]
+        names = [substitute(name, values) for key in _PORT_TYPES for name in getattr(part, key) or ()]
         if len(set(names)) != len(names):
             self._check_plain_tags(source, path, part)
             self._note_repeated_port(source, path, part, names, values)
             self._left_out.add("transformations", filled.label)
             return
-        ports = {key: tuple(self._ports(source, path, key, part, filled, values)) for key in _PORTS}
+        ports = {key: tuple(self._ports(source, path, key, part, filled, values)) for key in _PORT_TYPES}
         hosts = self._hosts(source, (*path, "host"), filled.host)
         if self._is_misnumbered(source, path, part) or self._needs_twice(source, path, part):
             self._left_out.add("transformations", filled.label)
@@ -188,7 +188,13 @@ class Expander:
         return RunOptions(**filled.run.values())
 
     def _ports(
-        self, source: Source, path: Path, key: str, part: TransformationPart, filled: TransformationPart, values: Values
+        self,
+        source: Source,
+        path: Path,
+        key: str,
+        part: TransformationPart,
+        filled: TransformationPart,
+        values: VariableValues,
     ) -> Iterator[InputPort | OutputPort]:
         templates, ports = getattr(part, key) or {}, getattr(filled, key) or {}
         for (at, template), (name, port) in zip(templates.items(), ports.items(), strict=True):
@@ -197,21 +203,21 @@ class Expander:
             said: dict[str, Any] = {"tag": tag} if isinstance(port, str) else port.values()
             if "quality" in said:
                 said["quality"] = self._fleet.contributions(source, (*path, key, at, "quality"), said["quality"])
-            yield _PORTS[key](name, **said)
+            yield _PORT_TYPES[key](name, **said)
 
     def _check_plain_tags(self, source: Source, path: Path, part: TransformationPart) -> None:
         """Check the plain tags of a template that can't be expanded, so that all its faults are told at once."""
-        for key in _PORTS:
+        for key in _PORT_TYPES:
             for name, written in (getattr(part, key) or {}).items():
                 place, tag = _tag_of(written, (*path, key, name))
                 if "$" not in tag:
                     self._tags.check(tag, source, place)
 
     def _note_repeated_port(
-        self, source: Source, path: Path, part: TransformationPart, names: list[str], values: Values
+        self, source: Source, path: Path, part: TransformationPart, names: list[str], values: VariableValues
     ) -> None:
         twice = next(name for name in names if names.count(name) > 1)
-        keys = [(*path, key, name) for key in _PORTS for name in (getattr(part, key) or {})]
+        keys = [(*path, key, name) for key in _PORT_TYPES for name in (getattr(part, key) or {})]
         second = [key for key in keys if substitute(str(key[-1]), values) == twice][1]
         message = (
             f"the port name `{twice}` is taken: the ports of a transformation, inputs and outputs, share their names"

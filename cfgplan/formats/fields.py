@@ -23,6 +23,7 @@ from cfgplan.formats.schema_values import (
     BetterName,
     Cost,
     FileName,
+    HangTime,
     Micro,
     Name,
     Params,
@@ -32,9 +33,8 @@ from cfgplan.formats.schema_values import (
     Resources,
     RuleName,
     Seconds,
-    Silence,
-    Span,
     TagText,
+    TimeSpan,
     WhenFull,
     Written,
     form_of,
@@ -49,7 +49,7 @@ DEFAULT_HORIZON_S = 600
 DEFAULT_LABOR_US = 1_000_000
 DEFAULT_UPKEEP_US = 0
 
-_SHORT, _FULL, _FORM = Tag(SHORT_FORM), Tag(FULL_FORM), Discriminator(form_of)
+_SHORT, _FULL, _CHOICE = Tag(SHORT_FORM), Tag(FULL_FORM), Discriminator(form_of)
 ELEMENT = "<>"
 UNSAID = ""
 _FIRST_IN_XML = ("type", "labor", "upkeep")
@@ -71,7 +71,7 @@ class Use(Flag):
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class FieldRow:
     """A field as readers and writers need it; `plain` turns the domain's value into the file's."""
 
     to: str
@@ -111,7 +111,7 @@ class Part(BaseModel):
 
     @classmethod
     @cache
-    def rows(cls) -> Mapping[str, Row]:
+    def rows(cls) -> Mapping[str, FieldRow]:
         """The rows by key, in the order in which they are written."""
         hints = get_type_hints(cls, include_extras=True)
         return {key: _row(cls, key, [*_pieces(hints[key])]) for key in cls.model_fields}
@@ -151,11 +151,11 @@ def _frozen(value: Any) -> Any:
     return tuple(dict.fromkeys(value)) if isinstance(value, list) else value
 
 
-def _row(part: type[Part], key: str, pieces: list[Any]) -> Row:
+def _row(part: type[Part], key: str, pieces: list[Any]) -> FieldRow:
     field = part.model_fields[key]
     said = next((each for each in field.metadata if isinstance(each, _Said)), _Said())
     holds_more = any(piece in (list, dict) or (isinstance(piece, type) and issubclass(piece, Part)) for piece in pieces)
-    return Row(
+    return FieldRow(
         to=said.to or key,
         use=part.USUAL_USE if said.use is None else said.use,
         xml=key if said.xml is None and not holds_more else said.xml,
@@ -194,23 +194,23 @@ class ContributionPart(Part):
     of: Literal["worst", "best", "mean", "sum"] = row("how several inputs count", "worst")
 
 
-Quality = Annotated[Annotated[Micro, _SHORT] | Annotated[ContributionPart, _FULL], _FORM]
+QualityGiven = Annotated[Annotated[Micro, _SHORT] | Annotated[ContributionPart, _FULL], _CHOICE]
 
 
 class OutputPart(Part):
     """An output port that says more than a tag."""
 
     tag: TagText = row("what it gives, a concept in description logic or the paper's P(a)", ..., xml=ELEMENT)
-    quality: dict[Name, Quality] | None = row("attribute to what it makes of it", xml=UNSAID)
+    quality: dict[Name, QualityGiven] | None = row("attribute to what it makes of it", xml=UNSAID)
     rate: PositiveMicro = row("elements per second, for what it costs to change hosts", 0, "rate_uhz")
     size: int = row("bytes of one element", 0, "size_bytes", ge=0, le=LONGEST_HORIZON_S)
 
 
-Input = Annotated[Annotated[TagText, _SHORT] | Annotated[InputPart, _FULL], _FORM]
-Output = Annotated[Annotated[TagText, _SHORT] | Annotated[OutputPart, _FULL], _FORM]
-Names = Annotated[Annotated[Name, _SHORT] | Annotated[list[Name], _FULL], _FORM]
-FileNames = Annotated[Annotated[FileName, _SHORT] | Annotated[list[FileName], _FULL], _FORM]
-Imports = Annotated[Annotated[Literal["ignore"], _SHORT] | Annotated[dict[Name, FileName], _FULL], _FORM]
+InputGiven = Annotated[Annotated[TagText, _SHORT] | Annotated[InputPart, _FULL], _CHOICE]
+OutputGiven = Annotated[Annotated[TagText, _SHORT] | Annotated[OutputPart, _FULL], _CHOICE]
+OneOrMoreNames = Annotated[Annotated[Name, _SHORT] | Annotated[list[Name], _FULL], _CHOICE]
+FileNames = Annotated[Annotated[FileName, _SHORT] | Annotated[list[FileName], _FULL], _CHOICE]
+Imports = Annotated[Annotated[Literal["ignore"], _SHORT] | Annotated[dict[Name, FileName], _FULL], _CHOICE]
 
 
 class RunPart(Part):
@@ -223,7 +223,7 @@ class RunPart(Part):
     rate: Rate | None = row("how often a source gives an element, per second", to="rate_hz")
     queue: int = row("how many elements may wait at an input", 256, ge=1, le=LONGEST_QUEUE)
     when_full: WhenFull = row("drop the oldest element, or let the producer wait", "drop_oldest", "blocks")
-    hang: Silence | None = row(
+    hang: HangTime | None = row(
         "kill a unit that is silent for so many seconds, at least 2; 0: never; 10 if absent", to="hang_us"
     )
     memory: int | None = row(
@@ -240,7 +240,7 @@ class TransformationPart(Part):
         "package.module:Class, or units.py:Class relative to this file", use=Use.RUNNING, xml=ELEMENT
     )
     kind: Name | None = row("free text, the paper's type attribute", use=Use.RUNNING, xml="type")
-    host: Names | None = row("where its units run: a host, or a list to choose from", use=Use.BOTH, xml="host")
+    host: OneOrMoreNames | None = row("where its units run: a host, or a list to choose from", use=Use.BOTH, xml="host")
     params: Params = row("the configuration its units are started with", {}, use=Use.RUNNING, xml=ELEMENT)
     labor: Cost | None = row("CPU seconds of one start", to="labor_us")
     upkeep: Cost | None = row("CPU seconds that a running unit takes per second", to="upkeep_us")
@@ -255,8 +255,8 @@ class TransformationPart(Part):
     max_instances: int | None = row("at most so many of its units are there", ge=0)
     standby: Cost | None = row("CPU seconds per second of a spare that does not run", to="standby_us")
     run: RunPart | None = row("how its units run", use=Use.BOTH, xml=ELEMENT)
-    inputs: dict[PortName, Input] | None = row("input ports: name to tag", xml=ELEMENT)
-    outputs: dict[PortName, Output] | None = row("output ports: name to tag", xml=ELEMENT)
+    inputs: dict[PortName, InputGiven] | None = row("input ports: name to tag", xml=ELEMENT)
+    outputs: dict[PortName, OutputGiven] | None = row("output ports: name to tag", xml=ELEMENT)
 
 
 class UnitPart(Part):
@@ -291,7 +291,7 @@ class TargetPart(Part):
     priority: int = row("larger matters more", 0, ge=-LONGEST_HORIZON_S, le=LONGEST_HORIZON_S)
     quality: dict[Name, WishPart] | None = row("attribute to what is asked of it")
     host: Name | None = row("the host that the stream has to come to")
-    silent: Span | None = row(
+    silent: TimeSpan | None = row(
         "in a run it counts as unmet when nothing has come for so long: seconds, or 500ms, 5s",
         to="silent_us",
         use=Use.RUNNING,

@@ -12,10 +12,10 @@ from cfgplan.formats.left_out import LeftOut
 from cfgplan.formats.places import Path, Source
 from cfgplan.formats.suggestions import did_you_mean
 from cfgplan.planning import Failures
-from cfgplan.qualities import Better, Contribution, Over, QualityAttribute, Rule, Wish
+from cfgplan.qualities import Better, Contribution, Over, QualityAttribute, QualityRule, Wish
 
 
-class Fleet:
+class FleetReader:
     """The hosts and attributes of one document; what is wrong goes into `faults`."""
 
     def __init__(self, document: Document, left_out: LeftOut, faults: list[Fault]) -> None:
@@ -87,7 +87,7 @@ class Fleet:
             if attribute is None:
                 continue
             if isinstance(part, ContributionPart):
-                stated = {rule: getattr(part, rule) for rule in Rule if getattr(part, rule) is not None}
+                stated = {rule: getattr(part, rule) for rule in QualityRule if getattr(part, rule) is not None}
             else:
                 stated = {attribute.rule: part}
             if len(stated) != 1:

@@ -12,11 +12,10 @@ from typing import Any
 
 from cfgplan.canonical import normal
 from cfgplan.errors import Fault, InputError
-from cfgplan.formats.places import Path, Source, Spot
+from cfgplan.formats.places import DEEPEST_NESTING, Path, Source, Spot
 from cfgplan.formats.scalars import resolve
-from cfgplan.formats.yaml_text import DEEPEST_NESTING
 
-_TOKEN = re.compile(r'\s*("(?:[^"\\]|\\.)*"|[^\s"\[\]{},:]+|[\[\]{},:])')
+_JSON_TOKEN = re.compile(r'\s*("(?:[^"\\]|\\.)*"|[^\s"\[\]{},:]+|[\[\]{},:])')
 
 
 def read_json(text: str, file: str) -> Source:
@@ -79,7 +78,7 @@ def _refuse_odd_values(data: object, file: str) -> None:
     raise _too_deep(file)
 
 
-class _Node:
+class _Span:
     """A value's place in the text, and its children with the places of their keys."""
 
     __slots__ = ("children", "end", "start")
@@ -87,7 +86,7 @@ class _Node:
     def __init__(self, start: int, end: int) -> None:
         self.start = start
         self.end = end
-        self.children: list[tuple[str | int, _Node, _Node]] = []
+        self.children: list[tuple[str | int, _Span, _Span]] = []
 
 
 class _JsonLocator:
@@ -95,7 +94,7 @@ class _JsonLocator:
 
     def __init__(self, text: str) -> None:
         self._text = text
-        self._root: _Node | None = None
+        self._root: _Span | None = None
         self._line_starts = [0]
 
     def __call__(self, path: Path, at_key: bool) -> Spot:
@@ -122,7 +121,7 @@ class _JsonLocator:
                 seen.add(step)
                 ahead.append(value)
 
-    def _spot(self, node: _Node) -> Spot:
+    def _spot(self, node: _Span) -> Spot:
         line = bisect_right(self._line_starts, node.start)
         column = node.start - self._line_starts[line - 1] + 1
         written = self._text[node.start : node.end]
@@ -131,23 +130,23 @@ class _JsonLocator:
             return Spot(line, column, value, column + 1 if value == written[1:-1] else None)
         return Spot(line, column, written, column) if not node.children else Spot(line, column)
 
-    def _tree(self) -> _Node:
+    def _tree(self) -> _Span:
         if self._root is None:
-            tokens = ((m.group(1), m.start(1), m.end(1)) for m in _TOKEN.finditer(self._text))
+            tokens = ((m.group(1), m.start(1), m.end(1)) for m in _JSON_TOKEN.finditer(self._text))
             self._root = _value(tokens, next(tokens))
             self._line_starts += (found.end() for found in re.finditer("\n", self._text))
         return self._root
 
 
-def _value(tokens: Iterator[tuple[str, int, int]], token: tuple[str, int, int]) -> _Node:
+def _value(tokens: Iterator[tuple[str, int, int]], token: tuple[str, int, int]) -> _Span:
     text, start, end = token
-    node = _Node(start, end)
+    node = _Span(start, end)
     if text not in ("[", "{"):
         return node
     token = next(tokens)
     while token[0] not in ("]", "}"):
         step: Any = len(node.children)
-        key = _Node(token[1], token[2])
+        key = _Span(token[1], token[2])
         if text == "{":
             step = normal(json.loads(token[0]))
             next(tokens)

@@ -8,6 +8,9 @@ from typing import NamedTuple, TypeAlias
 
 from cfgplan.errors import Fault
 
+DEEPEST_NESTING = 64
+"""Documents nested deeper are refused."""
+
 Path: TypeAlias = tuple[str | int, ...]
 """Keys and list positions from the document's root, such as `("transformations", 3, "inputs")`."""
 

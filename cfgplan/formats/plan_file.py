@@ -29,11 +29,11 @@ from cfgplan.qualities import units
 FORMAT_VERSION = 1
 
 
-class _Part(BaseModel):
+class _PlanPart(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True)
 
 
-class PlannedUnit(_Part):
+class PlannedUnit(_PlanPart):
     """A unit as it is after the update."""
 
     id: str
@@ -46,7 +46,7 @@ class PlannedUnit(_Part):
     standby: bool = Field(default=False, description="it is a cold spare: ready, but not running")
 
 
-class ChangeSetPart(_Part):
+class ChangeSetPart(_PlanPart):
     """Definition 6: what starts, what is wired anew, what stops."""
 
     started: list[PlannedUnit] = []
@@ -54,7 +54,7 @@ class ChangeSetPart(_Part):
     stopped: list[str] = []
 
 
-class PlanPart(_Part):
+class PlanPart(_PlanPart):
     """A planner's answer and the environment it holds for."""
 
     model_config = ConfigDict(extra="forbid", strict=True, title="cfgplan plan")

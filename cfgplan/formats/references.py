@@ -10,7 +10,7 @@ from cfgplan.domain import ComputationUnit, Publication, Stream, Subscription, T
 from cfgplan.errors import Fault, InvalidValueError
 from cfgplan.formats.document import Document
 from cfgplan.formats.fields import UnitPart
-from cfgplan.formats.fleet import Fleet
+from cfgplan.formats.fleet import FleetReader
 from cfgplan.formats.left_out import LeftOut
 from cfgplan.formats.places import Path, Source
 from cfgplan.formats.suggestions import did_you_mean
@@ -30,7 +30,7 @@ class UnitChecker:
         left_out: LeftOut,
         library: Mapping[str, Transformation],
         targets: Mapping[str, Target],
-        fleet: Fleet,
+        fleet: FleetReader,
         origins: dict[tuple[str, str], tuple[Source, Path]],
         faults: list[Fault],
     ) -> None:

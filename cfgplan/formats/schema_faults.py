@@ -15,7 +15,7 @@ from cfgplan.formats.scalars import resolve
 from cfgplan.formats.schema_values import FULL_FORM, PORT, SHORT_FORM
 from cfgplan.formats.suggestions import did_you_mean
 
-_KINDS = {
+_KINDS_OF_VALUE = {
     "string_type": "text",
     "int_type": "a whole number",
     "bool_type": "true or false",
@@ -68,8 +68,8 @@ def _fault(source: Source, path: Path, at_key: bool, error: Any, part: type[Base
         short = "a tag" if path[-2] in ("inputs", "outputs") else "a number"
         message = f"this must be {short} or a mapping, but is {_described(value)}"
         return source.fault(path, message, f"write {short} here")
-    if kind in _KINDS:
-        return source.fault(path, *_wrong_kind(source, path, _KINDS[kind], value), at_key=at_key)
+    if kind in _KINDS_OF_VALUE:
+        return source.fault(path, *_wrong_kind(source, path, _KINDS_OF_VALUE[kind], value), at_key=at_key)
     if kind == "string_pattern_mismatch":
         barred = "slashes, line breaks or control characters" if error["ctx"]["pattern"] == PORT else "line breaks"
         message = f"{_shown(value)} is no name" if value else "the name is empty"

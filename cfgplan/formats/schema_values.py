@@ -15,12 +15,12 @@ from pydantic_core import PydanticCustomError
 from cfgplan.canonical import normal
 from cfgplan.costs import microseconds, seconds
 from cfgplan.errors import InvalidValueError
-from cfgplan.qualities import Better, Rule, micro_units, units
+from cfgplan.qualities import Better, QualityRule, micro_units, units
 from cfgplan.transformations import CPU, LEAST_HANG_S, RunOptions
 
 LARGEST_AMOUNT = 1_000_000_000
 LARGEST_RATE_HZ = 100_000
-NAME = r"^[^\s\x00-\x1f\x7f]([^\x00-\x1f\x7f]*[^\s\x00-\x1f\x7f])?$"
+NAME_PATTERN = r"^[^\s\x00-\x1f\x7f]([^\x00-\x1f\x7f]*[^\s\x00-\x1f\x7f])?$"
 PORT = r"^[^\s\x00-\x1f\x7f/]([^\x00-\x1f\x7f/]*[^\s\x00-\x1f\x7f/])?$"
 
 SPAN = r"^(\d+(?:\.\d+)?)(ms|s|m|h)$"
@@ -188,7 +188,7 @@ def _whole_if_it_is(value: Decimal) -> Decimal | int:
     return int(value) if value == value.to_integral_value() else value
 
 
-FileName = Annotated[str, Field(pattern=NAME)]
+FileName = Annotated[str, Field(pattern=NAME_PATTERN)]
 """The name of a file stays as it is written; all other names are spelled in one way."""
 Name = Annotated[FileName, AfterValidator(normal)]
 PortName = Annotated[str, Field(pattern=PORT), AfterValidator(normal)]
@@ -198,13 +198,13 @@ TagText = Annotated[
 _NUMBER = {"type": "number", "minimum": 0}
 Cost = Annotated[int, PlainValidator(_cost), WithJsonSchema(_NUMBER), Written(plain_cost)]
 Seconds = Annotated[int, PlainValidator(_seconds), WithJsonSchema(_NUMBER), Written(plain_cost)]
-Silence = Annotated[
+HangTime = Annotated[
     int,
     PlainValidator(_silence),
     WithJsonSchema({"anyOf": [{"const": 0}, {"type": "number", "minimum": LEAST_HANG_S}]}),
     Written(plain_cost),
 ]
-Span = Annotated[
+TimeSpan = Annotated[
     int,
     PlainValidator(_span),
     WithJsonSchema({"anyOf": [{"type": "number", "exclusiveMinimum": 0}, {"type": "string", "pattern": SPAN}]}),
@@ -222,7 +222,7 @@ Amount = Annotated[Decimal | int, PlainValidator(_amount), WithJsonSchema({**_NU
 Resources = Annotated[dict[Name, Amount], AfterValidator(_resources)]
 Params = Annotated[dict[str, Any], PlainValidator(_params), WithJsonSchema({"type": ["object", "null"]})]
 BetterName = Annotated[Literal["lower", "higher"], AfterValidator(Better), Written(str)]
-RuleName = Annotated[Literal["add", "limit", "scale", "set"], AfterValidator(Rule), Written(str)]
+RuleName = Annotated[Literal["add", "limit", "scale", "set"], AfterValidator(QualityRule), Written(str)]
 WhenFull = Annotated[
     Literal["drop_oldest", "block"],
     AfterValidator(lambda how: how == "block"),

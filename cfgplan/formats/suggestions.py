@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 from difflib import get_close_matches
 
-_MOST_COMPARED = 500
+_MOST_NAMES_COMPARED = 500
 _LETTERS = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-./:()@ "
 
 
@@ -14,7 +14,7 @@ def did_you_mean(name: str, known: Collection[str], otherwise: str) -> str:
 
     Among many names only those that differ by one letter are found: comparing with all of them takes seconds.
     """
-    if len(known) <= _MOST_COMPARED:
+    if len(known) <= _MOST_NAMES_COMPARED:
         close = get_close_matches(name, known, n=1)
     else:
         close = [edited for edited in _edits(name) if edited in known][:1]

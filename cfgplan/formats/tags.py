@@ -29,7 +29,7 @@ class BadTagError(CfgplanError):
         self.mend = mend
 
 
-class Vocabulary(Protocol):
+class TagVocabulary(Protocol):
     """An ontology as the formats see it."""
 
     def instances(self, class_name: str) -> tuple[str, ...]:
@@ -42,7 +42,7 @@ class Vocabulary(Protocol):
 class TagChecker:
     """Checks the tags of one document; what is wrong goes into `faults`."""
 
-    def __init__(self, vocabulary: Vocabulary, faults: list[Fault]) -> None:
+    def __init__(self, vocabulary: TagVocabulary, faults: list[Fault]) -> None:
         self._vocabulary = vocabulary
         self._faults = faults
         self._good: set[str] = set()

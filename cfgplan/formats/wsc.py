@@ -24,7 +24,7 @@ from cfgplan.formats.wsc_files import Service, TestSet, read_test_set
 
 Objective = Literal["services", "length"]
 SERVICE_LABOR_US = 1_000_000
-_IRI = "urn:cfgplan:wsc#"
+_WSC_IRI = "urn:cfgplan:wsc#"
 
 
 def read_wsc(folder: str | os.PathLike[str], objective: Objective = "services") -> tuple[EnvironmentFile, Similarity]:
@@ -187,7 +187,7 @@ def _ontology(test_set: TestSet, environment: Environment) -> str:
     names = [*test_set.parent, *(f"by{layer}" for layer in layers)]
     orders = [(concept, higher) for concept, higher in test_set.parent.items() if higher is not None]
     orders += [(f"by{layer - 1}", f"by{layer}") for layer in layers[1:]]
-    lines = [f"Prefix(:=<{_IRI}>)", "Ontology(<urn:cfgplan:wsc>"]
+    lines = [f"Prefix(:=<{_WSC_IRI}>)", "Ontology(<urn:cfgplan:wsc>"]
     lines += (f"  Declaration(Class(:{name}))" for name in names)
     lines += (f"  SubClassOf(:{lower} :{higher})" for lower, higher in orders)
     return "\n".join([*lines, ")", ""])

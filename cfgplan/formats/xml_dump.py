@@ -23,8 +23,8 @@ from cfgplan.formats.fields import (
     TransformationPart,
     UnitPart,
 )
+from cfgplan.formats.xml_elements import XML_BLANK
 
-_BLANK = " \t\r\n"
 _NO_XML = re.compile("[\0-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
 
 
@@ -123,7 +123,7 @@ def _param(value: object) -> tuple[str, str]:
 
 def _element(name: str, text: str, /, **attributes: object) -> str:
     opened = _opened(name, attributes)
-    if text.strip(_BLANK) != text:
+    if text.strip(XML_BLANK) != text:
         opened = f'{opened[:-1]} xml:space="preserve">'
     return f"{opened}{escape(_sayable(text), {chr(13): '&#13;'})}</{name}>"
 

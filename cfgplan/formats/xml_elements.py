@@ -13,11 +13,10 @@ from xml.parsers import expat
 
 from cfgplan.canonical import normal
 from cfgplan.errors import Fault, InputError
-from cfgplan.formats.places import Spot
+from cfgplan.formats.places import DEEPEST_NESTING, Spot
 
-DEEPEST_NESTING = 64
-_BLANK = " \t\r\n"
-_MENDS = {
+XML_BLANK = " \t\r\n"
+_XML_MENDS = {
     expat.errors.XML_ERROR_JUNK_AFTER_DOC_ELEMENT: "wrap several elements into one, such as <environment>",
     expat.errors.XML_ERROR_TAG_MISMATCH: "close the elements in the order in which they were opened",
     expat.errors.XML_ERROR_UNDEFINED_ENTITY: "write &amp; for &, and &lt; for <",
@@ -27,21 +26,21 @@ _MENDS = {
 
 
 @dataclass(slots=True)
-class Element:
+class XmlElement:
     """One element; `text` is without the blanks around it unless it has `xml:space="preserve"`."""
 
     name: str
     attributes: dict[str, str]
     line: int
     column: int
-    children: list[Element] = field(default_factory=list)
+    children: list[XmlElement] = field(default_factory=list)
     pieces: list[tuple[str, int, int]] = field(default_factory=list)
     text: str = ""
 
     def close(self) -> None:
         """Join the pieces of the text: there are no more to come."""
         whole = "".join([piece for piece, _, _ in self.pieces])
-        self.text = whole if self.attributes.get("xml:space") == "preserve" else whole.strip(_BLANK)
+        self.text = whole if self.attributes.get("xml:space") == "preserve" else whole.strip(XML_BLANK)
 
     @property
     def spot(self) -> Spot:
@@ -51,23 +50,25 @@ class Element:
     @property
     def text_spot(self) -> Spot:
         """Where the text begins, or the element if it has none."""
-        written = [(p.lstrip(_BLANK), line, column + len(p) - len(p.lstrip(_BLANK))) for p, line, column in self.pieces]
+        written = [
+            (p.lstrip(XML_BLANK), line, column + len(p) - len(p.lstrip(XML_BLANK))) for p, line, column in self.pieces
+        ]
         written = [piece for piece in written if piece[0]]
         if not written:
             return Spot(self.line, self.column, "")
         first, line, column = written[0]
-        return Spot(line, column, self.text, column if first.rstrip(_BLANK) == self.text else None)
+        return Spot(line, column, self.text, column if first.rstrip(XML_BLANK) == self.text else None)
 
 
-def parse_xml(content: bytes, file: str) -> Element:
+def parse_xml(content: bytes, file: str) -> XmlElement:
     """The root element of an XML text; raises InputError."""
-    opened: list[Element] = []
-    roots: list[Element] = []
+    opened: list[XmlElement] = []
+    roots: list[XmlElement] = []
 
     def start(name: str, attributes: dict[str, str]) -> None:
         if len(opened) >= DEEPEST_NESTING:
             parser.stop(f"elements are nested more than {DEEPEST_NESTING} deep", "flatten the document")
-        element = Element(name, {key: normal(value) for key, value in attributes.items()}, *parser.place)
+        element = XmlElement(name, {key: normal(value) for key, value in attributes.items()}, *parser.place)
         (opened[-1].children if opened else roots).append(element)
         opened.append(element)
 
@@ -113,7 +114,7 @@ class SafeParser:
             self._parser.Parse(content, True)
         except expat.ExpatError as error:
             message = expat.ErrorString(error.code)
-            mend = _MENDS.get(message, "mend the markup here")
+            mend = _XML_MENDS.get(message, "mend the markup here")
             fault = Fault(f"this is not XML: {message}", self._file, error.lineno, error.offset + 1, mend=mend)
             raise InputError([fault]) from None
         except (LookupError, ValueError) as error:

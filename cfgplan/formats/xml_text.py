@@ -28,7 +28,7 @@ from cfgplan.formats.json_text import read_json
 from cfgplan.formats.places import Path, Source, Spot
 from cfgplan.formats.scalars import resolve
 from cfgplan.formats.suggestions import did_you_mean
-from cfgplan.formats.xml_elements import Element, parse_xml
+from cfgplan.formats.xml_elements import XmlElement, parse_xml
 
 _PARTS: dict[str, type[Part]] = {
     "transformation": TransformationPart,
@@ -37,11 +37,11 @@ _PARTS: dict[str, type[Part]] = {
     "unit": UnitPart,
     "defaults": DefaultsPart,
 }
-_PORTS: dict[str, type[Part]] = {"in": InputPart, "out": OutputPart}
+_PORT_PARTS: dict[str, type[Part]] = {"in": InputPart, "out": OutputPart}
 _ATTRIBUTES: dict[str, tuple[str, ...]] = {
     **{name: tuple(part.attributes()) for name, part in _PARTS.items()},
     "param": ("name", "type"),
-    "port": ("type", *(name for part in _PORTS.values() for name in part.attributes())),
+    "port": ("type", *(name for part in _PORT_PARTS.values() for name in part.attributes())),
     "tag": ("port",),
     "input": ("port", "stream"),
     "topic": ("port",),
@@ -61,18 +61,18 @@ _ROOT_CHILDREN = ("ontology", "include", "defaults", "transformation", "unit", "
 
 def read_xml(content: bytes, file: str) -> Source:
     """Read a transformation, a target, or a root element with any number of them; raises InputError."""
-    reading = _Reading(file)
+    reading = _XmlReading(file)
     data = reading.environment(parse_xml(content, file))
     return Source(file, data, reading.locate, tuple(reading.faults))
 
 
-class _Reading:
+class _XmlReading:
     """One walk over the elements of a file."""
 
     def __init__(self, file: str) -> None:
         self.file = file
         self.faults: list[Fault] = []
-        self._spots: dict[Path, tuple[Element, bool]] = {}
+        self._spots: dict[Path, tuple[XmlElement, bool]] = {}
 
     def locate(self, path: Path, _at_key: bool) -> Spot:
         """The spot of a path or of the nearest one above it."""
@@ -83,11 +83,11 @@ class _Reading:
         element, is_text = self._spots[path]
         return element.text_spot if is_text else element.spot
 
-    def environment(self, root: Element) -> dict[str, Any]:
+    def environment(self, root: XmlElement) -> dict[str, Any]:
         data: dict[str, Any] = {"format": FORMAT}
         self._spots[()] = (root, False)
         if root.name in ("transformation", "target", "unit"):
-            root = Element("environment", {}, root.line, root.column, [root])
+            root = XmlElement("environment", {}, root.line, root.column, [root])
         self._check(root, tuple(EnvironmentPart.attributes()), _ROOT_CHILDREN, several=_ROOT_CHILDREN)
         if not root.children and not root.attributes:
             self._note(root, f"<{root.name}> has no specification in it", "write a <transformation> or a <target>")
@@ -107,7 +107,7 @@ class _Reading:
                 parts.append(getattr(self, f"_{child.name}")(child, path))
         return data
 
-    def _transformation(self, element: Element, path: Path) -> dict[str, Any]:
+    def _transformation(self, element: XmlElement, path: Path) -> dict[str, Any]:
         part = self._texts(element, path, ("label", "source"))
         part |= self._attributes(element, path, TransformationPart)
         for run in element.children:
@@ -126,8 +126,8 @@ class _Reading:
             part["params"] = params
         return part | self._ports(element, path)
 
-    def _ports(self, element: Element, path: Path) -> dict[str, Any]:
-        tags: dict[str | None, Element] = {}
+    def _ports(self, element: XmlElement, path: Path) -> dict[str, Any]:
+        tags: dict[str | None, XmlElement] = {}
         for tag in self._inside(element, "tags", "tag"):
             tagged = self._required(tag, "port")
             if tagged in tags:
@@ -153,13 +153,13 @@ class _Reading:
                 self._note(tag, f"a tag is for the port `{tagged}`, which is not there", mend)
         return {key: value for key, value in ports.items() if value}
 
-    def _port(self, port: Element, path: Path, tag: Element | None) -> object:
+    def _port(self, port: XmlElement, path: Path, tag: XmlElement | None) -> object:
         self._spots[path] = (port, False)
         direction = port.attributes["type"]
-        for name in _PORTS["in" if direction == "out" else "out"].attributes():
+        for name in _PORT_PARTS["in" if direction == "out" else "out"].attributes():
             if name in port.attributes:
                 self._note(port, f"an {direction}put has no `{name}`", f"remove the attribute {name}")
-        more = self._attributes(port, path, _PORTS[direction])
+        more = self._attributes(port, path, _PORT_PARTS[direction])
         if tag is None:
             self._note(port, f"the port `{port.text}` has no tag", f'add <tag port="{port.text}"> to <tags>')
             return None
@@ -167,7 +167,7 @@ class _Reading:
             return {"tag": self._text(tag, (*path, "tag")), **more}
         return self._text(tag, path)
 
-    def _param(self, param: Element) -> object:
+    def _param(self, param: XmlElement) -> object:
         kind = param.attributes.get("type", "string")
         text = param.text
         if kind == "string":
@@ -187,7 +187,7 @@ class _Reading:
             self._note(param, f"{text!r} is no {kind}", 'mend the value, or write type="string"')
         return Decimal(value) if kind == "double" and type(value) is int else value
 
-    def _unit(self, element: Element, path: Path) -> dict[str, Any]:
+    def _unit(self, element: XmlElement, path: Path) -> dict[str, Any]:
         part: dict[str, Any] = self._attributes(element, path, UnitPart)
         for child in element.children:
             port = self._required(child, "port")
@@ -205,7 +205,7 @@ class _Reading:
                 topics.append(self._text(child, (*path, "topics", port, len(topics))))
         return part
 
-    def _target(self, element: Element, path: Path) -> dict[str, Any]:
+    def _target(self, element: XmlElement, path: Path) -> dict[str, Any]:
         part = self._texts(element, path, ("label", "topic", "tag"))
         return part | self._attributes(element, path, TargetPart)
 
@@ -213,7 +213,7 @@ class _Reading:
 
     def _check(
         self,
-        element: Element,
+        element: XmlElement,
         attributes: tuple[str, ...],
         children: tuple[str, ...],
         several: tuple[str, ...] = _SEVERAL,
@@ -237,13 +237,13 @@ class _Reading:
         if element.children and element.text:
             self._note(element, f"there is stray text in <{element.name}>: {element.text[:40]!r}", "remove it")
 
-    def _inside(self, element: Element, holder: str, name: str) -> Iterator[Element]:
+    def _inside(self, element: XmlElement, holder: str, name: str) -> Iterator[XmlElement]:
         for child in element.children:
             if child.name == holder:
                 self._check(child, (), (name,))
                 yield from (entry for entry in child.children if entry.name == name)
 
-    def _attributes(self, element: Element, path: Path, part: type[Part]) -> dict[str, Any]:
+    def _attributes(self, element: XmlElement, path: Path, part: type[Part]) -> dict[str, Any]:
         found: dict[str, Any] = {}
         for name, key in part.attributes().items():
             if name in element.attributes:
@@ -252,18 +252,18 @@ class _Reading:
                 self._spots[*path, key] = (element, False)
         return found
 
-    def _texts(self, element: Element, path: Path, names: tuple[str, ...]) -> dict[str, Any]:
+    def _texts(self, element: XmlElement, path: Path, names: tuple[str, ...]) -> dict[str, Any]:
         return {child.name: self._text(child, (*path, child.name)) for child in element.children if child.name in names}
 
-    def _text(self, element: Element, path: Path) -> str:
+    def _text(self, element: XmlElement, path: Path) -> str:
         self._check(element, ("port",) if element.name in ("tag", "topic") else (), ())
         self._spots[path] = (element, True)
         return element.text
 
-    def _required(self, element: Element, name: str) -> str | None:
+    def _required(self, element: XmlElement, name: str) -> str | None:
         if name not in element.attributes:
             self._note(element, f"<{element.name}> has no attribute `{name}`", f'add {name}="..."')
         return element.attributes.get(name)
 
-    def _note(self, element: Element, message: str, mend: str) -> None:
+    def _note(self, element: XmlElement, message: str, mend: str) -> None:
         self.faults.append(Fault(message, self.file, element.line, element.column, mend=mend))

@@ -14,10 +14,9 @@ from yaml import events
 from cfgplan.canonical import normal
 from cfgplan.errors import Fault, InputError
 from cfgplan.formats.garbage import no_garbage_collection
-from cfgplan.formats.places import Path, Source, Spot
+from cfgplan.formats.places import DEEPEST_NESTING, Path, Source, Spot
 from cfgplan.formats.scalars import FIRST_OF_NON_TEXT, resolve
 
-DEEPEST_NESTING = 64
 MOST_ALIASED_VALUES = 1_000_000
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _NO_KEY = object()
@@ -27,13 +26,13 @@ def read_yaml(text: str, file: str) -> Source:
     """Read one YAML document; its data is None if there is none. Raises InputError where reading can't go on."""
     with no_garbage_collection():
         try:
-            data, faults = _Reading(text, file).document()
+            data, faults = _YamlReading(text, file).document()
         except yaml.YAMLError as error:
             raise InputError([_syntax_fault(error, text, file)]) from None
     return Source(file, data, _YamlLocator(text), tuple(faults))
 
 
-class _Reading:
+class _YamlReading:
     """One pass over the events of a text."""
 
     def __init__(self, text: str, file: str) -> None:
@@ -206,7 +205,7 @@ def _child(node: Any, step: str | int) -> tuple[Any, Any]:
     return None, None
 
 
-_MENDS = {
+_YAML_MENDS = {
     "cannot start any token": "indent by spaces, not tabs; quote a text that begins with @, ` or %",
     "mapping values are not allowed": 'quote a text that has ": " in it, and check the indentation',
     "expected <block end>": "check the indentation; a text that begins with a quote, { or [ must be quoted as a whole",
@@ -218,7 +217,9 @@ _MENDS = {
 def _syntax_fault(error: yaml.YAMLError, text: str, file: str) -> Fault:
     mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
     problem = getattr(error, "problem", None) or getattr(error, "reason", None) or str(error)
-    mend = next((mend for part, mend in _MENDS.items() if part in problem), "check the indentation and the quotes here")
+    mend = next(
+        (mend for part, mend in _YAML_MENDS.items() if part in problem), "check the indentation and the quotes here"
+    )
     if mark is None:
         bad = next((i for i, character in enumerate(text) if not _printable(character)), 0)
         line = text.count("\n", 0, bad)

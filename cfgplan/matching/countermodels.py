@@ -36,6 +36,7 @@ from cfgplan.matching.concepts import (
     in_functional_syntax,
 )
 from cfgplan.matching.functional import Signature, Tree, parse
+from cfgplan.matching.literals import XSD
 from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.structures import LITERAL, Interpretation, inverse, linked_by, symbols_of
 
@@ -47,7 +48,6 @@ LEVELS: Final = 3
 """A thing that a restriction created, and that falls under the same restriction, gets a thing of the next level;
 after this many levels the first one is used again, so that models stay finite.
 """
-_XSD: Final = "http://www.w3.org/2001/XMLSchema#"
 
 
 class _OutOfTimeError(Exception):
@@ -330,7 +330,7 @@ class _Model:
                 return given[0] != "ObjectComplementOf" and self.require(things, given)
             case "DataHasValue":
                 return _some(self.structure.give(str(parts[0]), thing, parts[1]) for thing in things)
-            case "DataSomeValuesFrom" if str(parts[1]).startswith(_XSD) or parts[1] == LITERAL:
+            case "DataSomeValuesFrom" if str(parts[1]).startswith(XSD) or parts[1] == LITERAL:
                 return _some(self.structure.give(str(parts[0]), thing, ("value", parts[1])) for thing in things)
             case "DataExactCardinality" | "DataMinCardinality" if parts[0] == "1" and len(parts) == 3:
                 return self.require(things, ("DataSomeValuesFrom", *parts[1:]))

@@ -10,7 +10,7 @@ from cfgplan.matching.descriptions import disjuncts
 from cfgplan.matching.expressions import is_left_hand
 from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.rules import BOTTOM_ATOM, TOP_ATOM, Rules
-from cfgplan.matching.saturation import Fact, Reason, Saturation
+from cfgplan.matching.saturation import DerivedFact, Reason, Saturation
 from cfgplan.matching.statements import Inclusion
 from cfgplan.matching.translation import translate
 
@@ -51,7 +51,7 @@ class _Trace:
     def __init__(self, rules: Rules, ontology: Ontology) -> None:
         self._rules = rules
         self._ontology = ontology
-        self._reasons: dict[Fact, Reason] = {}
+        self._reasons: dict[DerivedFact, Reason] = {}
         self._saturation = Saturation(rules, reasons=self._reasons)
 
     def steps(self, start: Concept, goal: Concept) -> tuple[str, ...] | None:
@@ -69,7 +69,7 @@ class _Trace:
                 return self._told(fact)
         return ()
 
-    def _told(self, goal: Fact) -> tuple[str, ...]:
+    def _told(self, goal: DerivedFact) -> tuple[str, ...]:
         steps: dict[str, None] = {}
         for fact in self._in_order(goal):
             rule, premises = self._reasons.get(fact, ((), ()))
@@ -83,10 +83,10 @@ class _Trace:
                     steps[f"{told}, as {' and '.join(because)}"] = None
         return tuple(steps)
 
-    def _in_order(self, goal: Fact) -> Iterator[Fact]:
+    def _in_order(self, goal: DerivedFact) -> Iterator[DerivedFact]:
         """The facts from which a fact follows, itself included, each after its premises."""
-        done: set[Fact] = set()
-        waiting: list[tuple[Fact, bool]] = [(goal, False)]
+        done: set[DerivedFact] = set()
+        waiting: list[tuple[DerivedFact, bool]] = [(goal, False)]
         while waiting:
             fact, ready = waiting.pop()
             if ready:
@@ -97,7 +97,7 @@ class _Trace:
                 premises = self._reasons.get(fact, ((), ()))[1]
                 waiting.extend((premise, False) for premise in reversed(premises))
 
-    def _said(self, fact: Fact) -> str:
+    def _said(self, fact: DerivedFact) -> str:
         if len(fact) == 3:
             source, role, target = fact
             role_name = " ∘ ".join(map(self._ontology.written, self._rules.role_names[role].split(" ∘ ")))

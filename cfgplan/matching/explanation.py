@@ -125,15 +125,15 @@ def conjuncts(concept: Concept, ontology: Ontology) -> list[str]:
     return sorted(map(ontology.render, concept.parts if isinstance(concept, Intersection) else (concept,)))
 
 
-PATIENCE_S: Final = 20.0
+EXPLANATION_PATIENCE_S: Final = 20.0
 """Seconds for leaving out axioms to see whether they are needed; each try is a call of the reasoner."""
 
-_NAME: Final = re.compile(r"<[^<>\s]+>")
+_IRI_IN_BRACKETS: Final = re.compile(r"<[^<>\s]+>")
 
 
 def justification(offered: Concept, demanded: Concept, ontology: Ontology, reference: Reference) -> tuple[str, ...]:
     """Axioms from which offered ⊑ demanded follows, as few as are found in PATIENCE_S; all if none can be left out."""
-    deadline = time.monotonic() + PATIENCE_S
+    deadline = time.monotonic() + EXPLANATION_PATIENCE_S
     axioms = [axiom for axiom in sorted(ontology.axioms) if not axiom.startswith("Declaration(")]
 
     def follows(some: Sequence[str]) -> bool:
@@ -168,10 +168,10 @@ def justification(offered: Concept, demanded: Concept, ontology: Ontology, refer
 def _nearest_first(axioms: Sequence[str], tags: str) -> list[list[str]]:
     """Growing parts of the axioms: none, those that share a name with the tags, with those, and so on."""
     parts: list[list[str]] = [[]]
-    reached = set(_NAME.findall(tags))
+    reached = set(_IRI_IN_BRACKETS.findall(tags))
     while True:
-        connected = [axiom for axiom in axioms if not reached.isdisjoint(_NAME.findall(axiom))]
+        connected = [axiom for axiom in axioms if not reached.isdisjoint(_IRI_IN_BRACKETS.findall(axiom))]
         if len(connected) == len(parts[-1]):
             return parts
         parts.append(connected)
-        reached.update(name for axiom in connected for name in _NAME.findall(axiom))
+        reached.update(name for axiom in connected for name in _IRI_IN_BRACKETS.findall(axiom))

@@ -107,10 +107,16 @@ def right_hand_parts(concept: Concept, reasons: list[str]) -> Iterator[Concept]:
         case Complement(part) if is_left_hand(part):
             yield concept
         case _:
-            reasons.append(f"{_WORDS[type(concept)]} on the right-hand side is outside the fast fragment")
+            reasons.append(f"{_WORDS_FOR_KINDS[type(concept)]} on the right-hand side is outside the fast fragment")
 
 
-_WORDS: Final = {Nominal: "an individual", Complement: "a complement", Union: "a union", Only: "∀", AtMost: "≤"}
+_WORDS_FOR_KINDS: Final = {
+    Nominal: "an individual",
+    Complement: "a complement",
+    Union: "a union",
+    Only: "∀",
+    AtMost: "≤",
+}
 
 
 def _mentions_nominal(concept: Concept) -> bool:

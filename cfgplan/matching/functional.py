@@ -15,7 +15,7 @@ from cfgplan.matching.names import short_name
 Tree: TypeAlias = "str | tuple[Tree, ...]"
 """An IRI without brackets, a keyword, number or literal; or a keyword followed by its arguments."""
 
-_TOKEN: Final = re.compile(r'<[^>]*>|"(?:[^"\\]|\\.)*"(?:\^\^<[^>]*>|@[\w-]+)?|[()]|[^\s()<>"]+')
+_FUNCTIONAL_TOKEN: Final = re.compile(r'<[^>]*>|"(?:[^"\\]|\\.)*"(?:\^\^<[^>]*>|@[\w-]+)?|[()]|[^\s()<>"]+')
 
 # How the arguments of a keyword are used: c class, r object property, i individual, n number, x anything else.
 # The last letter holds for all further arguments.
@@ -90,7 +90,7 @@ LOGICAL: Final = frozenset(
 def parse(text: str) -> Tree:
     """The tree of one axiom. Raises ValueError if the brackets don't close."""
     stack: list[list[Tree]] = [[]]
-    for token in _TOKEN.findall(text):
+    for token in _FUNCTIONAL_TOKEN.findall(text):
         if token == "(":
             head = stack[-1].pop() if stack[-1] and isinstance(stack[-1][-1], str) else ""
             stack.append([head])

@@ -19,19 +19,19 @@ from cfgplan.matching.functional import Tree, parse
 from cfgplan.matching.names import short_name
 from cfgplan.matching.statements import Translation, include
 
-_XSD: Final = "http://www.w3.org/2001/XMLSchema#"
+XSD: Final = "http://www.w3.org/2001/XMLSchema#"
 _DECIMAL: Final = r"(?a:[+-]?(\d+(\.\d*)?|\.\d+))"
 _DOUBLE: Final = rf"{_DECIMAL}([eE][+-]?[0-9]+)?|-?INF|NaN"
 _ZONE: Final = r"(Z|[+-](0[0-9]|1[0-3]):[0-5]\d|[+-]14:00)"
-_TIME: Final = r"(([01]\d|2[0-3]):[0-5]\d:[0-5]\d(\.\d+)?|24:00:00(\.0+)?)"
-_DATE_TIME: Final = rf"(?a:-?(?P<year>\d{{4}})-(?P<month>0[1-9]|1[0-2])-(?P<day>[0-3]\d)T{_TIME})"
-_TOKEN: Final = r"(\S+( \S+)*)?"
-_NAME: Final = r"[^\W\d][\w.\-·]*"
+_XSD_TIME: Final = r"(([01]\d|2[0-3]):[0-5]\d:[0-5]\d(\.\d+)?|24:00:00(\.0+)?)"
+_DATE_TIME: Final = rf"(?a:-?(?P<year>\d{{4}})-(?P<month>0[1-9]|1[0-2])-(?P<day>[0-3]\d)T{_XSD_TIME})"
+_XSD_TOKEN: Final = r"(\S+( \S+)*)?"
+_XML_NAME: Final = r"[^\W\d][\w.\-·]*"
 
-_FORMS: Final = MappingProxyType(
+_LITERAL_FORMS: Final = MappingProxyType(
     {name: re.compile(form) for name, form in {
-        "string": r"(?s:.*)", "normalizedString": r"[^\t\n\r]*", "token": _TOKEN, "NMTOKEN": r"[\w.\-:·]+",
-        "Name": rf":*{_NAME}(:[\w.\-:·]*)*", "NCName": _NAME, "language": r"[a-zA-Z]{1,8}(-[a-zA-Z0-9]{1,8})*",
+        "string": r"(?s:.*)", "normalizedString": r"[^\t\n\r]*", "token": _XSD_TOKEN, "NMTOKEN": r"[\w.\-:·]+",
+        "Name": rf":*{_XML_NAME}(:[\w.\-:·]*)*", "NCName": _XML_NAME, "language": r"[a-zA-Z]{1,8}(-[a-zA-Z0-9]{1,8})*",
         "anyURI": r"([^\s%<>\"{}|\\^`]|%[0-9a-fA-F]{2})*", "boolean": r"true|false|1|0",
         "decimal": _DECIMAL, "double": _DOUBLE, "float": _DOUBLE,
         "hexBinary": r"([0-9a-fA-F]{2})*", "dateTime": f"{_DATE_TIME}{_ZONE}?", "dateTimeStamp": f"{_DATE_TIME}{_ZONE}",
@@ -59,20 +59,20 @@ _BESIDES: Final = frozenset(
 
 def is_known(datatype: str) -> bool:
     """Whether reasoners know a datatype; they refuse an ontology for most others."""
-    name = datatype.removeprefix(_XSD)
-    return name in _FORMS or name in _RANGES if datatype.startswith(_XSD) else datatype in _BESIDES
+    name = datatype.removeprefix(XSD)
+    return name in _LITERAL_FORMS or name in _RANGES if datatype.startswith(XSD) else datatype in _BESIDES
 
 
 def is_well_formed(text: str, datatype: str) -> bool:
     """Whether a text is a literal of a known datatype; reasoners refuse an ontology with one that is not."""
-    name = datatype.removeprefix(_XSD)
+    name = datatype.removeprefix(XSD)
     if name in _RANGES:
         least, most = _RANGES[name]
         is_whole = _INTEGER.fullmatch(text) is not None
         return is_whole and (least is None or least <= int(text)) and (most is None or int(text) <= most)
-    if name not in _FORMS:
+    if name not in _LITERAL_FORMS:
         return True
-    found = _FORMS[name].fullmatch(text)
+    found = _LITERAL_FORMS[name].fullmatch(text)
     if found is None or "day" not in found.groupdict():
         return found is not None
     # The calendar is the same again after 400 years.

@@ -9,19 +9,14 @@ is taken to be free of contradictions.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from functools import cached_property
-from typing import Final
 
 from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI, Concept, in_functional_syntax
 from cfgplan.matching.functional import Tree, parse
-from cfgplan.matching.literals import LOST_LITERALS
-from cfgplan.matching.ontology import Ontology
+from cfgplan.matching.literals import LOST_LITERALS, XSD
+from cfgplan.matching.ontology import BRACKETED, Ontology
 from cfgplan.matching.structures import Interpretation
-
-_BRACKETED: Final = re.compile(r"<([^<>\s]+)>")
-_XSD: Final = "http://www.w3.org/2001/XMLSchema#"
 
 
 class Losses:
@@ -44,7 +39,7 @@ class Losses:
         """The names that may be concerned; None for all."""
         axioms = self._ontology.axioms
         named = [
-            set(_BRACKETED.findall(text)) if text in axioms or text.startswith(LOST_LITERALS) else set()
+            set(BRACKETED.findall(text)) if text in axioms or text.startswith(LOST_LITERALS) else set()
             for text in self._ontology.dropped
         ]
         trees = [tree for tree in self._ontology.trees.values() if isinstance(tree, tuple) and tree[0] != "Declaration"]
@@ -71,5 +66,5 @@ def _names(tree: Tree) -> Iterator[str]:
     if isinstance(tree, tuple):
         for part in tree[1:]:
             yield from _names(part)
-    elif not tree.startswith(('"', _XSD)) and not tree.isdigit() and tree not in (THING_IRI, NOTHING_IRI):
+    elif not tree.startswith(('"', XSD)) and not tree.isdigit() and tree not in (THING_IRI, NOTHING_IRI):
         yield tree

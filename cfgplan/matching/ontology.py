@@ -17,7 +17,7 @@ from cfgplan.matching.functional import Signature, Tree, parse
 from cfgplan.matching.literals import told
 from cfgplan.matching.names import NameTable, expanded, short_name, suggestion
 
-_BRACKETED: Final = re.compile(r"<([^<>\s]+)>")
+BRACKETED: Final = re.compile(r"<([^<>\s]+)>")
 
 
 class Ontology:
@@ -162,7 +162,7 @@ class Ontology:
 
     def shortened(self, text: str) -> str:
         """A text, such as an axiom, with short names for the IRIs in brackets."""
-        return _BRACKETED.sub(lambda found: self.written(found[1]), text)
+        return BRACKETED.sub(lambda found: self.written(found[1]), text)
 
     def render(self, concept: Concept) -> str:
         """A concept in DL syntax with short names."""

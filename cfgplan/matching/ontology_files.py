@@ -33,7 +33,7 @@ _PREFIX: Final = re.compile(
 _ANONYMOUS: Final = re.compile(r'"(?:[^"\\]|\\.)*"|<[^>]*>|_:([\w.-]+)')
 _PLACE: Final = re.compile(r"^Parser error (?:at|between) [^:]*: ")
 _ANONYMOUS_IRI: Final = re.compile(f"<{ANONYMOUS}([^>]*)>")
-_LINE: Final = re.compile(r"line_col: Pos\(\((\d+), (\d+)\)\)|(?:BytePosition|ByteSpan)\((\d+)")
+_LINE_OF_ERROR: Final = re.compile(r"line_col: Pos\(\((\d+), (\d+)\)\)|(?:BytePosition|ByteSpan)\((\d+)")
 _REASON: Final = re.compile(
     r'message: "((?:[^"\\]|\\.)*)"|Msg\("((?:[^"\\]|\\.)*)"\)|(?:Validity)?Error\("((?:[^"\\]|\\.)*)"'
 )
@@ -284,7 +284,7 @@ def _loss_of_rule(rule: str, syntax: str) -> str | None:
 
 def _fault_of(error: str, text: str, syntax: str, shown: str) -> Fault:
     line = column = None
-    found = _LINE.search(error)
+    found = _LINE_OF_ERROR.search(error)
     if found and found[1]:
         line, column = int(found[1]), int(found[2])
     elif found and int(found[3]):

@@ -14,7 +14,7 @@ from cfgplan.matching.concepts import TOP, Concept, Intersection, Some
 from cfgplan.matching.rules import TOP_ATOM, Rules
 from cfgplan.matching.saturation import Context, Edge
 
-_FEW: Final = 64
+_FEW_MEMBERS: Final = 64
 """Up to this many new members are checked one by one; with more, a row is found anew."""
 
 
@@ -152,7 +152,7 @@ class Family(Generic[_Member]):
             self._with_link[edge].discard(member)
         for _, row in self._rows.values():
             row.discard(member)
-        if len(self._order) > 2 * len(self._described) + _FEW:
+        if len(self._order) > 2 * len(self._described) + _FEW_MEMBERS:
             self._order = list(self._described)
             self._rows.clear()
 
@@ -176,7 +176,7 @@ class Family(Generic[_Member]):
         order = self._order
         if seen == len(order) and want in self._rows:
             return row
-        if want in self._rows and len(order) - seen <= _FEW:
+        if want in self._rows and len(order) - seen <= _FEW_MEMBERS:
             for member in order[seen:]:
                 if member in self._described and self._fillers.has_link(self._described[member], want):
                     row.add(member)
@@ -188,7 +188,7 @@ class Family(Generic[_Member]):
         return row
 
 
-Key: TypeAlias = "int | tuple[int, int] | None"
+MemberKey: TypeAlias = "int | tuple[int, int] | None"
 """What everything that meets a demand has: an atom, or a link by a role to something with an atom."""
 
 
@@ -197,7 +197,7 @@ class DemandIndex:
 
     def __init__(self, fillers: Fillers) -> None:
         self._fillers = fillers
-        self._by_key: defaultdict[Key, dict[Demand, None]] = defaultdict(dict)
+        self._by_key: defaultdict[MemberKey, dict[Demand, None]] = defaultdict(dict)
 
     def add(self, demand: Demand, family: Family[Any]) -> None:
         """Take in a demand under its atom that the fewest members have."""
@@ -213,7 +213,7 @@ class DemandIndex:
 
     def met_by(self, described: Described) -> Iterator[Demand]:
         """The demands that something meets."""
-        keys: set[Key] = {None, *described.atoms}
+        keys: set[MemberKey] = {None, *described.atoms}
         for role, target in described.edges:
             keys.update((role, atom) for atom in target.atoms)
         for key in keys & self._by_key.keys():
@@ -222,6 +222,6 @@ class DemandIndex:
                     yield demand
 
 
-def _key_of_links(demand: Demand) -> Key:
+def _key_of_links(demand: Demand) -> MemberKey:
     keys = [(want.role, max(want.filler.atoms, default=TOP_ATOM)) for want in demand.wants]
     return max(keys, default=None)

@@ -13,12 +13,12 @@ from collections import Counter, defaultdict
 from collections.abc import Collection, Iterator
 from typing import Final
 
+from cfgplan.matching.literals import XSD
 from cfgplan.matching.names import short_name
 
 OWL: Final = "http://www.w3.org/2002/07/owl#"
 RDF: Final = "http://www.w3.org/1999/02/22-rdf-syntax-ns#"
 RDFS: Final = "http://www.w3.org/2000/01/rdf-schema#"
-XSD: Final = "http://www.w3.org/2001/XMLSchema#"
 SWRL: Final = "http://www.w3.org/2003/11/swrl#"
 ANONYMOUS: Final = "urn:cfgplan:anonymous:"
 """Stands before the number of an anonymous individual."""
@@ -71,8 +71,8 @@ _ROOTS: Final = {
     f"<{SWRL}Imp>": ("DLSafeRule",),
 }
 """The keywords of the axioms that a node may stand for, by its type."""
-_NAME: Final = r"<[^<>]*>"
-_PLACES: Final = re.compile(rf"(\w+)\(({_NAME})?.*?({_NAME})?\)$", re.DOTALL)
+_RDF_NAME: Final = r"<[^<>]*>"
+_PLACES: Final = re.compile(rf"(\w+)\(({_RDF_NAME})?.*?({_RDF_NAME})?\)$", re.DOTALL)
 
 
 class TripleGraph:

@@ -11,10 +11,10 @@ from cfgplan.matching.descriptions import Description
 from cfgplan.matching.engine import FastEngine, Offer
 from cfgplan.matching.queries import Demand, DemandIndex, Family, Fillers
 
-_FEW: Final = 64
+_FEW_CONCEPTS: Final = 64
 """Up to this many new offers are looked up in the demands one by one; with more, all rows are found anew."""
 
-_Member: TypeAlias = "str | tuple[str, int]"
+_RowMember: TypeAlias = "str | tuple[str, int]"
 """An offer's name, or its name with the number of a disjunct where it has several."""
 
 
@@ -24,7 +24,7 @@ class OfferRows:
     def __init__(self, engine: FastEngine) -> None:
         self._engine = engine
         self._fillers = Fillers()
-        self._family: Family[_Member] = Family(self._fillers)
+        self._family: Family[_RowMember] = Family(self._fillers)
         self._index = DemandIndex(self._fillers)
         self._offers: dict[str, Offer] = {}
         self._several: set[str] = set()
@@ -51,7 +51,7 @@ class OfferRows:
             for member, description in _members(name, offer):
                 self._fillers.add(description.edges)
                 self._family.add(member, description)
-        if len(concepts) > _FEW:
+        if len(concepts) > _FEW_CONCEPTS:
             self._rows.clear()
         elif self._rows:
             for name in concepts:
@@ -99,7 +99,7 @@ class OfferRows:
 
     def _find(self, concept: Concept) -> frozenset[str]:
         demands = self._demands[concept] or ()
-        found: frozenset[_Member] = frozenset()
+        found: frozenset[_RowMember] = frozenset()
         for demand in demands:
             found = found | self._family.row(demand) if found else frozenset(self._family.row(demand))
         if not self._several:
@@ -125,7 +125,7 @@ class OfferRows:
         return [concept for concept, times in met.items() if times == len(offer.disjuncts)]
 
 
-def _members(name: str, offer: Offer) -> list[tuple[_Member, Description]]:
+def _members(name: str, offer: Offer) -> list[tuple[_RowMember, Description]]:
     if len(offer.disjuncts) == 1:
         return [(name, offer.disjuncts[0])]
     return [((name, number), description) for number, description in enumerate(offer.disjuncts)]

@@ -14,9 +14,9 @@ from typing import TypeAlias
 from cfgplan.matching.rules import BOTTOM_ATOM, TOP_ATOM, Rules
 
 Edge: TypeAlias = "tuple[int, Context]"
-Fact: TypeAlias = "tuple[Context, int] | tuple[Context, int, Context]"
+DerivedFact: TypeAlias = "tuple[Context, int] | tuple[Context, int, Context]"
 """That a context has an atom, or a link by a role to another context."""
-Reason: TypeAlias = "tuple[tuple[object, ...], tuple[Fact, ...]]"
+Reason: TypeAlias = "tuple[tuple[object, ...], tuple[DerivedFact, ...]]"
 """The rule (a key of `Rules.origin`, if it comes from an axiom) and the facts from which a fact follows."""
 
 
@@ -49,7 +49,7 @@ class Context:
 class Saturation:
     """The contexts of an ontology, made and saturated on demand; those of individuals at once."""
 
-    def __init__(self, rules: Rules, *, reasons: dict[Fact, Reason] | None = None) -> None:
+    def __init__(self, rules: Rules, *, reasons: dict[DerivedFact, Reason] | None = None) -> None:
         """Saturate what must exist. `reasons`, if given, gets the first reason found for each fact."""
         self.rules = rules
         self._reasons = reasons
@@ -136,7 +136,7 @@ class Saturation:
             for atom in self.rules.ranges[role]:
                 self._add(target, atom, ("range", role, atom), (source, role, target))
 
-    def _add(self, context: Context, atom: int, rule: tuple[object, ...], *premises: Fact) -> None:
+    def _add(self, context: Context, atom: int, rule: tuple[object, ...], *premises: DerivedFact) -> None:
         if atom not in context.atoms:
             context.atoms.add(atom)
             self._disturbed = self._disturbed or context.finished
@@ -144,7 +144,9 @@ class Saturation:
             if self._reasons is not None:
                 self._reasons.setdefault((context, atom), (rule, premises))
 
-    def _link(self, source: Context, role: int, target: Context, rule: tuple[object, ...], *premises: Fact) -> None:
+    def _link(
+        self, source: Context, role: int, target: Context, rule: tuple[object, ...], *premises: DerivedFact
+    ) -> None:
         for upper in self.rules.supers[role]:
             if target not in source.links[upper]:
                 self._disturbed = self._disturbed or source.finished

@@ -20,7 +20,7 @@ from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.reasoners import reference_named
 from cfgplan.matching.registry import TagRegistry
 from cfgplan.matching.rows import OfferRows
-from cfgplan.matching.verdicts import Asked, Verdicts, countdown
+from cfgplan.matching.verdicts import AskedPair, Verdicts, countdown
 from cfgplan.planning import Pair
 
 REFUTING: Final = 0.25
@@ -175,7 +175,7 @@ class Matcher:
             self._rows = rows
         return self._rows
 
-    def _in_order(self, rows: OfferRows | None) -> Iterable[Asked]:
+    def _in_order(self, rows: OfferRows | None) -> Iterable[AskedPair]:
         """The open pairs that an answer may close, in the order in which tags were registered."""
         rank = {concept: number for number, concept in enumerate(self._offered.names.values())}
         return (
@@ -184,7 +184,7 @@ class Matcher:
             for offered in sorted(row - self._refuted(demand), key=rank.__getitem__)
         )
 
-    def _ask(self, pairs: Iterable[Asked], time_limit_s: float | None) -> int:
+    def _ask(self, pairs: Iterable[AskedPair], time_limit_s: float | None) -> int:
         try:
             asked = self._verdicts.ask(pairs, time_limit_s)
         except MatchingError as error:

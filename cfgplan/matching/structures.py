@@ -34,7 +34,7 @@ _BUILT_IN_PROPERTIES: Final = frozenset(
 )
 _NOTHING_TO_BREAK: Final = frozenset(("Declaration", "DatatypeDefinition"))
 
-Links: TypeAlias = Mapping[int, Set[int]]
+RoleLinks: TypeAlias = Mapping[int, Set[int]]
 
 
 class Interpretation:
@@ -101,13 +101,13 @@ class Interpretation:
         values.add(value)
         return self._touch(name)
 
-    def successors(self, role: Tree) -> Links:
+    def successors(self, role: Tree) -> RoleLinks:
         """What each thing is linked to."""
         if isinstance(role, tuple):
             return self.predecessors(role[1])
         return self._links.get(role, {})
 
-    def predecessors(self, role: Tree) -> Links:
+    def predecessors(self, role: Tree) -> RoleLinks:
         """What is linked to each thing."""
         if isinstance(role, tuple):
             return self.successors(role[1])

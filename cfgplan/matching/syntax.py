@@ -31,7 +31,7 @@ from cfgplan.matching.faults import TagError, UnknownNameError
 from cfgplan.matching.names import suggestion
 from cfgplan.matching.ontology import Ontology
 
-DEEPEST: Final = 100
+DEEPEST_CONCEPT: Final = 100
 """How deeply a tag may be nested."""
 
 SOURCE_ROLE: Final = "hasSource"
@@ -98,8 +98,8 @@ class _Reader:
 
     def _operand(self) -> Concept:
         self._depth += 1
-        if self._depth > DEEPEST:
-            raise self._error(f"the tag is nested more than {DEEPEST} deep")
+        if self._depth > DEEPEST_CONCEPT:
+            raise self._error(f"the tag is nested more than {DEEPEST_CONCEPT} deep")
         token = self._tokens[self._at]
         if not token or token in _NO_OPERAND:
             what = f"{self._written()!r} stands" if token else "the tag ends"

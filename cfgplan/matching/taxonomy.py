@@ -9,7 +9,7 @@ from typing import Final
 
 from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI
 
-_LINE: Final = re.compile(r"^\s*(SubClassOf|EquivalentClasses)\((.*)\)\s*$", re.MULTILINE)
+_INCLUSION: Final = re.compile(r"^\s*(SubClassOf|EquivalentClasses)\((.*)\)\s*$", re.MULTILINE)
 _IRI: Final = re.compile(r"<([^<>]*)>")
 
 
@@ -63,7 +63,7 @@ def read_taxonomy(text: str) -> Taxonomy:
     """Read the SubClassOf and EquivalentClasses axioms between named classes in functional syntax."""
     equivalents: list[list[str]] = []
     links: list[tuple[str, str]] = []
-    for keyword, arguments in _LINE.findall(text):
+    for keyword, arguments in _INCLUSION.findall(text):
         names = _IRI.findall(arguments)
         if keyword == "EquivalentClasses":
             equivalents.append(names)

@@ -12,7 +12,7 @@ from cfgplan.matching.faults import ReasonerTimeoutError
 from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.reference import Reference, classify, satisfiable
 
-Asked = tuple[Concept, Concept]
+AskedPair = tuple[Concept, Concept]
 """An offered concept and a demanded one."""
 PAIRS_OF_A_TAG: Final = 4
 """With more open pairs per tag than this, classifying the tags is cheaper than asking pair by pair."""
@@ -20,7 +20,7 @@ CLASSIFYING: Final = 0.75
 """The share of a time limit that classifying may take before pairs are asked for one by one."""
 PATIENCE: Final = 0.1
 """The share of a time limit that the answer for one pair may take before others are asked for."""
-PATIENCE_S: Final = 30.0
+VERDICT_PATIENCE_S: Final = 30.0
 """How long the answer for one pair may take at first where there is no time limit, seconds."""
 FIRST_PAIRS: Final = 64
 """The number of pairs asked for in the first call; each later call asks for four times as many as the last."""
@@ -68,7 +68,7 @@ class Verdicts:
         for concept in told.keys() & concepts:
             (self.possible if told[concept] else self.unsatisfiable).add(concept)
 
-    def ask(self, pairs: Iterable[Asked], time_limit_s: float | None) -> int:
+    def ask(self, pairs: Iterable[AskedPair], time_limit_s: float | None) -> int:
         """Ask, in this order, for which pairs the offered concept is below the demanded one. Returns how many were
         asked.
 
@@ -85,7 +85,7 @@ class Verdicts:
         self._ask_one_by_one(missing, left_s)
         return asked
 
-    def _missing(self, pairs: Iterable[Asked]) -> list[Asked]:
+    def _missing(self, pairs: Iterable[AskedPair]) -> list[AskedPair]:
         return [
             (offered, demanded)
             for offered, demanded in dict.fromkeys(pairs)
@@ -111,10 +111,10 @@ class Verdicts:
                 wanted, offered, (one for one in self.possible.intersection(offered) if answer.below(one, (wanted,)))
             )
 
-    def _ask_one_by_one(self, pairs: Sequence[Asked], left_s: Callable[[], float | None]) -> None:
+    def _ask_one_by_one(self, pairs: Sequence[AskedPair], left_s: Callable[[], float | None]) -> None:
         """Ask pair by pair until time is over. A pair that gets no answer is tried again after the others."""
         limit_s = left_s()
-        patience_s = PATIENCE_S if limit_s is None else PATIENCE * limit_s
+        patience_s = VERDICT_PATIENCE_S if limit_s is None else PATIENCE * limit_s
         size = FIRST_PAIRS
         while pairs and (limit_s is None or limit_s > 0):
             told, stuck = self._ask_some(pairs[:size], limit_s, patience_s)
@@ -126,7 +126,7 @@ class Verdicts:
             limit_s = left_s()
 
     def _ask_some(
-        self, pairs: Sequence[Asked], time_limit_s: float | None, patience_s: float
+        self, pairs: Sequence[AskedPair], time_limit_s: float | None, patience_s: float
     ) -> tuple[int, Concept | None]:
         """Ask about some pairs in one call. Returns how many questions were answered, and the first that was not."""
         assert self._reference is not None
@@ -151,7 +151,7 @@ class Verdicts:
         self._accepted[demanded] |= frozenset(accepted)
 
 
-def _questions(pair: Asked) -> tuple[Concept, Concept]:
+def _questions(pair: AskedPair) -> tuple[Concept, Concept]:
     """The two questions for a pair: can something be offered; can something be offered and not demanded? Offered ⊑
     demanded if the answers are yes and no.
     """

@@ -68,7 +68,7 @@ def plan(
     reasons = unmet_reasons(problem)
     if reasons:
         return Plan("branch-and-bound", Status.INFEASIBLE, reasons=reasons)
-    tree = Tree(problem, None if time_limit_s is None else began + time_limit_s)
+    tree = SearchTree(problem, None if time_limit_s is None else began + time_limit_s)
     root = tree.explore()
     seconds = {"explore": time.monotonic() - began}
     if len(root.best) < len(root.slots):
@@ -94,7 +94,7 @@ def plan(
     return answer
 
 
-class Tree:
+class SearchTree:
     """The exploration (Algorithm 1) and the expansion of its nodes (Algorithm 2)."""
 
     def __init__(self, problem: Problem, deadline: float | None) -> None:
@@ -271,6 +271,6 @@ def _unused_required(problem: Problem, units: list[ComputationUnit]) -> tuple[st
     return tuple(t.label for t in problem.environment.library if t.required and t.label not in used)
 
 
-def _unknown(why: str, tree: Tree, seconds: dict[str, float]) -> Plan:
+def _unknown(why: str, tree: SearchTree, seconds: dict[str, float]) -> Plan:
     reasons = {target.label: why for target in tree.problem.environment.targets}
     return Plan("branch-and-bound", Status.UNKNOWN, reasons=reasons, seconds=seconds, counts={"nodes": tree.nodes})

@@ -19,7 +19,7 @@ from cfgplan.reasons import unmet_reasons
 
 DIVE_EVERY = 500
 Set = frozenset[int]
-State = tuple[int, int, list[int]]
+SearchState = tuple[int, int, list[int]]
 """Bound in microseconds, minus the number of units, the units: the least comes first."""
 
 
@@ -77,7 +77,7 @@ def plan(
 NAME = "branch-and-bound-shared"
 
 
-def _state(selection: Selection, chosen: Set) -> State:
+def _state(selection: Selection, chosen: Set) -> SearchState:
     bound = selection.cost_us(chosen)
     counted: set[int] = set()
     cheapest = {f: min(selection.candidates[i].cost_us for i in f) for f in selection.open_demands(chosen).values()}

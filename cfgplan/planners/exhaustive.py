@@ -15,14 +15,11 @@ from itertools import combinations
 from cfgplan.domain import ComputationUnit, Environment, Publication, Stream, Subscription
 from cfgplan.errors import InputError
 from cfgplan.planners import exhaustive_fleet
-from cfgplan.planners.exhaustive_judging import Steps
+from cfgplan.planners.exhaustive_judging import OracleKey, Steps
 from cfgplan.planning import Plan, Problem, Progress, Status, fresh_unit_ids
 
 MOST_UNITS = 16
 """More candidate units (running ones and one new one per transformation) are refused."""
-
-Key = tuple[int, int, int, int]
-"""Unused required transformations, cost in microseconds, rewired units, started units: the least is best."""
 
 
 def plan(
@@ -46,7 +43,7 @@ def plan(
         )
     runnable = _runnable(problem, problem.environment.transformation)
     kept = {unit.id for unit in candidates if _is_pinned(problem, unit) and unit.transformation in runnable}
-    best: tuple[Key, list[ComputationUnit]] | None = None
+    best: tuple[OracleKey, list[ComputationUnit]] | None = None
     tried, steps = 0, Steps()
     for least, chosen in _sets_by_promise(problem, candidates):
         if best is not None and least >= best[0]:
@@ -68,7 +65,7 @@ def plan(
 
 
 def _answer(
-    problem: Problem, best: tuple[Key, list[ComputationUnit]] | None, began: float, tried: int, *, stopped: bool
+    problem: Problem, best: tuple[OracleKey, list[ComputationUnit]] | None, began: float, tried: int, *, stopped: bool
 ) -> Plan:
     seconds, counts = {"search": time.monotonic() - began}, {"wirings": tried}
     if best is None:
@@ -103,7 +100,7 @@ def _answer(
     )
 
 
-def _is_worth_it(best: tuple[Key, list[ComputationUnit]] | None, least: Key, rewired: int) -> bool:
+def _is_worth_it(best: tuple[OracleKey, list[ComputationUnit]] | None, least: OracleKey, rewired: int) -> bool:
     return best is None or (least[0], least[1], rewired, least[3]) < best[0]
 
 
@@ -121,7 +118,7 @@ def _is_pinned(problem: Problem, unit: ComputationUnit) -> bool:
 
 def _sets_by_promise(
     problem: Problem, candidates: list[ComputationUnit]
-) -> Iterator[tuple[Key, tuple[ComputationUnit, ...]]]:
+) -> Iterator[tuple[OracleKey, tuple[ComputationUnit, ...]]]:
     """Every set of candidate units with the best key that a wiring of it could have, the best first."""
     environment = problem.environment
     required = {t.label for t in environment.library if t.required}
@@ -232,7 +229,7 @@ def _wired(chosen: tuple[ComputationUnit, ...], choice: list[tuple[_Demand, Stre
     ]
 
 
-def _key(problem: Problem, units: list[ComputationUnit]) -> Key | None:
+def _key(problem: Problem, units: list[ComputationUnit]) -> OracleKey | None:
     """The key of a wiring, or None if it runs a unit that nothing needs."""
     environment = problem.environment
     pinned = {unit.id for unit in units if _is_pinned(problem, unit)}

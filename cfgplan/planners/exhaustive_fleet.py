@@ -14,7 +14,7 @@ from math import comb, prod
 from cfgplan.domain import ComputationUnit, Environment, Publication, Stream, Subscription, Transformation
 from cfgplan.errors import InputError
 from cfgplan.planners.exhaustive_judging import (
-    Key,
+    OracleKey,
     Steps,
     Units,
     cost_of_units,
@@ -30,7 +30,7 @@ from cfgplan.planning import Plan, Problem, Progress, Status, fresh_units
 MOST_SETS = 300_000
 """More sets of units are refused."""
 
-Kind = tuple[str, str | None, bool]
+UnitKind = tuple[str, str | None, bool]
 """A new unit but for its id: its transformation, its host and whether it is a cold spare."""
 
 
@@ -45,7 +45,7 @@ def plan(
     Raises InputError for more than `MOST_SETS` sets of units, and after `MOST_STEPS`.
     """
     began = time.monotonic()
-    best: tuple[Key, Units] | None = None
+    best: tuple[OracleKey, Units] | None = None
     tried, steps = 0, Steps()
     for least, units in sorted(_sets(problem), key=lambda entry: (entry[0], [unit.id for unit in entry[1]])):
         if best is not None and least >= best[0]:
@@ -64,7 +64,7 @@ def plan(
     return _answer(problem, best, began, tried, stopped=False)
 
 
-def _answer(problem: Problem, best: tuple[Key, Units] | None, began: float, tried: int, *, stopped: bool) -> Plan:
+def _answer(problem: Problem, best: tuple[OracleKey, Units] | None, began: float, tried: int, *, stopped: bool) -> Plan:
     seconds, counts = {"search": time.monotonic() - began}, {"wirings": tried}
     environment = problem.environment
     if best is None:
@@ -99,7 +99,7 @@ def _answer(problem: Problem, best: tuple[Key, Units] | None, began: float, trie
     )
 
 
-def _sets(problem: Problem) -> list[tuple[Key, Units]]:
+def _sets(problem: Problem) -> list[tuple[OracleKey, Units]]:
     """Every set of units, not wired yet, with the best key that it could have."""
     environment = problem.environment
     running = [unit for unit in environment.units if _may_stay(problem, unit)]
@@ -132,14 +132,14 @@ def _may_stay(problem: Problem, unit: ComputationUnit) -> bool:
     return not problem.environment.hosts or unit.host in problem.environment.hosts_for(transformation)
 
 
-def _new_kinds(problem: Problem, transformation: Transformation) -> Iterator[Kind]:
+def _new_kinds(problem: Problem, transformation: Transformation) -> Iterator[UnitKind]:
     for host in problem.environment.hosts_for(transformation):
         yield transformation.label, host, False
         if problem.survive is not None and transformation.standby_us is not None:
             yield transformation.label, host, True
 
 
-def _named(environment: Environment, chosen: Sequence[Sequence[Kind]]) -> Iterator[ComputationUnit]:
+def _named(environment: Environment, chosen: Sequence[Sequence[UnitKind]]) -> Iterator[ComputationUnit]:
     ids = fresh_units(environment, {kinds[0][0]: len(kinds) for kinds in chosen if kinds})
     for kinds in chosen:
         for number, (label, host, is_cold) in enumerate(kinds):
@@ -171,7 +171,7 @@ def _is_allowed(problem: Problem, units: Units) -> bool:
     return pinned <= {unit.id for unit in units}
 
 
-def _least(problem: Problem, units: Units) -> Key:
+def _least(problem: Problem, units: Units) -> OracleKey:
     environment = problem.environment
     there = {unit.transformation for unit in units if not unit.standby}
     unused = sum(t.required and t.label not in there for t in environment.library)

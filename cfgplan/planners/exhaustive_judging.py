@@ -16,7 +16,8 @@ from cfgplan.planning import Failures, Problem
 from cfgplan.validity.hosts import carried_us
 from cfgplan.validity.quality import priced_us, quality_violations
 
-Key = tuple[int, int, int, int]
+OracleKey = tuple[int, int, int, int]
+"""Unused required transformations, cost in microseconds, rewired units, started units: the least is best."""
 Units = tuple[ComputationUnit, ...]
 
 MOST_STEPS = 100_000
@@ -75,7 +76,7 @@ def is_borne(problem: Problem, units: Sequence[ComputationUnit]) -> bool:
     )
 
 
-def key_of(problem: Problem, units: Units) -> Key | None:
+def key_of(problem: Problem, units: Units) -> OracleKey | None:
     """The key of a wiring, or None if a bound is missed or a unit is there that nothing needs."""
     environment = problem.environment
     after = replace(environment, units=units)

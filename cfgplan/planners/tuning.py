@@ -67,7 +67,7 @@ class Rise:
 
 
 @dataclass(frozen=True)
-class Rest:
+class Replan:
     """Looking ahead where nothing is to be changed, and replanning from there."""
 
     cases: Annotated[int, Said("labels", "if more changed their costs all plans are looked at together", AT_REST)] = 4
@@ -157,7 +157,7 @@ class Tuning:
     decide: Decide = Decide()
     begin: Begin = Begin()
     rise: Rise = Rise()
-    rest: Rest = Rest()
+    rest: Replan = Replan()
     close: Close = Close()
     solve: Solve = Solve()
     fleet: Fleet = Fleet()

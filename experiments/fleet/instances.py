@@ -8,7 +8,7 @@ from random import Random
 from cfgplan.comparing.families.random_library import random_library
 from cfgplan.domain import ComputationUnit, Environment, Host, OutputPort, Transformation
 from cfgplan.planning import Failures, Problem
-from cfgplan.qualities import MICRO, Better, Contribution, Over, QualityAttribute, Rule, Wish
+from cfgplan.qualities import MICRO, Better, Contribution, Over, QualityAttribute, QualityRule, Wish
 
 ERROR = QualityAttribute("error", Better.LOWER, worst=100 * MICRO)
 LATENCY = QualityAttribute("latency", Better.LOWER, worst=1000 * MICRO)
@@ -78,12 +78,12 @@ def _stating(random: Random, transformation: Transformation) -> Transformation:
     """Latency adds up, error is made worse by most, and better by a few that have several inputs."""
     latency = random.randrange(1, 40) * MICRO // 10
     if not transformation.inputs:
-        error = Contribution("error", Rule.ADD, random.randrange(1, 30) * MICRO // 10)
+        error = Contribution("error", QualityRule.ADD, random.randrange(1, 30) * MICRO // 10)
     elif random.random() < 0.2:
-        error = Contribution("error", Rule.SCALE, random.randrange(5, 10) * MICRO // 10, Over.MEAN)
+        error = Contribution("error", QualityRule.SCALE, random.randrange(5, 10) * MICRO // 10, Over.MEAN)
     else:
-        error = Contribution("error", Rule.SCALE, random.randrange(100, 130) * MICRO // 100)
-    stated = (error, Contribution("latency", Rule.ADD, latency))
+        error = Contribution("error", QualityRule.SCALE, random.randrange(100, 130) * MICRO // 100)
+    stated = (error, Contribution("latency", QualityRule.ADD, latency))
     outputs = tuple(replace(port, quality=stated) for port in transformation.outputs)
     return replace(transformation, outputs=outputs)
 

@@ -20,7 +20,7 @@ from cfgplan.planners.cpsat import plan
 from cfgplan.planners.exact.best_case import best_values
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planning import Problem
-from cfgplan.qualities import MICRO, Better, Contribution, QualityAttribute, Rule, Wish
+from cfgplan.qualities import MICRO, Better, Contribution, QualityAttribute, QualityRule, Wish
 
 HERE = Path(__file__).parent
 TRANSFORMATIONS, TARGETS, HOSTS = 415, 5, 3
@@ -50,7 +50,7 @@ def with_latency(seed: int, slack: float | None = None, weight_us: int = 0) -> P
 
 
 def _adds(ms: int) -> Contribution:
-    return Contribution("latency", Rule.ADD, ms * MICRO)
+    return Contribution("latency", QualityRule.ADD, ms * MICRO)
 
 
 def with_hosts(seed: int, room: float, transfer_us: int) -> Problem:

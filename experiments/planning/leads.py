@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from math import exp, log
 
 from cfgplan.comparing.invariants import by_instance
-from cfgplan.comparing.report import LEAST_S
+from cfgplan.comparing.report import SHORTEST_PROOF_S
 from cfgplan.comparing.rows import Row, RunFailure
 
 
@@ -69,7 +69,7 @@ def matched(rows: Iterable[Row], base: str, others: Sequence[str]) -> Iterator[t
 
 def seconds(row: Row) -> float:
     """Until the proof, or the time limit."""
-    return row.time_limit_s if row.proof_s is None else min(row.time_limit_s, max(LEAST_S, row.proof_s))
+    return row.time_limit_s if row.proof_s is None else min(row.time_limit_s, max(SHORTEST_PROOF_S, row.proof_s))
 
 
 def _cost_us(row: Row) -> float:

@@ -31,7 +31,7 @@ from cfgplan.domain import Environment, Host, InputPort, OutputPort, Similarity,
 from cfgplan.planners.cpsat import plan
 from cfgplan.planners.solving import clock
 from cfgplan.planning import Problem
-from cfgplan.qualities import Better, Contribution, QualityAttribute, Rule, Wish
+from cfgplan.qualities import Better, Contribution, QualityAttribute, QualityRule, Wish
 
 HERE = Path(__file__).parent
 SIZES = (50, 500, 5_000, 50_000)
@@ -64,7 +64,7 @@ KINDS: dict[str, Callable[[int], Problem]] = {
 def chain(size: int, *, pairs: bool = False, hosts: tuple[Host, ...] = (), quality: bool = False) -> Problem:
     """Each unit needs the one before; with `pairs` each of two needs both before, as different ones."""
     error = QualityAttribute("error", Better.LOWER, worst=2 * size)
-    adds = (Contribution("error", Rule.ADD, 1),) if quality else ()
+    adds = (Contribution("error", QualityRule.ADD, 1),) if quality else ()
     width = 2 if pairs else 1
     library = tuple(
         Transformation(

@@ -8,7 +8,7 @@ from contextlib import suppress
 from ortools.sat.python.cp_model import CpSolver
 
 from cfgplan.planners.exact.candidates import Candidates, Closure
-from cfgplan.planners.exact.model import Rule
+from cfgplan.planners.exact.model import ModelRule
 from cfgplan.planners.exact.rules import RULES
 from cfgplan.planners.exact.search import Search
 from cfgplan.planners.exact.standing import Standing
@@ -34,7 +34,7 @@ class Defaults(Search):
 
 
 def _unprepared(
-    search: type[Search], rules: Sequence[Rule], problem: Problem, limit_s: float | None, report: Report
+    search: type[Search], rules: Sequence[ModelRule], problem: Problem, limit_s: float | None, report: Report
 ) -> Plan:
     clock = Clock(limit_s)
     closure = Closure.of(problem)

@@ -8,14 +8,14 @@ from cfgplan.domain import Environment, OutputPort, Similarity, Target, Transfor
 from cfgplan.explaining import front
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import Problem
-from cfgplan.qualities import Better, Contribution, QualityAttribute, Rule, Wish
+from cfgplan.qualities import Better, Contribution, QualityAttribute, QualityRule, Wish
 
 ERROR = QualityAttribute("error", Better.LOWER, worst=10)
 RATE = QualityAttribute("rate", Better.HIGHER, best=10)
 
 
 def giver(label: str, cost_us: int, error: int, rate: int = 1) -> Transformation:
-    stated = (Contribution("error", Rule.SET, error), Contribution("rate", Rule.SET, rate))
+    stated = (Contribution("error", QualityRule.SET, error), Contribution("rate", QualityRule.SET, rate))
     return Transformation(label, (), (OutputPort("out", "T", stated),), labor_us=cost_us)
 
 

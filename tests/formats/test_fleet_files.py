@@ -12,7 +12,7 @@ from cfgplan.errors import InvalidValueError
 from cfgplan.formats import dump_environment, plain_environment
 from cfgplan.formats.xml_dump import dump_xml
 from cfgplan.planning import Failures
-from cfgplan.qualities import Better, Contribution, Over, QualityAttribute, Rule, Wish
+from cfgplan.qualities import Better, Contribution, Over, QualityAttribute, QualityRule, Wish
 
 HEAD = """\
 format: cfgplan/1
@@ -52,15 +52,15 @@ def test_all_that_a_fleet_says_is_read(tmp_path: Path) -> None:
     assert environment.hosts == (Host("base", 1_500_000, 100), Host("piff"))
     assert environment.qualities == (
         QualityAttribute("error", Better.LOWER, unit="m", worst=5_000_000),
-        QualityAttribute("rate", Better.HIGHER, Rule.LIMIT, best=30_000_000),
+        QualityAttribute("rate", Better.HIGHER, QualityRule.LIMIT, best=30_000_000),
     )
     assert (environment.transfer_us, world.survive) == (10_000, Failures.HOSTS)
     assert (camera.hosts, camera.memory_mb, camera.standby_us) == (("base", "piff"), 20, 1000)
     assert (camera.conflicts, camera.min_instances, camera.max_instances) == (("other",), 1, 2)
     assert camera.output["image"].bytes_per_s == 8
     assert camera.output["image"].quality == (
-        Contribution("error", Rule.SCALE, 700_000, Over.MEAN),
-        Contribution("rate", Rule.LIMIT, 30_000_000),
+        Contribution("error", QualityRule.SCALE, 700_000, Over.MEAN),
+        Contribution("rate", QualityRule.LIMIT, 30_000_000),
     )
     assert [(u.id, u.host, u.standby) for u in environment.units] == [
         ("camera.1", "piff", False),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from cfgplan_runtime.lifecycle.deliberation import Reach
+from cfgplan_runtime.lifecycle.deliberation import UnmetTargets
 
 from cfgplan.domain import ComputationUnit, Environment, OutputPort, Similarity, Target, Transformation
 from cfgplan.planning import Problem
@@ -16,13 +16,13 @@ PROBLEM = Problem(Environment((), (CAMERA,), (SOUND,)), Similarity({"Sound": fro
 
 
 def test_what_can_not_be_met_stays_so_whatever_runs() -> None:
-    reach = Reach(PROBLEM, unmet_reasons(PROBLEM))
+    reach = UnmetTargets(PROBLEM, unmet_reasons(PROBLEM))
     running = replace(PROBLEM.environment, units=(ComputationUnit("camera.1", "camera"),))
     assert reach.holds_for(replace(PROBLEM, environment=running))
 
 
 def test_another_library_matching_or_target_is_looked_at_anew() -> None:
-    reach = Reach(PROBLEM, unmet_reasons(PROBLEM))
+    reach = UnmetTargets(PROBLEM, unmet_reasons(PROBLEM))
     environment = PROBLEM.environment
     for other in (
         replace(environment, library=(CAMERA, Transformation("microphone", outputs=(OutputPort("sound", "Sound"),)))),

@@ -44,7 +44,7 @@ def test_a_miss_names_the_conjuncts_that_are_missing(streams: Ontology) -> None:
 def test_a_match_that_only_the_reference_finds_names_the_axioms_it_needs(
     streams: Ontology, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(explanation, "PATIENCE_S", 600.0)
+    monkeypatch.setattr(explanation, "EXPLANATION_PATIENCE_S", 600.0)
     told = explain_match("RawRGB", "¬Device", streams)
     assert told.matches
     assert told.steps == (

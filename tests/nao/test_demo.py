@@ -133,7 +133,7 @@ def test_without_opencv_the_extra_is_named(monkeypatch: pytest.MonkeyPatch, caps
 def test_an_installation_without_the_world_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(demo, "_PLACES", (tmp_path,))
+    monkeypatch.setattr(demo, "_FOLDERS", (tmp_path,))
     assert main(["demo", "nao"]) == 30
     assert "the world 'nao' is neither in the installed package" in capsys.readouterr().err
 

@@ -9,7 +9,7 @@ from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.flat import Flat
 from cfgplan.planners.exact.flat_search import FlatSearch
 from cfgplan.planners.exact.flatness import is_flat
-from cfgplan.planners.exact.model import Rule
+from cfgplan.planners.exact.model import ModelRule
 from cfgplan.planners.exact.rules import RULES
 from cfgplan.planners.exact.search import Search
 from cfgplan.planners.exact.session import PlannerSession
@@ -19,7 +19,7 @@ from cfgplan.planners.tuning import Tuning
 from cfgplan.planning import Plan, Problem
 
 
-def search_alone(problem: Problem, *, is_apart: bool = False, rules: Sequence[Rule] = RULES) -> Search:
+def search_alone(problem: Problem, *, is_apart: bool = False, rules: Sequence[ModelRule] = RULES) -> Search:
     """A search in the one model, from nothing; with `is_apart` every subscription has a boolean."""
     return Search(Candidates(problem), Standing(problem, Clock(), None), is_apart=is_apart, rules=rules)
 

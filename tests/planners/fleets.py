@@ -9,7 +9,7 @@ from worlds import problems
 
 from cfgplan.domain import ComputationUnit, Environment, Host, OutputPort, Target, Transformation
 from cfgplan.planning import Failures, Notion, Problem
-from cfgplan.qualities import Better, Contribution, Over, QualityAttribute, Rule, Wish
+from cfgplan.qualities import Better, Contribution, Over, QualityAttribute, QualityRule, Wish
 
 MICRO = 1_000_000
 HOSTS = (Host("h0", 9, 4, {"gpu": 1}), Host("h1", 6, None, {"gpu": 3}), Host("h2"))
@@ -69,8 +69,8 @@ def transformations(
         stated = []
         for attribute in qualities:
             if draw(st.sampled_from([True, True, True, False])):
-                rule = draw(st.sampled_from(Rule))
-                value = draw(FACTORS if rule is Rule.SCALE else VALUES)
+                rule = draw(st.sampled_from(QualityRule))
+                value = draw(FACTORS if rule is QualityRule.SCALE else VALUES)
                 stated.append(Contribution(attribute.name, rule, value, draw(st.sampled_from(Over))))
         rate, size = (
             (draw(st.sampled_from([0, MICRO, 2_500_000])), draw(st.sampled_from([0, 1, 3]))) if hosts else (0, 0)

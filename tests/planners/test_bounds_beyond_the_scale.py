@@ -17,29 +17,29 @@ from cfgplan.domain import (
 )
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import Problem, Status
-from cfgplan.qualities import Better, Contribution, Over, QualityAttribute, Rule, Wish, worst_allowed
+from cfgplan.qualities import Better, Contribution, Over, QualityAttribute, QualityRule, Wish, worst_allowed
 from cfgplan.validity import plan_violations
 
 LOW = QualityAttribute("q", Better.LOWER, worst=3_300_000, best=100_000)
 HIGH = QualityAttribute("q", Better.HIGHER, worst=100_000, best=3_300_000)
 
 AMPLIFIERS = [
-    (7_000, 8_000, [], "T1", Rule.SCALE, 5_919_679, Over.BEST),
-    (11_000, 34_000, ["T1"], "T0", Rule.ADD, 5_834_209, Over.WORST),
-    (20_000, 34_000, ["T2", "T0"], "T0", Rule.SET, 3_012_414, Over.SUM),
-    (47_000, 15_000, [], "T1", Rule.SCALE, 3_175_374, Over.SUM),
-    (48_000, 27_000, ["T2"], "T0", Rule.ADD, 2_101_190, Over.MEAN),
-    (13_000, 19_000, ["T1"], "T1", Rule.SET, 134_195, Over.SUM),
+    (7_000, 8_000, [], "T1", QualityRule.SCALE, 5_919_679, Over.BEST),
+    (11_000, 34_000, ["T1"], "T0", QualityRule.ADD, 5_834_209, Over.WORST),
+    (20_000, 34_000, ["T2", "T0"], "T0", QualityRule.SET, 3_012_414, Over.SUM),
+    (47_000, 15_000, [], "T1", QualityRule.SCALE, 3_175_374, Over.SUM),
+    (48_000, 27_000, ["T2"], "T0", QualityRule.ADD, 2_101_190, Over.MEAN),
+    (13_000, 19_000, ["T1"], "T1", QualityRule.SET, 134_195, Over.SUM),
 ]
 RING = [
-    (10_000, 24_000, [], "T0", Rule.SET, 296_146, Over.WORST),
-    (10_000, 24_000, ["T2"], "T1", Rule.SCALE, 5_973_295, Over.BEST),
-    (14_000, 32_000, ["T2"], "T0", Rule.LIMIT, 2_395_719, Over.MEAN),
-    (22_000, 9_000, ["T1"], "T2", Rule.SET, 980_365, Over.SUM),
-    (0, 17_000, [], "T2", Rule.ADD, 3_177_458, Over.WORST),
-    (48_000, 15_000, ["T1"], "T0", Rule.ADD, 4_939_513, Over.BEST),
+    (10_000, 24_000, [], "T0", QualityRule.SET, 296_146, Over.WORST),
+    (10_000, 24_000, ["T2"], "T1", QualityRule.SCALE, 5_973_295, Over.BEST),
+    (14_000, 32_000, ["T2"], "T0", QualityRule.LIMIT, 2_395_719, Over.MEAN),
+    (22_000, 9_000, ["T1"], "T2", QualityRule.SET, 980_365, Over.SUM),
+    (0, 17_000, [], "T2", QualityRule.ADD, 3_177_458, Over.WORST),
+    (48_000, 15_000, ["T1"], "T0", QualityRule.ADD, 4_939_513, Over.BEST),
 ]
-Row = tuple[int, int, list[str], str, Rule, int, Over]
+Row = tuple[int, int, list[str], str, QualityRule, int, Over]
 
 
 def asking(rows: list[Row], horizon_s: int, wishes: dict[str, Wish], attribute: QualityAttribute = LOW) -> Problem:
@@ -79,8 +79,8 @@ def test_what_runs_is_kept_where_a_bound_asks_for_nothing(planner: str) -> None:
     """The detector's five seconds count as the worst of the scale, 3.3; the target bears 4."""
     latency = QualityAttribute("latency", Better.LOWER, worst=3_300_000, best=0)
     image, map_ = (
-        OutputPort("image", "Image", (Contribution("latency", Rule.LIMIT, 500_000),)),
-        OutputPort("map", "Map", (Contribution("latency", Rule.LIMIT, 5_000_000),)),
+        OutputPort("image", "Image", (Contribution("latency", QualityRule.LIMIT, 500_000),)),
+        OutputPort("map", "Map", (Contribution("latency", QualityRule.LIMIT, 5_000_000),)),
     )
     library = (
         Transformation("camera", (), (image,), upkeep_us=100_000),
@@ -99,7 +99,7 @@ def test_what_runs_is_kept_where_a_bound_asks_for_nothing(planner: str) -> None:
 def test_nothing_keeps_a_bound_that_is_better_than_the_best(
     planner: str, attribute: QualityAttribute, bound: int
 ) -> None:
-    best: Row = (1, 1, [], "T1", Rule.SET, attribute.best, Over.WORST)
+    best: Row = (1, 1, [], "T1", QualityRule.SET, attribute.best, Over.WORST)
     assert PLANNERS[planner](asking([best], 1, {"T1": Wish("q", attribute.best)}, attribute)).status is Status.OPTIMAL
     refused = PLANNERS[planner](asking([best], 1, {"T1": Wish("q", bound)}, attribute))
     assert (refused.status, [*refused.reasons]) == (Status.INFEASIBLE, ["T1"])

@@ -31,7 +31,7 @@ from cfgplan.planners.exact import wiring
 from cfgplan.planners.networks.greedy import first_plan, plan_at
 from cfgplan.planners.networks.network import Network
 from cfgplan.planning import Problem, Status
-from cfgplan.qualities import Better, Contribution, QualityAttribute, Rule, Wish
+from cfgplan.qualities import Better, Contribution, QualityAttribute, QualityRule, Wish
 from cfgplan.reasons import Givers, forward_closure, startable
 from cfgplan.validity import plan_violations
 
@@ -122,7 +122,7 @@ def test_what_hosts_and_quality_ask_of_a_chain_is_found_by_looking_at_each_unit_
     problem = chain(2_000)
     error = QualityAttribute("error", Better.LOWER, worst=4_000)
     library = tuple(
-        replace(t, outputs=tuple(replace(o, quality=(Contribution("error", Rule.ADD, 1),)) for o in t.outputs))
+        replace(t, outputs=tuple(replace(o, quality=(Contribution("error", QualityRule.ADD, 1),)) for o in t.outputs))
         for t in problem.environment.library
     )
     (target,) = problem.environment.targets

@@ -9,7 +9,7 @@ from fixed import Anywhere, Apart, Fixed, Flat, Hubs, kind, on, publishes, runs,
 
 from cfgplan.domain import Host, OutputPort, Target, Transformation
 from cfgplan.planning import Failures, Problem
-from cfgplan.qualities import MICRO, Better, Contribution, Over, QualityAttribute, Rule, Wish
+from cfgplan.qualities import MICRO, Better, Contribution, Over, QualityAttribute, QualityRule, Wish
 
 every_model = pytest.mark.parametrize("model", [Apart, Flat, Hubs])
 
@@ -279,7 +279,7 @@ HIGH = QualityAttribute("q", Better.HIGHER, worst=0, best=100)
 
 
 def with_quality(
-    attribute: QualityAttribute, rule: Rule, own: int, over: Over, inputs: tuple[int, ...], wish: Wish
+    attribute: QualityAttribute, rule: QualityRule, own: int, over: Over, inputs: tuple[int, ...], wish: Wish
 ) -> Problem:
     """One transformation; its inputs have the values given, unless the best sources run, and its output states one."""
     sources = [kind(f"s{i}", gives="ABC"[i], output=states(value)) for i, value in enumerate(inputs)]
@@ -291,30 +291,30 @@ def with_quality(
 WITHOUT_THE_BEST = (~runs("best0.1"), ~runs("best1.1"))
 
 
-def states(value: int, rule: Rule = Rule.SET, over: Over = Over.WORST) -> OutputPort:
+def states(value: int, rule: QualityRule = QualityRule.SET, over: Over = Over.WORST) -> OutputPort:
     return OutputPort("x", "", (Contribution("q", rule, value, over),))
 
 
 RESULTS = [
-    (LOW, Rule.SET, 7, Over.WORST, (90, 90), 7),
-    (LOW, Rule.ADD, 7, Over.WORST, (10, 30), 37),
-    (LOW, Rule.ADD, 7, Over.BEST, (10, 30), 17),
-    (LOW, Rule.ADD, 7, Over.MEAN, (10, 31), 28),
-    (LOW, Rule.ADD, 7, Over.SUM, (10, 30), 47),
-    (LOW, Rule.ADD, -7, Over.WORST, (10, 30), 23),
-    (LOW, Rule.LIMIT, 40, Over.WORST, (10, 30), 40),
-    (LOW, Rule.LIMIT, 20, Over.WORST, (10, 30), 30),
-    (LOW, Rule.SCALE, MICRO // 2, Over.WORST, (10, 31), 16),
-    (LOW, Rule.SCALE, 2 * MICRO, Over.BEST, (10, 31), 20),
-    (HIGH, Rule.SET, 70, Over.WORST, (10, 10), 70),
-    (HIGH, Rule.ADD, -7, Over.WORST, (50, 30), 23),
-    (HIGH, Rule.ADD, -7, Over.BEST, (50, 30), 43),
-    (HIGH, Rule.ADD, 7, Over.MEAN, (50, 31), 47),
-    (HIGH, Rule.ADD, 7, Over.SUM, (50, 30), 87),
-    (HIGH, Rule.LIMIT, 20, Over.WORST, (50, 30), 20),
-    (HIGH, Rule.LIMIT, 40, Over.WORST, (50, 30), 30),
-    (HIGH, Rule.SCALE, MICRO // 2, Over.WORST, (50, 31), 15),
-    (HIGH, Rule.SCALE, 2 * MICRO, Over.BEST, (40, 31), 80),
+    (LOW, QualityRule.SET, 7, Over.WORST, (90, 90), 7),
+    (LOW, QualityRule.ADD, 7, Over.WORST, (10, 30), 37),
+    (LOW, QualityRule.ADD, 7, Over.BEST, (10, 30), 17),
+    (LOW, QualityRule.ADD, 7, Over.MEAN, (10, 31), 28),
+    (LOW, QualityRule.ADD, 7, Over.SUM, (10, 30), 47),
+    (LOW, QualityRule.ADD, -7, Over.WORST, (10, 30), 23),
+    (LOW, QualityRule.LIMIT, 40, Over.WORST, (10, 30), 40),
+    (LOW, QualityRule.LIMIT, 20, Over.WORST, (10, 30), 30),
+    (LOW, QualityRule.SCALE, MICRO // 2, Over.WORST, (10, 31), 16),
+    (LOW, QualityRule.SCALE, 2 * MICRO, Over.BEST, (10, 31), 20),
+    (HIGH, QualityRule.SET, 70, Over.WORST, (10, 10), 70),
+    (HIGH, QualityRule.ADD, -7, Over.WORST, (50, 30), 23),
+    (HIGH, QualityRule.ADD, -7, Over.BEST, (50, 30), 43),
+    (HIGH, QualityRule.ADD, 7, Over.MEAN, (50, 31), 47),
+    (HIGH, QualityRule.ADD, 7, Over.SUM, (50, 30), 87),
+    (HIGH, QualityRule.LIMIT, 20, Over.WORST, (50, 30), 20),
+    (HIGH, QualityRule.LIMIT, 40, Over.WORST, (50, 30), 30),
+    (HIGH, QualityRule.SCALE, MICRO // 2, Over.WORST, (50, 31), 15),
+    (HIGH, QualityRule.SCALE, 2 * MICRO, Over.BEST, (40, 31), 80),
 ]
 
 
@@ -323,7 +323,7 @@ RESULTS = [
 def test_a_stream_is_as_good_as_its_rule_says(
     model: type[Fixed],
     attribute: QualityAttribute,
-    rule: Rule,
+    rule: QualityRule,
     own: int,
     over: Over,
     inputs: tuple[int, ...],
@@ -339,7 +339,7 @@ def test_a_stream_is_as_good_as_its_rule_says(
 def test_a_target_pays_for_what_its_stream_misses(
     model: type[Fixed],
     attribute: QualityAttribute,
-    rule: Rule,
+    rule: QualityRule,
     own: int,
     over: Over,
     inputs: tuple[int, ...],
@@ -351,7 +351,7 @@ def test_a_target_pays_for_what_its_stream_misses(
 
 @every_model
 def test_a_price_is_rounded_up_to_a_microsecond(model: type[Fixed]) -> None:
-    fixed = model(with_quality(LOW, Rule.SET, 7, Over.WORST, (1,), Wish("q", weight_us=MICRO // 2)))
+    fixed = model(with_quality(LOW, QualityRule.SET, 7, Over.WORST, (1,), Wish("q", weight_us=MICRO // 2)))
     assert fixed.least_us() == 2 + 4
 
 
@@ -375,8 +375,8 @@ def test_a_source_that_states_nothing_is_as_bad_as_can_be(model: type[Fixed]) ->
 
 @every_model
 def test_what_is_worse_than_the_scale_counts_as_its_worst(model: type[Fixed]) -> None:
-    assert model(with_quality(LOW, Rule.ADD, 70, Over.WORST, (70,), Wish("q", 100))).allows(*WITHOUT_THE_BEST)
-    assert not model(with_quality(LOW, Rule.ADD, 70, Over.WORST, (70,), Wish("q", 99))).allows(*WITHOUT_THE_BEST)
+    assert model(with_quality(LOW, QualityRule.ADD, 70, Over.WORST, (70,), Wish("q", 100))).allows(*WITHOUT_THE_BEST)
+    assert not model(with_quality(LOW, QualityRule.ADD, 70, Over.WORST, (70,), Wish("q", 99))).allows(*WITHOUT_THE_BEST)
 
 
 @every_model
@@ -384,7 +384,7 @@ def test_quality_is_that_of_the_stream_on_its_host(model: type[Fixed]) -> None:
     library: tuple[Transformation, ...] = (
         kind("s", gives="A", output=states(10)),
         kind("t", gives="A", output=states(20), host="h1"),
-        kind("f", "A", "B", output=states(5, Rule.ADD)),
+        kind("f", "A", "B", output=states(5, QualityRule.ADD)),
     )
     targets = (Target("B", "B", "/B", quality=(Wish("q", 15),), host="h0"),)
     fixed = model(world(targets, *library, qualities=(LOW,), hosts=TWO))
@@ -394,7 +394,9 @@ def test_quality_is_that_of_the_stream_on_its_host(model: type[Fixed]) -> None:
 
 def test_two_attributes_are_both_kept() -> None:
     def both(latency: int, error: int) -> OutputPort:
-        return OutputPort("x", "", (Contribution("e", Rule.SET, error), Contribution("q", Rule.SET, latency)))
+        return OutputPort(
+            "x", "", (Contribution("e", QualityRule.SET, error), Contribution("q", QualityRule.SET, latency))
+        )
 
     library = (kind("s", gives="A", output=both(10, 90)), kind("t", gives="A", output=both(90, 10)))
     middle = kind("u", gives="A", output=both(50, 50))

@@ -24,7 +24,7 @@ from cfgplan.planners.exact.quality_plan import QualityPlanner, can_be_planned
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Notion, Problem
-from cfgplan.qualities import MICRO, Better, Contribution, QualityAttribute, Rule, Wish
+from cfgplan.qualities import MICRO, Better, Contribution, QualityAttribute, QualityRule, Wish
 from cfgplan.reasons import unmet_reasons
 
 LATENCY = QualityAttribute("latency", Better.LOWER, worst=1000)
@@ -33,7 +33,7 @@ LATENCY = QualityAttribute("latency", Better.LOWER, worst=1000)
 def adds(label: str, needs: str | None, gives: str, latency: int) -> Transformation:
     inputs = () if needs is None else (InputPort("in", needs),)
     return Transformation(
-        label, inputs, (OutputPort("out", gives, (Contribution("latency", Rule.ADD, latency),)),), 1, 0
+        label, inputs, (OutputPort("out", gives, (Contribution("latency", QualityRule.ADD, latency),)),), 1, 0
     )
 
 

@@ -16,13 +16,11 @@ NOT_TUNED = {
     "networks/core.py": {"NEVER", "MOST_PASSES"},
     "networks/crowds.py": {"MOST"},
     "networks/greedy.py": {"DEAREST", "FREE"},
-    "closing/program.py": {"FROM_THE_LAST_BASIS", "FINE", "LARGEST"},
+    "closing/program.py": {"FROM_THE_LAST_BASIS", "FINE", "LARGEST_CHARGES"},
     "closing/separation.py": {"WHOLE", "CREEP"},
-    "exact/flat_search.py": {"EXACT"},
     "exact/search.py": {"EXACT", "LARGEST"},
     "exact/quality_chains.py": {"MOST_GAIN"},
     "exact/quality_cuts.py": {"QUICK", "CLOSE"},
-    "exact/quality_plan.py": {"FREE"},
     "solving/clock.py": {"STOPPING_S"},
 }
 """Numbers of which answers, their exactness or what a function means hang, not when it comes to one."""

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 import pytest
-from cfgplan_runtime.reasoning.answers import Answer, Noted, Report, SetUp, UnmetTargetsError
+from cfgplan_runtime.reasoning.answers import Answer, Noted, QueryReport, SetUp, UnmetTargetsError
 from cfgplan_runtime.reasoning.engine import Engine
 from cfgplan_runtime.reasoning.features import DeclaredFeatures, Feature, of_options
 from cfgplan_runtime.reasoning.queries import query
@@ -26,14 +26,14 @@ def at(x: float) -> dict[str, float]:
     return {"x": x, "y": 0.0}
 
 
-def ask(text: str, fake: FakeSubscriptions, for_s: float = 60, wait_s: float = 0, **timing: int) -> list[Report]:
-    told: list[Report] = []
+def ask(text: str, fake: FakeSubscriptions, for_s: float = 60, wait_s: float = 0, **timing: int) -> list[QueryReport]:
+    told: list[QueryReport] = []
     engine = Engine(query(text, WORLD, Timing(**timing)), fake, told.append, name="q")
     engine.run(for_s=for_s, wait_s=wait_s)
     return told
 
 
-def answer(told: list[Report]) -> Answer:
+def answer(told: list[QueryReport]) -> Answer:
     assert isinstance(told[-1], Answer)
     return told[-1]
 

@@ -20,7 +20,7 @@ from cfgplan_runtime.lifecycle.manager import Manager
 from cfgplan_runtime.operating.control_client import connect
 from cfgplan_runtime.operating.control_server import ControlServer
 from cfgplan_runtime.operating.methods import Methods
-from cfgplan_runtime.reasoning.answers import Answer, Noted, Report
+from cfgplan_runtime.reasoning.answers import Answer, Noted, QueryReport
 from cfgplan_runtime.reasoning.engine import Engine
 from cfgplan_runtime.reasoning.features import of_file, of_targets
 from cfgplan_runtime.reasoning.managed import ManagedSubscriptions, RemoteSubscriptions
@@ -98,7 +98,7 @@ def test_a_feature_that_nothing_gives_is_refused_with_the_reason(capsys: pytest.
 def test_a_target_of_a_run_is_used_as_it_is_and_units_that_only_the_query_needs_are_stopped() -> None:
     with running() as (manager, runtime):
         before = units(manager)
-        told: list[Report] = []
+        told: list[QueryReport] = []
         declared = of_targets(manager.world.environment).with_more(of_file(PITCH / "features.yaml"))
         asked = query("eventually (robot.seen and in(ball, opponent_half))", declared)
         answer = Engine(asked, ManagedSubscriptions(manager, runtime.id), told.append).run(for_s=PATIENCE_S)
@@ -109,7 +109,7 @@ def test_a_target_of_a_run_is_used_as_it_is_and_units_that_only_the_query_needs_
 
 def test_a_query_survives_the_death_of_a_unit() -> None:
     with running() as (manager, runtime):
-        told: list[Report] = []
+        told: list[QueryReport] = []
         asked = query(OFF_SIDE.format("1h"), of_file(PITCH / "features.yaml"))
         engine = Engine(asked, ManagedSubscriptions(manager, runtime.id), told.append)
         found: list[Answer] = []
@@ -161,7 +161,7 @@ def test_what_a_query_has_added_ends_with_its_process_even_if_that_is_killed(run
 
 
 def test_a_query_whose_run_ends_is_left_open() -> None:
-    told: list[Report] = []
+    told: list[QueryReport] = []
     with running() as (manager, runtime):
         engine = Engine(
             query("always (ball.x > 99 or eventually[0,1h] ball.x > 99)", of_file(PITCH / "features.yaml")),

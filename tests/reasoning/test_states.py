@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cfgplan_runtime.reasoning.states import State, Synchroniser, Timing
+from cfgplan_runtime.reasoning.states import FeatureState, Synchroniser, Timing
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -10,7 +10,7 @@ MS = 1_000_000
 TIMING = Timing(hold_ns=500 * MS, delay_ns=100 * MS, beat_ns=10_000 * MS, patience_ns=2_000 * MS)
 
 
-def brief(states: list[State]) -> list[tuple[int, dict[str, object]]]:
+def brief(states: list[FeatureState]) -> list[tuple[int, dict[str, object]]]:
     return [(state.time_ns // MS, dict(state.values)) for state in states]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cfgplan_runtime.streams.element import Element
-from cfgplan_runtime.streams.inlet import Inlet
+from cfgplan_runtime.streams.inlet import InputQueue
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -23,7 +23,7 @@ def times(elements: list[Element]) -> list[int]:
 )
 def test_a_handover_gives_each_element_once_and_in_order(length: int, joins_at: int, turns: list[bool]) -> None:
     """Both sources give the same stream; the standby from some element on; they come interleaved in any way."""
-    inlet = Inlet(limit=100)
+    inlet = InputQueue(limit=100)
     inlet.attach(1)
     waiting = {1: list(range(length)), 2: list(range(min(joins_at, length), length))}
     first = {1: 0, 2: min(joins_at, length)}
@@ -45,11 +45,11 @@ def test_a_handover_gives_each_element_once_and_in_order(length: int, joins_at: 
 
 
 def test_the_first_source_is_active_at_once() -> None:
-    assert Inlet(limit=10).attach(1)
+    assert InputQueue(limit=10).attach(1)
 
 
 def test_the_standby_takes_over_when_the_active_source_dies() -> None:
-    inlet = Inlet(limit=10)
+    inlet = InputQueue(limit=10)
     inlet.attach(1)
     inlet.accept(1, element(1))
     inlet.attach(2)
@@ -59,14 +59,14 @@ def test_the_standby_takes_over_when_the_active_source_dies() -> None:
 
 
 def test_an_inlet_whose_only_source_ends_is_free_for_the_next() -> None:
-    inlet = Inlet(limit=10)
+    inlet = InputQueue(limit=10)
     inlet.attach(1)
     inlet.end(1)
     assert inlet.attach(2)
 
 
 def test_a_standby_that_is_taken_back_leaves_the_active_source() -> None:
-    inlet = Inlet(limit=10)
+    inlet = InputQueue(limit=10)
     inlet.attach(1)
     inlet.attach(2)
     inlet.accept(2, element(5))
@@ -76,7 +76,7 @@ def test_a_standby_that_is_taken_back_leaves_the_active_source() -> None:
 
 
 def test_a_standby_far_ahead_takes_over_before_it_fills_the_memory() -> None:
-    inlet = Inlet(limit=3)
+    inlet = InputQueue(limit=3)
     inlet.attach(1)
     inlet.attach(2)
     given_out = [inlet.accept(2, element(10 + i, i)) for i in range(4)]
@@ -84,7 +84,7 @@ def test_a_standby_far_ahead_takes_over_before_it_fills_the_memory() -> None:
 
 
 def test_gaps_in_the_numbers_are_counted_as_drops() -> None:
-    inlet = Inlet(limit=10)
+    inlet = InputQueue(limit=10)
     inlet.attach(1)
     for time_ns, number in ((1, 0), (2, 3), (3, 4)):
         inlet.accept(1, element(time_ns, number))
@@ -92,7 +92,7 @@ def test_gaps_in_the_numbers_are_counted_as_drops() -> None:
 
 
 def test_elements_of_one_time_are_told_apart_by_their_turn() -> None:
-    inlet = Inlet(limit=10)
+    inlet = InputQueue(limit=10)
     inlet.attach(1)
     assert len(inlet.accept(1, element(1, 0, 0)) + inlet.accept(1, element(1, 1, 1))) == 2
     assert inlet.accept(1, element(1, 2, 1)) == []

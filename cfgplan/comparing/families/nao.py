@@ -9,14 +9,13 @@ from __future__ import annotations
 from random import Random
 
 from cfgplan.comparing.families.configurations import cheap_configuration, without
-from cfgplan.costs import MICROSECONDS
+from cfgplan.costs import MILLISECONDS
 from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Target, Transformation
 from cfgplan.errors import InvalidValueError
 from cfgplan.planning import Problem
 
 POSITION = "Position and hasSource some Ball"
 FUSED = "FusedPosition and hasSource some Ball"
-MILLISECONDS = MICROSECONDS // 1000
 
 PIPELINE: tuple[tuple[str, int, int, tuple[str, ...], tuple[str, ...]], ...] = (
     ("bottom_cam", 400, 60, (), ("YUVImage",)),

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from random import Random
 
 from cfgplan.comparing.families.configurations import cheap_configuration, wired_where_possible, without
-from cfgplan.costs import MICROSECONDS
+from cfgplan.costs import MILLISECONDS
 from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Target, Transformation
 from cfgplan.errors import InvalidValueError
 from cfgplan.planning import Problem
@@ -19,7 +19,6 @@ from cfgplan.reasons import Givers, startable
 
 CHILDREN = 4
 """Concepts of one parent."""
-MILLISECONDS = MICROSECONDS // 1000
 
 
 def random_library(

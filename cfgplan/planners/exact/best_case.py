@@ -10,7 +10,7 @@ from collections import Counter, defaultdict
 from cfgplan.domain import Stream
 from cfgplan.planners.exact.candidates import Candidate, Candidates
 from cfgplan.planning import Notion
-from cfgplan.qualities import MICRO, Better, Contribution, Over, QualityAttribute, Rule, price_us, propagated
+from cfgplan.qualities import MICRO, Better, Contribution, Over, QualityAttribute, QualityRule, price_us, propagated
 
 
 def leave_out_what_is_too_bad(candidates: Candidates) -> None:
@@ -210,10 +210,10 @@ def _allowed_before(attribute: QualityAttribute, candidate: Candidate, stated: C
     if out == attribute.worst or (stated.over is not Over.WORST and ordinary > 1):
         return attribute.worst
     match stated.rule:
-        case Rule.ADD:
+        case QualityRule.ADD:
             low, high = sorted((attribute.worst, attribute.best))
             return min(max(out - stated.value, low), high)
-        case Rule.LIMIT:
+        case QualityRule.LIMIT:
             return out
-        case Rule.SCALE | Rule.SET:
+        case QualityRule.SCALE | QualityRule.SET:
             return attribute.worst

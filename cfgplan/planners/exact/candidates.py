@@ -15,7 +15,7 @@ from cfgplan.planning import Problem, fresh_units
 from cfgplan.qualities import QualityAttribute, worst_allowed
 from cfgplan.reasons import Givers, startable
 
-Host = str | None
+HostName = str | None
 """Where something is; None where there are no hosts, or on no host in particular."""
 
 
@@ -30,7 +30,7 @@ class Candidate:
     transformation: Transformation
     running: ComputationUnit | None
     cost_us: int
-    hosts: tuple[Host, ...] = (None,)
+    hosts: tuple[HostName, ...] = (None,)
     may_run: bool = True
     may_wait: bool = False
     waiting_cost_us: int = 0

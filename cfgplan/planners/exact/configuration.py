@@ -11,9 +11,8 @@ from collections.abc import Collection
 import numpy as np
 
 from cfgplan.domain import ComputationUnit, Publication, Subscription, Target
-from cfgplan.planners.exact.candidates import Candidate, Candidates
+from cfgplan.planners.exact.candidates import Candidate, Candidates, HostName
 from cfgplan.planners.exact.decode import lean, named
-from cfgplan.planners.exact.flat import Host
 from cfgplan.planners.exact.grounded import Grounded
 from cfgplan.planners.exact.places import Places
 from cfgplan.planners.exact.reach import Reach
@@ -83,7 +82,7 @@ class Configuration:
             units.append(spare)
         return named(self.candidates, lean(self.candidates, units))
 
-    def _place(self, but_on: Host) -> bool:
+    def _place(self, but_on: HostName) -> bool:
         self._grounded = Grounded(self.candidates, self.hot, self._attribute)
         self.hot &= set(self._grounded.order)
         places, all_of = self._places, self.candidates.all

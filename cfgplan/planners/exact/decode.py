@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable
 from dataclasses import replace
 
 from cfgplan.domain import ComputationUnit, InputPort, Publication, Stream, Subscription, Target
-from cfgplan.planners.exact.candidates import Candidates, Host
+from cfgplan.planners.exact.candidates import Candidates, HostName
 from cfgplan.planners.exact.model import Model
 from cfgplan.planners.exact.survivors import can_do_without
 from cfgplan.planners.exact.wiring import published_stream
@@ -29,7 +29,7 @@ class _Decoding:
         self.model, self.true = model, true
         self.candidates = model.candidates
         self.rank = model.support.grounded(true)
-        self.host_of: dict[int, Host] = {
+        self.host_of: dict[int, HostName] = {
             i: host for i, places in model.runs_on.items() for host, on in places.items() if on.index in self.rank
         }
 
@@ -115,7 +115,7 @@ class _Decoding:
         """The place in the order of derivation at which a unit is wired: what feeds it comes before."""
         return max((self.rank.get(wired.index, 0) for wired in self.model.wired_on(unit).values()), default=0)
 
-    def _place(self, stream: Stream, host: Host) -> int | None:
+    def _place(self, stream: Stream, host: HostName) -> int | None:
         """The place in the order of derivation at which a stream is there on a host."""
         ways = [self.rank[way.index] for way in self.model.known_ways(stream, host) if way.index in self.rank]
         return min(ways, default=None)

@@ -18,7 +18,7 @@ from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.exact.survivors import bears_all_failures
 from cfgplan.planners.networks.core import Floats
 from cfgplan.planners.networks.greedy import FREE, plan_at
-from cfgplan.qualities import Better, QualityAttribute, Rule, is_met
+from cfgplan.qualities import Better, QualityAttribute, QualityRule, is_met
 
 
 class FirstPlans:
@@ -92,7 +92,7 @@ class FirstPlans:
         stated = [
             [c for port in t.outputs for c in port.quality if c.attribute == attribute.name] for t in transformations
         ]
-        added = [max((sign * c.value for c in these if c.rule is Rule.ADD), default=0) for these in stated]
+        added = [max((sign * c.value for c in these if c.rule is QualityRule.ADD), default=0) for these in stated]
         return np.maximum(np.array(added, np.float64), 0.0)
 
     def _offer_supports(self, price: Floats) -> bool:

@@ -16,11 +16,9 @@ import numpy as np
 
 from cfgplan.costs import transfer_cost_us
 from cfgplan.domain import Stream
-from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.exact.candidates import Candidates, HostName
 from cfgplan.planners.networks.core import Core, Ints, Rows
 from cfgplan.planners.networks.network import Graph
-
-Host = str | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +26,7 @@ class Placed:
     """A candidate that runs on a host."""
 
     unit: int
-    host: Host
+    host: HostName
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +35,7 @@ class Carried:
 
     unit: int
     port: str
-    host: Host
+    host: HostName
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +43,7 @@ class Met:
     """A fact: a demanded tag is met on a host; with host None, anywhere."""
 
     tag: str
-    host: Host
+    host: HostName
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +66,7 @@ class Flat:
     def __init__(self, candidates: Candidates) -> None:
         self.candidates = candidates
         environment = candidates.environment
-        hosts: list[Host] = [host.name for host in environment.hosts] or [None]
+        hosts: list[HostName] = [host.name for host in environment.hosts] or [None]
         self.labels: list[Label] = []
         self.cost_us: list[int] = []
         for i, candidate in enumerate(candidates.all):
@@ -147,7 +145,7 @@ class Flat:
                 givers[label].append(stream)
         return givers
 
-    def _offering(self, stream: Stream, host: Host) -> Iterable[int]:
+    def _offering(self, stream: Stream, host: HostName) -> Iterable[int]:
         """The labels by which a stream is on a host, or, if that is None, is there at all."""
         unit = self.candidates.index_of[stream.unit]
         hosts = self.candidates.all[unit].hosts

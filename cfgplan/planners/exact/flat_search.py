@@ -15,17 +15,15 @@ from cfgplan.planners.exact.best_case import least_prices_us
 from cfgplan.planners.exact.flat import Fact, Flat, Met
 from cfgplan.planners.exact.flat_decode import decoded, true_of
 from cfgplan.planners.exact.flat_model import FlatModel
-from cfgplan.planners.exact.quality import Values, targets_get_the_quality_they_ask_for, value_of_choice
+from cfgplan.planners.exact.quality import QualityValues, targets_get_the_quality_they_ask_for, value_of_choice
 from cfgplan.planners.exact.quality_chains import ChainCut
 from cfgplan.planners.exact.quality_demands import DemandModel, takes_the_worst
+from cfgplan.planners.exact.search import EXACT
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.networks.greedy import first_plan
 from cfgplan.planners.networks.keys import Key
 from cfgplan.planners.solving.engine import OnSolution, repeatable_solver, solve
 from cfgplan.qualities import QualityAttribute
-
-EXACT = 2**50
-"""Up to here the solver's bound, a double, is exact."""
 
 
 class FlatSearch:
@@ -166,12 +164,12 @@ class FlatSearch:
             return
         value_of: dict[Fact, IntVar] = {}
 
-        def value_of_fact(attribute: QualityAttribute, fact: Met, values: Values) -> IntVar:
+        def value_of_fact(attribute: QualityAttribute, fact: Met, values: QualityValues) -> IntVar:
             if fact not in value_of:
                 value_of[fact] = value_of_choice(model, attribute, model.streams(fact), values)
             return value_of[fact]
 
-        def value_at(attribute: QualityAttribute, unit: int, port: InputPort, values: Values) -> IntVar:
+        def value_at(attribute: QualityAttribute, unit: int, port: InputPort, values: QualityValues) -> IntVar:
             places = flat.places(unit)
             if len(flat.candidates.all[unit].hosts) == 1 and places:
                 return value_of_fact(attribute, Met(port.tag, flat.labels[places[0]].host), values)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from cfgplan.domain import OutputPort, Transformation
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planning import Notion
-from cfgplan.qualities import MICRO, Better, Over, QualityAttribute, Rule
+from cfgplan.qualities import MICRO, Better, Over, QualityAttribute, QualityRule
 from cfgplan.reasons import distinct_groups
 
 
@@ -43,13 +43,13 @@ def _is_no_better_than_its_inputs(attribute: QualityAttribute, of: Transformatio
     if len(of.inputs) > 1 and not (stated.over is Over.WORST or (stated.over is Over.SUM and is_low)):
         return False
     match stated.rule:
-        case Rule.LIMIT:
+        case QualityRule.LIMIT:
             return True
-        case Rule.SET:
+        case QualityRule.SET:
             return False
-        case Rule.ADD:
+        case QualityRule.ADD:
             return stated.value >= 0 if is_low else stated.value <= 0
-        case Rule.SCALE:
+        case QualityRule.SCALE:
             return stated.value >= MICRO if is_low else stated.value <= MICRO
 
 

@@ -51,7 +51,7 @@ def _look_among(labels: Collection[str], candidates: Candidates, standing: Stand
 
 
 @dataclass(frozen=True)
-class Left:
+class Shortlist:
     """The transformations that a plan no dearer than the incumbent may have, and landmarks that every such plan hits.
 
     `order` sorts the transformations by reduced cost, the least first.
@@ -62,7 +62,7 @@ class Left:
     landmarks: tuple[tuple[list[str], int], ...] = ()
 
 
-def left_by_bounds(candidates: Candidates, standing: Standing) -> Left:
+def left_by_bounds(candidates: Candidates, standing: Standing) -> Shortlist:
     """Leave out transformations by reduced costs, and raise the proven bound.
 
     Hosts, transfers, failures, conflicts and numbers only add to the cost, and quality adds at least its least price.
@@ -70,7 +70,7 @@ def left_by_bounds(candidates: Candidates, standing: Standing) -> Left:
     network = candidates.network
     everything = frozenset(candidate.transformation.label for candidate in candidates.all)
     if len(network.targets) < len(candidates.environment.targets):
-        return Left(everything)
+        return Shortlist(everything)
     cost = np.array([min(c.cost_us for c in candidates.of(label)) for label in network.labels], np.int64)
     prices_us = sum(least_prices_us(candidates).values())
     largest_us = standing.largest_us
@@ -84,12 +84,12 @@ def left_by_bounds(candidates: Candidates, standing: Standing) -> Left:
     order = tuple(name for _, name in sorted(zip(least, names, strict=True)))
     standing.counts["landmarks"] = len(landmarks)
     if largest_us is None:
-        return Left(everything, order, landmarks)
+        return Shortlist(everything, order, landmarks)
     left = {name for name, may in zip(names, bound.may_be_used(most).tolist(), strict=True) if may}
     left |= {network.labels[i] for i in network.pinned}
     left |= {c.transformation.label for c in candidates.all if c.may_wait and bound.value + c.waiting_cost_us <= most}
     standing.counts["left by bounds"] = len(left)
-    return Left(frozenset(left), order, landmarks)
+    return Shortlist(frozenset(left), order, landmarks)
 
 
 def look_among_few_of(candidates: Candidates, standing: Standing, first: FirstPlans) -> None:

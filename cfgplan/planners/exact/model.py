@@ -14,12 +14,12 @@ from ortools.sat.python.cp_model import CpModel, IntVar, LinearExpr, LinearExprT
 
 from cfgplan.costs import transfer_cost_us
 from cfgplan.domain import InputPort, Stream
-from cfgplan.planners.exact.candidates import Candidates, Host
+from cfgplan.planners.exact.candidates import Candidates, HostName
 from cfgplan.planners.solving.engine import at_least
 from cfgplan.planners.solving.support import Support
 from cfgplan.planning import Notion
 
-Rule = Callable[["Model"], None]
+ModelRule = Callable[["Model"], None]
 
 
 class Model:
@@ -28,7 +28,7 @@ class Model:
     With `is_apart`, and where targets ask for quality, every input and target is told apart.
     """
 
-    def __init__(self, candidates: Candidates, rules: Iterable[Rule], *, is_apart: bool = False) -> None:
+    def __init__(self, candidates: Candidates, rules: Iterable[ModelRule], *, is_apart: bool = False) -> None:
         self.candidates = candidates
         self.problem = candidates.problem
         self.environment = candidates.environment
@@ -41,14 +41,14 @@ class Model:
         self.runs: dict[int, IntVar] = {}
         self.waits: dict[int, IntVar] = {}
         self.is_there: dict[int, IntVar] = {}
-        self.runs_on: dict[int, dict[Host, IntVar]] = {}
-        self.waits_on: dict[int, dict[Host, IntVar]] = {}
+        self.runs_on: dict[int, dict[HostName, IntVar]] = {}
+        self.waits_on: dict[int, dict[HostName, IntVar]] = {}
         self.stays: dict[int, IntVar] = {}
         self.is_wired: dict[int, IntVar] = {}
-        self.hubs: dict[tuple[int, Host], IntVar] = {}
+        self.hubs: dict[tuple[int, HostName], IntVar] = {}
         self.connects: dict[tuple[int, str], dict[Stream, IntVar]] = {}
         self.publishes: dict[str, dict[Stream, IntVar]] = {}
-        self.carried: dict[tuple[Stream, Host], IntVar] = {}
+        self.carried: dict[tuple[Stream, HostName], IntVar] = {}
         self.serves: dict[int, IntVar] = {}
         self.uses_required: dict[str, IntVar] = {}
         self.more_costs: list[LinearExprT] = []
@@ -130,14 +130,14 @@ class Model:
             or (unit in self.tracked and not self.tracked.isdisjoint(self.candidates.feeders(port.tag)))
         )
 
-    def hub(self, tag: str, host: Host) -> IntVar:
+    def hub(self, tag: str, host: HostName) -> IntVar:
         """The boolean that a demanded tag is met on a host; with host None, that it is met at all."""
         key = self.hub_key(tag, host)
         if key not in self.hubs:
             self.hubs[key] = self.boolean()
         return self.hubs[key]
 
-    def hub_key(self, tag: str, host: Host) -> tuple[int, Host]:
+    def hub_key(self, tag: str, host: HostName) -> tuple[int, HostName]:
         """The key of a hub: its demand, and its host only if a stream that meets the demand costs to be carried."""
         demand = self.demand(tag)
         is_carried = host is not None and any(map(self.price_us, self._streams[demand]))
@@ -147,7 +147,7 @@ class Model:
         """What it costs to carry a stream to one more host."""
         return self._price_us.get(stream, 0)
 
-    def ways(self, stream: Stream, host: Host) -> list[IntVar]:
+    def ways(self, stream: Stream, host: HostName) -> list[IntVar]:
         """Booleans one of which holds if the stream is there on a host; one for carrying it is added if needed."""
         unit = self.unit_of(stream)
         is_made_elsewhere = self.runs_on[unit].keys() != {host}
@@ -157,7 +157,7 @@ class Model:
             self.rests_on_all(carried, [self.runs[unit]])
         return self.known_ways(stream, host)
 
-    def known_ways(self, stream: Stream, host: Host) -> list[IntVar]:
+    def known_ways(self, stream: Stream, host: HostName) -> list[IntVar]:
         """Those of `ways` that the model has: the stream is there by no other way."""
         unit = self.unit_of(stream)
         if host is None or not self.price_us(stream):
@@ -169,7 +169,7 @@ class Model:
         """Booleans one of which holds if the candidate runs."""
         return [self.runs[unit]] if unit in self.runs else []
 
-    def present(self, stream: Stream, host: Host) -> IntVar:
+    def present(self, stream: Stream, host: HostName) -> IntVar:
         """The boolean that the stream is there on a host."""
         ways = self.ways(stream, host)
         if len(ways) == 1:
@@ -178,7 +178,7 @@ class Model:
         self.rests_on_any(present, ways)
         return present
 
-    def wired_on(self, unit: int) -> dict[Host, IntVar]:
+    def wired_on(self, unit: int) -> dict[HostName, IntVar]:
         """For each host the boolean that the candidate is wired anew there."""
         places = self.runs_on[unit]
         return dict.fromkeys(places, self.is_wired[unit]) if len(places) == 1 else places

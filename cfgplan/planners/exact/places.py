@@ -7,8 +7,7 @@ from collections.abc import Collection, Iterable
 
 from cfgplan.costs import transfer_cost_us
 from cfgplan.domain import Stream
-from cfgplan.planners.exact.candidates import Candidates
-from cfgplan.planners.exact.flat import Host
+from cfgplan.planners.exact.candidates import Candidates, HostName
 from cfgplan.planners.exact.grounded import Grounded
 
 
@@ -17,13 +16,13 @@ class Places:
 
     def __init__(self, candidates: Candidates) -> None:
         self.candidates = candidates
-        self.host_of: dict[int, Host] = {}
+        self.host_of: dict[int, HostName] = {}
         self.feeds: dict[tuple[int, str], Stream] = {}
         self.published: dict[str, Stream] = {}
-        self._taken: Counter[tuple[Host, str]] = Counter()
+        self._taken: Counter[tuple[HostName, str]] = Counter()
         self._price_us: dict[Stream, int] = {}
 
-    def put_all(self, grounded: Grounded, but_on: Host = None) -> bool:
+    def put_all(self, grounded: Grounded, but_on: HostName = None) -> bool:
         """Place the units that run and have no host yet, none on `but_on`, and feed all. False if there is no room."""
         new = [unit for unit in grounded.order if unit not in self.host_of]
         hosts_of = {unit: [h for h in self.candidates.all[unit].hosts if h is None or h != but_on] for unit in new}
@@ -37,7 +36,7 @@ class Places:
         self._feed(grounded)
         return True
 
-    def put(self, unit: int, hosts: Iterable[Host]) -> bool:
+    def put(self, unit: int, hosts: Iterable[HostName]) -> bool:
         """Place a unit on the first of some hosts that has room for it; False if none has."""
         for host in hosts:
             if self._has_room(unit, host):
@@ -47,7 +46,7 @@ class Places:
                 return True
         return False
 
-    def _has_room(self, unit: int, host: Host) -> bool:
+    def _has_room(self, unit: int, host: HostName) -> bool:
         if host is None:
             return True
         takes, room = self.candidates.all[unit].transformation.takes, self.candidates.environment.host[host].room
@@ -57,14 +56,14 @@ class Places:
             for most in [room(resource)]
         )
 
-    def _carry_us(self, grounded: Grounded, unit: int, host: Host) -> int:
+    def _carry_us(self, grounded: Grounded, unit: int, host: HostName) -> int:
         """The cost to carry a unit's inputs to a host from those of their feeders that are placed."""
         return sum(
             min(self._price_to(stream, host) for stream in grounded.choices(unit, port))
             for port in self.candidates.all[unit].transformation.inputs
         )
 
-    def _price_to(self, stream: Stream, host: Host) -> int:
+    def _price_to(self, stream: Stream, host: HostName) -> int:
         """The cost to have a stream on a host; 0 while its unit is not placed."""
         at = self.host_of.get(self.candidates.index_of[stream.unit])
         return 0 if host is None or at is None or at == host else self._price(stream)
@@ -78,9 +77,9 @@ class Places:
 
     def _feed(self, grounded: Grounded) -> None:
         """Feed each input by a stream that is on its host already if possible, or is cheap to carry there."""
-        carried: set[tuple[Stream, Host]] = set()
+        carried: set[tuple[Stream, HostName]] = set()
 
-        def taken(choices: Collection[Stream], host: Host, now: Stream | None) -> Stream:
+        def taken(choices: Collection[Stream], host: HostName, now: Stream | None) -> Stream:
             def cost(stream: Stream) -> tuple[int, bool]:
                 return 0 if (stream, host) in carried else self._price_to(stream, host), stream != now
 

@@ -17,10 +17,10 @@ from cfgplan.domain import Environment, InputPort, Stream, Target
 from cfgplan.planners.exact.best_case import range_of_use
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.quality_chains import ChainCut
-from cfgplan.qualities import MICRO, Better, Contribution, Over, QualityAttribute, Rule, Wish
+from cfgplan.qualities import MICRO, Better, Contribution, Over, QualityAttribute, QualityRule, Wish
 
 
-class Model(Protocol):
+class QualityModel(Protocol):
     """What a constraint model must have to know quality."""
 
     candidates: Candidates
@@ -32,15 +32,15 @@ class Model(Protocol):
         """Booleans one of which holds if the candidate runs."""
 
 
-Values = dict[Stream, IntVar]
+QualityValues = dict[Stream, IntVar]
 Choices = Iterable[tuple[Stream, IntVar]]
 """Streams of which one is taken, with the booleans that say which."""
 
 
 def targets_get_the_quality_they_ask_for(
-    model: Model,
+    model: QualityModel,
     published: Callable[[Target], Choices],
-    value_at: Callable[[QualityAttribute, int, InputPort, Values], IntVar],
+    value_at: Callable[[QualityAttribute, int, InputPort, QualityValues], IntVar],
     cuts: Iterable[ChainCut] = (),
 ) -> None:
     """Demand the targets' bounds on quality, and add their prices to the cost.
@@ -63,7 +63,7 @@ def targets_get_the_quality_they_ask_for(
 
 
 def chains_are_as_bad_as_who_runs_lets_them(
-    model: Model, cuts: Iterable[ChainCut], missed_by: dict[str, IntVar], step: int
+    model: QualityModel, cuts: Iterable[ChainCut], missed_by: dict[str, IntVar], step: int
 ) -> None:
     """Add the cuts on chains: implied, but the linear relaxation needs them. `missed_by` of each target is in steps."""
     for cut in cuts:
@@ -84,7 +84,7 @@ class Scaled:
         stated = [
             c for t in transformations for port in t.outputs for c in port.quality if c.attribute == attribute.name
         ]
-        is_cut = any(c.rule is Rule.SCALE or c.over is Over.MEAN for c in stated)
+        is_cut = any(c.rule is QualityRule.SCALE or c.over is Over.MEAN for c in stated)
         self.step = 1 if is_cut else gcd(attribute.worst, attribute.best, *(c.value for c in stated))
         self.attribute = replace(attribute, worst=attribute.worst // self.step, best=attribute.best // self.step)
         self.ranges = {
@@ -97,10 +97,12 @@ class Scaled:
         return value // self.step if self.attribute.better is Better.LOWER else -(-value // self.step)
 
     def own(self, stated: Contribution) -> int:
-        return stated.value if stated.rule is Rule.SCALE else stated.value // self.step
+        return stated.value if stated.rule is QualityRule.SCALE else stated.value // self.step
 
 
-def value_of_choice(model: Model, attribute: QualityAttribute, choices: Choices, values: Values) -> IntVar:
+def value_of_choice(
+    model: QualityModel, attribute: QualityAttribute, choices: Choices, values: QualityValues
+) -> IntVar:
     """A variable no better than the value of the stream that is taken."""
     choices = [(stream, taken) for stream, taken in choices if stream in values]
     is_low = attribute.better is Better.LOWER
@@ -117,7 +119,7 @@ def value_of_choice(model: Model, attribute: QualityAttribute, choices: Choices,
     return value
 
 
-def _grant(model: Model, scaled: Scaled, wish: Wish, choices: Choices, values: Values) -> IntVar:
+def _grant(model: QualityModel, scaled: Scaled, wish: Wish, choices: Choices, values: QualityValues) -> IntVar:
     """Demand what a target asks. Returns the variable for what its stream misses the best by, in steps."""
     attribute = scaled.attribute
     missed_by = model.cp.new_int_var(0, abs(attribute.worst - attribute.best), "")
@@ -134,7 +136,7 @@ def _grant(model: Model, scaled: Scaled, wish: Wish, choices: Choices, values: V
     return missed_by
 
 
-def grant(model: Model, scaled: Scaled, wish: Wish, missed_by: IntVar) -> None:
+def grant(model: QualityModel, scaled: Scaled, wish: Wish, missed_by: IntVar) -> None:
     """Demand a wish's bound on `missed_by`, and add its price to the cost."""
     attribute = scaled.attribute
     if wish.bound is not None:
@@ -151,8 +153,8 @@ def grant(model: Model, scaled: Scaled, wish: Wish, missed_by: IntVar) -> None:
 
 
 def _values(
-    model: Model, scaled: Scaled, value_at: Callable[[QualityAttribute, int, InputPort, Values], IntVar]
-) -> Values:
+    model: QualityModel, scaled: Scaled, value_at: Callable[[QualityAttribute, int, InputPort, QualityValues], IntVar]
+) -> QualityValues:
     """A variable for the value of each stream that is of use."""
     attribute, ranges = scaled.attribute, scaled.ranges
     values = {stream: model.cp.new_int_var(min(ends), max(ends), "") for stream, ends in ranges.items()}
@@ -169,18 +171,18 @@ def _values(
                 no_better.than(attribute.worst if stated is None else scaled.own(stated))
                 continue
             theirs = _combined(model, attribute, Over.WORST if stated is None else stated.over, inputs)
-            rule, own = (Rule.ADD, 0) if stated is None else (stated.rule, scaled.own(stated))
-            if rule in (Rule.SET, Rule.LIMIT):
+            rule, own = (QualityRule.ADD, 0) if stated is None else (stated.rule, scaled.own(stated))
+            if rule in (QualityRule.SET, QualityRule.LIMIT):
                 no_better.than(own)
-            if rule is Rule.SCALE:
+            if rule is QualityRule.SCALE:
                 common = gcd(own, MICRO)
                 no_better.than(own // common * theirs, MICRO // common)
-            elif rule is not Rule.SET:
-                no_better.than(theirs + (own if rule is Rule.ADD else 0))
+            elif rule is not QualityRule.SET:
+                no_better.than(theirs + (own if rule is QualityRule.ADD else 0))
     return values
 
 
-def _combined(model: Model, attribute: QualityAttribute, over: Over, inputs: Sequence[IntVar]) -> IntVar:
+def _combined(model: QualityModel, attribute: QualityAttribute, over: Over, inputs: Sequence[IntVar]) -> IntVar:
     if len(inputs) == 1:
         return inputs[0]
     result = model.cp.new_int_var(0, max(attribute.worst, attribute.best) * len(inputs), "")
@@ -209,7 +211,7 @@ class _NoBetter:
     value is good enough.
     """
 
-    model: Model
+    model: QualityModel
     attribute: QualityAttribute
     value: IntVar
     end: int

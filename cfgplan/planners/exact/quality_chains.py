@@ -24,7 +24,7 @@ from cfgplan.planners.exact.best_case import best_values, worst_of_use
 from cfgplan.planners.exact.candidates import Candidate, Candidates
 from cfgplan.planners.networks.core import Flags, Ints
 from cfgplan.planners.tuning import USUAL, Quality
-from cfgplan.qualities import MICRO, Better, Contribution, Over, QualityAttribute, Rule
+from cfgplan.qualities import MICRO, Better, Contribution, Over, QualityAttribute, QualityRule
 
 MOST_GAIN = 64 * MICRO
 """The largest factor by which units in a row amplify, in millionths; beyond it being ahead counts in full."""
@@ -83,12 +83,12 @@ class Chains:
         end = len(self.demand)
         ports = [maker.transformation.output[s.port] for maker, s in zip(makers, streams, strict=True)]
         self.stated = [{c.attribute: c for c in port.quality}.get(self.attribute.name) for port in ports]
-        nothing = Contribution(self.attribute.name, Rule.LIMIT, self.attribute.best)
+        nothing = Contribution(self.attribute.name, QualityRule.LIMIT, self.attribute.best)
         stated = [one or nothing for one in self.stated]
         self.watch()
         inputs = [
             [self.demand.get(port.tag, end) for port in maker.transformation.inputs if not port.feedback]
-            if one.rule is not Rule.SET
+            if one.rule is not QualityRule.SET
             else []
             for maker, one in zip(makers, stated, strict=True)
         ]
@@ -98,12 +98,12 @@ class Chains:
         self.count = np.array([len(row) for row in inputs], np.int64)
         self.over = [one.over for one in stated]
         self._by_over = {over: np.array([o is over for o in self.over], np.bool_) for over in set(self.over)}
-        gains = [one.value if one.rule is Rule.SCALE else MICRO for one in stated]
+        gains = [one.value if one.rule is QualityRule.SCALE else MICRO for one in stated]
         self.gain = np.array([gain if row else 0 for gain, row in zip(gains, inputs, strict=True)], np.int64)
         best = self.sign * self.attribute.best
         more = [best * (gain - MICRO) for gain in gains]
         for s, one in enumerate(stated):
-            if one.rule is Rule.ADD:
+            if one.rule is QualityRule.ADD:
                 more[s] = self.sign * one.value * MICRO
         self._shift = np.array(more, np.int64)
 

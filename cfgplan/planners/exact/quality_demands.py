@@ -19,13 +19,13 @@ from cfgplan.planners.exact.flat import Met
 from cfgplan.planners.exact.flat_model import FlatModel
 from cfgplan.planners.exact.quality import Scaled, chains_are_as_bad_as_who_runs_lets_them, grant
 from cfgplan.planners.exact.quality_chains import ChainCut
-from cfgplan.qualities import MICRO, Better, Over, QualityAttribute, Rule
+from cfgplan.qualities import MICRO, Better, Over, QualityAttribute, QualityRule
 
 
 def takes_the_worst(candidates: Candidates, attribute: QualityAttribute) -> bool:
     """Whether every rule takes the worst input, and nothing is carried between hosts."""
     return not candidates.environment.hosts and all(
-        c.over is Over.WORST or len(candidate.transformation.inputs) == 1 or c.rule is Rule.SET
+        c.over is Over.WORST or len(candidate.transformation.inputs) == 1 or c.rule is QualityRule.SET
         for candidate in candidates.all
         for port in candidate.transformation.outputs
         for c in port.quality
@@ -94,13 +94,13 @@ class DemandModel:
         port = candidate.transformation.output[stream.port]
         stated = {c.attribute: c for c in port.quality}.get(self.scaled.attribute.name)
         gain, by, more = 1, 1, 0
-        if stated is not None and stated.rule is Rule.SET:
+        if stated is not None and stated.rule is QualityRule.SET:
             return
-        if stated is not None and stated.rule is Rule.SCALE:
+        if stated is not None and stated.rule is QualityRule.SCALE:
             common = gcd(stated.value, MICRO)
             gain, by = stated.value // common, MICRO // common
             more = self.sign * self.scaled.attribute.best * (gain - by)
-        elif stated is not None and stated.rule is Rule.ADD:
+        elif stated is not None and stated.rule is QualityRule.ADD:
             more = self.sign * self.scaled.own(stated)
         for tag in dict.fromkeys(port.tag for port in candidate.transformation.inputs):
             yield Met(tag, None), gain, by, more

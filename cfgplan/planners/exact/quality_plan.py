@@ -14,13 +14,11 @@ import numpy as np
 
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.quality_chains import Chains
-from cfgplan.planners.exact.quality_steps import Steps
+from cfgplan.planners.exact.quality_steps import BadnessSteps
 from cfgplan.planners.networks.core import Floats
+from cfgplan.planners.networks.greedy import FREE
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.qualities import Better, QualityAttribute, is_met, price_us, propagated
-
-FREE = 1e-3
-"""The price of what is there anyway."""
 
 
 def can_be_planned(candidates: Candidates) -> bool:
@@ -47,7 +45,7 @@ class QualityPlanner:
         for stream, unit in enumerate(chains.unit.tolist()):
             self.streams_of[unit].append(stream)
         self.targets = [(target, chains.demand[target.tag]) for target in candidates.environment.targets]
-        self.steps = Steps(chains, self.inputs, self.targets, clock.tuning.quality)
+        self.steps = BadnessSteps(chains, self.inputs, self.targets, clock.tuning.quality)
 
     def best(self, plans: Iterable[Collection[int] | None], share: Floats) -> set[int] | None:
         """The best of some plans and of two more, one at costs and one at costs less each candidate's `share`.

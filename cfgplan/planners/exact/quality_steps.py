@@ -13,7 +13,7 @@ from cfgplan.planners.tuning import USUAL, Quality
 from cfgplan.qualities import is_met, price_us, worst_allowed
 
 
-class Steps:
+class BadnessSteps:
     """Steps of badness from the best to the worst, and the steps that each stream's inputs must keep for each."""
 
     def __init__(

@@ -8,8 +8,8 @@ from typing import Final
 from ortools.sat.python.cp_model import IntVar, LinearExpr
 
 from cfgplan.domain import InputPort, Stream
-from cfgplan.planners.exact.candidates import Host
-from cfgplan.planners.exact.model import Model, Rule
+from cfgplan.planners.exact.candidates import HostName
+from cfgplan.planners.exact.model import Model, ModelRule
 
 
 def a_unit_runs_or_waits_in_one_place(model: Model) -> None:
@@ -158,7 +158,7 @@ def a_demand_is_met_first_by_a_unit_that_does_not_need_it(model: Model) -> None:
         model.rests_on_any(hub, list(ways.values()))
 
 
-def _first_ways(model: Model, stream: Stream, demand: int, host: Host) -> list[IntVar]:
+def _first_ways(model: Model, stream: Stream, demand: int, host: HostName) -> list[IntVar]:
     """The ways by which a stream may be the first on a host to meet a demand."""
     unit = model.unit_of(stream)
     if unit not in model.needing[demand]:
@@ -332,7 +332,7 @@ def _needs_are_shared(model: Model, units: list[int]) -> None:
             model.cp.add_at_most_one([met.negated(), *(model.runs[unit] for unit in sharing)])
 
 
-RULES: Final[tuple[Rule, ...]] = (
+RULES: Final[tuple[ModelRule, ...]] = (
     a_unit_runs_or_waits_in_one_place,
     a_kept_unit_stays_or_is_wired_anew,
     a_staying_unit_keeps_its_feeders,

@@ -22,8 +22,8 @@ from cfgplan.errors import InputError
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.decode import decode, lean, named
 from cfgplan.planners.exact.first_plans import FirstPlans
-from cfgplan.planners.exact.model import Model, Rule
-from cfgplan.planners.exact.quality import Values, targets_get_the_quality_they_ask_for, value_of_choice
+from cfgplan.planners.exact.model import Model, ModelRule
+from cfgplan.planners.exact.quality import QualityValues, targets_get_the_quality_they_ask_for, value_of_choice
 from cfgplan.planners.exact.rules import RULES
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.exact.survival import Survival
@@ -56,7 +56,7 @@ class Search:
         is_apart: bool = False,
         landmarks: Landmarks = (),
         missed: Callable[[Collection[str], Clock], Landmarks] = lambda *_: (),
-        rules: Sequence[Rule] = RULES,
+        rules: Sequence[ModelRule] = RULES,
     ) -> None:
         """With `is_all` false some candidates are left out: the search gives plans, but no bounds.
 
@@ -84,7 +84,7 @@ class Search:
     def _ask_for_quality(self) -> None:
         model = self.model
 
-        def value_at(attribute: QualityAttribute, unit: int, port: InputPort, values: Values) -> IntVar:
+        def value_at(attribute: QualityAttribute, unit: int, port: InputPort, values: QualityValues) -> IntVar:
             return value_of_choice(model, attribute, model.connects[unit, port.name].items(), values)
 
         targets_get_the_quality_they_ask_for(model, lambda target: model.publishes[target.label].items(), value_at)

@@ -10,17 +10,15 @@ from dataclasses import dataclass
 from functools import cached_property
 from heapq import heappop, heappush
 from itertools import chain
-from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from cfgplan.planners.networks.crowds import Crowds
+from cfgplan.planners.networks.crowds import Crowds, Number
 
 Ints = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
-Number = TypeVar("Number", np.int64, np.float64)
 
 NEVER = np.int64(2**60)
 """A cost that no sum of real costs reaches."""

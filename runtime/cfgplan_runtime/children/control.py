@@ -14,9 +14,9 @@ import msgspec
 
 Incoming = TypeVar("Incoming")
 
-_LENGTH = struct.Struct("<II")
+_MESSAGE_HEAD = struct.Struct("<II")
 _MOST_SOCKETS = 64
-_CHUNK = 1 << 16
+_MESSAGE_CHUNK = 1 << 16
 
 
 class ControlConnection(Generic[Incoming]):
@@ -43,7 +43,7 @@ class ControlConnection(Generic[Incoming]):
                 attached.close()
             return
         body = msgspec.msgpack.encode(message)
-        self._waiting.append((_LENGTH.pack(len(body), len(sockets)) + body, list(sockets)))
+        self._waiting.append((_MESSAGE_HEAD.pack(len(body), len(sockets)) + body, list(sockets)))
         self.flush()
 
     def flush(self) -> bool:
@@ -77,7 +77,7 @@ class ControlConnection(Generic[Incoming]):
         """
         while not self.has_ended:
             try:
-                data, descriptors, _, _ = socket.recv_fds(self.socket, _CHUNK, _MOST_SOCKETS)
+                data, descriptors, _, _ = socket.recv_fds(self.socket, _MESSAGE_CHUNK, _MOST_SOCKETS)
             except BlockingIOError:
                 return
             except OSError:
@@ -96,12 +96,12 @@ class ControlConnection(Generic[Incoming]):
         self.socket.close()
 
     def _complete(self) -> Iterator[tuple[Incoming, list[socket.socket]]]:
-        while len(self._received) >= _LENGTH.size:
-            length, count = _LENGTH.unpack_from(self._received)
-            end = _LENGTH.size + length
+        while len(self._received) >= _MESSAGE_HEAD.size:
+            length, count = _MESSAGE_HEAD.unpack_from(self._received)
+            end = _MESSAGE_HEAD.size + length
             if len(self._received) < end:
                 return
-            message = self._decoder.decode(bytes(self._received[_LENGTH.size : end]))
+            message = self._decoder.decode(bytes(self._received[_MESSAGE_HEAD.size : end]))
             del self._received[:end]
             # The system keeps back sockets for which this process has no descriptor left.
             there = min(count, len(self._descriptors))

@@ -21,7 +21,7 @@ from cfgplan_runtime.children.messages import (
 from cfgplan_runtime.children.ports import Ports, UnitInput, UnitOutput
 from cfgplan_runtime.streams.channel import Sender, widen
 from cfgplan_runtime.streams.element import Element, Outgoing
-from cfgplan_runtime.streams.inlet import Inlet
+from cfgplan_runtime.streams.inlet import InputQueue
 
 OVER_S = 3.0
 """The seconds over which rate and age are taken."""
@@ -111,7 +111,7 @@ class OutletChild:
             self._ports.emit(topic, Outgoing(element.time_ns, element.turn, [element.payload]))
 
         self._ports.outputs[topic] = UnitOutput()
-        self._ports.inputs[topic] = UnitInput(topic, Inlet(self._queue), relay, lambda: True)
+        self._ports.inputs[topic] = UnitInput(topic, InputQueue(self._queue), relay, lambda: True)
         self._watch(topic, listener)
 
     def _watch(self, topic: str, listener: socket.socket) -> None:

@@ -24,7 +24,7 @@ from cfgplan_runtime.children.messages import (
 )
 from cfgplan_runtime.streams.channel import Receiver, Sender
 from cfgplan_runtime.streams.element import Element, Outgoing
-from cfgplan_runtime.streams.inlet import Inlet
+from cfgplan_runtime.streams.inlet import InputQueue
 
 _MOST_SAID = 1 << 16
 
@@ -34,7 +34,7 @@ class UnitInput:
     """An inlet and the receivers of its wires."""
 
     name: str
-    inlet: Inlet
+    inlet: InputQueue
     take: Callable[[Element], None]
     """Called with each element that the inlet hands on."""
     has_room: Callable[[], bool]

@@ -25,7 +25,7 @@ from cfgplan_runtime.children.steps import Step, StepQueue
 from cfgplan_runtime.children.unit_code import Given, UnitCode
 from cfgplan_runtime.errors import EncodingError, WrongPortsError
 from cfgplan_runtime.streams.element import Element, Moment, Outgoing
-from cfgplan_runtime.streams.inlet import Inlet
+from cfgplan_runtime.streams.inlet import InputQueue
 from cfgplan_runtime.streams.payload import PayloadEncoder, decode
 
 STATUS_PERIOD_S = 1.0
@@ -33,7 +33,7 @@ _LONGEST_WORK_NS = 1_000_000
 """Nanoseconds of back-to-back steps after which sockets are looked at again."""
 _MOST_REPORTS = 5
 """Failures that are reported one by one between two signs of life."""
-_KINDS = ((WrongPortsError, "wrong ports"), (EncodingError, "can't be sent"))
+_KINDS_OF_END = ((WrongPortsError, "wrong ports"), (EncodingError, "can't be sent"))
 _LATEST_TICK_NS = 100_000_000
 """A source that is later than this skips ticks instead of catching up."""
 
@@ -192,7 +192,7 @@ class UnitChild:
         self._reported += 1
         if self._reported > _MOST_REPORTS + 1:
             return
-        kind = next((kind for known, kind in _KINDS if isinstance(error, known)), "raised")
+        kind = next((kind for known, kind in _KINDS_OF_END if isinstance(error, known)), "raised")
         text = "".join(traceback.format_exception(error)) if kind == "raised" else str(error)
         if self._reported > _MOST_REPORTS:
             self._suppressed = kind, text
@@ -238,4 +238,4 @@ class UnitChild:
         def has_room() -> bool:
             return not (self._order.blocks and self._steps.is_full(name))
 
-        return UnitInput(name, Inlet(self._order.queue), take, has_room)
+        return UnitInput(name, InputQueue(self._order.queue), take, has_room)

@@ -13,7 +13,7 @@ from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.estimating.estimator import LearningEstimator
 from cfgplan_runtime.estimating.evidence import Evidence
 
-FORMAT = "cfgplan-estimates/1"
+ESTIMATES_FORMAT = "cfgplan-estimates/1"
 
 
 class EstimatesError(RuntimeFaultError):
@@ -42,7 +42,7 @@ def default_file(environment_file: Path) -> Path:
 def save(estimator: LearningEstimator, path: Path, now_s: float) -> None:
     """Write what was learned, as a whole or not at all, through to the disk. Raises EstimatesError."""
     known = {label: one.moved(-now_s) for label, one in sorted(estimator.evidence.items()) if not one.is_empty}
-    data = msgspec.json.format(msgspec.json.encode(_Kept(FORMAT, known)), indent=1)
+    data = msgspec.json.format(msgspec.json.encode(_Kept(ESTIMATES_FORMAT, known)), indent=1)
     _refuse_what_is_no_file(path)
     new = path.with_name(f".{path.name}.{os.getpid()}.new")
     try:
@@ -74,8 +74,8 @@ def load(estimator: LearningEstimator, path: Path, now_s: float) -> None:
         raise EstimatesError(f"{path}: what was learned can't be read: {error.strerror}") from None
     try:
         kept = msgspec.json.decode(data, type=_Kept)
-        if kept.format != FORMAT:
-            raise msgspec.ValidationError(f"its format is {kept.format!r}, not {FORMAT!r}")
+        if kept.format != ESTIMATES_FORMAT:
+            raise msgspec.ValidationError(f"its format is {kept.format!r}, not {ESTIMATES_FORMAT!r}")
         wrong = [label for label, evidence in kept.evidence.items() if not evidence.is_in_order]
         if wrong:
             raise msgspec.ValidationError(f"the samples of {wrong[0]!r} are out of order")

@@ -16,7 +16,7 @@ from cfgplan_runtime.estimating.guesses import GUESSES, Costs, Guess, declared
 from cfgplan_runtime.estimating.settings import Learning
 from cfgplan_runtime.supervision.observation import Observation
 
-_SHORTEST_S = 1e-3
+_SHORTEST_RUN_S = 1e-3
 """Two looks at a unit that are nearer than this are one."""
 
 _REFRESHES = 200
@@ -106,7 +106,7 @@ class LearningEstimator:
                     self._units[seen.unit] = (seen, now_s)
                     with self._learning(seen.transformation) as evidence:
                         evidence.started(seen.labor_us, now_s)
-            elif ran_s < _SHORTEST_S or (_given(seen) is not None and _given(seen) == _given(last)):
+            elif ran_s < _SHORTEST_RUN_S or (_given(seen) is not None and _given(seen) == _given(last)):
                 self._units[seen.unit] = (last, since_s)
             else:
                 self._units[seen.unit] = (seen, now_s)

@@ -7,8 +7,8 @@ import hashlib
 import msgspec
 
 from cfgplan.domain import Transformation
-from cfgplan_runtime.estimating.guesses import Costs, Kind
-from cfgplan_runtime.estimating.history import Amount, CostSample, FailureHistory, History, Moment
+from cfgplan_runtime.estimating.guesses import CostKind, Costs
+from cfgplan_runtime.estimating.history import CostSample, FailureHistory, History, NotNegative, Second
 
 
 class Evidence(msgspec.Struct):
@@ -19,13 +19,13 @@ class Evidence(msgspec.Struct):
 
     declared: str
     source: str | None
-    labor_us: Amount
-    upkeep_us: Amount
+    labor_us: NotNegative
+    upkeep_us: NotNegative
     labor: History
     upkeep: History
     failures: FailureHistory
     starts: int = 0
-    seen_s: Moment = 0.0
+    seen_s: Second = 0.0
     """When something was observed last."""
     changes: int = 0
     """Counts samples and failures, so that a forecast made earlier is known to be stale. What becomes part of a sample
@@ -51,7 +51,7 @@ class Evidence(msgspec.Struct):
         times_fit = not self.upkeep.samples or self.upkeep.samples[-1].until <= self.seen_s + 1e-3
         return starts_fit and times_fit and self.labor.is_in_order and self.upkeep.is_in_order
 
-    def samples(self, kind: Kind) -> list[CostSample]:
+    def samples(self, kind: CostKind) -> list[CostSample]:
         return (self.labor if kind == "labor" else self.upkeep).samples
 
     def started(self, labor_us: float, now_s: float) -> None:

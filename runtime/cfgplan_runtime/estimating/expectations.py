@@ -8,7 +8,7 @@ from enum import StrEnum
 
 from cfgplan_runtime.estimating.evidence import Evidence
 from cfgplan_runtime.estimating.forecasters import Average, Damped, Forecast, Forecaster
-from cfgplan_runtime.estimating.guesses import Costs, Guess, Kind
+from cfgplan_runtime.estimating.guesses import CostKind, Costs, Guess
 from cfgplan_runtime.estimating.settings import Learning
 
 
@@ -35,13 +35,15 @@ class Expectations:
         self._learns = forecaster is not None
         self._guess = guess
         self._settings = settings
-        self._levels: dict[tuple[int, Kind], tuple[Evidence, int, float]] = {}
+        self._levels: dict[tuple[int, CostKind], tuple[Evidence, int, float]] = {}
         self._forecasters = {
             "labor": Damped(Average(settings.memory_starts)),
             "upkeep": Damped((forecaster or Average)(settings.memory_s)),
         }
 
-    def of(self, kind: Kind, own: Evidence, relatives: Iterable[Evidence], dearest: Costs, now_s: float) -> Expectation:
+    def of(
+        self, kind: CostKind, own: Evidence, relatives: Iterable[Evidence], dearest: Costs, now_s: float
+    ) -> Expectation:
         """What one quantity of a transformation is expected to be from `now_s` on."""
         if self._learns and own.samples(kind):
             return Expectation(self._observed(kind, own, dearest, now_s), Origin.OBSERVED)
@@ -50,7 +52,7 @@ class Expectations:
             return Expectation(Forecast(self._familiar(kind, own, known), 0.0), Origin.FAMILY)
         return Expectation(Forecast(self._guess(own.declared_costs, dearest).of(kind), 0.0), Origin.GUESS)
 
-    def _level(self, kind: Kind, evidence: Evidence) -> float:
+    def _level(self, kind: CostKind, evidence: Evidence) -> float:
         """The observed level of a relative, cached because all its relatives read it."""
         known, changes, level = self._levels.get((id(evidence), kind), (None, 0, 0.0))
         if known is not evidence or changes != evidence.changes:
@@ -58,7 +60,7 @@ class Expectations:
             self._levels[id(evidence), kind] = (evidence, evidence.changes, level)
         return level
 
-    def _observed(self, kind: Kind, own: Evidence, dearest: Costs, now_s: float) -> Forecast:
+    def _observed(self, kind: CostKind, own: Evidence, dearest: Costs, now_s: float) -> Forecast:
         """What was observed goes on; while nothing more is, trust in it fades towards the guess, and a trend ends."""
         forecast = self._forecasters[kind](own.samples(kind))
         idle_s = max(0.0, now_s - own.seen_s)
@@ -71,7 +73,7 @@ class Expectations:
             high=max(guess, forecast.high),
         )
 
-    def _familiar(self, kind: Kind, own: Evidence, known: Sequence[Evidence]) -> float:
+    def _familiar(self, kind: CostKind, own: Evidence, known: Sequence[Evidence]) -> float:
         """The mean of what relatives cost, scaled by the declared costs if all declare some."""
         levels = [self._level(kind, one) for one in known]
         declared = [one.declared_costs.of(kind) for one in known]

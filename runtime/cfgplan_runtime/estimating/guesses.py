@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal, Protocol, TypeAlias
 
-Kind: TypeAlias = Literal["labor", "upkeep"]
+CostKind: TypeAlias = Literal["labor", "upkeep"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,7 +17,7 @@ class Costs:
     labor_us: float
     upkeep_us: float
 
-    def of(self, kind: Kind) -> float:
+    def of(self, kind: CostKind) -> float:
         return self.labor_us if kind == "labor" else self.upkeep_us
 
 

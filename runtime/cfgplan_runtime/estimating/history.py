@@ -6,8 +6,8 @@ from typing import Annotated, TypeAlias
 
 import msgspec
 
-Moment: TypeAlias = Annotated[float, msgspec.Meta(ge=-1e12, le=1e12)]
-Amount: TypeAlias = Annotated[float, msgspec.Meta(ge=0, le=1e16)]
+Second: TypeAlias = Annotated[float, msgspec.Meta(ge=-1e12, le=1e12)]
+NotNegative: TypeAlias = Annotated[float, msgspec.Meta(ge=0, le=1e16)]
 Weight: TypeAlias = Annotated[float, msgspec.Meta(ge=1e-6, le=1e12)]
 """Limits for values read from a file, far beyond anything observed."""
 
@@ -15,9 +15,9 @@ Weight: TypeAlias = Annotated[float, msgspec.Meta(ge=1e-6, le=1e12)]
 class CostSample(msgspec.Struct, array_like=True):
     """A mean `value` over the time from `since` to `until`; `weight` says how much was observed."""
 
-    since: Moment
-    until: Moment
-    value: Amount
+    since: Second
+    until: Second
+    value: NotNegative
     weight: Weight
 
     @property
@@ -77,9 +77,9 @@ class FailureHistory(msgspec.Struct):
     """
 
     forget_s: float
-    failures: Amount = 0.0
-    ran_s: Amount = 0.0
-    at_s: Moment = 0.0
+    failures: NotNegative = 0.0
+    ran_s: NotNegative = 0.0
+    at_s: Second = 0.0
 
     def ran(self, unit_s: float, now_s: float) -> None:
         """Units have run without failing for `unit_s` seconds together."""

@@ -25,7 +25,7 @@ from cfgplan_runtime.lifecycle.reports import Decision
 from cfgplan_runtime.lifecycle.seams import Estimator
 from cfgplan_runtime.lifecycle.warm_matching import WarmMatching
 
-_MOST_NAMED = 4
+_MOST_AVOIDED_NAMED = 4
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Thought:
 
 
 @dataclass(frozen=True)
-class Reach:
+class UnmetTargets:
     """Which targets of a problem nothing can meet, and why, whatever runs."""
 
     problem: Problem
@@ -94,7 +94,7 @@ class Deliberation:
         self._time_limit_s = policy.time_limit_s
         self._matching = matching
         self._library = EstimatedLibrary()
-        self._reach: Reach | None = None
+        self._reach: UnmetTargets | None = None
 
     def warm_up(self) -> None:
         """Import the solver in a thread of its own, so that the first difficult plan need not wait for it."""
@@ -161,7 +161,7 @@ class Deliberation:
 
     def _plan(self, problem: Problem, *, optimises: bool) -> BestEffort:
         if self._reach is None or not self._reach.holds_for(problem):
-            self._reach = Reach(problem, unmet_reasons(problem))
+            self._reach = UnmetTargets(problem, unmet_reasons(problem))
         self._planner.asks_early = optimises
         found = best_effort(
             problem, self._planner, time_limit_s=self._time_limit_s, impossible=self._reach.unmet_reasons
@@ -207,7 +207,7 @@ class Deliberation:
         impossible, impossible_now = (
             unmet_reasons(self._problem(environment, world)) for environment in (world.environment, thought.planned)
         )
-        some = [f"{label} ({thought.avoided[label]})" for label in sorted(thought.avoided)[:_MOST_NAMED]]
+        some = [f"{label} ({thought.avoided[label]})" for label in sorted(thought.avoided)[:_MOST_AVOIDED_NAMED]]
         more = len(thought.avoided) - len(some)
         left_out = f"left out for now: {', '.join(some)}{f' and {more} more' if more else ''}"
         return {

@@ -33,7 +33,7 @@ from cfgplan_runtime.lifecycle.inbox import Asked, Inbox, Item, Leave, Outcome, 
 from cfgplan_runtime.lifecycle.perturbations import Started
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Report, Snapshot, UnitEvent
-from cfgplan_runtime.lifecycle.seams import Clock, DeclaredCosts, Estimator, Middleware, SystemClock
+from cfgplan_runtime.lifecycle.seams import DeclaredCosts, Estimator, Middleware, SystemClock, TimeSource
 from cfgplan_runtime.lifecycle.showing import saving_us, target_views, unit_views
 from cfgplan_runtime.lifecycle.state import State
 from cfgplan_runtime.lifecycle.turns import Effect, Happened, Happening
@@ -62,7 +62,7 @@ class Manager:
         *,
         planner: Planner | None = None,
         estimator: Estimator | None = None,
-        clock: Clock | None = None,
+        clock: TimeSource | None = None,
         policy: Policy | None = None,
         report: Callable[[Report], None] | None = None,
     ) -> None:

@@ -69,7 +69,7 @@ class Estimator(Protocol):
         """CPU time per second, in microseconds, as the mean over the horizon from now."""
 
 
-class Clock(Protocol):
+class TimeSource(Protocol):
     """Time, and how to wait."""
 
     def now(self) -> float:

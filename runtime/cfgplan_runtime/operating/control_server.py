@@ -32,8 +32,8 @@ Method = Callable[[Mapping[str, Any]], Record]
 
 MOST_CLIENTS = 32
 MOST_WAITING_EVENTS = 1000
-_BACKLOG = 16
-_CHUNK = 1 << 16
+_CLIENTS_WAITING = 16
+_REQUEST_CHUNK = 1 << 16
 
 
 class ControlServer:
@@ -54,7 +54,7 @@ class ControlServer:
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._listener.bind(str(self._path))
         self._path.chmod(0o600)
-        self._listener.listen(_BACKLOG)
+        self._listener.listen(_CLIENTS_WAITING)
         self._thread = threading.Thread(target=self._accept, name="cfgplan-control", daemon=True)
         self._thread.start()
 
@@ -181,7 +181,7 @@ class _Client:
 
     def _lines(self) -> Any:
         pending = bytearray()
-        while chunk := self._end.recv(_CHUNK):
+        while chunk := self._end.recv(_REQUEST_CHUNK):
             pending += chunk
             if len(pending) > LONGEST_LINE:
                 error = RefusedError("too_long", f"a request has at most {LONGEST_LINE} bytes", "send it in parts")

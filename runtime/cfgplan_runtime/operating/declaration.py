@@ -14,7 +14,7 @@ from cfgplan.formats.yaml_text import read_yaml
 from cfgplan_runtime.lifecycle.changes import Declare, Individual
 
 _STEP = re.compile(r"\[(\d+)\]|([^.\[\]]+)")
-_FORM = "write `individuals: {piff: Robot}`, or `piff: {classes: [Robot], relations: {hasColour: red}}`"
+_DECLARATION_FORM = "write `individuals: {piff: Robot}`, or `piff: {classes: [Robot], relations: {hasColour: red}}`"
 
 
 @dataclass(frozen=True)
@@ -56,13 +56,13 @@ def _individuals(source: Source, written: Any, faults: list[Fault]) -> Iterator[
     if written is None:
         return
     if not isinstance(written, dict):
-        faults.append(source.fault(("individuals",), "this is no mapping of individuals", _FORM))
+        faults.append(source.fault(("individuals",), "this is no mapping of individuals", _DECLARATION_FORM))
         return
     for name, said in written.items():
         path = ("individuals", name)
         if isinstance(said, dict):
             faults += (
-                source.fault((*path, key), f"an individual has no `{key}`", _FORM, at_key=True)
+                source.fault((*path, key), f"an individual has no `{key}`", _DECLARATION_FORM, at_key=True)
                 for key in said.keys() - {"classes", "relations"}
             )
             classes, relations = said.get("classes"), said.get("relations")
@@ -79,7 +79,7 @@ def _relations(source: Source, path: Path, written: Any, faults: list[Fault]) ->
     if written is None:
         return
     if not isinstance(written, Mapping):
-        faults.append(source.fault(path, "this is no mapping of relations", _FORM))
+        faults.append(source.fault(path, "this is no mapping of relations", _DECLARATION_FORM))
         return
     for role, others in written.items():
         for other in _names(source, (*path, role), others, faults):
@@ -91,5 +91,5 @@ def _names(source: Source, path: Path, written: Any, faults: list[Fault]) -> lis
     names = [] if written is None else written if isinstance(written, list) else [written]
     if all(isinstance(name, str) and name for name in names):
         return names
-    faults.append(source.fault(path, "this is neither a name nor a list of names", _FORM))
+    faults.append(source.fault(path, "this is neither a name nor a list of names", _DECLARATION_FORM))
     return []

@@ -17,9 +17,9 @@ from cfgplan_runtime.streams.element import Element
 from cfgplan_runtime.streams.subscription import SubscriptionToTopic, subscribe
 from cfgplan_runtime.supervision.events import Event, TopicsStatus
 
-_LOOK_S = 0.2
+_FLOW_LOOK_S = 0.2
 _DRAIN_LOOK_S = 0.01
-_CLOSE_S = 5.0
+_FLOW_CLOSE_S = 5.0
 
 Listener = Callable[[str, Element], None]
 """Called with a topic and its element, in a thread of that topic: it may be slow."""
@@ -97,7 +97,7 @@ class Following:
             for topic in list(self._watches):
                 self._leave(topic)
             watches = list(self._left)
-        deadline = time.monotonic() + _CLOSE_S
+        deadline = time.monotonic() + _FLOW_CLOSE_S
         for watch in watches:
             watch.join(max(0.0, deadline - time.monotonic()))
 
@@ -135,11 +135,14 @@ class _Watch:
 
     def _watch(self) -> None:
         while not self._is_closed.is_set():
-            with suppress(NoSuchTopicError), subscribe(self._topic, run=self._run, timeout_s=_LOOK_S) as subscription:
+            with (
+                suppress(NoSuchTopicError),
+                subscribe(self._topic, run=self._run, timeout_s=_FLOW_LOOK_S) as subscription,
+            ):
                 self.is_connected = True
                 self._follow(subscription)
             self.is_connected = False
-            self._is_closed.wait(_LOOK_S)
+            self._is_closed.wait(_FLOW_LOOK_S)
 
     def _follow(self, subscription: SubscriptionToTopic) -> None:
         """Fetch until the topic has ended or this watch is closed."""

@@ -19,7 +19,7 @@ SMALLEST_SIDE = 16
 MOST_NUMBERS = 1024
 """An array of more numbers than this is recorded as the base64 of its bytes."""
 
-_TIME = {
+_TIME_SCHEMA = {
     "type": "object",
     "title": "time",
     "properties": {"sec": {"type": "integer", "minimum": 0}, "nsec": {"type": "integer", "minimum": 0}},
@@ -30,7 +30,7 @@ _RAW_IMAGE = {
     "type": "object",
     "title": "foxglove.RawImage",
     "properties": {
-        "timestamp": _TIME,
+        "timestamp": _TIME_SCHEMA,
         "frame_id": {"type": "string"},
         "width": _COUNT,
         "height": _COUNT,
@@ -43,7 +43,7 @@ _COMPRESSED_IMAGE = {
     "type": "object",
     "title": "foxglove.CompressedImage",
     "properties": {
-        "timestamp": _TIME,
+        "timestamp": _TIME_SCHEMA,
         "frame_id": {"type": "string"},
         "data": _BYTES,
         "format": {"type": "string"},
@@ -53,7 +53,7 @@ _LOG = {
     "type": "object",
     "title": "foxglove.Log",
     "properties": {
-        "timestamp": _TIME,
+        "timestamp": _TIME_SCHEMA,
         "level": _COUNT,
         "message": {"type": "string"},
         "name": {"type": "string"},

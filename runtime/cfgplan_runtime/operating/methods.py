@@ -28,7 +28,7 @@ from cfgplan_runtime.operating.declaration import declaration
 from cfgplan_runtime.operating.protocol import Record, RefusedError
 from cfgplan_runtime.operating.records import review_record, snapshot_record
 
-PATIENCE_S = 60.0
+REQUEST_PATIENCE_S = 60.0
 """How long a reply waits for the review that a change leads to."""
 
 
@@ -111,7 +111,7 @@ class Methods:
 
     def _ask(self, change: Change, params: Mapping[str, Any]) -> Record:
         """Request a change, and wait for what its review decides."""
-        wait_s = params.get("wait_s", PATIENCE_S)
+        wait_s = params.get("wait_s", REQUEST_PATIENCE_S)
         if isinstance(wait_s, bool) or not isinstance(wait_s, int | float) or not 0 <= wait_s <= LONGEST_WAIT_S:
             mend = f"write a number from 0 to {LONGEST_WAIT_S}"
             raise RefusedError("bad_params", "`wait_s` is no number of seconds that can be waited for", mend)

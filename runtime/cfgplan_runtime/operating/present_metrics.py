@@ -8,13 +8,12 @@ from typing import TypeAlias
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
+from cfgplan.costs import MICROSECONDS
 from cfgplan_runtime.children.messages import Flow
 from cfgplan_runtime.lifecycle.reports import Snapshot, UnitView
 from cfgplan_runtime.supervision.observation import Observation
 
-_US_PER_S = 1_000_000
-
-Values: TypeAlias = Iterable[tuple[tuple[str, ...], float]]
+LabelledValues: TypeAlias = Iterable[tuple[tuple[str, ...], float]]
 
 
 class Present(Collector):
@@ -39,8 +38,8 @@ def _configuration(now: Snapshot) -> Iterable[Metric]:
         ("pending_perturbations", "Perturbations that wait for a review.", len(now.pending)),
         ("horizon_seconds", "Length of the horizon.", now.horizon_s),
         ("horizon_left_seconds", "Time until the horizon is reached.", now.horizon_left_s),
-        ("cost_cpu_seconds", "Expected CPU time of what runs, over the horizon.", now.cost_us / _US_PER_S),
-        ("deferred_saving_cpu_seconds", "What is put off until the horizon would save.", now.saving_us / _US_PER_S),
+        ("cost_cpu_seconds", "Expected CPU time of what runs, over the horizon.", now.cost_us / MICROSECONDS),
+        ("deferred_saving_cpu_seconds", "What is put off until the horizon would save.", now.saving_us / MICROSECONDS),
     ):
         yield _gauge(name, help_text, (), [((), value)])
     yield _gauge(
@@ -69,22 +68,24 @@ def _targets(now: Snapshot, flows: Mapping[str, Flow]) -> Iterable[Metric]:
 def _units(units: Iterable[UnitView]) -> Iterable[Metric]:
     seen = _observed(units)
 
-    def values(read: Callable[[Observation], float]) -> Values:
+    def values(read: Callable[[Observation], float]) -> LabelledValues:
         return [(labels, read(one)) for labels, one in seen]
 
     names = ("unit", "transformation", "host")
-    yield _counter("unit_cpu_seconds", "CPU time since the start.", names, values(lambda one: one.cpu_us / _US_PER_S))
+    yield _counter(
+        "unit_cpu_seconds", "CPU time since the start.", names, values(lambda one: one.cpu_us / MICROSECONDS)
+    )
     yield _counter("unit_steps", "Steps since the start.", names, values(lambda one: one.steps))
     yield _counter("unit_step_errors", "Steps that failed.", names, values(lambda one: one.errors))
     yield _gauge("unit_memory_bytes", "Resident memory.", names, values(lambda one: one.memory_bytes))
     yield _gauge(
-        "unit_labor_cpu_seconds", "CPU time of the start.", names, values(lambda one: one.labor_us / _US_PER_S)
+        "unit_labor_cpu_seconds", "CPU time of the start.", names, values(lambda one: one.labor_us / MICROSECONDS)
     )
     yield _gauge(
         "unit_upkeep_cpu_ratio",
         "CPU time per second over the last observation.",
         names,
-        [(labels, one.upkeep_us / _US_PER_S) for labels, one in seen if one.upkeep_us is not None],
+        [(labels, one.upkeep_us / MICROSECONDS) for labels, one in seen if one.upkeep_us is not None],
     )
 
 
@@ -111,14 +112,14 @@ def _observed(units: Iterable[UnitView]) -> list[tuple[tuple[str, ...], Observat
     ]
 
 
-def _gauge(name: str, help_text: str, names: tuple[str, ...], values: Values) -> Metric:
+def _gauge(name: str, help_text: str, names: tuple[str, ...], values: LabelledValues) -> Metric:
     family = GaugeMetricFamily(f"cfgplan_{name}", help_text, labels=names)
     for labels, value in values:
         family.add_metric(labels, value)
     return family
 
 
-def _counter(name: str, help_text: str, names: tuple[str, ...], values: Values) -> Metric:
+def _counter(name: str, help_text: str, names: tuple[str, ...], values: LabelledValues) -> Metric:
     family = CounterMetricFamily(f"cfgplan_{name}", help_text, labels=names)
     for labels, value in values:
         family.add_metric(labels, value)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 
+from cfgplan.costs import MICROSECONDS
 from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.messages import FromChild
 
@@ -62,7 +63,6 @@ def cause_of_end(child: ChildProcess, status: int) -> str:
     return f"{end} (in step {child.steps} or later)" if child.steps else end
 
 
-_US_PER_S = 1_000_000
 _CLOCK_OF_ALL_THREADS = 2
 
 
@@ -84,7 +84,7 @@ def cpu_us_by_psutil(pid: int) -> int | None:
         times = psutil.Process(pid).cpu_times()
     except psutil.Error:
         return None
-    return round(float(times.user + times.system) * _US_PER_S)
+    return round(float(times.user + times.system) * MICROSECONDS)
 
 
 def memory_bytes(pid: int) -> int | None:

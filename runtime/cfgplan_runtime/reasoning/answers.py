@@ -71,4 +71,4 @@ class Answer:
     dropped: int = 0
 
 
-Report: TypeAlias = SetUp | Noted | Progressed | Answer
+QueryReport: TypeAlias = SetUp | Noted | Progressed | Answer

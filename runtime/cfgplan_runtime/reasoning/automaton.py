@@ -10,9 +10,9 @@ from cfgplan_runtime.reasoning.program import Program
 from cfgplan_runtime.reasoning.progression import NOW, Progression
 from cfgplan_runtime.reasoning.situations import (
     QUEUES,
+    AutomatonState,
     Queue,
     Registers,
-    Situation,
     Transition,
     moves_between,
     queues_in,
@@ -23,7 +23,7 @@ MOST_REMEMBERED: Final = 200_000
 """How many obligations and transitions are remembered before all but the present situation are forgotten."""
 MOST_MOMENTS: Final = 1_000_000
 _TRIED: Final = 3
-NEVER: Final = 1 << 62
+NEVER_DUE: Final = 1 << 62
 
 
 class Automaton:
@@ -31,12 +31,12 @@ class Automaton:
 
     def __init__(self, program: Program) -> None:
         self.program = program
-        self.start = Situation(None, ())
+        self.start = AutomatonState(None, ())
         self._intervals = [operator.interval for operator in program.operators]
         self._is_endless = [interval.end_ns is None for interval in self._intervals]
         self._store = self._new_store()
         self._remembered = 0
-        self._situations: dict[Obligation, Situation] = {}
+        self._situations: dict[Obligation, AutomatonState] = {}
 
     @property
     def remembered(self) -> int:
@@ -49,7 +49,7 @@ class Automaton:
         return self._remembered > MOST_REMEMBERED
 
     def learnt(
-        self, situation: Situation, moments: list[list[int]], time_ns: int, code: int
+        self, situation: AutomatonState, moments: list[list[int]], time_ns: int, code: int
     ) -> tuple[Transition, bool]:
         """Progress through a state, and whether every state like this one leads to the same.
 
@@ -67,7 +67,7 @@ class Automaton:
         return exact, False
 
     def _progressed(
-        self, situation: Situation, moments: list[list[int]], time_ns: int, code: int, *, is_exact: bool = False
+        self, situation: AutomatonState, moments: list[list[int]], time_ns: int, code: int, *, is_exact: bool = False
     ) -> Transition | None:
         """The transition from a situation; None if it depends on how long a queue is, and is not asked to be exact."""
         truths = []
@@ -104,7 +104,7 @@ class Automaton:
         }
         return self._situated(after, chosen, queues, used), moves_between(situation.registers, chosen, queues)
 
-    def _unqueued(self, situation: Situation, moments: list[list[int]]) -> Obligation | None:
+    def _unqueued(self, situation: AutomatonState, moments: list[list[int]]) -> Obligation | None:
         """A situation's obligation with every moment of its queues by itself."""
         if situation.obligation is None or not any(registers.has_queue for registers in situation.registers):
             return situation.obligation
@@ -127,7 +127,7 @@ class Automaton:
         chosen: dict[int, list[int]],
         queues: dict[int, Queue],
         used: dict[int, dict[int, bool]],
-    ) -> Situation:
+    ) -> AutomatonState:
         """The situation that an obligation is, with its moments numbered anew, or in a queue."""
         number = {operator: {moment: at for at, moment in enumerate(found)} for operator, found in chosen.items()}
 
@@ -146,13 +146,13 @@ class Automaton:
                 Registers(operator, len(moments), sum(used[operator][each] for each in moments), operator in queues)
                 for operator, moments in chosen.items()
             )
-            found = self._situations[obligation] = Situation(obligation, registers)
+            found = self._situations[obligation] = AutomatonState(obligation, registers)
             self._remembered += obligation.size
         if len(self._store) > MOST_REMEMBERED:
             self._remembered += MOST_REMEMBERED
         return found
 
-    def crossed(self, situation: Situation, moments: list[list[int]], time_ns: int, code: int) -> tuple[int, ...]:
+    def crossed(self, situation: AutomatonState, moments: list[list[int]], time_ns: int, code: int) -> tuple[int, ...]:
         """What makes two steps from a situation the same: how many intervals of each operator have begun and ended,
         and whether none, one or more are left in its queue.
         """
@@ -168,9 +168,9 @@ class Automaton:
                 key += (ended, bisect_right(found, time_ns - interval.end_ns - 1, 0, ended))
         return tuple(key)
 
-    def next_crossing(self, situation: Situation, moments: list[list[int]]) -> int:
+    def next_crossing(self, situation: AutomatonState, moments: list[list[int]]) -> int:
         """The least time at which an interval begins or ends."""
-        least = NEVER
+        least = NEVER_DUE
         for registers, found in zip(situation.registers, moments, strict=True):
             interval, begun = self._intervals[registers.operator], registers.begun
             if interval.end_ns is not None and found[0] + interval.end_ns < least:
@@ -183,7 +183,7 @@ class Automaton:
                 least = found[begun] + interval.begin_ns
         return least
 
-    def forget(self, situation: Situation) -> Situation:
+    def forget(self, situation: AutomatonState) -> AutomatonState:
         """Forget everything but the present situation, so that memory stays bounded."""
         self._store = self._new_store()
         obligation = situation.obligation
@@ -193,7 +193,7 @@ class Automaton:
         def same(one: Obligation) -> Obligation:
             return store.pending(one.operator, one.moment, one.is_begun)
 
-        kept = Situation(store.renamed(obligation, same), situation.registers)
+        kept = AutomatonState(store.renamed(obligation, same), situation.registers)
         assert kept.obligation is not None
         self._situations = {kept.obligation: kept}
         self._remembered = kept.obligation.size

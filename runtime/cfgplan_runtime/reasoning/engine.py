@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from cfgplan.domain import Target
 from cfgplan_runtime.errors import RuntimeFaultError
-from cfgplan_runtime.reasoning.answers import Answer, Noted, Progressed, Report, SetUp, UnmetTargetsError
+from cfgplan_runtime.reasoning.answers import Answer, Noted, Progressed, QueryReport, SetUp, UnmetTargetsError
 from cfgplan_runtime.reasoning.evaluator import Evaluator
 from cfgplan_runtime.reasoning.features import Feature
 from cfgplan_runtime.reasoning.monitor import Monitor
@@ -26,7 +26,7 @@ from cfgplan_runtime.reasoning.states import Synchroniser
 from cfgplan_runtime.reasoning.subscriptions import Subscriptions
 from cfgplan_runtime.reasoning.truth import VERDICT_OF, Verdict
 
-_LOOK_S = 0.1
+_ENGINE_LOOK_S = 0.1
 _MOST_AT_ONCE = 10_000
 _OWN_CLOCK_NS = 60 * 1_000_000_000
 """Streams whose times are further from the computer's clock than this have a clock of their own."""
@@ -45,7 +45,7 @@ class Engine:
         self,
         query: Query,
         subscriptions: Subscriptions,
-        report: Callable[[Report], None],
+        report: Callable[[QueryReport], None],
         *,
         name: str | None = None,
         clock_ns: Callable[[], int] = time.time_ns,
@@ -116,7 +116,7 @@ class Engine:
                         names[label]: why.replace(f"target {label}", names[label]) for label, why in reasons.items()
                     }
                     raise UnmetTargetsError(told)
-                time.sleep(_LOOK_S)
+                time.sleep(_ENGINE_LOOK_S)
         self._report(SetUp(topics, time.monotonic() - begin))
 
     def _take_down(self, labels: Sequence[str]) -> None:
@@ -156,8 +156,8 @@ class Engine:
                 if now >= told + every_s:
                     told = now
                     self._tell_progress()
-                left = _LOOK_S if end is None else max(0.0, end - now)
-                self._take(min(_LOOK_S, self._pause_s(), left), begin_ns)
+                left = _ENGINE_LOOK_S if end is None else max(0.0, end - now)
+                self._take(min(_ENGINE_LOOK_S, self._pause_s(), left), begin_ns)
                 if self._streams is not None and self._progress(self._streams) is not Verdict.OPEN:
                     break
                 if self._query.features and len(self._ended) == len(self._query.features):
@@ -167,7 +167,7 @@ class Engine:
     def _pause_s(self) -> float:
         """Seconds for which there is nothing to do unless a sample comes."""
         if self._streams is None:
-            return _LOOK_S
+            return _ENGINE_LOOK_S
         return max(0.0, (self._streams.due_ns() - self._now_ns()) / 1e9)
 
     def _take(self, timeout_s: float, begin_ns: int) -> None:

@@ -33,7 +33,7 @@ from cfgplan_runtime.reasoning.regions import (
 )
 from cfgplan_runtime.reasoning.truth import FALSE, TRUE, UNKNOWN, Truth
 
-Values: TypeAlias = Mapping[str, Any]
+FeatureValues: TypeAlias = Mapping[str, Any]
 """The value of each feature in a state; a feature without one is missing."""
 
 _COMPARE: Final[Mapping[str, Callable[[Any, Any], bool]]] = {
@@ -66,7 +66,7 @@ class Evaluator:
         self.last: Mapping[object, Truth] = {}
         """The truth of each condition that mattered in the last state."""
 
-    def truths(self, values: Values) -> Sequence[Truth]:
+    def truths(self, values: FeatureValues) -> Sequence[Truth]:
         """The truth of each proposition in a state."""
         known: dict[object, Truth] = {}
 
@@ -79,7 +79,7 @@ class Evaluator:
         self.last = known
         return found
 
-    def truth(self, condition: Condition, values: Values) -> Truth:
+    def truth(self, condition: Condition, values: FeatureValues) -> Truth:
         """The truth of one condition in a state."""
         try:
             return TRUE if self._holds(condition, values) else FALSE
@@ -92,7 +92,7 @@ class Evaluator:
                 self._tell(text)
             return UNKNOWN
 
-    def _holds(self, condition: Condition, values: Values) -> bool:
+    def _holds(self, condition: Condition, values: FeatureValues) -> bool:
         match condition:
             case Comparison(sign, left, right):
                 return _compared(sign, _value(left, values), _value(right, values))
@@ -106,7 +106,7 @@ class Evaluator:
             case Relation(name, left, right):
                 return rcc8(self._region(left, values), self._region(right, values)) == name
 
-    def _region(self, region: RegionName | Field, values: Values) -> Region:
+    def _region(self, region: RegionName | Field, values: FeatureValues) -> Region:
         if isinstance(region, RegionName):
             return self._regions[region.name]
         try:
@@ -115,7 +115,7 @@ class Evaluator:
             raise UnsuitableValueError(f"{region} is no region: {error}") from None
 
 
-def _value(value: Value, values: Values) -> Any:
+def _value(value: Value, values: FeatureValues) -> Any:
     match value:
         case Literal(literal):
             return literal
@@ -134,7 +134,7 @@ def _value(value: Value, values: Values) -> Any:
             return one + other if sign == "+" else one - other if sign == "-" else one * other
 
 
-def _number(value: Value, values: Values) -> float:
+def _number(value: Value, values: FeatureValues) -> float:
     found = _value(value, values)
     if _is_truth_value(found) or isinstance(found, (str, bytes)):
         raise UnsuitableValueError(f"{value} is {_shown(found)}, no number")
@@ -162,7 +162,7 @@ def _compared(sign: str, left: Any, right: Any) -> bool:
     return _COMPARE[sign](*numbers)
 
 
-def _point(field: Field, values: Values) -> tuple[float, float]:
+def _point(field: Field, values: FeatureValues) -> tuple[float, float]:
     try:
         point = point_from(_field(field, values))
     except NotAPointError as error:
@@ -172,7 +172,7 @@ def _point(field: Field, values: Values) -> tuple[float, float]:
     return point
 
 
-def _field(field: Field, values: Values) -> Any:
+def _field(field: Field, values: FeatureValues) -> Any:
     value = values.get(field.feature)
     for position, key in enumerate(field.keys):
         if value is None:

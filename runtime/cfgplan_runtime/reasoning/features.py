@@ -28,9 +28,9 @@ from cfgplan_runtime.reasoning.regions import NotARegionError, Region, region_fr
 
 FILE_BESIDE = "features.yaml"
 """The features file that is read if it is beside the environment file."""
-_NAME = re.compile(r"[^\W\d]\w*")
+_FEATURE_NAME = re.compile(r"[^\W\d]\w*")
 _RESERVED = frozenset({"always", "eventually", "until", "and", "or", "not", "in", "true", "false", "inf"})
-_FORM = "write `features:` and `regions:`, each a mapping of names"
+_FEATURES_FORM = "write `features:` and `regions:`, each a mapping of names"
 _KEYS = ("features", "regions")
 _FEATURE_KEYS = ("tag", "hold")
 
@@ -69,7 +69,7 @@ def of_targets(environment: Environment) -> DeclaredFeatures:
         {
             target.label: Feature(target.label, target.tag, target.topic)
             for target in environment.targets
-            if _NAME.fullmatch(target.label) and target.label not in _RESERVED
+            if _FEATURE_NAME.fullmatch(target.label) and target.label not in _RESERVED
         }
     )
 
@@ -80,9 +80,9 @@ def of_file(path: str | os.PathLike[str]) -> DeclaredFeatures:
     faults = list(source.faults)
     data = source.data
     if data is None:
-        raise InputError.of("the file is empty", file=source.file, mend=f"{_FORM}, or remove the file")
+        raise InputError.of("the file is empty", file=source.file, mend=f"{_FEATURES_FORM}, or remove the file")
     if not isinstance(data, Mapping):
-        raise InputError([*faults, source.fault((), "this is no features file", _FORM)])
+        raise InputError([*faults, source.fault((), "this is no features file", _FEATURES_FORM)])
     for key in data:
         if key not in _KEYS:
             mend = did_you_mean(str(key), _KEYS, "the keys here are features and regions")
@@ -172,7 +172,7 @@ def _feature(source: Source, name: str, written: Any, faults: list[Fault]) -> Fe
 
 
 def _bad_name(name: object) -> str | None:
-    if not isinstance(name, str) or not _NAME.fullmatch(name):
+    if not isinstance(name, str) or not _FEATURE_NAME.fullmatch(name):
         return "a name has letters, digits and _, and begins with a letter"
     return "it is a word of the formula language" if name in _RESERVED else None
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from cfgplan_runtime.operating.control_client import Control
 
 _PATIENCE_S = 60.0
-_LOOK_S = 0.2
+_SUBSCRIPTION_LOOK_S = 0.2
 _SETTLE_S = 5.0
 
 
@@ -60,7 +60,7 @@ class ManagedSubscriptions:
             self._manager.request(RemoveTargets(tuple(labels))).result(_PATIENCE_S)
 
     def samples(self, topic: str, wait_s: float) -> SubscriptionToTopic:
-        return subscribe(topic, run=self._run, wait_s=wait_s, timeout_s=_LOOK_S)
+        return subscribe(topic, run=self._run, wait_s=wait_s, timeout_s=_SUBSCRIPTION_LOOK_S)
 
     def listen(self, tell: Callable[[str], None]) -> None:
         def hear(report: Report) -> None:
@@ -101,7 +101,7 @@ class RemoteSubscriptions:
             self._call("withdraw", name=name)
 
     def samples(self, topic: str, wait_s: float) -> SubscriptionToTopic:
-        return subscribe(topic, run=self._control.system.run, wait_s=wait_s, timeout_s=_LOOK_S)
+        return subscribe(topic, run=self._control.system.run, wait_s=wait_s, timeout_s=_SUBSCRIPTION_LOOK_S)
 
     def listen(self, tell: Callable[[str], None]) -> None:
         """Nothing to report: events of another process are its operator's business."""

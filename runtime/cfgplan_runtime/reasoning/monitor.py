@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from cfgplan.errors import InvalidValueError
-from cfgplan_runtime.reasoning.automaton import NEVER, Automaton
+from cfgplan_runtime.reasoning.automaton import NEVER_DUE, Automaton
 from cfgplan_runtime.reasoning.obligations import Kind, Obligation, bound
 from cfgplan_runtime.reasoning.program import Program, compiled
-from cfgplan_runtime.reasoning.situations import Situation, moved, pending_of
+from cfgplan_runtime.reasoning.situations import AutomatonState, moved, pending_of
 from cfgplan_runtime.reasoning.syntax import Formula
 from cfgplan_runtime.reasoning.truth import FALSE, TRUE, UNKNOWN, VERDICT_OF, Truth, Verdict
 
@@ -47,7 +47,7 @@ class Monitor:
         self._automaton = Automaton(self.program)
         self._situation = self._automaton.start
         self._moments: list[list[int]] = []
-        self._quiet_until = NEVER
+        self._quiet_until = NEVER_DUE
         self._expired: list[Waiting] = []
 
     @property
@@ -138,7 +138,7 @@ class Monitor:
         """The operators whose intervals had ended when the verdict became final."""
         return self._expired
 
-    def _waiting(self, situation: Situation, moments: list[list[int]]) -> list[Waiting]:
+    def _waiting(self, situation: AutomatonState, moments: list[list[int]]) -> list[Waiting]:
         position = {registers.operator: place for place, registers in enumerate(situation.registers)}
         found: dict[Waiting, None] = {}
         for operator, moment in sorted(pending_of(situation.obligation)):
@@ -152,7 +152,7 @@ class Monitor:
 
     def _follow(self, times_ns: Iterable[int], codes: Iterable[int]) -> Verdict:
         situation, moments, quiet_until = self._situation, self._moments, self._quiet_until
-        last = -NEVER if self.time_ns is None else self.time_ns
+        last = -NEVER_DUE if self.time_ns is None else self.time_ns
         count = 0
         try:
             if situation.verdict is not Verdict.OPEN:

@@ -21,7 +21,7 @@ from cfgplan.errors import CfgplanError
 from cfgplan_runtime.reasoning.truth import FALSE, TRUE, UNKNOWN, Truth
 
 MOST_MEMBERS: Final = 50_000
-_MOST_COMPARED: Final = 24
+_MOST_PARTS_COMPARED: Final = 24
 
 
 class TooManyObligationsError(CfgplanError):
@@ -229,7 +229,7 @@ class Store:
         """Members without those that another makes needless; among many, only near ones are compared."""
         kept: dict[Obligation, None] = {}
         for position, part in enumerate(nested):
-            others = nested if len(nested) <= _MOST_COMPARED else nested[max(0, position - 2) : position + 3]
+            others = nested if len(nested) <= _MOST_PARTS_COMPARED else nested[max(0, position - 2) : position + 3]
             if not any(self._makes_needless(kind, other, part) for other in others if other is not part):
                 kept[part] = None
         return kept

@@ -35,7 +35,7 @@ class Fixed:
 
 
 @dataclass(frozen=True, slots=True)
-class Literal:
+class Proposition:
     """A proposition, by its number, or its negation."""
 
     number: int
@@ -47,7 +47,7 @@ class Joined:
     """A conjunction or a disjunction of two or more."""
 
     is_and: bool
-    parts: tuple[Step, ...]
+    parts: tuple[ProgramStep, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ class Operated:
     number: int
 
 
-Step: TypeAlias = Fixed | Literal | Joined | Operated
+ProgramStep: TypeAlias = Fixed | Proposition | Joined | Operated
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +65,8 @@ class Operator:
     """`left until right` in an interval; or `left release right`: `right` in each of it, up to one with `left`."""
 
     is_until: bool
-    left: Step
-    right: Step
+    left: ProgramStep
+    right: ProgramStep
     interval: Interval
     text: str = field(compare=False)
 
@@ -81,7 +81,7 @@ class Program:
     text: str
     propositions: tuple[Formula, ...]
     operators: tuple[Operator, ...]
-    root: Step
+    root: ProgramStep
 
 
 def compiled(formula: Formula) -> Program:
@@ -115,14 +115,14 @@ class _Compiler:
         self.propositions: dict[Formula, int] = {}
         self.operators: dict[Operator, int] = {}
 
-    def step(self, formula: Formula, negated: bool) -> Step:
+    def step(self, formula: Formula, negated: bool) -> ProgramStep:
         match formula:
             case Constant(value):
                 return Fixed(TRUE if value != negated else FALSE)
             case Not(part):
                 return self.step(part, not negated)
             case _ if _is_of_one_state(formula):
-                return Literal(self.propositions.setdefault(formula, len(self.propositions)), negated)
+                return Proposition(self.propositions.setdefault(formula, len(self.propositions)), negated)
             case And(left, right):
                 return self._joined(not negated, [(left, negated), (right, negated)])
             case Or(left, right):
@@ -138,16 +138,16 @@ class _Compiler:
             case _:
                 raise TypeError(f"{formula!r} is no formula")
 
-    def _joined(self, is_and: bool, parts: Sequence[tuple[Formula, bool]]) -> Step:
-        flat: dict[Step, None] = {}
+    def _joined(self, is_and: bool, parts: Sequence[tuple[Formula, bool]]) -> ProgramStep:
+        flat: dict[ProgramStep, None] = {}
         for part, negated in parts:
             step = self.step(part, negated)
             flat.update(dict.fromkeys(step.parts if isinstance(step, Joined) and step.is_and == is_and else [step]))
         return Joined(is_and, tuple(flat)) if len(flat) > 1 else next(iter(flat))
 
     def _operated(
-        self, is_until: bool, left: Step, right: Formula, interval: Interval, negated: bool, formula: Formula
-    ) -> Step:
+        self, is_until: bool, left: ProgramStep, right: Formula, interval: Interval, negated: bool, formula: Formula
+    ) -> ProgramStep:
         text = f"not ({formula})" if negated else str(formula)
         operator = Operator(is_until, left, self.step(right, negated), interval, text)
         return Operated(self.operators.setdefault(operator, len(self.operators)))

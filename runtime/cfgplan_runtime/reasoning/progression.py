@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 from cfgplan_runtime.reasoning.obligations import Kind, Obligation, Store
-from cfgplan_runtime.reasoning.program import Fixed, Joined, Literal, Program, Step
+from cfgplan_runtime.reasoning.program import Fixed, Joined, Program, ProgramStep, Proposition
 from cfgplan_runtime.reasoning.truth import FALSE, TRUE, Truth
 
 NOW: Final = 1 << 62
@@ -51,11 +51,11 @@ class Progression:
             self._progressed[obligation] = found
         return found
 
-    def _of_step(self, step: Step) -> Obligation:
+    def _of_step(self, step: ProgramStep) -> Obligation:
         match step:
             case Fixed(truth):
                 return self._store.values[truth]
-            case Literal(number, is_negated):
+            case Proposition(number, is_negated):
                 truth = self._truths[number]
                 return self._store.values[TRUE - truth if is_negated else truth]
             case Joined(is_and, parts):

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
     Node: TypeAlias = Tree[Token] | Token
 
-DEEPEST = 60
+DEEPEST_FORMULA = 60
 _PLAIN_SIGN = {"≤": "<=", "≥": ">=", "≠": "!=", "=": "=="}
 _NOTHING = Constant(True)
 
@@ -63,9 +63,11 @@ class Reader:
     @contextmanager
     def _deeper(self, node: Node) -> Iterator[bool]:
         self._depth += 1
-        if self._depth > DEEPEST:
-            self._names.wrong(node, f"the formula is nested more than {DEEPEST} deep", "split it into several queries")
-        yield self._depth <= DEEPEST
+        if self._depth > DEEPEST_FORMULA:
+            self._names.wrong(
+                node, f"the formula is nested more than {DEEPEST_FORMULA} deep", "split it into several queries"
+            )
+        yield self._depth <= DEEPEST_FORMULA
         self._depth -= 1
 
     def _formula(self, node: Any) -> Formula:

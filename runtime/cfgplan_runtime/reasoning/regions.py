@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     from shapely import Polygon
 
 _QUARTER_SEGMENTS = 64
-_FORMS = "write {polygon: [[x, y], ...]}, {circle: [x, y], radius: r} or {box: [x, y, x, y]}"
+_REGION_FORMS = "write {polygon: [[x, y], ...]}, {circle: [x, y], radius: r} or {box: [x, y, x, y]}"
 
 
 class NotARegionError(CfgplanError):
     """A value that is no region; `mend` says what would be one."""
 
-    def __init__(self, message: str, mend: str = _FORMS) -> None:
+    def __init__(self, message: str, mend: str = _REGION_FORMS) -> None:
         super().__init__(message)
         self.mend = mend
 

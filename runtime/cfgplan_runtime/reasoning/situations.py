@@ -45,10 +45,10 @@ class Queue(NamedTuple):
     with_now: bool
 
 
-Transition: TypeAlias = "tuple[Situation, tuple[Move, ...] | None]"
+Transition: TypeAlias = "tuple[AutomatonState, tuple[Move, ...] | None]"
 
 
-class Situation:
+class AutomatonState:
     __slots__ = ("begins", "crossing", "obligation", "quiet", "registers", "verdict")
 
     def __init__(self, obligation: Obligation | None, registers: tuple[Registers, ...]) -> None:

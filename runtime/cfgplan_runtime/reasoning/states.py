@@ -15,8 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from cfgplan.errors import InvalidValueError
-
-_SECOND_NS = 1_000_000_000
+from cfgplan_runtime.reasoning.vocabulary import SECOND_NS
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,12 +27,12 @@ class Timing:
     `patience_ns` is how long to wait for the first sample of every feature before states begin without.
     """
 
-    hold_ns: int = _SECOND_NS
-    delay_ns: int = _SECOND_NS // 5
+    hold_ns: int = SECOND_NS
+    delay_ns: int = SECOND_NS // 5
     rate_hz: float | None = None
     tolerance_ns: int = 0
-    beat_ns: int = _SECOND_NS // 4
-    patience_ns: int = 10 * _SECOND_NS
+    beat_ns: int = SECOND_NS // 4
+    patience_ns: int = 10 * SECOND_NS
 
     def __post_init__(self) -> None:
         if self.rate_hz is not None and not 0 < self.rate_hz <= 1e6:
@@ -43,7 +42,7 @@ class Timing:
 
 
 @dataclass(frozen=True, slots=True)
-class State:
+class FeatureState:
     """The features' values at a time; a feature without a value is missing."""
 
     time_ns: int
@@ -89,7 +88,7 @@ class Synchroniser:
             self.late += 1
         samples.append((time_ns, value))
 
-    def ready(self, now_ns: int) -> Iterator[State]:
+    def ready(self, now_ns: int) -> Iterator[FeatureState]:
         """The states that can be given now, in the order of time."""
         while True:
             self._start(now_ns)
@@ -123,7 +122,7 @@ class Synchroniser:
         if self._last_ns is None:
             return start
         if self._timing.rate_hz is not None:
-            return start + round(self._number * _SECOND_NS / self._timing.rate_hz)
+            return start + round(self._number * SECOND_NS / self._timing.rate_hz)
         least = self._last_ns + self._timing.beat_ns
         for each in self._features.values():
             for time_ns, _ in each.samples:
@@ -143,7 +142,7 @@ class Synchroniser:
         times = (each for feature in self._features.values() for each, _ in feature.samples)
         return max((each for each in times if time_ns <= each <= last), default=time_ns)
 
-    def _state(self, time_ns: int, *, is_forced: bool) -> State:
+    def _state(self, time_ns: int, *, is_forced: bool) -> FeatureState:
         values = {}
         for name, each in self._features.items():
             while len(each.samples) > 1 and each.samples[1][0] <= time_ns:
@@ -156,4 +155,4 @@ class Synchroniser:
         self._number += 1
         self.states += 1
         self.forced += is_forced
-        return State(time_ns, values, is_forced)
+        return FeatureState(time_ns, values, is_forced)

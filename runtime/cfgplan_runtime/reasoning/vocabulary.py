@@ -15,18 +15,18 @@ from cfgplan_runtime.reasoning.regions import Region
 from cfgplan_runtime.reasoning.syntax import ALL_TIME, Interval
 
 FUNCTIONS = ("in", "distance", "abs", *RCC8)
-_SECOND_NS = 1_000_000_000
+SECOND_NS = 1_000_000_000
 _UNIT_NS = {
     "ns": 1,
     "us": 1_000,
     "µs": 1_000,
     "ms": 1_000_000,
-    "s": _SECOND_NS,
-    "min": 60 * _SECOND_NS,
-    "m": 60 * _SECOND_NS,
-    "h": 3600 * _SECOND_NS,
+    "s": SECOND_NS,
+    "min": 60 * SECOND_NS,
+    "m": 60 * SECOND_NS,
+    "h": 3600 * SECOND_NS,
 }
-_LONGEST_NS = 100 * 366 * 24 * 3600 * _SECOND_NS
+_LONGEST_NS = 100 * 366 * 24 * 3600 * SECOND_NS
 
 
 @dataclass(frozen=True)

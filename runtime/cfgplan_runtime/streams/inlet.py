@@ -16,7 +16,7 @@ _BEFORE_ALL: Moment = (-(1 << 63), -1)
 
 
 @dataclass(slots=True)
-class Inlet:
+class InputQueue:
     """One input. Sources are numbers of wires; sockets are handled elsewhere. `limit` is for a standby's elements."""
 
     limit: int

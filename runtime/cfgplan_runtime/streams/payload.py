@@ -16,7 +16,7 @@ from cfgplan_runtime.errors import EncodingError
 
 Buffer: TypeAlias = "bytes | bytearray | memoryview"
 
-_LENGTH = struct.Struct("<I")
+_PAYLOAD_HEAD = struct.Struct("<I")
 _ARRAY = 1
 _ALIGNMENT = 16
 
@@ -40,8 +40,8 @@ class PayloadEncoder:
         except (TypeError, ValueError, OverflowError, RecursionError, msgspec.MsgspecError) as error:
             raise EncodingError(f"a value of type {type(value).__name__} can't be sent: {error}") from None
         if not self._arrays:
-            return [_LENGTH.pack(len(body)) + body]
-        head = _LENGTH.pack(len(body)) + body
+            return [_PAYLOAD_HEAD.pack(len(body)) + body]
+        head = _PAYLOAD_HEAD.pack(len(body)) + body
         return [head + bytes(-len(head) % _ALIGNMENT), *self._arrays]
 
     def _foreign(self, value: Any) -> object:
@@ -68,10 +68,10 @@ class PayloadEncoder:
 def decode(payload: Buffer) -> Any:
     """The value of a payload; its arrays are views of it. Raises EncodingError if it is no payload."""
     try:
-        (length,) = _LENGTH.unpack_from(payload)
-        end = _LENGTH.size + length
+        (length,) = _PAYLOAD_HEAD.unpack_from(payload)
+        end = _PAYLOAD_HEAD.size + length
         view = memoryview(bytearray(payload) if isinstance(payload, bytes) and end < len(payload) else payload)
-        body, arrays = view[_LENGTH.size : end], view[end + -end % _ALIGNMENT :]
+        body, arrays = view[_PAYLOAD_HEAD.size : end], view[end + -end % _ALIGNMENT :]
         return msgspec.msgpack.Decoder(ext_hook=lambda code, data: _array(code, data, arrays)).decode(body)
     except (struct.error, ValueError, TypeError, msgspec.MsgspecError) as error:
         raise EncodingError(f"a received value can't be read: {error}") from None

@@ -9,7 +9,7 @@ from cfgplan_runtime.children.messages import PortCounts
 from cfgplan_runtime.supervision.backend import Usage
 from cfgplan_runtime.supervision.events import UnitFailed, UnitStatus
 
-_SHORTEST_S = 0.5
+_SHORTEST_INTERVAL_S = 0.5
 """The rate is counted over at least this long, since signs of life may be read together."""
 
 
@@ -67,7 +67,7 @@ class UnitRecord:
     def note_status(self, status: UnitStatus, now_s: float) -> None:
         """Note the counts of a sign of life."""
         steps, at_s = self._counted or (status.steps, now_s)
-        if self._counted is None or now_s - at_s >= _SHORTEST_S:
+        if self._counted is None or now_s - at_s >= _SHORTEST_INTERVAL_S:
             self._counted = status.steps, now_s
             self.steps_per_s = (status.steps - steps) / (now_s - at_s) if now_s > at_s else 0.0
         given = sum(counts.elements for counts in status.outputs.values())

@@ -23,7 +23,6 @@ from cfgplan_runtime.supervision.events import (
     WireSwitched,
 )
 
-_US_PER_S = 1_000_000
 _OF_A_UNIT = (UnitReady, UnitDied, UnitStopped, UnitStatus)
 
 

@@ -1,0 +1,33 @@
+"""No two classes, types or constants of the product have one name, wherever they are."""
+
+from __future__ import annotations
+
+import ast
+from collections import defaultdict
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent
+ALLOWED = {"T", "__all__", "_HOMES", "_HOME_OF"}
+"""A function's own type variable, what Python asks each package for, and what a package's `__getattr__` reads."""
+
+
+def test_no_two_classes_types_or_constants_have_one_name() -> None:
+    homes = defaultdict(list)
+    for room in ("cfgplan", "runtime"):
+        for path in sorted((ROOT / room).rglob("*.py")):
+            for name in _names(ast.parse(path.read_text(encoding="utf-8"))):
+                homes[name].append(path.relative_to(ROOT).as_posix())
+    assert {name: files for name, files in homes.items() if len(files) > 1 and name not in ALLOWED} == {}
+
+
+def _names(module: ast.Module) -> list[str]:
+    """Those of the module's classes and of what it assigns."""
+    assigned = [node for part in module.body if isinstance(part, ast.Assign | ast.AnnAssign) for node in _targets(part)]
+    return [
+        *(part.name for part in module.body if isinstance(part, ast.ClassDef)),
+        *(node.id for target in assigned for node in ast.walk(target) if isinstance(node, ast.Name)),
+    ]
+
+
+def _targets(part: ast.Assign | ast.AnnAssign) -> list[ast.expr]:
+    return part.targets if isinstance(part, ast.Assign) else [part.target]
