@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import cached_property
+from typing import Protocol, TypeVar
 
 from cfgplan.domain import Environment, InputPort, Similarity, Transformation
 from cfgplan.planning import Problem
+
+Item = TypeVar("Item")
+
+
+class Each(Protocol):
+    """Goes through items; it may raise an exception to end work that takes too long."""
+
+    def __call__(self, items: Iterable[Item], /) -> Iterable[Item]: ...
 
 
 def unmet_reasons(
@@ -67,8 +76,6 @@ class Givers:
         self._library = library
         self._similarity = similarity
         self._rows: dict[str, tuple[str, ...]] = {}
-        self.watch: Callable[[], None] = lambda: None
-        """Called repeatedly during a closure. It may raise an exception to end the closure."""
 
     def among(self, labels: Collection[str]) -> Givers:
         """The same for a part of the library."""
@@ -95,7 +102,7 @@ class Givers:
         return self._similarity.offers.get(tag, frozenset())
 
 
-def startable(environment: Environment, givers: Givers) -> frozenset[str]:
+def startable(environment: Environment, givers: Givers, each: Each = iter) -> frozenset[str]:
     """The labels of all transformations of which a unit can be fed in some valid, grounded wiring.
 
     More providers never hurt, so one wiring feeds them all at once. A feedback input may be fed by any
@@ -103,7 +110,7 @@ def startable(environment: Environment, givers: Givers) -> frozenset[str]:
     """
     alive = frozenset(environment.transformation)
     while True:
-        reached = forward_closure(environment, givers, alive)
+        reached = forward_closure(environment, givers, alive, each)
         if reached == alive or not any(
             p.feedback for label in reached for p in environment.transformation[label].inputs
         ):
@@ -165,7 +172,9 @@ def assign_different(choices: Mapping[str, Collection[str]]) -> dict[str, str] |
     return {port: label for label, port in port_of.items()}
 
 
-def forward_closure(environment: Environment, givers: Givers, alive: frozenset[str]) -> frozenset[str]:
+def forward_closure(
+    environment: Environment, givers: Givers, alive: frozenset[str], each: Each = iter
+) -> frozenset[str]:
     """The labels of the transformations that can be fed, starting from sources. A feedback input may be fed by anything
     `alive`.
 
@@ -199,14 +208,11 @@ def forward_closure(environment: Environment, givers: Givers, alive: frozenset[s
                 fed.add(tag)
         (crowded if distinct_groups(transformation) else ahead).append(transformation)
 
-    for transformation in environment.library:
-        givers.watch()
+    for transformation in each(environment.library):
         if transformation.label in alive:
             go_on(transformation)
     while ahead or crowded:
-        while ahead:
-            givers.watch()
-            transformation = ahead.pop()
+        for transformation in each(ahead):
             reached.add(transformation.label)
             for port in transformation.outputs:
                 if port.tag not in offered:

@@ -37,13 +37,13 @@ def _unprepared(
     search: type[Search], rules: Sequence[ModelRule], problem: Problem, limit_s: float | None, report: Report
 ) -> Plan:
     clock = Clock(limit_s)
-    closure = Closure.of(problem)
+    closure = Closure.of(problem, clock)
     reasons = unmet_reasons(problem, possible=closure.possible)
     if reasons:
         return Plan("cpsat", Status.INFEASIBLE, reasons=reasons, seconds=clock.end("closure"))
     standing = Standing(problem, clock, report)
     with suppress(OutOfTimeError):
-        search(Candidates(problem, closure, watch=clock.check), standing, rules=rules).run()
+        search(Candidates(problem, closure, clock=clock), standing, rules=rules).run()
     clock.end("search")
     return standing.plan()
 

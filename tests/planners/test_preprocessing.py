@@ -35,7 +35,7 @@ class Stage:
         self.used = {unit.transformation for unit in environment.update(plan.change_set).units}
         self.givers = Givers(environment.library, problem.similarity)
         self.possible = startable(environment, self.givers)
-        self.relevant = relevant(environment, self.givers, self.possible)
+        self.relevant = relevant(environment, self.givers, self.possible, Clock())
         library = [t for t in environment.library if t.label in self.relevant]
         self.network = Network(library, [target.tag for target in environment.targets], [], self.givers)
         running = {unit.transformation for unit in environment.units}

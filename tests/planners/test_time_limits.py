@@ -5,6 +5,7 @@ Nothing is timed: the clock is one that goes on by a second whenever somebody lo
 
 from __future__ import annotations
 
+import ast
 import itertools
 import os
 import sys
@@ -22,6 +23,7 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from worlds import problems
 
+import cfgplan.planners
 from cfgplan.comparing.families.random_library import random_library
 from cfgplan.figures import cost_parts
 from cfgplan.planners.cpsat import plan
@@ -187,9 +189,21 @@ def test_some_time_after_a_stop_nothing_is_begun_any_more() -> None:
     stop, fake = Event(), Looks()
     with patch.object(clock, "time", SimpleNamespace(monotonic=fake.monotonic)):
         watched = Clock(None, stop)
-        watched.check()
+        next(watched.each("a"))
         stop.set()
         assert watched.is_over()
         with pytest.raises(OutOfTimeError):
             for _ in range(2 + int(STOPPING_S)):
-                watched.check()
+                next(watched.each("a"))
+
+
+def test_work_is_given_up_by_loops_over_each_alone() -> None:
+    room = Path(cfgplan.planners.__file__).parent
+    for path in (*room.rglob("*.py"), room.parent / "reasons.py"):
+        names = {
+            node.attr if isinstance(node, ast.Attribute) else node.arg if isinstance(node, ast.arg) else node.id
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+            if isinstance(node, ast.Attribute | ast.arg | ast.Name)
+        }
+        assert names.isdisjoint({"watch", "check"}), path
+        assert path == room / "solving" / "clock.py" or "_check" not in names, path

@@ -30,8 +30,7 @@ class Anywhere:
         self.units = [unit for unit in range(len(candidates.all)) if flat.places(unit)]
         number = {unit: n for n, unit in enumerate(self.units)}
         givers: dict[Fact, set[int]] = {}
-        for fact, labels in flat.givers.items():
-            candidates.watch()
+        for fact, labels in clock.each(flat.givers.items()):
             givers.setdefault(_hostless(fact), set()).update(number[flat.labels[label].unit] for label in labels)
         self._fact_of = {fact: number for number, fact in enumerate(givers)}
         self._givers = [sorted(units) for units in givers.values()]
@@ -56,8 +55,7 @@ class Anywhere:
         for unit, is_there in zip(self.units, there, strict=True):
             cp.add_exactly_one(*model.runs[unit], is_there.negated())
         met = [cp.new_bool_var("") for _ in self._givers]
-        for fact, holds in model.holds.items():
-            model.candidates.watch()
+        for fact, holds in model.candidates.clock.each(model.holds.items()):
             cp.add_implication(holds, met[self._fact_of[_hostless(fact)]])
         for needs, is_there in zip(self._needs, there, strict=True):
             for fact_number in needs:

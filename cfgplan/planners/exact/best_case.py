@@ -45,8 +45,7 @@ def range_of_use(candidates: Candidates, attribute: QualityAttribute) -> dict[St
             if stream in best and (stream not in used or attribute.is_better(used[stream], worst)):
                 used[stream] = worst
     streams_of = Counter(stream.unit for stream in used)
-    for stream, worst in used.items():
-        candidates.watch()
+    for stream, worst in candidates.clock.each(used.items()):
         i = candidates.index_of[stream.unit]
         if candidates.is_asked_for(i) or streams_of[stream.unit] > 1 or attribute.is_better(worst, best[stream]):
             used[stream] = attribute.worst
@@ -122,8 +121,7 @@ def _best_values(candidates: Candidates, attribute: QualityAttribute) -> dict[St
     ahead = [i for i, candidate in enumerate(candidates.all) if candidate.may_run]
     for _ in candidates.all:
         better: set[str] = set()
-        for i in ahead:
-            candidates.watch()
+        for i in candidates.clock.each(ahead):
             candidate = candidates.all[i]
             fed = [at[tag] for tag in ordinary[i] if tag in at]
             if len(fed) < len(ordinary[i]) or not candidate.may_run:
@@ -190,8 +188,7 @@ def _worst_of_use(candidates: Candidates, attribute: QualityAttribute) -> dict[s
     ahead = set(allowed)
     while ahead:
         worse: set[str] = set()
-        for number in sorted({number for tag in ahead for number in meeting[tag]}):
-            candidates.watch()
+        for number in candidates.clock.each(sorted({number for tag in ahead for number in meeting[tag]})):
             tags, stated, candidate = fed[number]
             wanted = worst_of([allowed[tag] for tag in tags if tag in allowed])
             ordinary = _allowed_before(attribute, candidate, stated, wanted)

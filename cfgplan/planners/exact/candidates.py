@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,6 +11,7 @@ from cfgplan.costs import keep_cost_us, standby_cost_us, start_cost_us
 from cfgplan.domain import ComputationUnit, Environment, Stream, Transformation
 from cfgplan.planners.networks.keys import may_stay
 from cfgplan.planners.networks.network import Network
+from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Problem, fresh_units
 from cfgplan.qualities import QualityAttribute, worst_allowed
 from cfgplan.reasons import Givers, startable
@@ -45,12 +46,16 @@ class Closure:
     relevant: frozenset[str]
 
     @classmethod
-    def of(cls, problem: Problem, watch: Callable[[], None] = lambda: None) -> Closure:
-        """The closure of a library. `watch` is called again and again, and may end the work by an exception."""
-        givers = Givers(problem.environment.library, problem.similarity)
-        givers.watch = watch
-        possible = startable(problem.environment, givers)
-        return cls(givers, possible, relevant(problem.environment, givers, possible))
+    def of(cls, problem: Problem, clock: Clock, old: Closure | None = None) -> Closure:
+        """The closure of a problem; `old` is one of the same library and matching. Raises OutOfTimeError."""
+        environment = problem.environment
+        if old is not None:
+            givers, possible = old.givers, old.possible
+        else:
+            givers = Givers(environment.library, problem.similarity)
+            possible = startable(environment, givers, clock.each)
+            givers = givers.among(possible)
+        return cls(givers, possible, relevant(environment, givers, possible, clock))
 
 
 class Candidates:
@@ -61,20 +66,19 @@ class Candidates:
         problem: Problem,
         closure: Closure | None = None,
         among: Collection[str] | None = None,
-        watch: Callable[[], None] = lambda: None,
+        clock: Clock | None = None,
     ) -> None:
         """All candidates, or those of the transformations in `among`.
 
-        `watch` is called again and again, here and by those who use the candidates, and may end the work by an
-        exception.
+        The `clock` is looked at here and by those who use the candidates; raises OutOfTimeError.
         """
         self.problem = problem
         self.environment = problem.environment
-        self.watch = watch
-        self.closure = Closure.of(problem, watch) if closure is None else closure
+        self.clock = Clock() if clock is None else clock
+        self.closure = Closure.of(problem, self.clock) if closure is None else closure
         self.givers, self.possible = self.closure.givers, self.closure.possible
         labels = self.closure.relevant if among is None else self.closure.relevant.intersection(among)
-        self.all = tuple(_candidates(problem, labels, watch))
+        self.all = tuple(_candidates(problem, labels, self.clock))
         self.index_of: dict[str, int] = {}
         self._units: dict[str, list[int]] = defaultdict(list)
         for i, candidate in enumerate(self.all):
@@ -98,7 +102,7 @@ class Candidates:
 
     def among(self, labels: Collection[str]) -> Candidates:
         """The candidates of some transformations, with the bounds and useless streams known so far."""
-        part = Candidates(self.problem, self.closure, labels, self.watch)
+        part = Candidates(self.problem, self.closure, labels, self.clock)
         part.bounds, part._useless = dict(self.bounds), set(self._useless)
         return part
 
@@ -113,21 +117,19 @@ class Candidates:
 
         Targets that none of them can meet are left out.
         """
-        self.watch()
         library = tuple(self.all[self._units[label][0]].transformation for label in sorted(self._units))
         if not self._is_closed:
-            left = startable(Environment((), library), self.givers)
+            left = startable(Environment((), library), self.givers, self.clock.each)
             library = tuple(t for t in library if t.label in left)
-        self.watch()
         labels = {t.label for t in library}
         asked = {c.transformation.label for i, c in enumerate(self.all) if self.is_asked_for(i)}
         targets = [target.tag for target in self.environment.targets]
-        self.watch()
         return Network(
             library,
             [tag for tag in targets if not labels.isdisjoint(self.givers.of(tag))],
             asked & labels,
             self.givers,
+            self.clock.each,
         )
 
     def numbers(self, labels: Iterable[str]) -> list[int]:
@@ -148,7 +150,6 @@ class Candidates:
 
     def streams(self, tag: str) -> tuple[Stream, ...]:
         """The streams of candidates that may run and match the demanded tag."""
-        self.watch()
         if tag not in self._streams:
             self._streams[tag] = tuple(
                 Stream(self.all[i].id, port.name)
@@ -224,7 +225,7 @@ class Candidates:
         )
 
 
-def relevant(environment: Environment, givers: Givers, possible: frozenset[str]) -> frozenset[str]:
+def relevant(environment: Environment, givers: Givers, possible: frozenset[str], clock: Clock) -> frozenset[str]:
     """The labels out of `possible` that a target, a pinned unit or a number asks for, directly or through others."""
     library = environment.transformation
     asked = {t.label for t in environment.library if t.min_instances}
@@ -233,8 +234,7 @@ def relevant(environment: Environment, givers: Givers, possible: frozenset[str])
     ahead = [target.tag for target in environment.targets]
     ahead += [port.tag for label in sorted(found) for port in library[label].inputs]
     seen = set(ahead)
-    for tag in ahead:
-        givers.watch()
+    for tag in clock.each(ahead):
         for label in givers.of(tag):
             if label in possible and label not in found:
                 found.add(label)
@@ -244,11 +244,10 @@ def relevant(environment: Environment, givers: Givers, possible: frozenset[str])
     return frozenset(found)
 
 
-def _candidates(problem: Problem, labels: frozenset[str], watch: Callable[[], None]) -> Iterator[Candidate]:
+def _candidates(problem: Problem, labels: frozenset[str], clock: Clock) -> Iterator[Candidate]:
     """Running units, then new ones."""
     environment, horizon_s = problem.environment, problem.horizon_s
-    for unit in environment.units:
-        watch()
+    for unit in clock.each(environment.units):
         if unit.transformation in labels and _may_go_on(problem, unit):
             transformation = environment.transformation[unit.transformation]
             yield Candidate(
@@ -261,8 +260,7 @@ def _candidates(problem: Problem, labels: frozenset[str], watch: Callable[[], No
                 unit.standby,
                 standby_cost_us(transformation, horizon_s),
             )
-    for label, unit_ids in fresh_units(environment, _numbers_of_new(problem, labels)).items():
-        watch()
+    for label, unit_ids in clock.each(fresh_units(environment, _numbers_of_new(problem, labels)).items()):
         transformation = environment.transformation[label]
         hosts = environment.hosts_for(transformation)
         for unit_id in unit_ids if hosts else ():

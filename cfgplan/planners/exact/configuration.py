@@ -96,7 +96,7 @@ class Configuration:
         all_of, targets = self.candidates.all, self.candidates.environment.targets
         if self.candidates.problem.survive is None:
             return True
-        for i in sorted(self.hot, key=lambda i: (-all_of[i].cost_us, i)):
+        for i in self.candidates.clock.each(sorted(self.hot, key=lambda i: (-all_of[i].cost_us, i)), 1):
             label = all_of[i].transformation.label
             left = [one for one in self.hot | self.cold if one != i]
             if label not in self._labels(left) and not self._bears(None, left, targets):
@@ -105,7 +105,7 @@ class Configuration:
 
     def _bears_lost_hosts(self) -> bool:
         environment, host_of = self.candidates.environment, self._places.host_of
-        for host in environment.hosts:
+        for host in self.candidates.clock.each(environment.hosts, 1):
             left = [i for i in self.hot | self.cold if host_of[i] != host.name]
             targets = tuple(target for target in environment.targets if target.host != host.name)
             if not (self._bears(host.name, left, targets) and self._place(host.name)):
@@ -120,7 +120,6 @@ class Configuration:
         candidates, labels = self.candidates, self._labels(left)
         if not unmet(candidates, Failure(host, labels, targets)):
             return True
-        candidates.watch()
         if self._is_quick and self._doubled(labels, host):
             return True
         network = candidates.network

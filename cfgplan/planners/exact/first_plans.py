@@ -28,8 +28,8 @@ class FirstPlans:
         self.candidates, self.standing = candidates, standing
         self.network = candidates.network
         self._spare_us = spare_prices(candidates)
-        units = [[c.cost_us for c in candidates.of(label) if c.may_run] for label in self.network.labels]
-        candidates.watch()
+        labels = candidates.clock.each(self.network.labels)
+        units = [[c.cost_us for c in candidates.of(label) if c.may_run] for label in labels]
         self._run_us = np.array([min(these, default=np.inf) for these in units], np.float64)
         self._cost = np.where(np.isfinite(self._run_us), self._run_us, 0).astype(np.int64)
         self._numbered = [t for t in candidates.environment.library if t.min_instances]
@@ -87,10 +87,10 @@ class FirstPlans:
             have = {resource: sum(host.room(resource) or 0 for host in hosts) or np.inf for resource in resources}
             shares = [sum(amount / have[resource] for resource, amount in t.takes.items()) for t in transformations]
             return np.array(shares, np.float64)
-        self.candidates.watch()
         sign = 1 if attribute.better is Better.LOWER else -1
         stated = [
-            [c for port in t.outputs for c in port.quality if c.attribute == attribute.name] for t in transformations
+            [c for port in t.outputs for c in port.quality if c.attribute == attribute.name]
+            for t in self.candidates.clock.each(transformations)
         ]
         added = [max((sign * c.value for c in these if c.rule is QualityRule.ADD), default=0) for these in stated]
         return np.maximum(np.array(added, np.float64), 0.0)
@@ -132,8 +132,7 @@ class FirstPlans:
         """Offer a configuration in which these candidates run; False if none is valid."""
         is_offered = False
         ways = (True, False) if self.candidates.problem.survive is not None and self.standing.best is None else (False,)
-        for is_quick in ways:
-            self.candidates.watch()
+        for is_quick in self.candidates.clock.each(ways, 1):
             units = Configuration(self.candidates, hot, self._attribute, self._spare_us, is_quick).units()
             if units is not None and self.is_valid(units):
                 self.standing.offer(units)

@@ -69,12 +69,10 @@ class Flat:
         hosts: list[HostName] = [host.name for host in environment.hosts] or [None]
         self.labels: list[Label] = []
         self.cost_us: list[int] = []
-        for i, candidate in enumerate(candidates.all):
-            candidates.watch()
+        for i, candidate in candidates.clock.each(enumerate(candidates.all)):
             for host in candidate.hosts:
                 self._add(Placed(i, host), candidate.cost_us)
-        for i, candidate in enumerate(candidates.all):
-            candidates.watch()
+        for i, candidate in candidates.clock.each(enumerate(candidates.all)):
             for port in candidate.transformation.outputs if environment.hosts else ():
                 price_us = transfer_cost_us(port, candidates.problem.horizon_s, environment.transfer_us)
                 for host in hosts:
@@ -91,19 +89,17 @@ class Flat:
         self.is_impossible = any(not self.givers[fact] for fact in self.wanted)
 
     def _link(self) -> None:
-        self.candidates.watch()
+        clock = self.candidates.clock
         self.number = {label: n for n, label in enumerate(self.labels)}
-        self.needs = [self._needs(label) for label in self.labels]
-        self.candidates.watch()
+        self.needs = [self._needs(label) for label in clock.each(self.labels)]
         self.facts: list[Fact] = list(dict.fromkeys([*self.wanted, *(fact for row in self.needs for fact in row)]))
-        self.givers = {fact: self._givers(fact) for fact in self.facts}
+        self.givers = {fact: self._givers(fact) for fact in clock.each(self.facts)}
 
     def _alive(self) -> list[int]:
         """The labels that can be grounded."""
         giving: dict[int, list[Fact]] = defaultdict(list)
         needing: dict[Fact, list[int]] = defaultdict(list)
-        for fact, givers in self.givers.items():
-            self.candidates.watch()
+        for fact, givers in self.candidates.clock.each(self.givers.items()):
             for label in givers:
                 giving[label].append(fact)
         for label, needs in enumerate(self.needs):
@@ -112,8 +108,7 @@ class Flat:
         missing = [len(needs) for needs in self.needs]
         ahead = [label for label, count in enumerate(missing) if count == 0]
         there: set[Fact] = set()
-        for label in ahead:
-            self.candidates.watch()
+        for label in self.candidates.clock.each(ahead):
             for fact in giving[label]:
                 if fact not in there:
                     there.add(fact)
@@ -128,7 +123,6 @@ class Flat:
         self.cost_us.append(cost_us)
 
     def _needs(self, label: Label) -> list[Fact]:
-        self.candidates.watch()
         if isinstance(label, Carried):
             return [Runs(label.unit)]
         transformation = self.candidates.all[label.unit].transformation
@@ -136,7 +130,6 @@ class Flat:
 
     def _givers(self, fact: Fact) -> dict[int, list[Stream]]:
         """The labels that give a fact, each with the streams that do."""
-        self.candidates.watch()
         if isinstance(fact, Runs):
             return {place: [] for place in self.places(fact.unit)}
         givers: dict[int, list[Stream]] = defaultdict(list)
@@ -165,8 +158,7 @@ class Flat:
         """The problem as arrays; facts with the same givers are one."""
         merged: dict[tuple[int, ...], int] = {}
         fact_of: dict[Fact, int] = {}
-        for fact, givers in self.givers.items():
-            self.candidates.watch()
+        for fact, givers in self.candidates.clock.each(self.givers.items()):
             fact_of[fact] = merged.setdefault(tuple(sorted(givers)), len(merged))
         rows = [*self.needs, self.wanted]
         core = Core(

@@ -24,8 +24,9 @@ class FlatModel:
         self.anywhere = Support()
         self.units_anywhere: list[IntVar] = []
         """The booleans of `anywhere`, the support with hosts forgotten, where cuts are fewer and stronger."""
-        self.uses = [self._boolean() for _ in flat.labels]
-        self.holds = {fact: self._boolean() for fact in flat.facts}
+        each = flat.candidates.clock.each
+        self.uses = [self.cp.new_bool_var("") for _ in each(flat.labels)]
+        self.holds = {fact: self.cp.new_bool_var("") for fact in each(flat.facts)}
         self.feeds: dict[Fact, dict[tuple[int, Stream], IntVar]] = {}
         self.more_costs: list[LinearExprT] = []
         self.runs = {i: [self.uses[place] for place in flat.places(i)] for i in range(len(flat.candidates.all))}
@@ -39,14 +40,9 @@ class FlatModel:
         hosts_bear_their_units(self)
         numbers_and_conflicts_are_kept(self)
 
-    def _boolean(self) -> IntVar:
-        self.candidates.watch()
-        return self.cp.new_bool_var("")
-
     def ground(self) -> None:
         """Let each fact rest on what gives it. Call it when `feeds` is filled."""
-        for fact, holds in self.holds.items():
-            self.candidates.watch()
+        for fact, holds in self.candidates.clock.each(self.holds.items()):
             if fact in self.feeds:
                 choices = self.feeds[fact]
                 self.cp.add_exactly_one(*choices.values(), holds.negated())
@@ -77,8 +73,7 @@ class FlatModel:
 
 
 def a_label_needs_its_facts(model: FlatModel) -> None:
-    for uses, needs in zip(model.uses, model.flat.needs, strict=True):
-        model.candidates.watch()
+    for uses, needs in model.candidates.clock.each(zip(model.uses, model.flat.needs, strict=True)):
         for fact in needs:
             model.cp.add_implication(uses, model.holds[fact])
         model.support.rests_on_all(uses.index, [model.holds[fact].index for fact in needs])
@@ -90,8 +85,7 @@ def a_unit_is_in_one_place(model: FlatModel) -> None:
     for runs in model.runs.values():
         if len(runs) > 1:
             model.cp.add_at_most_one(runs)
-    for label, uses in zip(model.flat.labels, model.uses, strict=True):
-        model.candidates.watch()
+    for label, uses in model.candidates.clock.each(zip(model.flat.labels, model.uses, strict=True)):
         here = number.get(Placed(label.unit, label.host)) if isinstance(label, Carried) else None
         if here is not None:
             model.cp.add_at_most_one(uses, model.uses[here])
@@ -111,8 +105,7 @@ def hosts_bear_their_units(model: FlatModel) -> None:
 def numbers_and_conflicts_are_kept(model: FlatModel) -> None:
     runs_of: dict[str, list[IntVar]] = defaultdict(list)
     units = model.candidates.all
-    for i, runs in model.runs.items():
-        model.candidates.watch()
+    for i, runs in model.candidates.clock.each(model.runs.items()):
         runs_of[units[i].transformation.label] += runs
         alike = i and units[i].running is None and units[i - 1].running is None
         if alike and units[i].transformation.label == units[i - 1].transformation.label:

@@ -147,8 +147,7 @@ class FlatSearch:
 
     def _ask_for_quality(self, cuts: Iterable[ChainCut]) -> None:
         model, flat = self.model, self.flat
-        for fact in flat.facts:
-            flat.candidates.watch()
+        for fact in flat.candidates.clock.each(flat.facts):
             if isinstance(fact, Met):
                 model.feeds[fact] = {
                     (label, stream): model.cp.new_bool_var("")

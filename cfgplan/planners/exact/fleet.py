@@ -54,8 +54,8 @@ def _bring_forward(standing: Standing, last: Collection[str]) -> None:
     problem, clock = standing.problem, standing.clock
     if not clock.tuning.is_solver_only:
         offer_what_runs(standing)
-    candidates = Candidates(problem, watch=clock.check)
-    if reasons := unmet_reasons(problem, candidates.givers, candidates.possible):
+    candidates = Candidates(problem, clock=clock)
+    if reasons := unmet_reasons(problem, possible=candidates.possible):
         standing.is_infeasible, standing.reasons = True, reasons
         clock.end("closure")
         return
@@ -84,7 +84,6 @@ def _bring_forward(standing: Standing, last: Collection[str]) -> None:
 def _search(candidates: Candidates, standing: Standing, first: FirstPlans) -> None:
     """Search a flat fleet by labels on hosts. What is open then, and all else, goes to the model of who feeds whom."""
     clock = standing.clock
-    clock.check()
     if is_flat(candidates):
         search = _solve_flat(candidates, standing, first)
         clock.end("flat")

@@ -43,7 +43,7 @@ def look_among_few(flat: Flat, standing: Standing) -> Bound:
 
 
 def _look_among(labels: Collection[str], candidates: Candidates, standing: Standing, limit_us: int | None) -> None:
-    few = Candidates(candidates.problem, candidates.closure, labels, candidates.watch)
+    few = Candidates(candidates.problem, candidates.closure, labels, candidates.clock)
     leave_out_what_is_too_bad(few)
     flat = Flat(few)
     if not flat.is_impossible:
@@ -105,8 +105,7 @@ def look_among_few_of(candidates: Candidates, standing: Standing, first: FirstPl
     if sizes:
         FirstPlans(among(sizes[0]), standing).look(tuning.begin.attempts)
     first.look(tuning.begin.attempts)
-    for size in sizes:
-        standing.clock.check()
+    for size in standing.clock.each(sizes, 1):
         Search(among(size), standing, is_all=False).run(tuning.fleet.look)
 
 

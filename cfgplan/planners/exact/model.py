@@ -110,8 +110,7 @@ class Model:
     def _units_by_demand(self) -> dict[int, set[int]]:
         """The candidates that have each demand at an ordinary input, told apart or not."""
         needing: dict[int, set[int]] = defaultdict(set)
-        for i, candidate in enumerate(self.candidates.all):
-            self.candidates.watch()
+        for i, candidate in self.candidates.clock.each(enumerate(self.candidates.all)):
             for port in candidate.transformation.inputs if candidate.may_run else ():
                 if not port.feedback:
                     needing[self.demand(port.tag)].add(i)

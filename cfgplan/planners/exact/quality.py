@@ -158,8 +158,7 @@ def _values(
     """A variable for the value of each stream that is of use."""
     attribute, ranges = scaled.attribute, scaled.ranges
     values = {stream: model.cp.new_int_var(min(ends), max(ends), "") for stream, ends in ranges.items()}
-    for i, candidate in enumerate(model.candidates.all):
-        model.candidates.watch()
+    for i, candidate in model.candidates.clock.each(enumerate(model.candidates.all)):
         outputs = [port for port in candidate.transformation.outputs if Stream(candidate.id, port.name) in values]
         ordinary = [port for port in candidate.transformation.inputs if not port.feedback] if outputs else []
         inputs = [value_at(attribute, i, port, values) for port in ordinary]

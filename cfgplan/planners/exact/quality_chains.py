@@ -51,22 +51,20 @@ class Chains:
     def __init__(self, candidates: Candidates, attribute: QualityAttribute, tuning: Quality = USUAL.quality) -> None:
         self.tuning = tuning
         self.attribute = attribute
-        self.watch = candidates.watch
+        self.clock = candidates.clock
         self.sign = 1 if attribute.better is Better.LOWER else -1
         self.size = len(candidates.all)
         self.scale = abs(attribute.worst - attribute.best)
         found = best_values(candidates, attribute)
         of_use = sorted(worst_of_use(candidates, attribute))
-        met = {tag: [stream for stream in candidates.streams(tag) if stream in found] for tag in of_use}
+        met = {tag: [s for s in candidates.streams(tag) if s in found] for tag in self.clock.each(of_use)}
         tags = [tag for tag in of_use if met[tag]]
         self.demand = {tag: d for d, tag in enumerate(tags)}
         pairs = [(d, stream) for d, tag in enumerate(tags) for stream in met[tag]]
-        self.watch()
         self.streams = streams = sorted({stream for _, stream in pairs})
         number = {stream: s for s, stream in enumerate(streams)}
         self.unit = np.array([candidates.index_of[stream.unit] for stream in streams], np.int64)
         self.least = np.array([self.badness(found[stream]) for stream in streams], np.int64)
-        self.watch()
         self.pair_demand = np.array([d for d, _ in pairs], np.int64)
         self.pair_stream = np.array([number[stream] for _, stream in pairs], np.int64)
         self.pair_unit = self.unit[self.pair_stream]
@@ -85,14 +83,12 @@ class Chains:
         self.stated = [{c.attribute: c for c in port.quality}.get(self.attribute.name) for port in ports]
         nothing = Contribution(self.attribute.name, QualityRule.LIMIT, self.attribute.best)
         stated = [one or nothing for one in self.stated]
-        self.watch()
         inputs = [
             [self.demand.get(port.tag, end) for port in maker.transformation.inputs if not port.feedback]
             if one.rule is not QualityRule.SET
             else []
-            for maker, one in zip(makers, stated, strict=True)
+            for maker, one in self.clock.each(zip(makers, stated, strict=True))
         ]
-        self.watch()
         width = max((len(row) for row in inputs), default=0) or 1
         self.inputs = np.array([row + [-1] * (width - len(row)) for row in inputs], np.int64).reshape(-1, width)
         self.count = np.array([len(row) for row in inputs], np.int64)

@@ -68,9 +68,7 @@ class Relaxation:
         self.value_us = 0.0
         self.share = np.zeros(len(flat.candidates.all))
         self._unit_us = float(max(1, *flat.cost_us))
-        flat.candidates.watch()
-        self._uses = [self.lp.NumVar(0.0, 1.0, "") for _ in flat.labels]
-        flat.candidates.watch()
+        self._uses = [self.lp.NumVar(0.0, 1.0, "") for _ in flat.candidates.clock.each(flat.labels)]
         self._places = [[self._uses[n] for n in flat.places(unit)] for unit in range(len(flat.candidates.all))]
         objective = self.lp.Objective()
         objective.SetMinimization()
@@ -93,13 +91,11 @@ class Relaxation:
 
     def _need(self, landmarks: list[list[int]]) -> None:
         flat = self._flat
-        for members in landmarks:
-            flat.candidates.watch()
+        for members in flat.candidates.clock.each(landmarks):
             self._any_of(members)
         for fact in flat.wanted:
             self._any_of(list(flat.givers[fact]))
-        for label, needs in enumerate(flat.needs):
-            flat.candidates.watch()
+        for label, needs in flat.candidates.clock.each(enumerate(flat.needs)):
             for fact in needs:
                 self._any_of([giver for giver in flat.givers[fact] if fact not in flat.needs[giver]], label)
 

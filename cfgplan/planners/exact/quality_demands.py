@@ -43,8 +43,7 @@ class DemandModel:
         worst = worst_of_use(model.candidates, attribute)
         self.bad: dict[Met, IntVar] = {}
         self.is_worst: dict[Met, IntVar] = {}
-        for fact in model.feeds:
-            model.candidates.watch()
+        for fact in model.candidates.clock.each(model.feeds):
             assert isinstance(fact, Met)
             least = [self._least(stream) for _, stream in model.feeds[fact] if stream in self.scaled.ranges]
             most = self._badness(self.scaled.at_most(worst.get(fact.tag, attribute.worst)))
@@ -72,7 +71,6 @@ class DemandModel:
         return self._badness(self.scaled.ranges[stream][0])
 
     def _is_no_better_than_what_meets_it(self, fact: Met) -> None:
-        self.model.candidates.watch()
         cp, bad = self.model.cp, self.bad[fact]
         known = [(s, taken) for (_, s), taken in self.model.feeds[fact].items() if s in self.scaled.ranges]
         start = min((self._least(stream) for stream, _ in known), default=0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from itertools import repeat
 
 import numpy as np
 
@@ -36,7 +37,7 @@ class BadnessSteps:
             bounds += missed_by
         found = np.append(np.linspace(0, max(ends), tuning.badness_steps).astype(np.int64), [*bounds, chains.scale])
         self.step = np.unique(found[(found >= 0) & (found <= chains.scale)])
-        made = np.array([self._made(step) for step in self.step.tolist()])
+        made = np.array([self._made(step) for step in chains.clock.each(self.step.tolist(), 1)])
         self._before = np.array([np.searchsorted(row, self.step, side="right") - 1 for row in made.T], np.int64)
         self._is_possible = (self._before >= 0)[chains.pair_stream]
         self._before = np.maximum(self._before, 0)[chains.pair_stream]
@@ -60,7 +61,6 @@ class BadnessSteps:
         )
 
     def _made(self, step: int) -> Ints:
-        self.chains.watch()
         return self.chains.made(np.full(len(self.chains.demand), step, np.int64))
 
     def support(self, price: Floats, pinned: Collection[int]) -> set[int] | None:
@@ -95,8 +95,7 @@ class BadnessSteps:
         met = np.full((count + 2, len(self.step)), np.inf)
         met[count] = 0.0
         own = price[chains.pair_unit][:, None]
-        while True:
-            chains.watch()
+        for _ in chains.clock.each(repeat(None), 1):
             meets = own + met[self._needs[:, 0][:, None], self._before]
             for column in self._needs.T[1:]:
                 meets += met[column[:, None], self._before]
@@ -105,3 +104,4 @@ class BadnessSteps:
             if (better == met[:count]).all():
                 return meets
             met[:count] = better
+        raise AssertionError("h_add comes to an end")

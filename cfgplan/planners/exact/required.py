@@ -78,10 +78,7 @@ def _few(
     network = structure.network
     _, cost = costs(problem, network, structure.pinned)
     numbers = {network.number[label] for label in required}
-    ways = []
-    for label in sorted(numbers):
-        clock.check()
-        ways.append(_way_to_a_target(network, cost, label, shunned - numbers))
+    ways = [_way_to_a_target(network, cost, label, shunned - numbers) for label in clock.each(sorted(numbers), 1)]
     shunned |= {label for way in ways for label in way}
     wanted = required.union(network.labels[i] for way in ways for i in way)
     wider = structure.network_with(problem, wanted, clock)

@@ -13,8 +13,7 @@ from cfgplan.planners.exact.model import Model, ModelRule
 
 
 def a_unit_runs_or_waits_in_one_place(model: Model) -> None:
-    for i, candidate in enumerate(model.candidates.all):
-        model.candidates.watch()
+    for i, candidate in model.candidates.clock.each(enumerate(model.candidates.all)):
         model.runs_on[i] = {host: model.boolean() for host in candidate.hosts} if candidate.may_run else {}
         model.waits_on[i] = {host: model.boolean() for host in candidate.hosts} if candidate.may_wait else {}
         if candidate.may_run:
@@ -64,8 +63,7 @@ def a_staying_unit_keeps_its_feeders(model: Model) -> None:
 
 def a_wired_unit_is_fed(model: Model) -> None:
     """Inputs rest on hubs, or on feeders told apart; a feedback input is fed by any unit that runs."""
-    for i in model.runs:
-        model.candidates.watch()
+    for i in model.candidates.clock.each(model.runs):
         inputs = model.candidates.all[i].transformation.inputs
         told_apart = [port for port in inputs if model.is_told_apart(i, port)]
         apart = {port.name: an_input_told_apart_has_one_feeder(model, i, port) for port in told_apart}
@@ -151,8 +149,7 @@ def a_target_is_published_by_one_unit(model: Model) -> None:
 def a_demand_is_met_first_by_a_unit_that_does_not_need_it(model: Model) -> None:
     """On each host, and at all."""
     what_is_met_on_a_host_is_met_at_all(model)
-    for (demand, host), hub in model.hubs.items():
-        model.candidates.watch()
+    for (demand, host), hub in model.candidates.clock.each(model.hubs.items()):
         first = {stream: _first_ways(model, stream, demand, host) for stream in model.streams_of(demand)}
         ways = {way.index: way for these in first.values() for way in these}
         model.rests_on_any(hub, list(ways.values()))
@@ -217,8 +214,7 @@ def required_transformations_serve_a_target(model: Model) -> None:
         for stream, publishes in choices.items():
             if model.unit_of(stream) in ways:
                 ways[model.unit_of(stream)].append(publishes)
-    for (consumer, _), choices in model.connects.items():
-        candidates.watch()
+    for (consumer, _), choices in candidates.clock.each(model.connects.items()):
         for stream, connected in choices.items() if consumer in ways else ():
             feeder = model.unit_of(stream)
             if feeder in ways:

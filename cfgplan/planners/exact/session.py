@@ -149,7 +149,7 @@ class PlannerSession:
             standing.counts = structure.counts()
             standing.fewest_unused = structure.hopeless_required
         else:
-            standing.is_infeasible, standing.reasons = True, unmet_reasons(problem, possible=structure.possible)
+            standing.is_infeasible, standing.reasons = True, unmet_reasons(problem, possible=structure.closure.possible)
             course.has_ended = True
 
     def _turn_to(self, similarity: Similarity) -> None:
@@ -168,9 +168,9 @@ class PlannerSession:
             return
         course.has_ended = True
         offer_any_plan(standing, structure)
-        for prepared in (prepared_with_all(standing, structure), Prepared(structure.network.labels)):
+        every = Prepared(structure.network.labels)
+        for prepared in course.clock.each((prepared_with_all(standing, structure), every), 1):
             course.clock.end("bounds")
-            course.clock.check()
             course.take(prepared)
             search = _search(course.candidates, standing, prepared.landmarks())
             if prepared.holds_for is None:
@@ -289,7 +289,7 @@ def _search(
     """A search in the constraint model, which is built here; raises OutOfTimeError."""
     from cfgplan.planners.exact.search import Search  # the solver takes long to import
 
-    candidates.watch = standing.clock.check
+    candidates.clock = standing.clock
     return Search(candidates, standing, landmarks=landmarks, missed=missed)
 
 

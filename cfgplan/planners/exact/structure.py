@@ -9,25 +9,24 @@ from functools import cached_property
 from cfgplan.domain import Environment, Similarity, Transformation
 from cfgplan.planners.bounding.bounds import Bound
 from cfgplan.planners.bounding.landmarks import Landmark
-from cfgplan.planners.exact.candidates import Candidates, Closure, relevant
+from cfgplan.planners.exact.candidates import Candidates, Closure
 from cfgplan.planners.networks.network import Network
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Problem
-from cfgplan.reasons import Givers, startable
 
 
 @dataclass
 class Structure:
     """What depends on library, matching and targets alone, whatever runs and whatever it costs.
 
-    `possible` are the transformations that can be started at all, and `givers` are among these.
+    `network` is that of what is relevant.
     """
 
     environment: Environment
     similarity: Similarity
     pinned: frozenset[str]
-    givers: Givers
-    possible: frozenset[str]
+    closure: Closure
+    network: Network
     _landmarks: list[Landmark] = field(default_factory=list)
     _weights: list[int] = field(default_factory=list)
     _found: tuple[Callable[[], Bound], int] | None = None
@@ -36,45 +35,25 @@ class Structure:
     def of(cls, problem: Problem, old: Structure | None, clock: Clock) -> Structure:
         """The structure of a problem; what still holds is taken from an `old` one. Raises OutOfTimeError."""
         environment = problem.environment
-        if old is not None and old.similarity == problem.similarity and _alike(old.environment, environment):
-            givers, possible = old.givers, old.possible
-        else:
-            givers = Givers(environment.library, problem.similarity)
-            givers.watch = clock.check
-            possible = startable(environment, givers)
-            givers = givers.among(possible)
-            givers.watch = clock.check
-        clock.check()
-        structure = cls(environment, problem.similarity, _pinned(environment), givers, possible)
-        if structure.meets_targets:
-            _ = structure.network  # made here, where the clock is watched
-        givers.watch = lambda: None
-        return structure
+        is_known = old is not None and old.similarity == problem.similarity and _alike(old.environment, environment)
+        closure = Closure.of(problem, clock, old.closure if old is not None and is_known else None)
+        network = _network(environment, closure, closure.relevant, frozenset(), clock)
+        return cls(environment, problem.similarity, _pinned(environment), closure, network)
 
-    @cached_property
+    @property
     def meets_targets(self) -> bool:
         """Whether each target by itself can be met."""
-        return not any(self.possible.isdisjoint(self.givers.of(t.tag)) for t in self.environment.targets)
-
-    @cached_property
-    def closure(self) -> Closure:
-        """What can be started, and what of it is relevant."""
-        return Closure(self.givers, self.possible, relevant(self.environment, self.givers, self.possible))
+        return len(self.network.targets) == len(self.environment.targets)
 
     def candidates(self, problem: Problem, labels: Iterable[str]) -> Candidates:
         """The units that a plan may have of some labels; the problem must be one that this serves."""
         return Candidates(problem, self.closure, frozenset(labels))
 
-    @cached_property
-    def network(self) -> Network:
-        """The network of what is relevant."""
-        return _network(self.environment, self.givers, self.possible, self.closure.relevant, frozenset())
-
     def counts(self) -> dict[str, int]:
         """How many transformations and demands are left, step by step."""
         return {
             "transformations": len(self.environment.library),
-            "startable": len(self.possible),
+            "startable": len(self.closure.possible),
             "relevant": len(self.network.labels),
             "demands": len(self.network.fact_of_tag),
             "merged demands": len(self.network.core.givers),
@@ -82,12 +61,7 @@ class Structure:
 
     def network_with(self, problem: Problem, wanted: frozenset[str], clock: Clock) -> Network:
         """The network with some labels that have to run, as pinned ones do; raises OutOfTimeError."""
-        labels = frozenset(self.network.labels)
-        self.givers.watch = clock.check
-        try:
-            return _network(problem.environment, self.givers, self.possible, labels, wanted)
-        finally:
-            self.givers.watch = lambda: None
+        return _network(problem.environment, self.closure, frozenset(self.network.labels), wanted, clock)
 
     @cached_property
     def has_required(self) -> bool:
@@ -134,17 +108,15 @@ class Structure:
 
 
 def _network(
-    environment: Environment,
-    givers: Givers,
-    possible: frozenset[str],
-    labels: frozenset[str],
-    wanted: frozenset[str],
+    environment: Environment, closure: Closure, labels: frozenset[str], wanted: frozenset[str], clock: Clock
 ) -> Network:
+    givers, possible = closure.givers, closure.possible
     return Network(
         [t for t in environment.library if t.label in labels],
         [target.tag for target in environment.targets if not possible.isdisjoint(givers.of(target.tag))],
         (_pinned(environment) & possible) | wanted,
         givers,
+        clock.each,
     )
 
 

@@ -69,8 +69,7 @@ class Survival:
         candidates = self.candidates
         without = set(left)
         reach = Reach(candidates.network, candidates.numbers(left))
-        for label in self._by_cost:
-            candidates.watch()
+        for label in candidates.clock.each(self._by_cost, 1):
             if label not in without:
                 without.add(label)
                 for number in candidates.numbers([label]):

@@ -18,7 +18,7 @@ from cfgplan.domain import Transformation
 from cfgplan.planners.networks.core import Core, Ints, Rows
 from cfgplan.planners.networks.crowds import crowds_of_group
 from cfgplan.planning import Problem
-from cfgplan.reasons import Givers, distinct_groups
+from cfgplan.reasons import Each, Givers, distinct_groups
 
 
 class Graph:
@@ -49,6 +49,7 @@ class Network(Graph):
         targets: Iterable[str],
         pinned: Iterable[str],
         rows: Givers,
+        each: Each = iter,
     ) -> None:
         self.transformations = library
         self.targets = list(targets)
@@ -60,16 +61,15 @@ class Network(Graph):
 
         def fact(tag: str) -> int:
             if tag not in self.fact_of_tag:
-                rows.watch()
                 givers = givers_of_tag[tag] = tuple([self.number[i] for i in rows.of(tag) if i in self.number])
                 self.fact_of_tag[tag] = facts.setdefault((givers, 1), len(facts))
             return self.fact_of_tag[tag]
 
-        needs = [{fact(port.tag) for port in t.inputs if not port.feedback} for t in library]
+        needs = [{fact(port.tag) for port in t.inputs if not port.feedback} for t in each(library)]
         self.special = frozenset(
             i for i, t in enumerate(library) if any(port.feedback or port.distinct is not None for port in t.inputs)
         )
-        for label, group in ((i, group) for i in sorted(self.special) for group in distinct_groups(library[i])):
+        for label, group in ((i, group) for i in each(sorted(self.special)) for group in distinct_groups(library[i])):
             alike = Counter(givers_of_tag[port.tag] for port in group if not port.feedback)
             for givers, takes in crowds_of_group(alike):
                 if takes > 1:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from math import inf
 from threading import Event
+from typing import TypeVar
 
 from cfgplan.errors import CfgplanError
 from cfgplan.planners.tuning import USUAL, Tuning
@@ -13,6 +14,9 @@ from cfgplan.planning import Plan, PlannerFaultError
 
 STOPPING_S = 10.0
 """For so long after `stop` a first plan may still be looked for, if there is none yet."""
+
+
+Item = TypeVar("Item")
 
 
 class OutOfTimeError(Exception):
@@ -51,8 +55,17 @@ class Clock:
     def is_over(self) -> bool:
         return self.stop.is_set() or self.left_s() == 0.0
 
-    def check(self) -> None:
-        """Raise OutOfTimeError after the time limit or `stop`, which leaves some time for a first plan."""
+    def each(self, items: Iterable[Item], at_once: int = 64) -> Iterator[Item]:
+        """The items, with a look at the clock before the first and after every `at_once` of them.
+
+        Raises OutOfTimeError after the time limit or `stop`, which leaves some time for a first plan.
+        """
+        for number, item in enumerate(items):
+            if not number % at_once:
+                self._check()
+            yield item
+
+    def _check(self) -> None:
         if self._limit_s is not None and time.monotonic() - self._began >= self._limit_s:
             raise OutOfTimeError
         if self.stop.is_set():
