@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from typing import Final
 
 from cfgplan.matching.concepts import Concept, Named, Nominal
-from cfgplan.matching.descriptions import disjuncts
+from cfgplan.matching.engine import disjuncts
 from cfgplan.matching.expressions import is_left_hand
 from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.rules import BOTTOM_ATOM, TOP_ATOM, Rules

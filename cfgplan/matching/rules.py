@@ -40,6 +40,8 @@ class Rules:
         self.chained: defaultdict[int, set[tuple[int, int]]] = defaultdict(set)
         self.ranges: list[frozenset[int]] = []
         self.origin: dict[tuple[object, ...], str] = {}
+        self.new_premises: set[int] = set()
+        """The atoms from which more follows since this set was cleared."""
         self._recognised: set[Concept] = set()
         self._implied: set[Concept] = set()
         self._direct_supers: defaultdict[int, set[int]] = defaultdict(set)
@@ -58,7 +60,7 @@ class Rules:
     def say(self, inclusions: Iterable[Inclusion]) -> None:
         """Add the rules of inclusions; after the construction only of those about new individuals."""
         for inclusion in inclusions:
-            self._imply(self._recognise(inclusion.sub), inclusion.sup, inclusion.axiom)
+            self._imply(self.recognise(inclusion.sub), inclusion.sup, inclusion.axiom)
 
     def atom(self, concept: Concept) -> int:
         """The number of a concept, a new one if it has none."""
@@ -80,14 +82,14 @@ class Rules:
             self.ranges.append(frozenset())
         return number
 
-    def _recognise(self, concept: Concept) -> int:
-        """Add rules that give every member of a `concept` its atom. Returns the atom."""
+    def recognise(self, concept: Concept) -> int:
+        """Add rules that give every member of a concept of names, ⊓, ⊔ and ∃ its atom. Returns the atom."""
         atom = self.atom(concept)
         if concept in self._recognised:
             return atom
         self._recognised.add(concept)
         if isinstance(concept, Intersection):
-            first, *others = sorted(map(self._recognise, concept.parts))
+            first, *others = sorted(map(self.recognise, concept.parts))
             for index, other in enumerate(others):
                 last = index == len(others) - 1
                 joined = atom if last else self._recognise_pair(first, other)
@@ -95,11 +97,13 @@ class Rules:
                     self._join(first, other, joined)
                 first = joined
         elif isinstance(concept, Union):
-            for part in concept.parts:
-                self.sub[self._recognise(part)].add(atom)
+            for part in map(self.recognise, concept.parts):
+                self.sub[part].add(atom)
+                self.new_premises.add(part)
         elif isinstance(concept, Some):
-            heads = self.left[self.role(concept.role)].setdefault(self._recognise(concept.filler), set())
-            heads.add(atom)
+            filler = self.recognise(concept.filler)
+            self.left[self.role(concept.role)].setdefault(filler, set()).add(atom)
+            self.new_premises.add(filler)
         return atom
 
     def _recognise_pair(self, one: int, other: int) -> int:
@@ -111,6 +115,7 @@ class Rules:
     def _join(self, one: int, other: int, result: int) -> None:
         self.joint[one].setdefault(other, set()).add(result)
         self.joint[other].setdefault(one, set()).add(result)
+        self.new_premises.add(one)
 
     def _imply(self, atom: int, concept: Concept, axiom: str) -> None:
         """Add rules that make everything with this atom a `concept`, which is a name, ⊓ or ∃."""

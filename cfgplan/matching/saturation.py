@@ -8,7 +8,7 @@ Reference: Y. Kazakov, M. Krötzsch, F. Simančík, "The Incredible ELK", J. Aut
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Iterator
 from typing import TypeAlias
 
 from cfgplan.matching.rules import BOTTOM_ATOM, TOP_ATOM, Rules
@@ -16,18 +16,19 @@ from cfgplan.matching.rules import BOTTOM_ATOM, TOP_ATOM, Rules
 Edge: TypeAlias = "tuple[int, Context]"
 DerivedFact: TypeAlias = "tuple[Context, int] | tuple[Context, int, Context]"
 """That a context has an atom, or a link by a role to another context."""
+_ContextKey: TypeAlias = "tuple[frozenset[int], frozenset[Edge]]"
 Reason: TypeAlias = "tuple[tuple[object, ...], tuple[DerivedFact, ...]]"
 """The rule (a key of `Rules.origin`, if it comes from an axiom) and the facts from which a fact follows."""
 
 
 class Context:
-    """The atoms and links of a kind of thing.
+    """The atoms and links of a kind of thing: of all things that have the atoms `seeds` and the links it was made with.
 
     `exists`: there is such a thing in every model. `conditional`: if there is one, then an individual gets atoms that
     it doesn't have otherwise, so that the context may miss something; what it has is right all the same.
     """
 
-    __slots__ = ("atoms", "conditional", "edges", "exists", "finished", "individual", "links", "preds", "seeds")
+    __slots__ = ("atoms", "conditional", "exists", "finished", "individual", "links", "preds", "seeds")
 
     def __init__(self, seeds: frozenset[int], individual: bool = False) -> None:
         self.seeds = seeds
@@ -35,7 +36,6 @@ class Context:
         self.atoms: set[int] = set()
         self.links: defaultdict[int, set[Context]] = defaultdict(set)
         self.preds: defaultdict[int, set[Context]] = defaultdict(set)
-        self.edges: frozenset[Edge] = frozenset()
         self.exists = False
         self.finished = False
         self.conditional = False
@@ -45,6 +45,11 @@ class Context:
         """Whether no such thing can exist."""
         return BOTTOM_ATOM in self.atoms
 
+    @property
+    def edges(self) -> Iterator[Edge]:
+        """The links one by one."""
+        return ((role, target) for role, targets in self.links.items() for target in targets)
+
 
 class Saturation:
     """The contexts of an ontology, made and saturated on demand; those of individuals at once."""
@@ -53,7 +58,7 @@ class Saturation:
         """Saturate what must exist. `reasons`, if given, gets the first reason found for each fact."""
         self.rules = rules
         self._reasons = reasons
-        self._contexts: dict[frozenset[int], Context] = {}
+        self._contexts: dict[_ContextKey, Context] = {}
         self._fresh: list[Context] = []
         self._disturbed = False
         self._atoms: list[tuple[Context, int]] = []
@@ -69,16 +74,43 @@ class Saturation:
         """Whether something that must exist can't."""
         return any(context.exists and context.is_unsatisfiable for context in self._contexts.values())
 
-    def context(self, seeds: Iterable[int]) -> Context:
-        """The saturated context of the things with these atoms. A nominal must be the only atom."""
-        key = frozenset(seeds) or frozenset((TOP_ATOM,))
+    def context(self, seeds: Collection[int], links: Collection[Edge] = ()) -> Context:
+        """The saturated context of the things with these atoms and links."""
+        key = frozenset(seeds or (TOP_ATOM,)), frozenset(links)
         known = self._contexts.get(key)
         if known is None:
-            known = self._context(key)
-            if known.individual:
-                self._let_exist(known)
-            self._run()
+            individuals = [atom for atom in key[0] if atom in self.rules.individuals]
+            if individuals and len(key[0]) + len(key[1]) > 1:
+                known = self._contexts[key] = self._more_of_individuals(key, individuals)
+            else:
+                known = self._context(*key)
+                if known.individual:
+                    self._let_exist(known)
+                self._run()
         return known
+
+    def _more_of_individuals(self, key: _ContextKey, individuals: Iterable[int]) -> Context:
+        """The context of things that are some individuals, and more: conditional, unless one individual is all that."""
+        own = [self.context((atom,)) for atom in individuals]
+        found = self._context(*key)
+        for one in own:
+            for atom in one.atoms:
+                self._add(found, atom, ())
+            for role, target in one.edges:
+                self._link(found, role, target, ())
+        self._run()
+        if len(own) == 1 and found.atoms == own[0].atoms and {*found.edges} <= {*own[0].edges}:
+            return own[0]
+        found.conditional = True
+        return found
+
+    def learn(self) -> None:
+        """Apply the rules that were added since the last time to what is known."""
+        if self.rules.new_premises:
+            for context in self._contexts.values():
+                self._atoms.extend((context, atom) for atom in self.rules.new_premises & context.atoms)
+            self.rules.new_premises.clear()
+            self._run()
 
     def let_individuals_come(self, atoms: Iterable[int]) -> bool:
         """Make contexts of new individuals. Returns False if that changes a context that was there before."""
@@ -91,7 +123,7 @@ class Saturation:
     def let_individuals_go(self, atoms: Iterable[int]) -> bool:
         """Whether nothing else rests on the existence of these individuals; they stay known, but out of reach."""
         seen: set[Context] = set()
-        waiting = [self._contexts[frozenset((atom,))] for atom in atoms]
+        waiting = [self._context(frozenset((atom,))) for atom in atoms]
         while waiting:
             context = waiting.pop()
             if context in seen:
@@ -104,19 +136,20 @@ class Saturation:
                     waiting.append(target)
         return True
 
-    def is_conditional_link(self, role: int, target: Context) -> bool:
+    def _is_conditional_link(self, role: int, target: Context) -> bool:
         """Whether a link that need not exist tells something new about an individual, or leads to what does."""
         return target.conditional or (target.individual and not self.rules.ranges[role] <= target.atoms)
 
-    def _context(self, key: frozenset[int]) -> Context:
-        known = self._contexts.get(key)
+    def _context(self, seeds: frozenset[int], links: frozenset[Edge] = frozenset()) -> Context:
+        known = self._contexts.get((seeds, links))
         if known is None:
-            individual = any(atom in self.rules.individuals for atom in key)
-            known = self._contexts[key] = Context(key, individual)
+            individual = len(seeds) == 1 and not links and not seeds.isdisjoint(self.rules.individuals)
+            known = self._contexts[seeds, links] = Context(seeds, individual)
             self._fresh.append(known)
-            self._add(known, TOP_ATOM, ())
-            for atom in key:
+            for atom in (TOP_ATOM, *seeds):
                 self._add(known, atom, ())
+            for role, target in links:
+                self._link(known, role, target, ())
         return known
 
     def _let_exist(self, context: Context) -> None:
@@ -213,12 +246,11 @@ class Saturation:
         """Give the contexts that are new their edges, and find out which of them are conditional."""
         fresh, self._fresh = self._fresh, []
         for context in fresh:
-            context.edges = frozenset((role, target) for role, targets in context.links.items() for target in targets)
             context.finished = True
         waiting = [
             context
             for context in fresh
-            if not context.exists and any(self.is_conditional_link(role, target) for role, target in context.edges)
+            if not context.exists and any(self._is_conditional_link(role, target) for role, target in context.edges)
         ]
         while waiting:
             context = waiting.pop()

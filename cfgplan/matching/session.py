@@ -12,14 +12,13 @@ from cfgplan.errors import Fault, InputError
 from cfgplan.matching.concepts import TOP, Concept
 from cfgplan.matching.countermodels import Countermodels
 from cfgplan.matching.derivations import contradiction
-from cfgplan.matching.engine import FastEngine, roles_in
+from cfgplan.matching.engine import FastEngine, MatchedRows, roles_in
 from cfgplan.matching.faults import InconsistentOntologyError, MatchingError
 from cfgplan.matching.functional import parse
 from cfgplan.matching.losses import Losses
 from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.reasoners import reference_named
 from cfgplan.matching.registry import TagRegistry
-from cfgplan.matching.rows import OfferRows
 from cfgplan.matching.verdicts import AskedPair, Verdicts, countdown
 from cfgplan.planning import Pair
 
@@ -68,7 +67,7 @@ class Matcher:
     def _start(self, ontology: Ontology) -> None:
         self._ontology = ontology
         self._engine: FastEngine | None = None
-        self._rows: OfferRows | None = None
+        self._rows: MatchedRows | None = None
         self._verdicts = Verdicts(ontology, self._reference)
         self._countermodels: Countermodels | None = None
         self._losses = Losses(ontology)
@@ -85,23 +84,15 @@ class Matcher:
         demands = self._demanded.read(demanded, self._ontology, faults)
         if faults:
             raise InputError(faults)
-        new_offers = self._offered.add(offers)
-        new_demands = self._demanded.add(demands)
-        if self._rows is not None:
-            self._rows.add_offers(new_offers)
-            for concept in new_demands.values():
-                self._rows.add_demand(concept)
+        self._offered.add(offers)
+        self._demanded.add(demands)
+        self._rows = None
 
     def remove(self, *, offered: Iterable[str] = (), demanded: Iterable[str] = ()) -> None:
         """Take tags back. Raises KeyError for one that is not registered."""
-        gone, renamed = self._offered.remove(offered)
-        if self._rows is not None:
-            for name, concept in gone.items():
-                self._rows.remove_offer(name, concept)
-            self._rows.add_offers(renamed)
-        for concept in self._demanded.remove(demanded)[0].values():
-            if self._rows is not None and concept not in self._demanded:
-                self._rows.remove_demand(concept)
+        self._offered.remove(offered)
+        self._demanded.remove(demanded)
+        self._rows = None
 
     def change_ontology(self, ontology: Ontology) -> None:
         """Match by another ontology from now on.
@@ -116,13 +107,13 @@ class Matcher:
             raise InputError(faults)
         before, after = self._ontology.axioms, ontology.axioms
         added, removed = ({axiom: parse(axiom) for axiom in sorted(some)} for some in (after - before, before - after))
-        stays = offered.names == self._offered.names and demanded.names == self._demanded.names
-        engine, rows = self._engine, self._rows
+        stays = offered.concepts == self._offered.concepts and demanded.concepts == self._demanded.concepts
+        engine = self._engine
         self._start(ontology)
         self._offered, self._demanded = offered, demanded
         left = frozenset(ontology.individuals.values())
         if stays and engine is not None and engine.take_in(added, removed, left):
-            self._engine, self._rows = engine, rows
+            self._engine = engine
 
     def matching(self, *, time_limit_s: float | None = None, decide: bool = True) -> Matching:
         """The similarity of the tags registered now; pairs that are not decided are in its `open`.
@@ -149,8 +140,8 @@ class Matcher:
         left_s = countdown(time_limit_s)
         self._refute(rows, time_limit_s)
         open_rows = {demand: row - self._refuted(demand) for demand, row in self._open(rows).items()}
-        named = ((self._offered.concept(offered), self._demanded.concept(demanded)) for offered, demanded in pairs)
-        return self._ask([pair for pair in named if pair[0] in open_rows.get(pair[1], ())], left_s())
+        asked = ((self._offered.concepts[offered], self._demanded.concepts[demanded]) for offered, demanded in pairs)
+        return self._ask([pair for pair in asked if pair[0] in open_rows.get(pair[1], ())], left_s())
 
     def outside(self) -> Mapping[str, str]:
         """The axioms that the fast engine has no words for, with the reason."""
@@ -158,26 +149,20 @@ class Matcher:
 
     def _current_engine(self) -> FastEngine:
         if self._engine is None:
-            concepts = [*self._offered.names.values(), *self._demanded.names.values()]
-            self._engine = FastEngine(
-                self._ontology.trees, set().union(*map(roles_in, concepts)), self._ontology.dropped
-            )
+            roles = set().union(*map(roles_in, (*self._offered.texts, *self._demanded.texts)))
+            self._engine = FastEngine(self._ontology.trees, roles, self._ontology.dropped)
             if self._engine.is_inconsistent:
                 raise self._input_error(self._contradiction())
         return self._engine
 
-    def _current_rows(self) -> OfferRows | None:
+    def _current_rows(self) -> MatchedRows | None:
         if self._rows is None and self._uses_engine:
-            rows = OfferRows(self._current_engine())
-            rows.add_offers(self._offered.names)
-            for concept in self._demanded.names.values():
-                rows.add_demand(concept)
-            self._rows = rows
+            self._rows = self._current_engine().rows(self._offered.texts, self._demanded.texts)
         return self._rows
 
-    def _in_order(self, rows: OfferRows | None) -> Iterable[AskedPair]:
+    def _in_order(self, rows: MatchedRows | None) -> Iterable[AskedPair]:
         """The open pairs that an answer may close, in the order in which tags were registered."""
-        rank = {concept: number for number, concept in enumerate(self._offered.names.values())}
+        rank = {concept: number for number, concept in enumerate(self._offered.texts)}
         return (
             (offered, demand)
             for demand, row in self._open(rows).items()
@@ -192,10 +177,9 @@ class Matcher:
         self._asked += asked
         return asked
 
-    def _check(self, rows: OfferRows | None, time_limit_s: float | None) -> None:
+    def _check(self, rows: MatchedRows | None, time_limit_s: float | None) -> None:
         """Have the reference look for contradictions in offers and in the ontology where that was not done yet."""
-        offers = self._offered.names
-        doubtful = {offers[name] for name in (offers if rows is None else rows.uncertified)}
+        doubtful = {*(self._offered.texts if rows is None else rows.uncertified)}
         if rows is None or self.outside():
             doubtful.add(TOP)
         try:
@@ -203,21 +187,18 @@ class Matcher:
         except MatchingError as error:
             raise self._input_error(error) from error
 
-    def _beyond_engine(self, rows: OfferRows | None) -> Iterable[tuple[Concept, frozenset[Concept]]]:
+    def _beyond_engine(self, rows: MatchedRows | None) -> Iterable[tuple[Concept, frozenset[Concept]]]:
         """For each demand the offers that the fast engine neither finds to meet it nor certifies not to."""
-        offers = self._offered.names
-        for demand in self._demanded.names.values():
+        offers = frozenset(self._offered.texts)
+        for demand in self._demanded.texts:
             if rows is None:
-                names: Iterable[str] = offers
+                yield demand, offers
             elif demand in rows.beyond_words:
-                names = offers.keys() - rows.impossible - rows.row(demand)
+                yield demand, offers - rows.impossible
             elif rows.uncertified:
-                names = rows.uncertified - rows.row(demand)
-            else:
-                continue
-            yield demand, frozenset(offers[name] for name in names)
+                yield demand, rows.uncertified.difference(rows.met[demand])
 
-    def _refute(self, rows: OfferRows | None, time_limit_s: float | None) -> None:
+    def _refute(self, rows: MatchedRows | None, time_limit_s: float | None) -> None:
         """Look for models that show what does not match, for offers that the fast engine does not certify."""
         if rows is None or not (rows.beyond_words or rows.uncertified):
             return
@@ -228,7 +209,7 @@ class Matcher:
         self._countermodels.build(set().union(*beyond.values()), beyond, share_s)
         self._verdicts.possible |= self._countermodels.possible
 
-    def _open(self, rows: OfferRows | None) -> dict[Concept, frozenset[Concept]]:
+    def _open(self, rows: MatchedRows | None) -> dict[Concept, frozenset[Concept]]:
         """For each demand the offers for which it is not decided whether they meet it."""
         verdicts = self._verdicts
         found = {
@@ -249,34 +230,28 @@ class Matcher:
             return denied
         return frozenset(offered for offered in denied if not self._losses.concern(offered, demand))
 
-    def _told(self, rows: OfferRows | None, time_limit_s: float | None, *, is_asked: bool) -> Matching:
+    def _told(self, rows: MatchedRows | None, time_limit_s: float | None, *, is_asked: bool) -> Matching:
         warnings = [*self._ontology.warnings]
-        never = {self._offered.name_of(c) for c in self._verdicts.unsatisfiable if c in self._offered}
+        never = self._verdicts.unsatisfiable & self._offered.texts.keys()
         if rows is not None:
             never |= rows.impossible
         warnings.extend(
             f"nothing can have the offered tag {text!r}: it contradicts the ontology and never matches"
-            for text in sorted(self._offered.spelled(frozenset(never)))
+            for text in sorted(self._offered.spelled(never))
         )
         offers: dict[str, frozenset[str]] = {}
         undecided: dict[str, frozenset[str]] = {}
         open_rows = self._open(rows)
-        for name, demand in self._demanded.names.items():
-            row = rows.row(demand) if rows is not None else frozenset()
-            told = self._names(self._verdicts.accepted(demand))
-            full = self._offered.spelled((row | told).difference(never) if never or told else row)
-            left = self._offered.spelled(self._names(open_rows.get(demand, frozenset())))
-            for text in self._demanded.texts(name):
-                offers[text] = full
-                if left:
-                    undecided[text] = left
+        for demand, texts in self._demanded.texts.items():
+            found = {*self._verdicts.accepted(demand)} & self._offered.texts.keys()
+            found |= set() if rows is None else rows.met[demand]
+            row, left = self._offered.spelled(found - never), self._offered.spelled(open_rows.get(demand, ()))
+            offers |= dict.fromkeys(texts, row)
+            undecided |= dict.fromkeys(texts if left else (), left)
         similarity = Similarity(offers, undecided)
         if is_asked or self._reference is None:
             warnings.extend(self._about_open(sum(map(len, undecided.values())), time_limit_s))
         return Matching(similarity, tuple(warnings), self._answered_by(rows, open_rows), self._asked)
-
-    def _names(self, offered: Iterable[Concept]) -> frozenset[str]:
-        return frozenset(self._offered.name_of(concept) for concept in offered if concept in self._offered)
 
     def _about_open(self, count: int, time_limit_s: float | None) -> Iterable[str]:
         """The warning about pairs that are not decided."""
@@ -292,9 +267,9 @@ class Matcher:
         pairs = "1 pair" if count == 1 else f"{count} pairs"
         yield f"{pairs} of tags could not be decided and do not match{why}"
 
-    def _answered_by(self, rows: OfferRows | None, open_rows: Mapping[Concept, frozenset[Concept]]) -> dict[str, int]:
+    def _answered_by(self, rows: MatchedRows | None, open_rows: Mapping[Concept, frozenset[Concept]]) -> dict[str, int]:
         """How many pairs of distinct tags each reasoner decided."""
-        pairs = len(self._offered.names) * len(self._demanded.names)
+        pairs = len(self._offered.texts) * len(self._demanded.texts)
         beyond = {demand: offers for demand, offers in self._beyond_engine(rows) if offers}
         counts = Counter({"el": pairs - sum(map(len, beyond.values()))})
         for demand, offers in beyond.items():
