@@ -19,7 +19,13 @@ from cfgplan.cli.screen import FULL_DISK, Screen
 from cfgplan.errors import CfgplanError, Fault, InputError
 from cfgplan.planning import PlannerFaultError
 
-_EXTRA_OF = {"cv2": "demo", "jinja2": "demo", "matplotlib": "plots", "prometheus_client": "metrics"}
+_EXTRA_OF = {
+    "cryptography": "fleet",
+    "cv2": "demo",
+    "jinja2": "demo",
+    "matplotlib": "plots",
+    "prometheus_client": "metrics",
+}
 VERBS: Mapping[str, tuple[str, str]] = MappingProxyType(
     {
         "check": (
@@ -61,6 +67,10 @@ VERBS: Mapping[str, tuple[str, str]] = MappingProxyType(
         "query": (
             "query:add_to",
             "answer a temporal formula over the streams of semantic subscriptions",
+        ),
+        "certificates": (
+            "certificates:add_to",
+            "make a fleet's own authority, and a certificate for each of its hosts",
         ),
         "demo": (
             "demo:add_to",

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cfgplan.errors import InputError
+from cfgplan_runtime.fleet.certificates import access_control, tls
 
 LEASE_S = 2.0
 """Seconds of silence after which a host is taken for lost. With 1 s, a stalled machine was once taken for lost."""
@@ -23,10 +24,15 @@ def config(
 ) -> Config:
     """Zenoh's configuration of one session; endpoints are written `tcp/192.168.1.5:7447` or `unixsock-stream/PATH`.
 
-    Raises InputError for an endpoint that strangers could reach without certificates.
+    With `certificates`, a host's folder, all links to other computers are written `tls/192.168.1.5:7447`. Raises
+    InputError for an endpoint that strangers could reach without certificates.
     """
     for endpoint in listen if certificates is None else ():
         _refuse_strangers(endpoint)
+    secured = {} if certificates is None else {"access_control": access_control(certificates, _PRIVATE)}
+    link: Config = {"tx": {"lease": round(LEASE_S * 1000), "keep_alive": _SIGNS_PER_LEASE}}
+    if certificates is not None:
+        link |= {"protocols": ["tls", _PRIVATE], "tls": tls(certificates)}
     return {
         "mode": mode,
         "listen": {"endpoints": list(listen)},
@@ -38,10 +44,11 @@ def config(
         },
         "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
         "transport": {
-            "link": {"tx": {"lease": round(LEASE_S * 1000), "keep_alive": _SIGNS_PER_LEASE}},
+            "link": link,
             # Containers of one computer share it, but not always what is needed to read it.
             "shared_memory": {"enabled": False},
         },
+        **secured,
     }
 
 

@@ -1,0 +1,284 @@
+"""A fleet's own authority, a certificate for each of its hosts, and what a link makes of them.
+
+Made once, on one computer: a folder with the authority, and in it a folder for each host, which is copied there. The
+authority's key stays where it was made. Links are by TLS with certificates on both sides; a host is who its
+certificate says, and may write nothing but keys of its own.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from ipaddress import ip_address
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from cfgplan.errors import Fault, InputError
+
+if TYPE_CHECKING:
+    from cryptography import x509
+    from cryptography.hazmat.primitives.asymmetric import ec
+
+MANAGER = "manager"
+"""Who gives orders has a certificate too, and may run on any host that has a copy of its folder."""
+KEYS = "cfgplan"
+"""What every key of a fleet begins with."""
+_AUTHORITY_CERTIFICATE, _AUTHORITY_KEY = "authority.pem", "authority.key"
+_CERTIFICATE, _KEY, _ACCESS = "host.pem", "host.key", "access.json"
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,62}")
+_CLOCKS_DIFFER = timedelta(hours=1)
+"""A certificate is valid from so long before it was made, since clocks of hosts differ."""
+_AUTHORITY_DAYS = 3650
+
+
+class _Access(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Who belongs to the fleet, and which of them may pass on what others write."""
+
+    hosts: tuple[str, ...]
+    passing_on: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Authority:
+    certificate: x509.Certificate
+    key: ec.EllipticCurvePrivateKey
+
+
+def make(folder: Path, hosts: Mapping[str, Sequence[str]], *, passing_on: Iterable[str] = (), days: int) -> list[Path]:
+    """Make a folder for each host (name -> its DNS names and addresses) and for the manager; returns them.
+
+    The authority is made if the folder has none yet; otherwise the hosts are added to its own, and every host's list of
+    who belongs to the fleet is written anew. Nothing else is written over. All files are for their owner alone.
+    Raises InputError.
+    """
+    _refuse_names([*hosts, *passing_on, *(one for each in hosts.values() for one in each if not _is_address(one))])
+    if not 1 <= days <= _AUTHORITY_DAYS:
+        raise InputError.of(f"certificates can't be valid for {days} days", mend=f"1 to {_AUTHORITY_DAYS}")
+    try:
+        known = [path.parent.name for path in sorted(folder.glob(f"*/{_ACCESS}"))]
+        names = [*hosts, *([] if MANAGER in known else [MANAGER])]
+        _refuse_overwriting(folder / name for name in names)
+        listed = tuple(sorted({*known, *names}))
+        passing = {*passing_on, *(_access(folder / known[0]).passing_on if known else ())}
+        if strangers := sorted(passing - set(listed)):
+            raise InputError.of(f"{', '.join(strangers)}: no such host", mend=f"hosts are {', '.join(listed)}")
+        access = msgspec.json.encode(_Access(listed, tuple(sorted(passing))))
+        authority = _authority(folder)
+        for name in names:
+            _make_host(folder / name, authority, (name, *hosts.get(name, ())), days)
+        for name in listed:
+            with suppress(FileNotFoundError):
+                (folder / name / _ACCESS).unlink()
+            _write(folder / name / _ACCESS, access)
+    except OSError as error:
+        raise InputError.of(f"can't be written: {error.strerror}", file=str(error.filename or folder)) from None
+    return [folder / name for name in names]
+
+
+def keys_of(host: str) -> str:
+    """All keys that a host may put, answer at, or be alive under. Everybody in the fleet may listen there."""
+    return f"{KEYS}/{host}/**"
+
+
+def tls(folder: Path) -> dict[str, Any]:
+    """Zenoh's `transport/link/tls`, for the host whose folder it is. Raises InputError if a file is missing."""
+    files = {name: folder / name for name in (_AUTHORITY_CERTIFICATE, _CERTIFICATE, _KEY)}
+    if missing := sorted(name for name, path in files.items() if not path.is_file()):
+        mend = "copy the host's folder that `cfgplan certificates` has made"
+        raise InputError([Fault("there is no such file", file=str(folder / name), mend=mend) for name in missing])
+    sides = {"listen": (_KEY, _CERTIFICATE), "connect": (_KEY, _CERTIFICATE)}
+    return {
+        "root_ca_certificate": str(files[_AUTHORITY_CERTIFICATE]),
+        "enable_mtls": True,
+        "verify_name_on_connect": True,
+        "close_link_on_expiration": True,
+        **{f"{side}_private_key": str(files[key]) for side, (key, _) in sides.items()},
+        **{f"{side}_certificate": str(files[certificate]) for side, (_, certificate) in sides.items()},
+    }
+
+
+def access_control(folder: Path, private: str) -> dict[str, Any]:
+    """Zenoh's `access_control`: who is listed may listen to the fleet and write its own keys; nobody else may anything.
+
+    Links of the protocol `private` come from this computer's user and may do all. Raises InputError.
+    """
+    access = _access(folder)
+    everything, written = [f"{KEYS}/**"], ["put", "delete", "reply", "liveliness_token", "declare_queryable"]
+    heard = ["declare_subscriber", "declare_liveliness_subscriber", "liveliness_query", "query"]
+    rules = [
+        _rule("hear", "ingress", heard, everything),
+        # Without the egress of declarations nothing arrives, and nobody complains.
+        _rule("tell", "egress", [*written, *heard], everything),
+        _rule("pass on", "ingress", written, everything),
+        *(_rule(f"write {host}", "ingress", written, [keys_of(host)]) for host in access.hosts),
+    ]
+    subjects = [{"id": host, "cert_common_names": [host]} for host in access.hosts]
+    policies = [
+        {
+            "subjects": [host],
+            "rules": ["hear", "tell", "pass on" if host in access.passing_on else f"write {host}"],
+        }
+        for host in access.hosts
+    ]
+    own = {"id": "this computer", "link_protocols": [private]}
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": [*subjects, own],
+        "policies": [*policies, {"subjects": [own["id"]], "rules": ["hear", "tell", "pass on"]}],
+    }
+
+
+def _rule(name: str, flow: str, messages: list[str], keys: list[str]) -> dict[str, Any]:
+    return {"id": name, "permission": "allow", "flows": [flow], "messages": messages, "key_exprs": keys}
+
+
+def _access(folder: Path) -> _Access:
+    path = folder / _ACCESS
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=_Access)
+    except (OSError, msgspec.MsgspecError) as error:
+        mend = "copy the host's folder that `cfgplan certificates` has made"
+        raise InputError.of(f"can't be read: {error}", file=str(path), mend=mend) from None
+
+
+def _refuse_names(names: Iterable[str]) -> None:
+    bad = [name for name in names if not _NAME.fullmatch(name)]
+    if bad:
+        mend = "letters, digits, dots, - and _, at most 63"
+        raise InputError([Fault(f"{name!r} can't be the name of a host", mend=mend) for name in bad])
+
+
+def _refuse_overwriting(folders: Iterable[Path]) -> None:
+    mend = "name another folder, or remove this one to make it anew"
+    there = [Fault("is there already, and not written over", file=str(path), mend=mend) for path in folders
+             if os.path.lexists(path)]  # fmt: skip
+    if there:
+        raise InputError(there)
+
+
+def _authority(folder: Path) -> _Authority:
+    """The folder's authority, which is made if there is none."""
+    from cryptography import x509
+    from cryptography.hazmat.primitives import serialization
+    from cryptography.hazmat.primitives.asymmetric import ec
+
+    paths = folder / _AUTHORITY_CERTIFICATE, folder / _AUTHORITY_KEY
+    if not any(path.exists() for path in paths):
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        authority = _new_authority()
+        _write(paths[0], authority.certificate.public_bytes(serialization.Encoding.PEM))
+        _write(paths[1], _pem(authority.key))
+        return authority
+    try:
+        key = serialization.load_pem_private_key(paths[1].read_bytes(), None)
+        certificate = x509.load_pem_x509_certificate(paths[0].read_bytes())
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError.of(f"the authority can't be read: {error}", file=str(folder), mend="name another") from None
+    if not isinstance(key, ec.EllipticCurvePrivateKey) or key.public_key() != certificate.public_key():
+        raise InputError.of("the authority's key is not that of its certificate", file=str(folder), mend="name another")
+    return _Authority(certificate, key)
+
+
+def _new_authority() -> _Authority:
+    from cryptography import x509
+    from cryptography.hazmat.primitives.asymmetric import ec
+
+    key = ec.generate_private_key(ec.SECP256R1())
+    name = _named("cfgplan's authority")
+    usage = x509.KeyUsage(
+        digital_signature=False, content_commitment=False, key_encipherment=False, data_encipherment=False,
+        key_agreement=False, key_cert_sign=True, crl_sign=True, encipher_only=False, decipher_only=False,
+    )  # fmt: skip
+    unsigned = (
+        _valid(x509.CertificateBuilder(), _AUTHORITY_DAYS)
+        .subject_name(name)
+        .issuer_name(name)
+        .public_key(key.public_key())
+        .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+        .add_extension(usage, critical=True)
+        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
+    )
+    return _Authority(_signed(unsigned, key), key)
+
+
+def _make_host(folder: Path, authority: _Authority, names: Sequence[str], days: int) -> None:
+    from cryptography import x509
+    from cryptography.hazmat.primitives.asymmetric import ec
+    from cryptography.hazmat.primitives.serialization import Encoding
+    from cryptography.x509.oid import ExtendedKeyUsageOID
+
+    key = ec.generate_private_key(ec.SECP256R1())
+    both = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.CLIENT_AUTH, ExtendedKeyUsageOID.SERVER_AUTH])
+    issuer = authority.key.public_key()
+    unsigned = (
+        _valid(x509.CertificateBuilder(), days)
+        .subject_name(_named(names[0]))
+        .issuer_name(authority.certificate.subject)
+        .public_key(key.public_key())
+        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        .add_extension(both, critical=False)
+        .add_extension(x509.SubjectAlternativeName(_alternatives(names)), critical=False)
+        .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(issuer), critical=False)
+    )
+    folder.mkdir(mode=0o700)
+    _write(folder / _AUTHORITY_CERTIFICATE, authority.certificate.public_bytes(Encoding.PEM))
+    _write(folder / _CERTIFICATE, _signed(unsigned, authority.key).public_bytes(Encoding.PEM))
+    _write(folder / _KEY, _pem(key))
+
+
+def _alternatives(names: Iterable[str]) -> list[x509.GeneralName]:
+    from cryptography import x509
+
+    return [
+        x509.IPAddress(ip_address(name)) if _is_address(name) else x509.DNSName(name) for name in dict.fromkeys(names)
+    ]
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+def _named(name: str) -> x509.Name:
+    from cryptography import x509
+
+    return x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, name)])
+
+
+def _valid(builder: x509.CertificateBuilder, days: int) -> x509.CertificateBuilder:
+    from cryptography import x509
+
+    now = datetime.now(UTC)
+    begin, end = now - _CLOCKS_DIFFER, now + timedelta(days=days)
+    return builder.serial_number(x509.random_serial_number()).not_valid_before(begin).not_valid_after(end)
+
+
+def _signed(builder: x509.CertificateBuilder, key: ec.EllipticCurvePrivateKey) -> x509.Certificate:
+    from cryptography.hazmat.primitives.hashes import SHA256
+
+    return builder.sign(key, SHA256())
+
+
+def _pem(key: ec.EllipticCurvePrivateKey) -> bytes:
+    from cryptography.hazmat.primitives import serialization
+
+    private = serialization.PrivateFormat.PKCS8
+    return key.private_bytes(serialization.Encoding.PEM, private, serialization.NoEncryption())
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Write a file that is not there yet, for its owner alone."""
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    with os.fdopen(descriptor, "wb") as file:
+        file.write(content)

@@ -1,0 +1,270 @@
+"""Certificates of a fleet: what is made, and who gets in with what, over real links on loopback."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import queue
+import shutil
+import socket
+import ssl
+import time
+from collections.abc import Iterator
+from datetime import datetime, timedelta, tzinfo
+from pathlib import Path
+
+import pytest
+import zenoh
+from cfgplan_runtime.fleet import certificates
+from cfgplan_runtime.fleet.certificates import make
+from cfgplan_runtime.fleet.links import config
+from cryptography import x509
+
+from cfgplan.cli import main
+from cfgplan.errors import InputError
+
+PATIENCE_S = 10.0
+ADDRESS = ["127.0.0.1"]
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("fleet") / "secrets"
+    make(folder, {"r1": ADDRESS, "r2": ADDRESS, "base": ADDRESS}, passing_on=["base"], days=2)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def strangers(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same names from another authority."""
+    folder = tmp_path_factory.mktemp("strangers") / "secrets"
+    make(folder, {"r1": ADDRESS, "r2": ADDRESS}, days=2)
+    return folder
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        return int(free.getsockname()[1])
+
+
+@contextlib.contextmanager
+def session(folder: Path | None, *, listen: int | None = None, connect: int | None = None) -> Iterator[zenoh.Session]:
+    def endpoints(port: int | None) -> list[str]:
+        return [] if port is None else [f"{'tcp' if folder is None else 'tls'}/127.0.0.1:{port}"]
+
+    text = json.dumps(config(endpoints(listen), endpoints(connect), folder))
+    with zenoh.open(zenoh.Config.from_json5(text)) as opened:
+        yield opened
+
+
+def connected(one: zenoh.Session) -> None:
+    end = time.monotonic() + PATIENCE_S
+    while not one.info.routers_zid():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def test_files_are_for_their_owner_alone_and_name_the_host(fleet: Path) -> None:
+    files = [path for path in fleet.rglob("*") if path.is_file()]
+    assert len(files) == 2 + 4 * 4
+    assert {path.stat().st_mode & 0o777 for path in files} == {0o600}
+    assert {path.stat().st_mode & 0o777 for path in (fleet, *fleet.iterdir()) if path.is_dir()} == {0o700}
+    made = x509.load_pem_x509_certificate((fleet / "r1" / "host.pem").read_bytes())
+    assert made.subject.rfc4514_string() == "CN=r1"
+    names = made.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    assert names.get_values_for_type(x509.DNSName) == ["r1"]
+    assert [str(address) for address in names.get_values_for_type(x509.IPAddress)] == ADDRESS
+    uses = made.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
+    assert {use._name for use in uses} == {"clientAuth", "serverAuth"}
+    assert timedelta(days=2) < made.not_valid_after_utc - made.not_valid_before_utc < timedelta(days=3)
+    assert not (fleet / "r1" / "authority.key").exists()
+
+
+def test_a_host_that_is_added_is_listed_by_all_and_nothing_else_is_written_over(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "secrets"
+    assert main(["certificates", str(folder), "r1=10.0.0.1,r1.local", "base", "--passes-on", "base"]) == 0
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file() and path.suffix != ".json"}
+    assert main(["certificates", str(folder), "r1"]) == 30
+    assert "r1: is there already, and not written over" in capsys.readouterr().err
+    assert main(["certificates", str(folder), "r2"]) == 0
+    assert {path: path.read_bytes() for path in before} == before
+    for host in ("r1", "r2", "base", "manager"):
+        access = json.loads((folder / host / "access.json").read_text())
+        assert access == {"hosts": ["base", "manager", "r1", "r2"], "passing_on": ["base"]}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["../r1"], "'../r1' can't be the name of a host"),
+        (["r1=nowhere at all"], "'nowhere at all' can't be the name of a host"),
+        (["r1", "r1=10.0.0.1"], "host r1 is named twice"),
+        (["r1", "--passes-on", "base"], "base: no such host"),
+        (["r1", "--days", "9999999999"], "can't be valid for 9999999999 days"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_and_nothing_is_written(
+    arguments: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["certificates", str(tmp_path / "secrets"), *arguments]) == 30
+    assert says in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "secrets").exists()
+
+
+def test_an_authority_that_is_damaged_is_told(fleet: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "secrets"
+    shutil.copytree(fleet, folder)
+    (folder / "authority.key").write_text("nonsense")
+    with pytest.raises(InputError, match="the authority can't be read"):
+        make(folder, {"r3": ()}, days=1)
+    shutil.copy(fleet / "r1" / "host.key", folder / "authority.key")
+    with pytest.raises(InputError, match="the authority's key is not that of its certificate"):
+        make(folder, {"r3": ()}, days=1)
+
+
+def test_a_folder_that_lacks_a_file_is_told_with_its_name(fleet: Path, tmp_path: Path) -> None:
+    shutil.copytree(fleet / "r1", tmp_path / "r1")
+    (tmp_path / "r1" / "host.key").unlink()
+    with pytest.raises(InputError, match=r"host.key: there is no such file"):
+        config(["tls/127.0.0.1:7447"], certificates=tmp_path / "r1")
+    (tmp_path / "r1" / "access.json").write_text('{"hosts": 3}')
+    with pytest.raises(InputError, match=r"access.json: can't be read"):
+        config(["tls/127.0.0.1:7447"], certificates=tmp_path / "r1")
+
+
+def answer_to(port: int, folder: Path | None, authority: Path) -> bytes:
+    """What an agent answers to a TLS client; raises if it refuses the client, or the client the agent."""
+    context = ssl.create_default_context(cafile=authority / "authority.pem")
+    if folder is not None:
+        context.load_cert_chain(folder / "host.pem", folder / "host.key")
+    with (
+        socket.create_connection(("127.0.0.1", port), PATIENCE_S) as plain,
+        context.wrap_socket(plain, server_hostname="127.0.0.1") as secured,
+    ):
+        # The beginning of a link: without it the agent waits.
+        secured.sendall(b"\x00\x00")
+        return secured.recv(1)
+
+
+def test_who_has_no_certificate_a_strangers_or_an_expired_one_is_refused(
+    fleet: Path, strangers: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class LastYear(datetime):
+        @classmethod
+        def now(cls, tz: tzinfo | None = None) -> datetime:  # type: ignore[override]
+            return datetime.now(tz) - timedelta(days=365)
+
+    for name in ("authority.pem", "authority.key"):
+        shutil.copy(fleet / name, tmp_path / name)
+    monkeypatch.setattr(certificates, "datetime", LastYear)
+    make(tmp_path, {"r2": ADDRESS}, days=2)
+    port = free_port()
+    with session(fleet / "r1", listen=port):
+        assert answer_to(port, fleet / "r2", fleet)
+        with pytest.raises(ssl.SSLError, match=r"(?i)certificate.required"):
+            answer_to(port, None, fleet)
+        with pytest.raises(ssl.SSLError, match=r"(?i)unknown.ca|decrypt.error|bad.certificate"):
+            answer_to(port, strangers / "r2", fleet)
+        with pytest.raises(ssl.SSLError, match=r"(?i)expired"):
+            answer_to(port, tmp_path / "r2", fleet)
+        with pytest.raises(ssl.SSLCertVerificationError):
+            answer_to(port, fleet / "r2", strangers)
+
+
+def test_an_agent_outlives_garbage_and_who_speaks_without_tls_gets_nothing(fleet: Path) -> None:
+    port = free_port()
+    with session(fleet / "r1", listen=port) as agent:
+        for garbage in (os.urandom(4096), b"GET / HTTP/1.1\r\n\r\n", b""):
+            with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as plain:
+                plain.sendall(garbage)
+                plain.shutdown(socket.SHUT_WR)
+                with contextlib.suppress(ConnectionError):
+                    while plain.recv(4096):
+                        pass
+        with session(None, connect=port) as plain_link, session(fleet / "r2", connect=port) as other:
+            connected(other)
+            assert not plain_link.info.routers_zid()
+            assert [str(zid) for zid in agent.info.routers_zid()] == [str(other.info.zid())]
+
+
+def heard_by(agent: zenoh.Session) -> queue.SimpleQueue[str]:
+    heard: queue.SimpleQueue[str] = queue.SimpleQueue()
+    agent.declare_subscriber(
+        "cfgplan/**", lambda sample: heard.put(str(sample.key_expr)), allowed_origin=zenoh.Locality.REMOTE
+    )
+    return heard
+
+
+def all_heard(heard: queue.SimpleQueue[str], writer: zenoh.Session, last: str) -> set[str]:
+    """What has been heard once `last`, put again and again by the writer, is."""
+    keys: set[str] = set()
+    end = time.monotonic() + PATIENCE_S
+    while last not in keys:
+        assert time.monotonic() < end
+        writer.put(last, b"")
+        with contextlib.suppress(queue.Empty):
+            keys.add(heard.get(timeout=0.05))
+    return keys
+
+
+def test_a_host_writes_its_own_keys_and_no_others(fleet: Path) -> None:
+    port = free_port()
+    with session(fleet / "r1", listen=port) as agent, session(fleet / "r2", connect=port) as other:
+        heard = heard_by(agent)
+        alive: queue.SimpleQueue[str] = queue.SimpleQueue()
+        agent.liveliness().declare_subscriber("cfgplan/**", lambda sample: alive.put(str(sample.key_expr)))
+        connected(other)
+        assert all_heard(heard, other, "cfgplan/r2/first") == {"cfgplan/r2/first"}
+        for key in ("cfgplan/r1/x", "cfgplan/manager/x", "cfgplan/base/x", "other/r2/x", "cfgplan/r2x/x"):
+            other.put(key, b"")
+            tokens = [other.liveliness().declare_token(key)]
+        tokens.append(other.liveliness().declare_token("cfgplan/r2/alive"))
+        assert all_heard(heard, other, "cfgplan/r2/last") <= {"cfgplan/r2/first", "cfgplan/r2/last"}
+        assert alive.get(timeout=PATIENCE_S) == "cfgplan/r2/alive"
+        assert alive.empty()
+        assert tokens
+
+
+def test_what_other_hosts_write_comes_through_who_passes_it_on_and_through_nobody_else(fleet: Path) -> None:
+    ports = {host: free_port() for host in ("base", "r2")}
+    for middle, passes in (("base", True), ("r2", False)):
+        with (
+            session(fleet / middle, listen=ports[middle]) as third,
+            session(fleet / "r1", connect=ports[middle]) as agent,
+            session(fleet / "manager", connect=ports[middle]) as manager,
+        ):
+            heard, heard_between = heard_by(agent), heard_by(third)
+            connected(agent)
+            connected(manager)
+            if passes:
+                assert all_heard(heard, manager, "cfgplan/manager/order") == {"cfgplan/manager/order"}
+            else:
+                assert all_heard(heard, third, f"cfgplan/{middle}/first") == {f"cfgplan/{middle}/first"}
+                assert all_heard(heard_between, manager, "cfgplan/manager/order") == {"cfgplan/manager/order"}
+                assert "cfgplan/manager/order" not in all_heard(heard, third, f"cfgplan/{middle}/last")
+
+
+def test_a_certificate_of_the_authority_with_a_name_that_is_not_listed_may_do_nothing(
+    fleet: Path, tmp_path: Path
+) -> None:
+    """It was made for another fleet of the same authority, or its host was taken from the list."""
+    folder = tmp_path / "secrets"
+    shutil.copytree(fleet, folder)
+    make(folder, {"r3": ADDRESS}, days=2)
+    port = free_port()
+    with (
+        session(fleet / "r1", listen=port) as agent,
+        session(folder / "r3", connect=port) as stranger,
+        session(fleet / "r2", connect=port) as other,
+    ):
+        heard, overheard = heard_by(agent), heard_by(stranger)
+        connected(other)
+        connected(stranger)
+        for _ in range(20):
+            stranger.put("cfgplan/r3/x", b"")
+            agent.put("cfgplan/r1/x", b"")
+        assert all_heard(heard, other, "cfgplan/r2/last") == {"cfgplan/r2/last"}
+        assert overheard.empty()
