@@ -20,14 +20,14 @@ from cfgplan.comparing.report import write_report
 from cfgplan.comparing.runner import everyone, progress_bar
 from cfgplan.comparing.suites import SUITES, wsc_sets
 from cfgplan.errors import CfgplanError
-from experiments.peers import PEERS
+from experiments.peers import PEERS, SHARING
 from experiments.planning import VARIANTS, takes_part
 from experiments.planning.scale_suite import SCALE_SEEDS, scale
 from experiments.planning.scaling import measure_loads, write_scale
 
 INSTANCES = {**SUITES, "scale": scale}
-ENTRANTS = {**REGISTERED, **VARIANTS, **PEERS}
-STUDY = (*REGISTERED, *PEERS)
+ENTRANTS = {**REGISTERED, SHARING.name: SHARING, **VARIANTS, **PEERS}
+STUDY = (*REGISTERED, SHARING.name, *PEERS)
 AT_SCALE = ("cpsat", *VARIANTS, *PEERS)
 REPORTS = {
     "short": Path("build", "compare"),

@@ -3,7 +3,6 @@
 * `cpsat`: exact, by constraint programming with lazily added groundedness.
 * `exhaustive`: the oracle, which tries every set of units and every wiring; about ten transformations.
 * `branch-and-bound`: the paper's Algorithms 1 and 2 with the merging of section IV-D; not optimal.
-* `branch-and-bound-shared`: what that search could be if it counted what is shared once; exact in cost.
 
 None of them looks at open pairs of tags: problems that have some come to them through `undecided`.
 """
@@ -42,6 +41,5 @@ PLANNERS: Mapping[str, Planner] = MappingProxyType(
         "cpsat": _imported_on_use("cfgplan.planners.cpsat"),
         "exhaustive": _imported_on_use("cfgplan.planners.exhaustive"),
         "branch-and-bound": _imported_on_use("cfgplan.planners.branch_and_bound"),
-        "branch-and-bound-shared": _imported_on_use("cfgplan.planners.branch_and_bound_shared"),
     }
 )

@@ -1,6 +1,6 @@
-"""Other solvers as planners, for comparison only; they need the extra `peers`.
+"""Other ways to plan, for comparison only: solvers, which need the extra `peers`, and the paper's search mended.
 
-Each encodes the whole problem: grounded, shared, with what reuse saves. What one does not know it refuses.
+Each knows the whole problem: grounded, shared, with what reuse saves. What one does not know it refuses.
 """
 
 from __future__ import annotations
@@ -10,6 +10,8 @@ from types import MappingProxyType
 
 from cfgplan.comparing import Entrant
 
+SHARING = Entrant("branch-and-bound-shared", "experiments.peers.sharing:plan")
+"""The paper's search, if it counted what is shared once."""
 PEERS: Mapping[str, Entrant] = MappingProxyType(
     {
         entrant.name: entrant

@@ -9,9 +9,9 @@ from math import gcd
 import clingo
 
 from cfgplan.errors import InputError
-from cfgplan.planners.selection import Selection
 from cfgplan.planning import Plan, Problem, Progress, Status
 from cfgplan.reasons import unmet_reasons
+from experiments.peers.selection import Selection
 
 RULES = """
 { run(U) } :- unit(U), fed(T) : needs(U, T); fed_port(U, P) : picky(U, P, T).

@@ -17,9 +17,9 @@ from pathlib import Path
 from threading import Timer
 
 from cfgplan.errors import InputError
-from cfgplan.planners.selection import Selection
 from cfgplan.planning import Plan, Problem, Progress, Status
 from cfgplan.reasons import unmet_reasons
+from experiments.peers.selection import Selection
 
 WHO = "fast-downward"
 OUT_OF_MEMORY = 22

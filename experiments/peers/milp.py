@@ -15,9 +15,9 @@ import highspy
 import numpy as np
 
 from cfgplan.errors import InputError
-from cfgplan.planners.selection import Selection
 from cfgplan.planning import Plan, Problem, Progress, Status
 from cfgplan.reasons import unmet_reasons
+from experiments.peers.selection import Selection
 
 WHO = "highs"
 

@@ -29,7 +29,6 @@ WHY = "pinned unit sim.1 can't be fed: its input cmd wants CmdVel, but no output
     [
         (SIM, ("--planner", "cpsat")),
         (SIM, ("--planner", "branch-and-bound")),
-        (SIM, ("--planner", "branch-and-bound-shared")),
         (SIM, ("--planner", "exhaustive")),
         (SIM, ("--best-effort",)),
         (HOSTED, ("--planner", "cpsat")),

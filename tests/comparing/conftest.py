@@ -1,6 +1,7 @@
-"""The peers live in `experiments/`, beside the package."""
+"""The peers live in `experiments/`, beside the package; small worlds are drawn by `tests/planners/worlds.py`."""
 
 import sys
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
+sys.path.append(str(Path(__file__).parents[1] / "planners"))

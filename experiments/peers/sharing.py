@@ -13,9 +13,9 @@ import heapq
 import time
 from collections.abc import Callable
 
-from cfgplan.planners.selection import Selection
 from cfgplan.planning import Plan, Problem, Progress, Status, refuse_notions
 from cfgplan.reasons import unmet_reasons
+from experiments.peers.selection import Selection
 
 DIVE_EVERY = 500
 Set = frozenset[int]

@@ -13,8 +13,9 @@ from cfgplan.errors import InputError
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import Problem, Progress, Status
 from cfgplan.validity import plan_violations
+from experiments.peers import sharing
 
-search = PLANNERS["branch-and-bound-shared"]
+search = sharing.plan
 
 
 @settings(
