@@ -1,6 +1,7 @@
-"""The world under test is a folder of unit code, not an installed package."""
+"""The world under test is a folder of unit code, and the network that of an experiment; neither is installed."""
 
 import sys
 from pathlib import Path
 
-sys.path.append(str(Path(__file__).parents[2] / "models" / "fleet"))
+ROOT = Path(__file__).parents[2]
+sys.path += [str(ROOT / "models" / "fleet"), str(ROOT / "experiments" / "fleet")]

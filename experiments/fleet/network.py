@@ -1,0 +1,107 @@
+"""Computers of a fleet as Linux network namespaces on a bridge, which end with this process.
+
+    with Network(["r1", "r2", "base"]) as network:
+        network.start("r1", ["ping", "-c", "1", network.address["base"]]).wait()
+        network.cut("r1")
+
+Each namespace is held by a `cat` that reads from this process: if that ends, however it ends, so do they, and so do
+their devices. Nothing has a name outside.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from types import TracebackType
+from typing import Any
+
+_TOOLS = ("unshare", "nsenter", "ip", "bridge", "tc")
+_FORWARDS, _IS_DISABLED = "3", "0"
+
+
+class Network:
+    """Hosts by name, each with an `address`; a context manager. Raises NotAllowedError."""
+
+    def __init__(self, hosts: Sequence[str]) -> None:
+        self.address = {host: f"10.77.0.{number}" for number, host in enumerate(hosts, 1)}
+        self._stack = ExitStack()
+        with ExitStack() as stack:
+            missing = [tool for tool in _TOOLS if shutil.which(tool) is None]
+            if missing:
+                raise NotAllowedError(f"not installed: {', '.join(missing)}")
+            # Who is not root is it in a user namespace of its own.
+            rights = [] if os.geteuid() == 0 else ["--user", "--map-root-user"]
+            self._switch = stack.enter_context(_namespace(["unshare", *rights, "--net"]))
+            self._in("switch", "ip", "link", "add", "bridge", "type", "bridge")
+            self._in("switch", "ip", "link", "set", "bridge", "up")
+            self._pids = {}
+            for host, address in self.address.items():
+                self._pids[host] = stack.enter_context(_namespace([*self._enter("switch"), "unshare", "--net"]))
+                self._in("switch", "ip", "link", "add", host, "type", "veth", "peer", "eth0", "netns", self._pids[host])
+                self._in("switch", "ip", "link", "set", host, "master", "bridge", "up")
+                self._in(host, "ip", "address", "add", f"{address}/24", "dev", "eth0")
+                for device in ("lo", "eth0"):
+                    self._in(host, "ip", "link", "set", device, "up")
+            self._stack = stack.pop_all()
+
+    def start(self, host: str, command: Sequence[str], **options: Any) -> subprocess.Popen[str]:
+        """Start a command on a host; it is left to the caller to end it. Options are those of Popen."""
+        environment: Mapping[str, str] = options.pop("env", os.environ)
+        return subprocess.Popen([*self._enter(host), *command], env=environment, text=True, **options)
+
+    def cut(self, host: str, *, loudly: bool = False) -> None:
+        """Let nothing through to or from a host. Loudly: the host sees that its cable is gone."""
+        if loudly:
+            self._in("switch", "ip", "link", "set", host, "down")
+        else:
+            self._in("switch", "bridge", "link", "set", "dev", host, "state", _IS_DISABLED)
+
+    def mend(self, host: str) -> None:
+        """Undo `cut`."""
+        self._in("switch", "ip", "link", "set", host, "up")
+        self._in("switch", "bridge", "link", "set", "dev", host, "state", _FORWARDS)
+
+    def limit(self, host: str, mbit_s: float) -> None:
+        """Let no more than so much through to a host and from it."""
+        rate = ["tbf", "rate", f"{mbit_s}mbit", "burst", "32kb", "latency", "50ms"]
+        self._in("switch", "tc", "qdisc", "replace", "dev", host, "root", *rate)
+        self._in(host, "tc", "qdisc", "replace", "dev", "eth0", "root", *rate)
+
+    def __enter__(self) -> Network:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.close()
+
+    def _enter(self, place: str) -> list[str]:
+        rights = [] if os.geteuid() == 0 else ["--user", "--preserve-credentials"]
+        return ["nsenter", "--target", self._switch if place == "switch" else self._pids[place], *rights, "--net"]
+
+    def _in(self, place: str, *command: str) -> None:
+        done = subprocess.run([*self._enter(place), *command], capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise NotAllowedError(f"{' '.join(command)}: {done.stderr.strip()}")
+
+
+class NotAllowedError(Exception):
+    """This system gives no network namespaces; the message says why."""
+
+
+@contextmanager
+def _namespace(command: Sequence[str]) -> Iterator[str]:
+    """The process id of a process in the namespace that a command makes."""
+    echo = ["sh", "-c", "echo $$; exec cat >/dev/null"]
+    made = subprocess.Popen(
+        [*command, *echo], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    with made:
+        assert made.stdout is not None and made.stderr is not None
+        said = made.stdout.readline().strip()
+        if not said:
+            raise NotAllowedError(f"{' '.join(command)}: {made.stderr.read().strip()}")
+        yield said
