@@ -87,7 +87,7 @@ def port(text: str) -> int:
 
 
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
-    from cfgplan_runtime.lifecycle.worlds import check_can_run
+    from cfgplan_runtime.lifecycle.worlds import refuse_hosts
 
     for name in options.preload:
         top = name.partition(".")[0]
@@ -97,7 +97,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         mend = "add --dry-run; or edit the file, or use `cfgplan ctl` while it runs"
         raise InputError.of("--without, --with and --set are for trying out what would be planned", mend=mend)
     loaded = shared.load(options, screen)
-    check_can_run(loaded)
+    if not options.dry_run:
+        refuse_hosts(loaded)
     _check_can_start(loaded)
     if loaded.environment.units:
         count = counted(len(loaded.environment.units), "running unit")
@@ -212,6 +213,7 @@ def _settings(options: argparse.Namespace) -> Settings:
             time_limit_s=options.timeout or Policy().time_limit_s,
             match_limit_s=options.reasoner_timeout,
             reasoner=options.reasoner,
+            refuses_hosts=True,
             back_off=BackOffRules(alone_s=options.back_off),
         ),
         preload=options.preload,

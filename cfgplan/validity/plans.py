@@ -144,17 +144,20 @@ def _refuted_by_what_runs(problem: Problem, plan: Plan) -> Iterator[Violation]:
         yield Violation(Rule.BOUND, "the plan says that ties are proven, but what runs costs the same without a change")
 
 
+def kept_us(environment: Environment, horizon_s: int) -> int:
+    """What it costs to keep what runs over a horizon in seconds, in microseconds; unknown units cost nothing."""
+    cost = carried_us(environment, horizon_s) + priced_us(environment)
+    for unit, transformation in known_units(environment):
+        a_second_us = (transformation.standby_us or 0) if unit.standby else transformation.upkeep_us
+        cost += a_second_us * horizon_s
+    return cost
+
+
 def _cost_us(problem: Problem, after: Environment) -> int:
     """What the update to an environment costs, in microseconds."""
-    cost = carried_us(after, problem.horizon_s) + priced_us(after)
-    for unit, transformation in known_units(after):
-        if unit.standby:
-            cost += (transformation.standby_us or 0) * problem.horizon_s
-            continue
-        cost += transformation.upkeep_us * problem.horizon_s
-        if unit.id not in problem.environment.unit:
-            cost += transformation.labor_us
-    return cost
+    before = problem.environment.unit
+    new = [transformation for unit, transformation in known_units(after) if unit.id not in before and not unit.standby]
+    return kept_us(after, problem.horizon_s) + sum(transformation.labor_us for transformation in new)
 
 
 def _bad_cost(problem: Problem, plan: Plan, after: Environment) -> Iterator[Violation]:

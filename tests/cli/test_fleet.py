@@ -124,10 +124,10 @@ def test_explain_tells_a_spare_and_a_failure_that_nothing_survives(run: Run) -> 
     assert "target ball would have no stream if host piff fails" in spare
 
 
-def test_a_run_refuses_what_it_does_not_know(run: Run) -> None:
+def test_a_run_on_one_computer_refuses_hosts(run: Run) -> None:
     result = run("run", FLEET / "1-start.yaml", "--for", "1s")
     assert result.code == 30
-    assert "a run does not know hosts and quality" in result.err
+    assert "this run is on one computer, and can't place units on hosts (base, r1, r2)" in result.err
 
 
 def test_a_run_of_what_has_no_unit_code_says_so_once(run: Run) -> None:

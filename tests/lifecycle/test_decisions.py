@@ -26,6 +26,7 @@ from cfgplan_runtime.lifecycle.deliberation import Thought
 from cfgplan_runtime.lifecycle.inbox import Asked, Item, Leave, Unusable
 from cfgplan_runtime.lifecycle.perturbations import (
     HorizonReached,
+    HostBack,
     HostGone,
     MayStartAgain,
     Perturbation,
@@ -61,6 +62,8 @@ from cfgplan_runtime.lifecycle.turns import (
     Updated,
 )
 from cfgplan_runtime.supervision.events import (
+    HostJoined,
+    HostLost,
     InputLost,
     TopicsStatus,
     UnitDied,
@@ -77,7 +80,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from living import RESULT, source, worker
 
 from cfgplan import api
-from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Publication, Stream, Subscription, Target
+from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Host, Publication, Stream, Subscription, Target
 from cfgplan.errors import Fault, InputError
 
 E = TypeVar("E")
@@ -86,7 +89,7 @@ POLICY = Policy(gather_s=0.0, explain_s=0.02, retry_s=0.1, most_loss_s=1.0)
 COUNT = ComputationUnit("count.1", "count")
 WORK = ComputationUnit("work.1", "work", (Subscription("x", Stream("count.1", "n")),), (Publication("y", "/result"),))
 RUNNING = Environment((COUNT, WORK), LIBRARY, (RESULT,))
-EMPTY = Environment((), LIBRARY, (RESULT,))
+EMPTY = LIVING = Environment((), LIBRARY, (RESULT,))
 START = ChangeSet(started=(COUNT, WORK))
 
 
@@ -184,18 +187,22 @@ def test_nothing_is_changed_in_place() -> None:
         ([InputLost("work.1", "x", 1)], SubscriptionLost("work.1", "x"), 0.02),
         ([InputLost(None, "/result", 1)], SubscriptionLost(None, "/result"), 0.02),
         ([asked(LoseHost("far", "no answer"))], HostGone("far", "no answer"), 0.0),
+        ([HostLost("far", "cut")], HostGone("far", "cut"), 0.0),
+        ([HostLost("far", "cut"), UnitDied("work.1", "k")], HostGone("far", "cut"), 0.0),
+        ([asked(LoseHost("far")), asked(RegainHost("far"))], (HostGone("far"), HostBack("far")), 0.0),
         ([asked(ReviewNow("me"))], ReviewRequested("me"), 0.0),
     ],
 )
 def test_what_happens_is_a_perturbation_and_a_review_is_due(
-    what: list[Happening], perturbation: Perturbation, delay_s: float
+    what: list[Happening], perturbation: Perturbation | tuple[Perturbation, ...], delay_s: float
 ) -> None:
     state, effects = after(stable(), 3.0, *what)
-    assert perturbations(effects) == [perturbation]
+    told = perturbation if isinstance(perturbation, tuple) else (perturbation,)
+    assert tuple(perturbations(effects)) == told
     assert state.due_s == 3.0 + delay_s
     state, effects = after(state, state.due_s, Tick(0.0))
     assert [type(effect) for effect in effects] == [Tell, MakePlan]
-    assert effects[0] == Tell(ReviewBegan(2, (perturbation,)))
+    assert effects[0] == Tell(ReviewBegan(2, told))
 
 
 @pytest.mark.parametrize(
@@ -205,11 +212,35 @@ def test_what_happens_is_a_perturbation_and_a_review_is_due(
         UnitStopped("work.1"),
         UnitFailed("work.1", "raised", 3, "bad"),
         Unusable("f", ()),
+        HostLost("stranger", "cut"),
+        HostJoined("stranger"),
+        HostJoined("far"),
     ],
 )
 def test_what_is_no_perturbation_makes_no_review(what: Happening) -> None:
     state, effects = after(stable(), 3.0, what)
     assert (effects, state.due_s) == ([], inf)
+
+
+def test_a_lost_host_takes_its_units_along_blames_nobody_and_answers_by_the_review() -> None:
+    kill = asked(KillUnit("work.1"))
+    state, effects = after(stable(), 3.0, kill, HostLost("far", "cut"))
+    assert state.situation.units.keys() == {"count.1"}
+    assert not found(effects, LearnOfFailure)
+    assert state.waiting == {}
+    assert state.entries[-1].outcomes == (kill.outcome,)
+    state, _ = after(updating(), 2.0, HostLost("far", "cut"))
+    state, effects = after(state, 2.5, Updated(0.5, ApplyError("work.2 was on far", ("work.2",))))
+    assert not found(effects, LearnOfFailure)
+    assert state.due_s == 2.0
+
+
+def test_the_first_review_waits_for_hosts_as_long_as_it_may() -> None:
+    policy = replace(POLICY, hosts_s=3.0)
+    state, _ = after(first_state(world(), policy), 5.0, Started(), running=EMPTY)
+    assert (state.due_s, state.situation.lost_hosts(LIVING)) == (8.0, ("far",))
+    joined, effects = after(state, 6.0, HostJoined("near"), HostJoined("far"), running=EMPTY)
+    assert (joined.due_s, joined.situation.lost_hosts(LIVING), effects) == (6.0, (), [])
 
 
 def test_a_unit_without_a_good_step_for_long_is_given_up_and_blamed() -> None:
@@ -385,7 +416,7 @@ def test_where_nothing_else_can_help_what_is_left_alone_may_start_sooner() -> No
     [
         (KillUnit("nobody.1"), "no unit 'nobody.1' runs"),
         (LoseHost("near"), "there is no host 'near'"),
-        (RegainHost("far"), "host 'far' is not gone"),
+        (RegainHost("far"), "host 'far' was not given up"),
     ],
 )
 def test_a_bad_request_is_refused_at_once(change: Change, part: str) -> None:
@@ -486,8 +517,9 @@ class Deciding(RuleBasedStateMachine):
     @initialize()
     def begin(self) -> None:
         self.at_s, self.number = 0.0, 0
-        self.running = Environment((), (source(tag="Y"),), ())
-        self.state = first_state(api.world(Environment((), self.running.library, OTHERS[:1]), horizon_s=60), POLICY)
+        self.running = Environment((), (source(tag="Y"),), (), (Host("near"), Host("far")))
+        self.lost: set[str] = set()
+        self.state = first_state(api.world(replace(self.running, targets=OTHERS[:1]), horizon_s=60), POLICY)
         self.pending: MakePlan | ApplyUpdate | StopAll | None = None
         self.requests_made: list[Asked] = []
         self.answers: list[Any] = []
@@ -545,6 +577,16 @@ class Deciding(RuleBasedStateMachine):
         self.running = replace(self.running, units=tuple(u for u in self.running.units if u.id != unit))
         self.decide(UnitDied(unit, "crash"))
 
+    @precondition(lambda self: not self.state.is_over)
+    @rule(host=st.sampled_from(["near", "far", "stranger"]), is_lost=st.booleans())
+    def a_host_is_lost_or_joins(self, host: str, is_lost: bool) -> None:
+        if is_lost:
+            self.lost.add(host)
+            self.running = replace(self.running, units=tuple(u for u in self.running.units if u.host != host))
+        else:
+            self.lost.discard(host)
+        self.decide(HostLost(host, "cut") if is_lost else HostJoined(host))
+
     @precondition(lambda self: not self.state.is_over and isinstance(self.pending, ApplyUpdate))
     @rule()
     def a_new_unit_dies(self) -> None:
@@ -559,8 +601,9 @@ class Deciding(RuleBasedStateMachine):
         assert isinstance(order, MakePlan)
         self.number += 1
         targets = order.world.environment.targets
+        host = next((host for host in ("far", "near") if not order.situation.is_lost(host)), "near")
         started = tuple(
-            ComputationUnit(f"count.{self.number}-{one.label}", "count", (), (Publication("n", one.topic),))
+            ComputationUnit(f"count.{self.number}-{one.label}", "count", (), (Publication("n", one.topic),), host)
             for one in targets
         )
         change_set = ChangeSet(started, stopped=tuple(order.running.unit)) if finds else None
@@ -574,8 +617,10 @@ class Deciding(RuleBasedStateMachine):
     def an_update_ends(self, error: Exception | None) -> None:
         order, self.pending = self.pending, None
         assert isinstance(order, ApplyUpdate)
-        if order.basis.units != self.running.units:
-            error = StaleChangeSetError("others run")
+        if order.basis.units != self.running.units or not self.lost.isdisjoint(
+            u.host for u in order.change_set.started
+        ):
+            error = StaleChangeSetError("others run, or a host is gone")
         if error is None:
             self.running = self.running.update(order.change_set)
         self.decide(Updated(0.1, error))
@@ -597,6 +642,12 @@ class Deciding(RuleBasedStateMachine):
     @invariant()
     def no_question_is_answered_twice(self) -> None:
         assert len(self.answers) == len(set(map(id, self.answers)))
+
+    @invariant()
+    def no_unit_is_known_on_a_host_that_is_gone(self) -> None:
+        state = getattr(self, "state", None)
+        if state is not None and not isinstance(state.doing, Updating):
+            assert self.lost.isdisjoint(known.host for known in state.situation.units.values())
 
     @invariant()
     def what_is_under_way_is_what_is_known_to_be(self) -> None:

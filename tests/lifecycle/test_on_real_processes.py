@@ -192,17 +192,12 @@ def test_a_full_disk_for_a_topics_address_costs_no_unit_and_the_topic_comes_once
     assert [run_for_real.runtime.pid(unit) for unit in ("count.1", "work.1", OUTLETS)] == pids
 
 
-@pytest.mark.parametrize(
-    ("more", "said"),
-    [("hosts: [{name: here}]\n", "hosts"), ("survive: units\n", "survive")],
-)
-def test_an_edit_that_asks_for_what_a_run_does_not_know_is_refused(run_for_real: RealRun, more: str, said: str) -> None:
-    run_for_real.start(source(), worker())
-    run_for_real.write_text(run_for_real.file.read_text() + more)
+def test_an_edit_that_declares_hosts_is_refused_on_one_computer(run_for_real: RealRun) -> None:
+    run_for_real.start(source(), worker(), policy=Policy(refuses_hosts=True))
+    run_for_real.write_text(run_for_real.file.read_text() + "hosts: [{name: here}]\n")
     eventually(lambda: len(run_for_real.refused) == 1)
     (fault,) = run_for_real.manager.snapshot().faults
-    assert "a run does not know" in fault.message
-    assert said in fault.message
+    assert fault.message == "this run is on one computer, and can't place units on hosts (here)"
     assert fault.mend == "plan it with `solve`"
     run_for_real.await_result("work")
 

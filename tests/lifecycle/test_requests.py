@@ -75,7 +75,7 @@ def robots(tmp_path: Path) -> Life:
         (AddTargets((Target("other", "Y", "/result"),)), "topic"),
         (AddTransformations((worker("bad", needs="some ("),)), "input x of transformation 'bad'"),
         (LoseHost("far"), "there is no host 'far'"),
-        (RegainHost("far"), "host 'far' is not gone"),
+        (RegainHost("far"), "host 'far' was not given up"),
         (Withdraw("robot"), "there is no declaration 'robot'"),
         (Declare("robot", {"transformations": [{"lable": "x"}]}), "declared by robot"),
         (Declare("robot", {"targets": [{"label": "result", "topic": "/x", "tag": "Y"}]}), "'result'"),

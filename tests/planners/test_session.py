@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from test_against_the_oracle import quality
 from worlds import changed, problems
 
+from cfgplan import api
 from cfgplan.domain import (
     ChangeSet,
     ComputationUnit,
@@ -237,6 +238,21 @@ def test_a_session_plans_a_fleet_again_after_each_failure_from_its_last_plan(pro
         assert plan_violations(broken, warm) == []
         assert quality(warm) == quality(plan(broken))
         assert look.call_args_list[0].args[1] == 0
+
+
+def test_a_session_plans_a_fleet_again_when_transformations_of_its_last_plan_have_left() -> None:
+    session, whole = PlannerSession(), fleet_model("1-start")
+    first = session.plan(whole)
+    assert first.change_set is not None
+    left = tuple(t for t in whole.environment.library if not t.label.startswith("camera(r2)"))
+    again = session.plan(replace(whole, environment=replace(whole.environment, library=left)))
+    assert again.status is Status.OPTIMAL
+    assert not plan_violations(replace(whole, environment=replace(whole.environment, library=left)), again)
+
+
+def fleet_model(stage: str) -> Problem:
+    asked = api.load(Path(__file__).parents[2] / "models" / "fleet" / f"{stage}.yaml")
+    return api.problem(asked, api.match(asked).similarity)
 
 
 def test_what_is_known_without_open_pairs_and_with_all_of_them_stays_known() -> None:

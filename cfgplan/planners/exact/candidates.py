@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence, Set
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -107,7 +107,7 @@ class Candidates:
         return part
 
     @property
-    def labels(self) -> Collection[str]:
+    def labels(self) -> Set[str]:
         """The transformations that have candidates."""
         return self._units.keys()
 

@@ -68,7 +68,8 @@ def _bring_forward(standing: Standing, last: Collection[str]) -> None:
     standing.raise_bound(least_us)
     clock.end("closure")
     first = FirstPlans(candidates, standing)
-    is_known = bool(last) and first.offer(first.units_of(last))
+    known = candidates.labels & set(last)
+    is_known = bool(known) and first.offer(first.units_of(known))
     attempts = 0 if problem.survive is not None or is_known else clock.tuning.begin.attempts
     first.look(attempts)  # each attempt needs spares where failures are to be survived
     clock.end("first plans")

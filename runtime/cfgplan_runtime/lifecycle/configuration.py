@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
-from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Transformation
+from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Host, Transformation
 from cfgplan_runtime.lifecycle.back_off import BackOffs
 from cfgplan_runtime.lifecycle.differing import runs_alike
 from cfgplan_runtime.lifecycle.seams import Estimator
 from cfgplan_runtime.lifecycle.silence import Silence
+
+T = TypeVar("T")
 
 LARGEST_ESTIMATE_US = 10**12
 """Larger estimates are cut to this: 11 days of CPU time, which means never."""
@@ -17,10 +20,11 @@ LARGEST_ESTIMATE_US = 10**12
 
 @dataclass(frozen=True, slots=True)
 class Running:
-    """The transformation that a unit was started as, and when."""
+    """The transformation that a unit was started as, when, and on which host."""
 
     transformation: Transformation
     since_s: float
+    host: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +38,12 @@ class Situation:
     """Ids of units that are given up though they run."""
     killed: frozenset[str] = frozenset()
     """Ids of units whose end was asked for."""
-    lost_hosts: frozenset[str] = frozenset()
+    presence: Mapping[str, bool] = field(default_factory=dict)
+    """By host: whether the middleware's last word was that it is there."""
+    awaits_hosts: bool = False
+    """Whether a host of which the middleware has said nothing is not there yet."""
+    given_up_hosts: frozenset[str] = frozenset()
+    """Hosts that are to be done without, by request."""
     silences: tuple[Silence, ...] = ()
     """Targets that count as unmet though a stream is published for them."""
 
@@ -42,6 +51,14 @@ class Situation:
         """The label of a unit's transformation; None if the unit is not known."""
         running = self.units.get(unit)
         return None if running is None else running.transformation.label
+
+    def is_lost(self, host: str | None) -> bool:
+        """Whether nothing may be planned on a host, since it is not there or was given up."""
+        return host is not None and (host in self.given_up_hosts or not self.presence.get(host, not self.awaits_hosts))
+
+    def lost_hosts(self, world: Environment) -> tuple[str, ...]:
+        """The hosts of a world that nothing may be planned on, sorted."""
+        return tuple(host for host in hosts_of(world) if self.is_lost(host))
 
     def without(self, *gone: str) -> Situation:
         """The situation without these units."""
@@ -52,11 +69,18 @@ class Situation:
         """Add the units that are not known yet: they run since `now_s` as `library` says."""
         known = library.transformation
         new = {
-            unit.id: Running(known[unit.transformation], now_s)
+            unit.id: Running(known[unit.transformation], now_s, unit.host or known[unit.transformation].host)
             for unit in units
-            if unit.id not in self.units and unit.transformation in known
+            if unit.id not in self.units and unit.transformation in known and not unit.standby
         }
         return replace(self, units={**self.units, **new}) if new else self
+
+
+def hosts_of(world: Environment) -> tuple[str, ...]:
+    """The hosts that are declared; if none are, those that transformations name, sorted."""
+    if world.hosts:
+        return tuple(world.host)
+    return tuple(sorted({t.host for t in world.library if t.host is not None}))
 
 
 class EstimatedLibrary:
@@ -90,8 +114,9 @@ def avoided_now(world: Environment, running: Environment, situation: Situation) 
         if unit.id in situation.units and unit.id not in situation.failing
     }
     for label, transformation in world.transformation.items():
-        if transformation.host is not None and transformation.host in situation.lost_hosts:
-            avoided[label] = f"host {transformation.host} is gone"
+        places = world.hosts_for(transformation) if world.hosts else (transformation.host,)
+        if places and all(map(situation.is_lost, places)):
+            avoided[label] = gone_host(*places)
         elif label in situation.back_offs.avoided:
             served = serving.get(label)
             if served is None or not _has_ports_of(served, transformation):
@@ -108,15 +133,31 @@ def environment_to_plan(
 ) -> Environment:
     """The environment that an update is planned for.
 
-    A unit that can't go on (given up, or of a transformation that runs otherwise now) gets a label that the library
-    does not have, so that the planner stops it, and replaces it where it is needed.
+    It has no host that is lost, and no target there. A unit that can't go on (given up, of a transformation that runs
+    otherwise now, or on a host that it does not have) gets a label that the library does not have, so that the planner
+    stops it, and replaces it where it is needed.
     """
     library = tuple(costs[label] for label in world.transformation if label not in avoided)
-    units = tuple(_as_planned(unit, world, situation) for unit in running.units)
-    return Environment(units, library, world.targets)
+    hosts = tuple(host for host in world.hosts if not situation.is_lost(host.name))
+    targets = tuple(target for target in world.targets if not situation.is_lost(target.host))
+    units = tuple(_as_planned(unit, world, hosts, situation) for unit in running.units)
+    return replace(world, units=units, library=library, targets=targets, hosts=hosts)
 
 
-def _as_planned(unit: ComputationUnit, world: Environment, situation: Situation) -> ComputationUnit:
+def as_it_runs(world: Environment, running: Environment) -> Environment:
+    """What runs, in the world as it is now, which may not have all of its hosts any more."""
+    return replace(world, units=running.units, hosts=tuple({**running.host, **world.host}.values()))
+
+
+def gone_host(*hosts: str | None) -> str:
+    """Why what needs one of these hosts is not to be had."""
+    names = ", ".join(host for host in hosts if host is not None)
+    return f"host {names} is gone" if len(hosts) == 1 else f"hosts {names} are gone"
+
+
+def _as_planned(
+    unit: ComputationUnit, world: Environment, hosts: Sequence[Host], situation: Situation
+) -> ComputationUnit:
     now, known = world.transformation.get(unit.transformation), situation.units.get(unit.id)
     is_old = (
         now is not None
@@ -124,8 +165,9 @@ def _as_planned(unit: ComputationUnit, world: Environment, situation: Situation)
         and not runs_alike(known.transformation, now)
         and now.label not in situation.back_offs.avoided
     )
-    if is_old or unit.id in situation.failing:
-        return replace(unit, transformation=f"{unit.transformation} (to be replaced)")
+    is_there = unit.host in [host.name for host in hosts] if hosts else unit.host is None
+    if is_old or not is_there or unit.id in situation.failing:
+        return replace(unit, transformation=f"{unit.transformation} (to be replaced)", host=None)
     return unit
 
 
@@ -134,13 +176,23 @@ def _has_ports_of(one: Transformation, other: Transformation) -> bool:
 
 
 def with_world(change_set: ChangeSet, world: Environment, known: Environment) -> ChangeSet:
-    """Add to a change set over units how library and targets get from `known` to `world`."""
+    """Add to a change set over units how library, targets, hosts and qualities get from `known` to `world`."""
     return replace(
         change_set,
-        added_transformations=tuple(
-            t for label, t in world.transformation.items() if known.transformation.get(label) != t
-        ),
-        removed_transformations=tuple(sorted(set(known.transformation) - set(world.transformation))),
-        added_targets=tuple(target for label, target in world.target.items() if known.target.get(label) != target),
-        removed_targets=tuple(sorted(set(known.target) - set(world.target))),
+        added_transformations=_new(world.transformation, known.transformation),
+        removed_transformations=_gone(world.transformation, known.transformation),
+        added_targets=_new(world.target, known.target),
+        removed_targets=_gone(world.target, known.target),
+        added_hosts=_new(world.host, known.host),
+        removed_hosts=_gone(world.host, known.host),
+        added_qualities=_new(world.quality, known.quality),
+        removed_qualities=_gone(world.quality, known.quality),
     )
+
+
+def _new(wanted: Mapping[str, T], known: Mapping[str, T]) -> tuple[T, ...]:
+    return tuple(value for name, value in wanted.items() if known.get(name) != value)
+
+
+def _gone(wanted: Mapping[str, T], known: Mapping[str, T]) -> tuple[str, ...]:
+    return tuple(sorted(known.keys() - wanted.keys()))

@@ -57,7 +57,7 @@ from cfgplan_runtime.lifecycle.turns import (
 )
 from cfgplan_runtime.lifecycle.worlds import LivingWorld
 from cfgplan_runtime.supervision.delays import doubling_s
-from cfgplan_runtime.supervision.events import InputLost, UnitDied
+from cfgplan_runtime.supervision.events import HostJoined, HostLost, InputLost, UnitDied
 
 _OPTIMISING = (Started, HorizonReached, ReviewRequested, MayStartAgain)
 
@@ -84,12 +84,17 @@ def breaks_in(doing: Doing, item: Item) -> BreakIn:
             return BreakIn.INTERRUPT
         case UnitDied() | InputLost():
             return BreakIn.INTERRUPT if item.unit in starting else BreakIn.INTERRUPT | abandon
+        case HostLost():
+            return BreakIn.INTERRUPT | abandon
+        case HostJoined():
+            return BreakIn.INTERRUPT
     return BreakIn(0)
 
 
 def first_state(world: World, policy: Policy) -> State:
     """Nothing has happened yet."""
-    return State(policy, LivingWorld(world), Situation(BackOffs(policy.back_off)))
+    situation = Situation(BackOffs(policy.back_off), awaits_hosts=policy.hosts_s is not None)
+    return State(policy, LivingWorld(world, refuses_hosts=policy.refuses_hosts), situation)
 
 
 def decide(state: State, happened: Happened) -> tuple[State, tuple[Effect, ...]]:
@@ -107,7 +112,8 @@ def decide(state: State, happened: Happened) -> tuple[State, tuple[Effect, ...]]
 def _case(turn: Turn, what: Happening) -> Turn:
     match what:
         case Started():
-            return turn.perturbed(what)
+            is_short = bool(turn.state.situation.lost_hosts(turn.state.living.world.environment))
+            return turn.perturbed(what, delay_s=(turn.state.policy.hosts_s or 0.0) if is_short else 0.0)
         case Tick():
             return _tick(turn, what.time_s)
         case Asked():

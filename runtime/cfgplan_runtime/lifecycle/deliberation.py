@@ -11,15 +11,21 @@ from operator import is_
 
 from cfgplan import validity
 from cfgplan.api import World
-from cfgplan.costs import keep_cost_us
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Transformation
 from cfgplan.errors import CfgplanError
 from cfgplan.explaining.best_effort import BestEffort, best_effort
 from cfgplan.planners.undecided import Deciding
-from cfgplan.planning import Pair, Plan, Planner, Problem, Progress, Status
+from cfgplan.planning import Failures, Pair, Plan, Planner, Problem, Progress, Status
 from cfgplan.reasons import unmet_reasons
 from cfgplan.validity import Rule
-from cfgplan_runtime.lifecycle.configuration import EstimatedLibrary, Situation, avoided_now, environment_to_plan
+from cfgplan_runtime.lifecycle.configuration import (
+    EstimatedLibrary,
+    Situation,
+    as_it_runs,
+    avoided_now,
+    environment_to_plan,
+    gone_host,
+)
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Decision
 from cfgplan_runtime.lifecycle.seams import Estimator
@@ -112,7 +118,12 @@ class Deliberation:
         thought = self._think(world, running, situation, optimises=optimises)
         thought = self._letting_wait(thought, world, situation)
         warnings = (*self._matching.warnings, *thought.warnings)
-        return replace(thought, unmet=self._reasons(thought, world), warnings=warnings)
+        out_of_reach = {
+            target.label: gone_host(target.host)
+            for target in world.environment.targets
+            if situation.is_lost(target.host)
+        }
+        return replace(thought, unmet={**out_of_reach, **self._reasons(thought, world)}, warnings=warnings)
 
     def prepare(self, world: World, running: Environment, situation: Situation, *, stop: threading.Event) -> None:
         """Plan for what runs now, so that a planner that remembers is ready for repairs."""
@@ -137,35 +148,50 @@ class Deliberation:
         seconds: dict[str, float] = {}
         with _timed("estimate", seconds):
             avoided, costs, planned = self._planned(world, running, situation)
-            cost_before_us = sum(
-                keep_cost_us(costs[unit.transformation], world.horizon_s)
-                for unit in running.units
-                if unit.transformation in costs
-            )
+            now = as_it_runs(replace(world.environment, library=tuple(costs.values())), running)
+            cost_before_us = validity.kept_us(now, world.horizon_s)
         thought = Thought(running, planned, cost_before_us, avoided, seconds=seconds)
         with _timed("plan", seconds):
             try:
-                found = self._plan(self._problem(planned, world), optimises=optimises)
+                found, asked, given_up = self._plan(self._problem(planned, world), optimises=optimises)
             except CfgplanError as error:
                 return replace(thought, cause=str(error))
             except Exception as error:  # a planner's own fault must not end the life-cycle
                 return replace(thought, cause=f"{type(error).__name__}: {error}")
+        thought = replace(thought, planned=asked.environment)
         with _timed("judge", seconds):
             try:
-                return _judged(thought, found, optimises=optimises)
+                judged = _judged(thought, found, optimises=optimises)
+                return replace(judged, warnings=(*given_up, *judged.warnings))
             except Exception as error:  # what nobody has judged is not carried out
                 return replace(thought, cause=f"the judge failed: {type(error).__name__}: {error}")
 
     def _problem(self, planned: Environment, world: World) -> Problem:
-        return Problem(planned, self._matching.similarity, world.horizon_s, world.max_cost_us)
+        is_bearable = world.survive is not Failures.HOSTS or planned.hosts
+        survive = world.survive if is_bearable else None
+        return Problem(planned, self._matching.similarity, world.horizon_s, world.max_cost_us, survive)
 
-    def _plan(self, problem: Problem, *, optimises: bool) -> BestEffort:
+    def _plan(self, problem: Problem, *, optimises: bool) -> tuple[BestEffort, Problem, tuple[str, ...]]:
+        """The best update; the problem that it solves, which may ask for less; and in words what is given up."""
+        found, asked, given_up = self._best(problem, optimises=optimises), problem, tuple[str, ...]()
+        for less, why in _asking_less(problem):
+            if found.plan.change_set is not None and not found.given_up.keys() - self._impossible(asked).keys():
+                break
+            other = self._best(less, optimises=optimises)
+            if _worth(other) > _worth(found):
+                found, asked, given_up = other, less, (*given_up, why)
+        return found, asked, given_up
+
+    def _impossible(self, problem: Problem) -> Mapping[str, str]:
+        """Which targets of a problem nothing can meet, and why."""
         if self._reach is None or not self._reach.holds_for(problem):
             self._reach = UnmetTargets(problem, unmet_reasons(problem))
+        return self._reach.unmet_reasons
+
+    def _best(self, problem: Problem, *, optimises: bool) -> BestEffort:
         self._planner.asks_early = optimises
-        found = best_effort(
-            problem, self._planner, time_limit_s=self._time_limit_s, impossible=self._reach.unmet_reasons
-        )
+        impossible = self._impossible(problem)
+        found = best_effort(problem, self._planner, time_limit_s=self._time_limit_s, impossible=impossible)
         return replace(found, problem=self._planner.known(found.problem))
 
     def _planned(
@@ -216,6 +242,23 @@ class Deliberation:
         }
 
 
+def _asking_less(problem: Problem) -> Iterator[tuple[Problem, str]]:
+    """The problem without what may be impossible with the hosts that are left, and in words what that is."""
+    if problem.survive is not None:
+        problem = replace(problem, survive=None)
+        yield problem, "what is there does not survive every failure"
+    if any(transformation.min_instances for transformation in problem.environment.library):
+        library = tuple(replace(t, min_instances=0) if t.min_instances else t for t in problem.environment.library)
+        problem = replace(problem, environment=replace(problem.environment, library=library))
+        yield problem, "there is no room for as many instances as are asked for"
+
+
+def _worth(found: BestEffort) -> tuple[bool, list[int]]:
+    """Greater for an update that meets more targets of the highest priority, then of the next."""
+    met = [target.priority for target in found.problem.environment.targets]
+    return found.plan.change_set is not None, sorted(met, reverse=True)
+
+
 def _import_solver() -> None:
     import cfgplan.planners.exact.search  # noqa: F401
 
@@ -250,7 +293,7 @@ def _judged(thought: Thought, found: BestEffort, *, optimises: bool) -> Thought:
     # The planner does not know of what is left out, which may be all that is missing.
     left_out = f" (left out for now: {', '.join(sorted(thought.avoided))})" if thought.avoided else ""
     given_up = {label: f"{reason}{left_out}" for label, reason in found.given_up.items()}
-    violations = validity.violations(planned, found.problem.similarity)
+    violations = validity.violations(planned, found.problem.similarity, found.problem.survive)
     unmet_now = {violation.target for violation in violations if violation.rule is Rule.MET}
     thought = replace(
         thought,

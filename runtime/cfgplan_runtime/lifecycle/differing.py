@@ -28,6 +28,10 @@ def difference(before: World, after: World) -> Difference:
     settings = {
         "horizon": before.horizon_s != after.horizon_s,
         "max_cost": before.max_cost_us != after.max_cost_us,
+        "hosts": before.environment.hosts != after.environment.hosts,
+        "transfer": before.environment.transfer_us != after.environment.transfer_us,
+        "qualities": before.environment.qualities != after.environment.qualities,
+        "survive": before.survive != after.survive,
     }
     return Difference(
         _missing(new_library, library),

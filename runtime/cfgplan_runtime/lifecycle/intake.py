@@ -8,12 +8,14 @@ from dataclasses import replace
 from cfgplan.errors import Fault, InputError
 from cfgplan_runtime.children.messages import Flow
 from cfgplan_runtime.lifecycle.changes import KillUnit, LoseHost, RegainHost, ReplaceWorld, ReviewNow, Stop
+from cfgplan_runtime.lifecycle.configuration import hosts_of
 from cfgplan_runtime.lifecycle.differing import difference
 from cfgplan_runtime.lifecycle.inbox import Asked
 from cfgplan_runtime.lifecycle.perturbations import (
     HostBack,
     HostGone,
     ReviewRequested,
+    Started,
     SubscriptionLost,
     TargetSilent,
     UnitGone,
@@ -26,6 +28,8 @@ from cfgplan_runtime.lifecycle.turns import Match, Matched, Respond, Tell, Termi
 from cfgplan_runtime.supervision.delays import doubling_s
 from cfgplan_runtime.supervision.events import (
     Event,
+    HostJoined,
+    HostLost,
     InputLost,
     TopicsStatus,
     UnitDied,
@@ -57,6 +61,10 @@ def heard(turn: Turn, event: Event) -> Turn:
             return _noted(turn, unit, replace(_note(state, unit), error=text))
         case UnitDied(unit, cause):
             return _gone(turn, unit, cause)
+        case HostLost(host, cause):
+            return _host_lost(turn, host, cause)
+        case HostJoined(host):
+            return _host_joined(turn, host)
         case InputLost(unit_or_none, port):
             return _lost(turn, SubscriptionLost(unit_or_none, port))
         case UnitStatus():
@@ -85,12 +93,14 @@ def asked(turn: Turn, request: Asked) -> Turn:
                 return _killed(turn, unit, request)
             case LoseHost(host, cause):
                 _check_host(state, host)
-                lost = replace(situation, lost_hosts=situation.lost_hosts | {host})
-                return turn.situated(lost).perturbed(HostGone(host, cause), outcomes)
+                given_up = replace(situation, given_up_hosts=situation.given_up_hosts | {host})
+                return turn.situated(given_up).perturbed(HostGone(host, cause), outcomes)
             case RegainHost(host):
-                if host not in situation.lost_hosts:
-                    raise InputError.of(f"host {host!r} is not gone")
-                back = replace(situation, lost_hosts=situation.lost_hosts - {host})
+                if host not in situation.given_up_hosts:
+                    is_lost = host in situation.lost_hosts(state.living.world.environment)
+                    mend = "it is used again as soon as it is there" if is_lost else None
+                    raise InputError.of(f"host {host!r} was not given up", mend=mend)
+                back = replace(situation, given_up_hosts=situation.given_up_hosts - {host})
                 return turn.situated(back).perturbed(HostBack(host), outcomes)
             case ReviewNow(by):
                 forgiven = replace(situation, back_offs=situation.back_offs.forgiving_all())
@@ -155,6 +165,35 @@ def _gone(turn: Turn, unit: str, cause: str) -> Turn:
         doing = replace(state.doing, gone=(*state.doing.gone, (gone, lived_s)))
         return turn.to(replace(turn.state, doing=doing)).answered(unit)
     return died(turn, gone, lived_s)
+
+
+def _host_lost(turn: Turn, host: str, cause: str) -> Turn:
+    """A host is gone with its units, which nobody is blamed for. The review answers who waits for their end."""
+    state, situation = turn.state, turn.state.situation
+    gone = [unit for unit, running in situation.units.items() if running.host == host]
+    outcomes = [outcome for unit in gone for outcome in state.waiting.get(unit, ())]
+    for unit in gone:
+        turn = _unnoted(turn, unit).no_more_awaited(unit)
+    turn = turn.situated(replace(situation.without(*gone), presence={**situation.presence, host: False}))
+    is_ours = host in hosts_of(state.living.world.environment)
+    return turn.perturbed(HostGone(host, cause), outcomes) if is_ours else turn
+
+
+def _host_joined(turn: Turn, host: str) -> Turn:
+    """A host is there. The first review waits for the last of all hosts, but not for ever."""
+    situation, world = turn.state.situation, turn.state.living.world.environment
+    was_lost = host in situation.lost_hosts(world)
+    situation = replace(situation, presence={**situation.presence, host: True})
+    turn = turn.situated(situation)
+    if not was_lost or situation.is_lost(host):
+        return turn
+    waiting = [entry for entry in turn.state.entries if isinstance(entry.perturbation, Started)]
+    if not waiting:
+        return turn.perturbed(HostBack(host))
+    if situation.lost_hosts(world):
+        return turn
+    entries = (entry if entry not in waiting else replace(entry, due_s=turn.at_s) for entry in turn.state.entries)
+    return turn.to(replace(turn.state, entries=tuple(entries)))
 
 
 def _lost(turn: Turn, lost: SubscriptionLost) -> Turn:
@@ -227,7 +266,7 @@ def _killed(turn: Turn, unit: str, request: Asked) -> Turn:
 
 
 def _check_host(state: State, host: str) -> None:
-    hosts = {one.host for one in state.living.world.environment.library if one.host is not None}
+    hosts = hosts_of(state.living.world.environment)
     if host not in hosts:
-        mend = f"choose one of {', '.join(sorted(hosts))}" if hosts else "no transformation names a host"
+        mend = f"choose one of {', '.join(hosts)}" if hosts else "no transformation names a host"
         raise InputError.of(f"there is no host {host!r}", mend=mend)

@@ -11,14 +11,15 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
+from dataclasses import replace
 from math import inf
 from types import TracebackType
 
 from cfgplan.api import World
-from cfgplan.costs import keep_cost_us
 from cfgplan.domain import Environment
 from cfgplan.errors import Fault, InputError
 from cfgplan.planning import Planner
+from cfgplan.validity import kept_us
 from cfgplan_runtime.errors import (
     ApplyError,
     NoSourceError,
@@ -27,6 +28,7 @@ from cfgplan_runtime.errors import (
 )
 from cfgplan_runtime.lifecycle import turns
 from cfgplan_runtime.lifecycle.changes import Change, Stop
+from cfgplan_runtime.lifecycle.configuration import as_it_runs
 from cfgplan_runtime.lifecycle.decisions import BreakIn, breaks_in, decide, first_state
 from cfgplan_runtime.lifecycle.deliberation import Deliberation
 from cfgplan_runtime.lifecycle.inbox import Asked, Inbox, Item, Leave, Outcome, Unusable
@@ -121,13 +123,13 @@ class Manager:
         return Snapshot(
             now,
             state.phase,
-            Environment(running.units, world.environment.library, world.environment.targets),
+            as_it_runs(world.environment, running),
             target_views(world.environment, running, state.reviews, situation.silences, now),
             unit_views(running, situation, state.observations),
             tuple(entry.perturbation for entry in state.entries),
             state.reviews,
             situation.back_offs.view(now),
-            tuple(sorted(situation.lost_hosts)),
+            situation.lost_hosts(world.environment),
             tuple(sorted(state.living.declared)),
             world.horizon_s,
             max(0.0, state.horizon_at_s - now),
@@ -356,9 +358,5 @@ class Manager:
 def _running_cost_us(running: Environment, state: State) -> int:
     """What keeping the running units costs over the horizon, by the estimates of the last review."""
     world = state.living.world
-    library = world.environment.transformation
-    return sum(
-        keep_cost_us(state.costs.get(unit.transformation, library[unit.transformation]), world.horizon_s)
-        for unit in running.units
-        if unit.transformation in library
-    )
+    library = tuple(state.costs.get(known.label, known) for known in world.environment.library)
+    return kept_us(as_it_runs(replace(world.environment, library=library), running), world.horizon_s)

@@ -51,7 +51,7 @@ class TargetSilent:
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """How two worlds differ, by label or name; `settings` says whether horizon or largest cost do.
+    """How two worlds differ, by label or name; `settings` names those that do: horizon, hosts and so on.
 
     Units of `replaced` transformations can't go on: source, params, ports, host or run differ. `changed`
     transformations differ in tags or flags only, `repriced` ones in costs only.
@@ -84,7 +84,7 @@ class WorldChanged:
 
 @dataclass(frozen=True, slots=True)
 class HostGone:
-    """A host has disappeared: nothing can run there."""
+    """A host can't be reached any more, or is to be done without: nothing can run there."""
 
     host: str
     cause: str = ""
@@ -92,7 +92,7 @@ class HostGone:
 
 @dataclass(frozen=True, slots=True)
 class HostBack:
-    """A host is there again."""
+    """A host is there, or is to be used again."""
 
     host: str
 

@@ -18,6 +18,8 @@ class Policy:
     after `failing_steps` errors over `failing_s` without a good step. Further perturbations make planning begin anew
     at most `interruptions` times. They also abandon an update that waits for new units, which begins again
     `postpone_s` later. A review that failed is repeated after `retry_s`, then twice that, up to `most_retry_s`.
+    With `hosts_s`, hosts are there once they have joined, and at the start all are waited for so long; None: they are
+    there until they are lost. With `refuses_hosts`, a world with hosts is bad: what runs units can't place them.
     """
 
     time_limit_s: float | None = 10.0
@@ -34,4 +36,6 @@ class Policy:
     most_retry_s: float = 30.0
     most_loss_s: float = 5.0
     reviews_kept: int = 100
+    hosts_s: float | None = None
+    refuses_hosts: bool = False
     back_off: BackOffRules = field(default_factory=BackOffRules)

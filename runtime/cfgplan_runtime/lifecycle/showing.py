@@ -56,7 +56,7 @@ def unit_views(
     """Each unit that runs, with its host and what was last observed of it."""
     units = situation.units
     return tuple(
-        UnitView(unit, known.transformation.host if (known := units.get(unit.id)) else None, observations.get(unit.id))
+        UnitView(unit, known.host if (known := units.get(unit.id)) else unit.host, observations.get(unit.id))
         for unit in running.units
     )
 

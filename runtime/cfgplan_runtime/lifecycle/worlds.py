@@ -51,13 +51,12 @@ class LivingWorld:
     without_targets: frozenset[str] = frozenset()
     without_transformations: frozenset[str] = frozenset()
     without_individuals: frozenset[str] = frozenset()
+    refuses_hosts: bool = False
 
     def after(self, change: WorldChange) -> LivingWorld:
         """The world after a change. Raises InputError if the change, or the world after it, is bad."""
-        if isinstance(change, ReplaceWorld):
-            check_can_run(change.world)
         changed = self._changed(change)
-        check_can_run(changed.world)
+        _ = changed.world  # it is made now, and is bad or not
         return changed
 
     @property
@@ -77,10 +76,14 @@ class LivingWorld:
         targets = _changed({t.label: t for t in environment.targets}, self.targets, self.without_targets)
         _check_tags(self.transformations.values(), self.targets.values(), ontology)
         try:
-            environment = Environment((), tuple(library.values()), tuple(targets.values()))
+            environment = replace(
+                environment, units=(), library=tuple(library.values()), targets=tuple(targets.values())
+            )
         except InvalidValueError as error:
             raise InputError.of(str(error)) from None
-        return World(environment, ontology, self.base.horizon_s, self.base.max_cost_us)
+        if self.refuses_hosts:
+            refuse_hosts(self.base)
+        return World(environment, ontology, self.base.horizon_s, self.base.max_cost_us, survive=self.base.survive)
 
     @cached_property
     def may_be_silent(self) -> bool:
@@ -116,7 +119,8 @@ class LivingWorld:
         alone = Document(Path(), EnvironmentPart(format=FORMAT), tuple(files), tuple(faults))
         more = api.world_of(alone, ontology).environment
         try:
-            return Environment((), (*base.library, *more.library), (*base.targets, *more.targets))
+            library, targets = (*base.library, *more.library), (*base.targets, *more.targets)
+            return replace(base, units=(), library=library, targets=targets)
         except InvalidValueError as error:
             raise InputError.of(str(error), mend="give each a name of its own") from None
 
@@ -193,16 +197,11 @@ class LivingWorld:
         )
 
 
-def check_can_run(world: World) -> None:
-    """Raise InputError if a world asks for hosts, spares or quality: all units of a run are on this computer."""
-    asked = {
-        "hosts": bool(world.environment.hosts),
-        "survive": world.survive is not None,
-        "quality": any(target.quality for target in world.environment.targets),
-    }
-    found = [key for key, is_asked in asked.items() if is_asked]
-    if found:
-        message = f"a run does not know {' and '.join(found)}: all units run on this computer"
+def refuse_hosts(world: World) -> None:
+    """Raise InputError if a world has hosts: for a run whose units are all processes of this computer."""
+    hosts = ", ".join(world.environment.host)
+    if hosts:
+        message = f"this run is on one computer, and can't place units on hosts ({hosts})"
         raise InputError.of(message, file=str(world.file.path) if world.file else None, mend="plan it with `solve`")
 
 

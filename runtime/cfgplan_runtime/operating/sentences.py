@@ -158,7 +158,7 @@ def _cause(perturbation: kinds.Perturbation) -> str:
         case kinds.HostGone(host):
             return f"host {host} is gone"
         case kinds.HostBack(host):
-            return f"host {host} is back"
+            return f"host {host} is there"
         case kinds.HorizonReached():
             return "horizon reached"
         case kinds.UpdateFailed():
@@ -196,7 +196,7 @@ def _perturbation(perturbation: kinds.Perturbation) -> str | None:
         case kinds.HostGone(host, cause):
             return f"host {host} is gone{f': {cause}' if cause else ''}"
         case kinds.HostBack(host):
-            return f"host {host} is back"
+            return f"host {host} is there"
         case kinds.HorizonReached(horizon_s):
             return f"the horizon of {horizon_s} s is reached"
         case kinds.MayStartAgain(transformations):
