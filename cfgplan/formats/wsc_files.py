@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NoReturn
 
 from cfgplan.errors import Fault, InputError
 from cfgplan.formats.files import read_bytes
-from cfgplan.formats.xml_elements import SafeParser
+from cfgplan.formats.xml_elements import XmlElement, parse_xml
 
 
 @dataclass(frozen=True)
@@ -46,122 +47,101 @@ class TestSet:
 
 def read_test_set(folder: Path) -> TestSet:
     """The set in a folder with taxonomy.xml, services.xml and problem.xml; raises InputError."""
-    parent, concept = _taxonomy(folder / "taxonomy.xml")
-    faults: list[Fault] = []
-    services = _services(folder / "services.xml", concept, faults)
-    provided, wanted = _problem(folder / "problem.xml", concept, faults)
-    if faults:
+    parent, concept = _taxonomy(_SetFile(folder / "taxonomy.xml"))
+    services, problem = _SetFile(folder / "services.xml", concept), _SetFile(folder / "problem.xml", concept)
+    found = tuple(_services(services))
+    provided, wanted = (_side(problem, name) for name in ("provided", "wanted"))
+    if faults := [*services.faults, *problem.faults]:
         raise InputError(faults)
-    return TestSet(parent, concept, services, provided, wanted)
+    return TestSet(parent, concept, found, provided, wanted)
 
 
-def _taxonomy(path: Path) -> tuple[dict[str, str | None], dict[str, str]]:
+class _SetFile:
+    """One file of a set. `faults` are its instances that are not in `concept`, and what is missing."""
+
+    def __init__(self, path: Path, concept: Collection[str] = ()) -> None:
+        self.file = str(path)
+        self.root = parse_xml(read_bytes(path), self.file)
+        self.faults: list[Fault] = []
+        self._concept = concept
+
+    def stop(self, element: XmlElement, message: str, mend: str) -> NoReturn:
+        raise InputError([self._fault(element, message, mend)])
+
+    def name(self, element: XmlElement) -> str:
+        """What an element is called. Raises InputError if it has no name."""
+        return element.attributes.get("name") or self.stop(element, f"<{element.name}> has no name", 'add name="..."')
+
+    def instances(self, element: XmlElement) -> tuple[str, ...]:
+        """The instances in an element, each once."""
+        found: dict[str, None] = {}
+        for each in element:
+            if each.name == "instance" and (name := self.name(each)) not in found:
+                found[name] = None
+                if name not in self._concept:
+                    message = f"the instance {name} is not in the taxonomy"
+                    self.faults.append(self._fault(each, message, "add it there"))
+        return tuple(found)
+
+    def _fault(self, element: XmlElement, message: str, mend: str) -> Fault:
+        return Fault(message, self.file, element.line, element.column, mend=mend)
+
+
+def _taxonomy(file: _SetFile) -> tuple[dict[str, str | None], dict[str, str]]:
     parent: dict[str, str | None] = {}
     concept: dict[str, str] = {}
-    above: list[str] = []
 
-    def start(name: str, attributes: dict[str, str]) -> None:
-        if name == "concept":
-            own = _name(parser, name, attributes)
+    def add(element: XmlElement, above: str | None) -> None:
+        if element.name == "concept":
+            own = file.name(element)
             if own in parent:
-                parser.stop(f"the concept {own} stands at two places", "the taxonomy must be a tree")
-            parent[own] = above[-1] if above else None
-            above.append(own)
-        elif name == "instance":
-            own = _name(parser, name, attributes)
-            if not above or own in concept:
-                where = "two concepts" if above else "no concept"
-                parser.stop(f"the instance {own} is in {where}", "put it into one")
-            concept[own] = above[-1]
-        elif name != "taxonomy":
-            parser.stop(f"unknown element <{name}>", "a taxonomy has concepts and instances")
+                file.stop(element, f"the concept {own} stands at two places", "the taxonomy must be a tree")
+            parent[own] = above
+            above = own
+        elif element.name == "instance":
+            own = file.name(element)
+            if above is None or own in concept:
+                where = "no concept" if above is None else "two concepts"
+                file.stop(element, f"the instance {own} is in {where}", "put it into one")
+            concept[own] = above
+        elif element.name != "taxonomy":
+            file.stop(element, f"unknown element <{element.name}>", "a taxonomy has concepts and instances")
+        for child in element.children:
+            add(child, above)
 
-    def end(name: str) -> None:
-        if name == "concept":
-            above.pop()
-
-    parser = SafeParser(str(path), start, end)
-    parser.parse(read_bytes(path))
+    add(file.root, None)
     return parent, concept
 
 
-def _services(path: Path, concept: Mapping[str, str], faults: list[Fault]) -> tuple[Service, ...]:
-    services: list[Service] = []
+_LEVELS = (("services",), ("service",), ("inputs", "outputs"), ("instance",))
+
+
+def _services(file: _SetFile) -> Iterator[Service]:
+    _check_levels(file, file.root, 0)
     names: set[str] = set()
-    ports: dict[str, dict[str, None]] = {}
-    side = ""
-    current = ""
-
-    def start(name: str, attributes: dict[str, str]) -> None:
-        nonlocal side, current
-        if name == "instance" and side:
-            _note_unknown(parser, str(path), attributes, concept, faults)
-            ports[side][_name(parser, name, attributes)] = None
-        elif name in ("inputs", "outputs") and current:
-            side = name
-        elif name == "service":
-            current = _name(parser, name, attributes)
-            ports.update(inputs={}, outputs={})
-            if current in names:
-                parser.stop(f"the service {current} is there twice", "give each service a name of its own")
-            names.add(current)
-        elif name != "services":
-            parser.stop(f"unknown element <{name}> here", "a service has inputs and outputs, and they have instances")
-
-    def end(name: str) -> None:
-        nonlocal side, current
-        if name in ("inputs", "outputs"):
-            side = ""
-        elif name == "service":
-            services.append(Service(current, tuple(ports["inputs"]), tuple(ports["outputs"])))
-            current = ""
-
-    parser = SafeParser(str(path), start, end)
-    parser.parse(read_bytes(path))
-    return tuple(services)
+    for service in file.root.children:
+        name = file.name(service)
+        if name in names:
+            file.stop(service, f"the service {name} is there twice", "give each service a name of its own")
+        names.add(name)
+        sides = {side.name: file.instances(side) for side in service.children}
+        yield Service(name, sides.get("inputs", ()), sides.get("outputs", ()))
 
 
-def _problem(path: Path, concept: Mapping[str, str], faults: list[Fault]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    found: dict[str, dict[str, None]] = {}
-    side = ""
-
-    def start(name: str, attributes: dict[str, str]) -> None:
-        nonlocal side
-        if name in ("provided", "wanted"):
-            if name in found:
-                parser.stop(f"<{name}> is there twice", "a set has one problem")
-            side = name
-            found[side] = {}
-        elif name == "instance" and side:
-            _note_unknown(parser, str(path), attributes, concept, faults)
-            found[side][_name(parser, name, attributes)] = None
-
-    def end(name: str) -> None:
-        nonlocal side
-        if name == side:
-            side = ""
-
-    parser = SafeParser(str(path), start, end)
-    parser.parse(read_bytes(path))
-    faults.extend(
-        Fault(f"<{missing}> is missing", str(path), mend="this is not the problem of a set")
-        for missing in ("provided", "wanted")
-        if missing not in found
-    )
-    return tuple(found.get("provided", ())), tuple(found.get("wanted", ()))
+def _check_levels(file: _SetFile, element: XmlElement, level: int) -> None:
+    if element.name not in _LEVELS[min(level, 3)]:
+        message = f"unknown element <{element.name}> here"
+        file.stop(element, message, "a service has inputs and outputs, and they have instances")
+    for child in element.children:
+        _check_levels(file, child, level + 1)
 
 
-def _name(parser: SafeParser, element: str, attributes: Mapping[str, str]) -> str:
-    name = attributes.get("name")
-    if not name:
-        parser.stop(f"<{element}> has no name", 'add name="..."')
-    return name
-
-
-def _note_unknown(
-    parser: SafeParser, file: str, attributes: Mapping[str, str], concept: Mapping[str, str], faults: list[Fault]
-) -> None:
-    name = attributes.get("name", "")
-    if name and name not in concept:
-        line, column = parser.place
-        faults.append(Fault(f"the instance {name} is not in the taxonomy", file, line, column, mend="add it there"))
+def _side(file: _SetFile, name: str) -> tuple[str, ...]:
+    """The instances that a problem provides, or wants."""
+    found = [element for element in file.root if element.name == name]
+    if not found:
+        file.faults.append(Fault(f"<{name}> is missing", file.file, mend="this is not the problem of a set"))
+        return ()
+    for second in found[1:]:
+        file.stop(second, f"<{name}> is there twice", "a set has one problem")
+    return file.instances(found[0])

@@ -6,7 +6,7 @@ is left of XML can't blow up.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import NoReturn
 from xml.parsers import expat
@@ -37,6 +37,12 @@ class XmlElement:
     pieces: list[tuple[str, int, int]] = field(default_factory=list)
     text: str = ""
 
+    def __iter__(self) -> Iterator[XmlElement]:
+        """This element and all that are in it, in the order of the text."""
+        yield self
+        for child in self.children:
+            yield from child
+
     def close(self) -> None:
         """Join the pieces of the text: there are no more to come."""
         whole = "".join([piece for piece, _, _ in self.pieces])
@@ -62,69 +68,40 @@ class XmlElement:
 
 def parse_xml(content: bytes, file: str) -> XmlElement:
     """The root element of an XML text; raises InputError."""
+    if not content.strip():
+        raise InputError.of("the file is empty", file=file, mend="write the XML it should hold")
     opened: list[XmlElement] = []
     roots: list[XmlElement] = []
+    parser = expat.ParserCreate()
+
+    def place() -> tuple[int, int]:
+        return parser.CurrentLineNumber, parser.CurrentColumnNumber + 1
+
+    def stop(message: str, mend: str) -> NoReturn:
+        raise InputError([Fault(message, file, *place(), mend=mend)])
 
     def start(name: str, attributes: dict[str, str]) -> None:
         if len(opened) >= DEEPEST_NESTING:
-            parser.stop(f"elements are nested more than {DEEPEST_NESTING} deep", "flatten the document")
-        element = XmlElement(name, {key: normal(value) for key, value in attributes.items()}, *parser.place)
+            stop(f"elements are nested more than {DEEPEST_NESTING} deep", "flatten the document")
+        element = XmlElement(name, {key: normal(value) for key, value in attributes.items()}, *place())
         (opened[-1].children if opened else roots).append(element)
         opened.append(element)
 
-    def end(_: str) -> None:
-        opened.pop().close()
+    def refuse_doctype(*_: object) -> None:
+        stop("a document type is declared", "remove the line <!DOCTYPE ...>: entities are not supported")
 
-    def text(piece: str) -> None:
-        opened[-1].pieces.append((piece, *parser.place))
-
-    parser = SafeParser(file, start, end, text)
-    parser.parse(content)
+    parser.StartDoctypeDeclHandler = refuse_doctype
+    parser.StartElementHandler = start
+    parser.EndElementHandler = lambda _: opened.pop().close()
+    parser.CharacterDataHandler = lambda piece: opened[-1].pieces.append((piece, *place()))
+    try:
+        parser.Parse(content, True)
+    except expat.ExpatError as error:
+        message = expat.ErrorString(error.code)
+        mend = _XML_MENDS.get(message, "mend the markup here")
+        fault = Fault(f"this is not XML: {message}", file, error.lineno, error.offset + 1, mend=mend)
+        raise InputError([fault]) from None
+    except (LookupError, ValueError) as error:
+        # An encoding that Python does not know, or one with several bytes a character.
+        raise InputError.of(f"this is not XML: {error}", file=file, mend="save it as UTF-8") from None
     return roots[0]
-
-
-class SafeParser:
-    """A parser that calls back for each element and text; what it can't read raises InputError."""
-
-    def __init__(
-        self,
-        file: str,
-        start: Callable[[str, dict[str, str]], None],
-        end: Callable[[str], None],
-        text: Callable[[str], None] | None = None,
-    ) -> None:
-        self._file = file
-        self._parser = expat.ParserCreate()
-        self._parser.StartDoctypeDeclHandler = self._refuse_doctype
-        self._parser.StartElementHandler = start
-        self._parser.EndElementHandler = end
-        if text is not None:
-            self._parser.CharacterDataHandler = text
-
-    @property
-    def place(self) -> tuple[int, int]:
-        """The line and column of the present callback; both count from 1."""
-        return self._parser.CurrentLineNumber, self._parser.CurrentColumnNumber + 1
-
-    def parse(self, content: bytes) -> None:
-        """Go through a whole text."""
-        if not content.strip():
-            raise InputError.of("the file is empty", file=self._file, mend="write the XML it should hold")
-        try:
-            self._parser.Parse(content, True)
-        except expat.ExpatError as error:
-            message = expat.ErrorString(error.code)
-            mend = _XML_MENDS.get(message, "mend the markup here")
-            fault = Fault(f"this is not XML: {message}", self._file, error.lineno, error.offset + 1, mend=mend)
-            raise InputError([fault]) from None
-        except (LookupError, ValueError) as error:
-            # An encoding that Python does not know, or one with several bytes a character.
-            raise InputError.of(f"this is not XML: {error}", file=self._file, mend="save it as UTF-8") from None
-
-    def stop(self, message: str, mend: str) -> NoReturn:
-        """Raise a fault at the place of the present callback."""
-        line, column = self.place
-        raise InputError([Fault(message, self._file, line, column, mend=mend)])
-
-    def _refuse_doctype(self, *_: object) -> None:
-        self.stop("a document type is declared", "remove the line <!DOCTYPE ...>: entities are not supported")
