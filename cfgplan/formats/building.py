@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping
+from typing import Any
 
 from cfgplan.domain import Environment, Target, Transformation
 from cfgplan.errors import Fault, InputError
@@ -12,12 +13,10 @@ from cfgplan.formats.expansion import Expander
 from cfgplan.formats.fleet import FleetReader
 from cfgplan.formats.garbage import no_garbage_collection
 from cfgplan.formats.left_out import LeftOut
-from cfgplan.formats.places import Path, Source
+from cfgplan.formats.places import Entry
 from cfgplan.formats.references import UnitChecker
 from cfgplan.formats.suggestions import did_you_mean
 from cfgplan.formats.tags import TagChecker, TagVocabulary
-
-Origins = dict[tuple[str, str], tuple[Source, Path]]
 
 
 def build(document: Document, vocabulary: TagVocabulary) -> EnvironmentFile:
@@ -28,17 +27,33 @@ def build(document: Document, vocabulary: TagVocabulary) -> EnvironmentFile:
 
 def _build(document: Document, vocabulary: TagVocabulary) -> EnvironmentFile:
     faults = list(document.faults)
-    origins: Origins = {}
-    left_out = LeftOut(document)
-    tags = TagChecker(vocabulary, faults)
+    left_out, tags = LeftOut(document), TagChecker(vocabulary)
     fleet = FleetReader(document, left_out, faults)
-    expander = Expander(document.header.defaults, vocabulary, tags, fleet, left_out, faults)
-    library = _library(document, expander, origins, faults)
-    targets = _targets(document, tags, fleet, origins, faults)
-    units = UnitChecker(document, left_out, library, targets, fleet, origins, faults).units()
-    _check_conflicts(library, left_out, origins, faults)
+    expander = Expander(document.header.defaults, vocabulary, tags, fleet, left_out)
+    names = _Names()
+    library: dict[str, Transformation] = {}
+    for entry, part in _parts(document, "transformations", faults):
+        for transformation in expander.expand(entry, part):
+            if names.is_new("transformation", transformation.label, entry, "label"):
+                library[transformation.label] = transformation
+    targets: dict[str, Target] = {}
+    for entry, part in _parts(document, "targets", faults):
+        tags.check(part.tag, entry.at("tag"))
+        is_new = names.is_new("target", part.label, entry, "label")
+        if names.is_new("topic", part.topic, entry, "topic") and is_new:
+            wishes = fleet.wishes(entry.at("quality"), part)
+            if part.host is not None:
+                fleet.check_host(entry.at("host"), part.host, is_choice=True)
+            targets[part.label] = Target(**{**part.values(), "quality": wishes})
+    running = {
+        part.id: (entry, part)
+        for entry, part in _parts(document, "units", faults)
+        if names.is_new("unit", part.id, entry, "id")
+    }
+    units = UnitChecker(running, library, {target.topic for target in targets.values()}, fleet, left_out).units()
+    _check_conflicts(library, left_out, names.origins)
     for file in document.files:
-        _check_broken_tags(file, tags)
+        _check_broken_tags(file, tags, faults)
     if faults:
         raise InputError(_in_file_order(faults, document))
     environment = Environment(
@@ -57,94 +72,72 @@ def _build(document: Document, vocabulary: TagVocabulary) -> EnvironmentFile:
         document.ontology_paths,
         fleet.survive,
         document.imports,
-        origins,
+        names.origins,
     )
 
 
-def _library(
-    document: Document, expander: Expander, origins: Origins, faults: list[Fault]
-) -> dict[str, Transformation]:
-    library: dict[str, Transformation] = {}
+def _parts(document: Document, kind: str, faults: list[Fault]) -> Iterator[tuple[Entry, Any]]:
+    """The transformations, targets or units of all files, each with where it stands."""
     for file in document.files:
-        for index, part in file.transformations:
-            path = ("transformations", index)
-            for transformation in expander.expand(file.source, path, part):
-                if _is_new(("transformation", transformation.label), file.source, path, "label", origins, faults):
-                    library[transformation.label] = transformation
-    return library
+        for index, part in getattr(file, kind):
+            yield Entry(file.source, (kind, index), faults), part
 
 
-def _targets(
-    document: Document, tags: TagChecker, fleet: FleetReader, origins: Origins, faults: list[Fault]
-) -> dict[str, Target]:
-    targets: dict[str, Target] = {}
-    topics: Origins = {}
-    for file in document.files:
-        for index, part in file.targets:
-            path = ("targets", index)
-            tags.check(part.tag, file.source, (*path, "tag"))
-            is_new = _is_new(("target", part.label), file.source, path, "label", origins, faults)
-            if _is_new(("topic", part.topic), file.source, path, "topic", topics, faults) and is_new:
-                wishes = fleet.wishes(file.source, path, part)
-                if part.host is not None:
-                    fleet.check_host(file.source, (*path, "host"), part.host, is_choice=True)
-                targets[part.label] = Target(**{**part.values(), "quality": wishes})
-    return targets
+class _Names:
+    """The names that are taken, by kind and name, with who took them."""
+
+    def __init__(self) -> None:
+        self.origins: dict[tuple[str, str], Entry] = {}
+
+    def is_new(self, kind: str, name: str, entry: Entry, key: str) -> bool:
+        """Take a name; False, and a fault, if it is taken."""
+        if (kind, name) not in self.origins:
+            self.origins[kind, name] = entry
+            return True
+        first = self.origins[kind, name]
+        what = {"topic": "topic", "unit": "unit id"}.get(kind, f"{kind} label")
+        message = f"the {what} `{name}` is taken: it stands in {first.place.file}, line {first.place.line} already"
+        if first == entry:
+            message = f"several expansions of this template have the label `{name}`"
+        entry.at(key).note(message, "give each a name of its own")
+        return False
 
 
 def _check_conflicts(
-    library: dict[str, Transformation], left_out: LeftOut, origins: Origins, faults: list[Fault]
+    library: dict[str, Transformation], left_out: LeftOut, origins: Mapping[tuple[str, str], Entry]
 ) -> None:
     for transformation in library.values():
+        entry = origins["transformation", transformation.label].at("conflicts")
         for other in transformation.conflicts:
-            source, path = origins["transformation", transformation.label]
             if other == transformation.label:
-                mend = "write `max_instances: 1` if only one unit may be there"
-                faults.append(source.fault((*path, "conflicts"), f"`{other}` conflicts with itself", mend))
+                entry.note(f"`{other}` conflicts with itself", "write `max_instances: 1` if only one unit may be there")
             elif other not in library and not left_out.may_have("transformations", other):
                 mend = did_you_mean(other, library, "write the label of another transformation, templates expanded")
-                faults.append(source.fault((*path, "conflicts"), f"there is no transformation `{other}`", mend))
+                entry.note(f"there is no transformation `{other}`", mend)
 
 
-def _check_broken_tags(file: File, tags: TagChecker) -> None:
+def _check_broken_tags(file: File, tags: TagChecker, faults: list[Fault]) -> None:
     """Check the plain tags of parts that were left out, so that all their faults are told at once."""
     for kind, parts in file.broken.items():
         for part in parts:
             if part.index is not None:
                 raw = file.source.data[kind][part.index]  # type: ignore[index]
-                for path, tag in _tags_in(raw, (kind, part.index)):
+                for entry, tag in _tags_in(raw, Entry(file.source, (kind, part.index), faults)):
                     if isinstance(tag, str) and tag and "$" not in tag:
-                        tags.check(tag, file.source, path)
+                        tags.check(tag, entry)
 
 
-def _tags_in(raw: object, path: Path) -> Iterator[tuple[Path, object]]:
+def _tags_in(raw: object, entry: Entry) -> Iterator[tuple[Entry, object]]:
     if isinstance(raw, dict):
-        yield (*path, "tag"), raw.get("tag")
-        for key in ("inputs", "outputs"):
+        yield entry.at("tag"), raw.get("tag")
+        for key in ("inputs", "outputs") if entry.path[0] == "transformations" else ():
             ports = raw.get(key)
-            for name, port in ports.items() if path[0] == "transformations" and isinstance(ports, dict) else ():
-                yield (
-                    ((*path, key, name, "tag"), port.get("tag"))
-                    if isinstance(port, dict)
-                    else ((*path, key, name), port)
-                )
+            for name, port in ports.items() if isinstance(ports, dict) else ():
+                at = entry.at(key, name)
+                yield (at.at("tag"), port.get("tag")) if isinstance(port, dict) else (at, port)
 
 
-def _is_new(name: tuple[str, str], source: Source, path: Path, key: str, origins: Origins, faults: list[Fault]) -> bool:
-    if name not in origins:
-        origins[name] = (source, path)
-        return True
-    first_source, first_path = origins[name]
-    first = first_source.place(first_path)
-    what = "topic" if name[0] == "topic" else f"{name[0]} label"
-    message = f"the {what} `{name[1]}` is taken: it stands in {first.file}, line {first.line} already"
-    if (first_source.file, first_path) == (source.file, path):
-        message = f"several expansions of this template have the label `{name[1]}`"
-    faults.append(source.fault((*path, key), message, "give each a name of its own"))
-    return False
-
-
-def _in_file_order(faults: list[Fault], document: Document) -> list[Fault]:
+def _in_file_order(faults: Collection[Fault], document: Document) -> list[Fault]:
     order: dict[str, int] = {}
     for file in document.files:
         order.setdefault(file.source.file, len(order))

@@ -25,7 +25,7 @@ from cfgplan.formats.fields import (
     UnitPart,
     Use,
 )
-from cfgplan.formats.places import Path, Place, Source
+from cfgplan.formats.places import Entry, Place
 from cfgplan.planning import Failures
 
 ANY_IMPORT = ""
@@ -49,7 +49,7 @@ class EnvironmentFile:
     ontology_paths: tuple[FilePath, ...] = ()
     survive: Failures | None = None
     imports: FoundImports = ()
-    origins: Mapping[tuple[str, str], tuple[Source, Path]] = field(default_factory=dict, repr=False, compare=False)
+    origins: Mapping[tuple[str, str], Entry] = field(default_factory=dict, repr=False, compare=False)
 
     @cached_property
     def digest(self) -> str:
@@ -70,20 +70,19 @@ class EnvironmentFile:
         for kind, name in (("unit", unit), ("target", target), ("transformation", transformation)):
             origin = self.origins.get((kind, name)) if name is not None else None
             if origin is not None:
-                source, path = origin
-                return source.place(path if port is None else _port_path(source, path, port))
+                return (origin if port is None else _port_of(origin, port)).place
         return None
 
 
-def _port_path(source: Source, path: Path, port: str) -> Path:
-    part = source.data
-    for step in path:
-        part = part[step]  # type: ignore[index]
+def _port_of(entry: Entry, port: str) -> Entry:
+    part: Any = entry.source.data
+    for step in entry.path:
+        part = part[step]
     for key in ("inputs", "outputs", "topics"):
         ports = part.get(key) if isinstance(part, dict) else None
         if ports and port in ports:
-            return (*path, key, port)
-    return path
+            return entry.at(key, port)
+    return entry
 
 
 def environment_digest(

@@ -63,10 +63,29 @@ class Source:
             column = spot.text_column + text_column - 1
         return Fault(message, self.file, spot.line, column, key_text(path) or None, mend)
 
-    def place(self, path: Path) -> Place:
-        """Where the value at a path begins."""
-        spot = self.locate(path, False)
-        return Place(self.file, spot.line, spot.column)
+
+class Entry(NamedTuple):
+    """A value that a file says: where it stands, and the list that notes what is wrong with it."""
+
+    source: Source
+    path: Path
+    faults: list[Fault]
+
+    def at(self, *steps: str | int) -> Entry:
+        """What stands further in, by keys and positions."""
+        return Entry(self.source, (*self.path, *steps), self.faults)
+
+    def note(
+        self, message: str, mend: str | None = None, *, at_key: bool = False, text_column: int | None = None
+    ) -> None:
+        """Add a fault of this value, or of its key; `text_column` counts from 1 inside its text."""
+        self.faults.append(self.source.fault(self.path, message, mend, at_key=at_key, text_column=text_column))
+
+    @property
+    def place(self) -> Place:
+        """Where the value begins."""
+        spot = self.source.locate(self.path, False)
+        return Place(self.source.file, spot.line, spot.column)
 
 
 def key_text(path: Path) -> str:

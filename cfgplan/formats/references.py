@@ -3,155 +3,110 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from graphlib import CycleError, TopologicalSorter
 
-from cfgplan.domain import ComputationUnit, Publication, Stream, Subscription, Target, Transformation
-from cfgplan.errors import Fault, InvalidValueError
-from cfgplan.formats.document import Document
+from cfgplan.domain import ComputationUnit, Publication, Stream, Subscription, Transformation
+from cfgplan.errors import InvalidValueError
 from cfgplan.formats.fields import UnitPart
 from cfgplan.formats.fleet import FleetReader
 from cfgplan.formats.left_out import LeftOut
-from cfgplan.formats.places import Path, Source
+from cfgplan.formats.places import Entry
 from cfgplan.formats.suggestions import did_you_mean
 
 MOST_CYCLES_SHOWN = 10
 
 
 class UnitChecker:
-    """Makes the units of one document; what is wrong goes into `faults`.
+    """Makes units from `parts`, each with where it stands, by id; what is wrong is noted there.
 
     A reference to what may be a part that is left out for its own faults is no fault.
     """
 
     def __init__(
         self,
-        document: Document,
-        left_out: LeftOut,
+        parts: Mapping[str, tuple[Entry, UnitPart]],
         library: Mapping[str, Transformation],
-        targets: Mapping[str, Target],
+        topics: Collection[str],
         fleet: FleetReader,
-        origins: dict[tuple[str, str], tuple[Source, Path]],
-        faults: list[Fault],
+        left_out: LeftOut,
     ) -> None:
-        self._document = document
-        self._left_out = left_out
+        self._parts = parts
         self._library = library
-        self._topics = {target.topic for target in targets.values()}
+        self._topics = topics
         self._fleet = fleet
-        self._origins = origins
-        self._faults = faults
-        self._parts: dict[str, tuple[Source, Path, UnitPart]] = {}
+        self._left_out = left_out
 
     def units(self) -> list[ComputationUnit]:
         """The units that have no faults."""
-        for file in self._document.files:
-            for index, part in file.units:
-                self._register(file.source, ("units", index), part)
-        units = [self._unit(source, path, part) for source, path, part in self._parts.values()]
+        units = [self._unit(entry, part) for entry, part in self._parts.values()]
         self._check_cycles(units)
         return units
 
-    def _register(self, source: Source, path: Path, part: UnitPart) -> None:
-        if part.id in self._parts:
-            first_source, first_path, _ = self._parts[part.id]
-            first = first_source.place(first_path)
-            message = f"the unit id `{part.id}` is taken: it stands in {first.file}, line {first.line} already"
-            self._faults.append(source.fault((*path, "id"), message, "give each unit an id of its own"))
-            return
-        self._parts[part.id] = (source, path, part)
-        self._origins["unit", part.id] = (source, path)
-
-    def _unit(self, source: Source, path: Path, part: UnitPart) -> ComputationUnit:
-        transformation = self._library.get(part.transformation)
-        if transformation is None and not self._left_out.may_have("transformations", part.transformation):
+    def _unit(self, entry: Entry, part: UnitPart) -> ComputationUnit:
+        transformation, host = self._library.get(part.transformation), None
+        if transformation is not None:
+            allowed = transformation.hosts if transformation.host is None else (transformation.host,)
+            host = self._fleet.host_of(entry, part, allowed[0] if len(allowed) == 1 else None)
+        elif not self._left_out.may_have("transformations", part.transformation):
             hint = "write the label of one of the transformations, templates expanded"
             mend = did_you_mean(part.transformation, self._library, hint)
-            message = f"there is no transformation `{part.transformation}`"
-            self._faults.append(source.fault((*path, "transformation"), message, mend))
-        subscriptions = tuple(self._subscriptions(source, path, part, transformation))
-        publications = tuple(self._publications(source, path, part, transformation))
+            entry.at("transformation").note(f"there is no transformation `{part.transformation}`", mend)
+        subscriptions = tuple(self._subscriptions(entry.at("inputs"), part, transformation))
+        publications = tuple(self._publications(entry.at("topics"), part, transformation))
         if part.standby and (subscriptions or publications):
             message = f"unit `{part.id}` is a spare that does not run, so it can't have inputs or topics"
-            self._faults.append(source.fault((*path, "standby"), message, "remove them, or `standby`"))
+            entry.at("standby").note(message, "remove them, or `standby`")
             subscriptions = publications = ()
-        host = self._host(source, path, part, transformation)
         wiring = {"subscriptions": subscriptions, "publications": publications, "host": host}
         return ComputationUnit(**{**part.values(), **wiring})
 
-    def _host(self, source: Source, path: Path, part: UnitPart, transformation: Transformation | None) -> str | None:
-        if transformation is None:
-            return None
-        allowed = transformation.hosts if transformation.host is None else (transformation.host,)
-        only = allowed[0] if len(allowed) == 1 else None
-        return self._fleet.host_of(source, path, part, only)
-
     def _subscriptions(
-        self, source: Source, path: Path, part: UnitPart, transformation: Transformation | None
+        self, entry: Entry, part: UnitPart, transformation: Transformation | None
     ) -> Iterator[Subscription]:
         for port, text in (part.inputs or {}).items():
-            place = (*path, "inputs", port)
+            place = entry.at(port)
             if transformation is not None and port not in transformation.input:
-                self._note_unknown_port(source, place, port, "input", transformation, list(transformation.input))
+                _note_unknown_port(place, port, "input", transformation)
             if text is None:
                 continue
             try:
                 stream = Stream.parse(text)
             except InvalidValueError:
-                mend = "write it as unit/port, such as `camera.1/image`"
-                self._faults.append(source.fault(place, f"{text!r} is not a stream", mend))
+                place.note(f"{text!r} is not a stream", "write it as unit/port, such as `camera.1/image`")
                 continue
-            self._check_stream(source, place, stream)
+            self._check_stream(place, stream)
             yield Subscription(port, stream)
 
-    def _check_stream(self, source: Source, place: Path, stream: Stream) -> None:
-        feeder = self._parts.get(stream.unit)
-        if feeder is None:
+    def _check_stream(self, entry: Entry, stream: Stream) -> None:
+        if stream.unit not in self._parts:
             if not self._left_out.may_have("units", stream.unit):
                 mend = did_you_mean(stream.unit, self._parts, "write null if the feeder is gone")
-                self._faults.append(source.fault(place, f"no unit `{stream.unit}` is running", mend))
+                entry.note(f"no unit `{stream.unit}` is running", mend)
             return
-        transformation = self._library.get(feeder[2].transformation)
+        _, feeder = self._parts[stream.unit]
+        transformation = self._library.get(feeder.transformation)
         if transformation is not None and stream.port not in transformation.output:
-            self._note_unknown_port(
-                source, place, stream.port, "output", transformation, list(transformation.output), at_key=False
-            )
+            _note_unknown_port(entry, stream.port, "output", transformation, at_key=False)
 
     def _publications(
-        self, source: Source, path: Path, part: UnitPart, transformation: Transformation | None
+        self, entry: Entry, part: UnitPart, transformation: Transformation | None
     ) -> Iterator[Publication]:
         times = Counter(topic for topics in (part.topics or {}).values() for topic in topics)
         seen: set[str] = set()
         for port, topics in (part.topics or {}).items():
             if transformation is not None and port not in transformation.output:
-                place = (*path, "topics", port)
-                self._note_unknown_port(source, place, port, "output", transformation, list(transformation.output))
+                _note_unknown_port(entry.at(port), port, "output", transformation)
             for index, topic in enumerate(topics):
-                place = (*path, "topics", port, index)
+                place = entry.at(port, index)
                 if topic not in self._topics and not self._left_out.any_of("targets"):
                     mend = did_you_mean(topic, self._topics, "add a target with this topic, or remove it here")
-                    self._faults.append(source.fault(place, f"no target names the topic `{topic}`", mend))
+                    place.note(f"no target names the topic `{topic}`", mend)
                 if topic in seen:
-                    message = f"the unit publishes on `{topic}` {times[topic]} times"
-                    self._faults.append(source.fault(place, message, "publish one stream on a topic"))
+                    place.note(f"the unit publishes on `{topic}` {times[topic]} times", "publish one stream on a topic")
                     continue
                 seen.add(topic)
                 yield Publication(port, topic)
-
-    def _note_unknown_port(
-        self,
-        source: Source,
-        place: Path,
-        port: str,
-        kind: str,
-        transformation: Transformation,
-        known: list[str],
-        *,
-        at_key: bool = True,
-    ) -> None:
-        hint = f"its {kind}s are {', '.join(known)}" if known else f"it has no {kind}s"
-        message = f"transformation `{transformation.label}` has no {kind} `{port}`"
-        self._faults.append(source.fault(place, message, did_you_mean(port, known, hint), at_key=at_key))
 
     def _check_cycles(self, units: list[ComputationUnit]) -> None:
         feeders: dict[str, dict[str, str]] = {}
@@ -176,10 +131,18 @@ class UnitChecker:
                 return
 
     def _note_cycle(self, ring: list[str], fed: str, port: str) -> None:
-        source, path, _ = self._parts[fed]
+        entry, _ = self._parts[fed]
+        message = f"units feed each other in a cycle: {' -> '.join(ring)}"
         if len(ring) == 2:
             message = f"unit `{fed}` feeds itself"
-        else:
-            message = f"units feed each other in a cycle: {' -> '.join(ring)}"
         mend = "feed one of them from outside, write null, or declare the input `feedback: true`"
-        self._faults.append(source.fault((*path, "inputs", port), message, mend))
+        entry.at("inputs", port).note(message, mend)
+
+
+def _note_unknown_port(
+    entry: Entry, port: str, kind: str, transformation: Transformation, *, at_key: bool = True
+) -> None:
+    known = list(transformation.input if kind == "input" else transformation.output)
+    hint = f"its {kind}s are {', '.join(known)}" if known else f"it has no {kind}s"
+    message = f"transformation `{transformation.label}` has no {kind} `{port}`"
+    entry.note(message, did_you_mean(port, known, hint), at_key=at_key)

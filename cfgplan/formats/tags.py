@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Protocol
 
-from cfgplan.errors import CfgplanError, Fault
-from cfgplan.formats.places import Path, Source
+from cfgplan.errors import CfgplanError
+from cfgplan.formats.places import Entry, Path
 from cfgplan.formats.templates import Variable, original_column
 
 
@@ -40,31 +40,26 @@ class TagVocabulary(Protocol):
 
 
 class TagChecker:
-    """Checks the tags of one document; what is wrong goes into `faults`."""
+    """Checks the tags of one document, each distinct one once."""
 
-    def __init__(self, vocabulary: TagVocabulary, faults: list[Fault]) -> None:
+    def __init__(self, vocabulary: TagVocabulary) -> None:
         self._vocabulary = vocabulary
-        self._faults = faults
         self._good: set[str] = set()
         self._reported: set[tuple[str, Path]] = set()
 
     def check(
-        self,
-        tag: str,
-        source: Source,
-        path: Path,
-        template: str | None = None,
-        values: Mapping[Variable, str] | None = None,
+        self, tag: str, entry: Entry, template: str | None = None, values: Mapping[Variable, str] | None = None
     ) -> None:
         """Note the fault of a tag, which may be a template's expansion, once for each place."""
-        if tag in self._good or (source.file, path) in self._reported:
+        place = (entry.source.file, entry.path)
+        if tag in self._good or place in self._reported:
             return
         try:
             self._vocabulary.check_tag(tag)
         except BadTagError as error:
-            self._reported.add((source.file, path))
+            self._reported.add(place)
             column = original_column(template, values, error.column) if template and values else error.column
             message = f"{error.message}, in the expansion {tag!r}" if values else error.message
-            self._faults.append(source.fault(path, message, error.mend, text_column=column))
+            entry.note(message, error.mend, text_column=column)
         else:
             self._good.add(tag)
