@@ -2,11 +2,10 @@
 
 from cfgplan.formats.building import build
 from cfgplan.formats.document import Document, read_declared, read_document
-from cfgplan.formats.dump import as_xml, as_yaml, dump_environment
-from cfgplan.formats.environment_file import EnvironmentFile, environment_digest
+from cfgplan.formats.dump import as_xml, as_yaml, dump_yaml, plain_environment
+from cfgplan.formats.environment_file import EnvironmentFile
 from cfgplan.formats.fields import environment_schema
 from cfgplan.formats.places import Place
-from cfgplan.formats.plain import plain_environment
 from cfgplan.formats.plan_file import dump_plan, load_plan, plain_plan, plan_schema
 from cfgplan.formats.tags import BadClassError, BadTagError, TagVocabulary
 from cfgplan.formats.wsc import read_wsc, wsc_texts
@@ -22,10 +21,9 @@ __all__ = [
     "as_xml",
     "as_yaml",
     "build",
-    "dump_environment",
     "dump_plan",
     "dump_xml",
-    "environment_digest",
+    "dump_yaml",
     "environment_schema",
     "load_plan",
     "plain_environment",

@@ -1,4 +1,4 @@
-"""Environments and documents written as YAML or XML that says the same."""
+"""Environments and documents as plain data in the environment file's form, and as YAML or XML that says the same."""
 
 from __future__ import annotations
 
@@ -8,39 +8,33 @@ from typing import Any
 
 import yaml
 
-from cfgplan.domain import Environment
+from cfgplan.domain import ComputationUnit, Environment, OutputPort, Target, Transformation
 from cfgplan.errors import InputError
 from cfgplan.formats.document import Document
-from cfgplan.formats.fields import FORMAT
-from cfgplan.formats.plain import plain_environment
+from cfgplan.formats.environment_file import ANY_IMPORT
+from cfgplan.formats.fields import (
+    FORMAT,
+    IGNORE,
+    AttributePart,
+    EnvironmentPart,
+    HostPart,
+    InputPart,
+    OutputPart,
+    RunPart,
+    TargetPart,
+    TransformationPart,
+    UnitPart,
+    WishPart,
+)
 from cfgplan.formats.scalars import resolve
+from cfgplan.formats.schema_values import plain_cost, plain_quality
+from cfgplan.formats.templates import escaped
 from cfgplan.formats.xml_dump import dump_xml
 from cfgplan.planning import Failures
+from cfgplan.qualities import Better, Contribution, Over, QualityAttribute, Wish
 
 _LISTS = ("transformations", "units", "targets")
 _DUMPER: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-
-
-def dump_environment(
-    environment: Environment,
-    *,
-    horizon_s: int,
-    max_cost_us: int | None = None,
-    ontology: Iterable[str] = (),
-    survive: Failures | None = None,
-    imports: Mapping[str, str | None] | None = None,
-) -> str:
-    """The YAML text of an environment; `ontology` and `imports` say how it names files, see `plain_environment`."""
-    return dump_yaml(
-        plain_environment(
-            environment,
-            horizon_s=horizon_s,
-            max_cost_us=max_cost_us,
-            ontology=ontology,
-            survive=survive,
-            imports=imports,
-        )
-    )
 
 
 def dump_yaml(data: object) -> str:
@@ -73,6 +67,99 @@ def plain_document(document: Document) -> dict[str, Any]:
             if data.get(key):
                 whole.setdefault(key, []).extend(data[key])
     return whole
+
+
+def plain_environment(
+    environment: Environment,
+    *,
+    horizon_s: int,
+    max_cost_us: int | None = None,
+    ontology: Iterable[str] = (),
+    survive: Failures | None = None,
+    imports: Mapping[str, str | None] | None = None,
+) -> dict[str, Any]:
+    """An environment as the mappings and lists of an environment file; costs are Decimal or int.
+
+    Loading it gives the same environment back. `ontology` holds paths as the file is to name them, `imports` the path
+    of each IRI, or None where that import is ignored, with ANY_IMPORT for every one that can't be found.
+    """
+    ontologies = list(ontology)
+    return EnvironmentPart.written(
+        environment,
+        format=FORMAT,
+        ontology=ontologies[0] if len(ontologies) == 1 else ontologies,
+        imports=_imports(imports or {}),
+        horizon=horizon_s,
+        max_cost=None if max_cost_us is None else plain_cost(max_cost_us),
+        defaults=None,
+        include=None,
+        hosts=[HostPart.written(host) for host in environment.hosts],
+        qualities=[_attribute(attribute) for attribute in environment.qualities],
+        survive=None if survive is None else survive.value,
+        transformations=[_transformation(t, environment) for t in environment.library],
+        units=[plain_unit(unit) for unit in environment.units],
+        targets=[_target(target, environment) for target in environment.targets],
+    )
+
+
+def _imports(imports: Mapping[str, str | None]) -> str | dict[str, str]:
+    if ANY_IMPORT in imports:
+        return IGNORE
+    return {iri: IGNORE if path is None else path for iri, path in imports.items()}
+
+
+def _transformation(transformation: Transformation, environment: Environment) -> dict[str, Any]:
+    """A transformation, with every `${` in its texts escaped."""
+    said: dict[str, Any] = escaped(
+        TransformationPart.written(
+            transformation,
+            host=transformation.host or list(transformation.hosts),
+            run=RunPart.written(transformation.run),
+            inputs={port.name: _port(InputPart.written(port)) for port in transformation.inputs},
+            outputs={port.name: _port(_output(port, environment)) for port in transformation.outputs},
+        )
+    )
+    return said
+
+
+def _output(port: OutputPort, environment: Environment) -> dict[str, Any]:
+    return OutputPart.written(port, quality={q.attribute: _contribution(q, environment) for q in port.quality})
+
+
+def _port(said: dict[str, Any]) -> Any:
+    return said["tag"] if len(said) == 1 else said
+
+
+def _contribution(contribution: Contribution, environment: Environment) -> Any:
+    attribute = environment.quality.get(contribution.attribute)
+    value = plain_quality(contribution.value)
+    if attribute is not None and attribute.rule is contribution.rule and contribution.over is Over.WORST:
+        return value
+    over = {} if contribution.over is Over.WORST else {"of": contribution.over.value}
+    return {contribution.rule.value: value, **over}
+
+
+def _attribute(attribute: QualityAttribute) -> dict[str, Any]:
+    usual = QualityAttribute(attribute.name, attribute.better)
+    scale = {key: None for key in ("worst", "best") if getattr(attribute, key) == getattr(usual, key)}
+    return AttributePart.written(attribute, **scale)
+
+
+def _wish(wish: Wish, environment: Environment) -> dict[str, Any]:
+    is_low = environment.quality[wish.attribute].better is Better.LOWER
+    return WishPart.written(wish, **{"at_least" if is_low else "at_most": None})
+
+
+def plain_unit(unit: ComputationUnit) -> dict[str, Any]:
+    """A unit as an environment file says it."""
+    topics: dict[str, list[str]] = {}
+    for publication in unit.publications:
+        topics.setdefault(publication.port, []).append(publication.topic)
+    return UnitPart.written(unit, inputs={s.port: str(s.stream) for s in unit.subscriptions}, topics=topics)
+
+
+def _target(target: Target, environment: Environment) -> dict[str, Any]:
+    return TargetPart.written(target, quality={wish.attribute: _wish(wish, environment) for wish in target.quality})
 
 
 class _Dumper(_DUMPER):  # type: ignore[misc]

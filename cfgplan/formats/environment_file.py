@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from operator import attrgetter
@@ -53,10 +53,47 @@ class EnvironmentFile:
 
     @cached_property
     def digest(self) -> str:
-        """A hash of all that a plan depends on, see `environment_digest`."""
-        return environment_digest(
-            self.environment, self.horizon_s, self.max_cost_us, self.ontology_paths, self.survive, self.imports
-        )
+        """SHA-256 (hex) of all that a plan depends on, the ontology files and `imports` too.
+
+        Comments, the order of lists and fields that planning does not use don't count. Nor do imported files that
+        `imports` does not name: to find them would take reading ontologies.
+        """
+        content: list[object] = [
+            self.horizon_s,
+            self.max_cost_us,
+            [
+                [
+                    t.label,
+                    _each(t.inputs, "name tag distinct feedback"),
+                    _each(t.outputs, "name tag"),
+                    *_each([t], "labor_us upkeep_us pinned required host"),
+                ]
+                for t in self.environment.library
+            ],
+            [
+                [
+                    unit.id,
+                    unit.transformation,
+                    _each(unit.subscriptions, "port stream.unit stream.port"),
+                    _each(unit.publications, "port topic"),
+                ]
+                for unit in self.environment.units
+            ],
+            _each(self.environment.targets, "label tag topic priority"),
+        ]
+        more = _beyond_the_paper(self.environment, self.survive)
+        later = list(_later_parts(self.environment))
+        if any(more) or later:
+            content.append(more)
+        if later:
+            content.append(later)
+        hashed = hashlib.sha256(json.dumps(content, separators=(",", ":")).encode())
+        for path in self.ontology_paths:
+            hashed.update(_file_digest(path))
+        for iri, imported in self.imports:
+            hashed.update(hashlib.sha256(iri.encode()).digest() + (b"ignored" if imported is None else b"read"))
+            hashed.update(b"" if imported is None else _file_digest(imported))
+        return hashed.hexdigest()
 
     def place(
         self,
@@ -83,57 +120,6 @@ def _port_of(entry: Entry, port: str) -> Entry:
         if ports and port in ports:
             return entry.at(key, port)
     return entry
-
-
-def environment_digest(
-    environment: Environment,
-    horizon_s: int,
-    max_cost_us: int | None = None,
-    ontology_paths: Sequence[FilePath] = (),
-    survive: Failures | None = None,
-    imports: FoundImports = (),
-) -> str:
-    """SHA-256 (hex) of all that a plan depends on, the ontology files and `imports` too.
-
-    Comments, the order of lists and fields that planning does not use don't count. Nor do imported files that
-    `imports` does not name: to find them would take reading ontologies.
-    """
-    content: list[object] = [
-        horizon_s,
-        max_cost_us,
-        [
-            [
-                t.label,
-                _each(t.inputs, "name tag distinct feedback"),
-                _each(t.outputs, "name tag"),
-                *_each([t], "labor_us upkeep_us pinned required host"),
-            ]
-            for t in environment.library
-        ],
-        [
-            [
-                unit.id,
-                unit.transformation,
-                _each(unit.subscriptions, "port stream.unit stream.port"),
-                _each(unit.publications, "port topic"),
-            ]
-            for unit in environment.units
-        ],
-        _each(environment.targets, "label tag topic priority"),
-    ]
-    more = _beyond_the_paper(environment, survive)
-    later = list(_later_parts(environment))
-    if any(more) or later:
-        content.append(more)
-    if later:
-        content.append(later)
-    hashed = hashlib.sha256(json.dumps(content, separators=(",", ":")).encode())
-    for path in ontology_paths:
-        hashed.update(_file_digest(path))
-    for iri, imported in imports:
-        hashed.update(hashlib.sha256(iri.encode()).digest() + (b"ignored" if imported is None else b"read"))
-        hashed.update(b"" if imported is None else _file_digest(imported))
-    return hashed.hexdigest()
 
 
 def _each(values: Iterable[object], names: str) -> list[Any]:

@@ -18,10 +18,10 @@ from cfgplan.costs import seconds
 from cfgplan.domain import CPU, MEMORY, ChangeSet, ComputationUnit, Environment, Publication, Stream, Subscription
 from cfgplan.errors import InputError, InvalidValueError
 from cfgplan.figures import cost_parts, loads, qualities_of_targets, transfers
+from cfgplan.formats.dump import plain_unit
 from cfgplan.formats.fields import json_schema
 from cfgplan.formats.files import read_text
 from cfgplan.formats.json_text import read_json
-from cfgplan.formats.plain import plain_unit
 from cfgplan.formats.schema_faults import schema_faults
 from cfgplan.planning import Plan, Problem, Status
 from cfgplan.qualities import units

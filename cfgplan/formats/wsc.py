@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Literal
 
 from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Target, Transformation
-from cfgplan.formats.dump import dump_environment
+from cfgplan.formats.dump import dump_yaml, plain_environment
 from cfgplan.formats.environment_file import EnvironmentFile
 from cfgplan.formats.wsc_files import Service, TestSet, read_test_set
 
@@ -47,7 +47,8 @@ def wsc_texts(
     """
     test_set = read_test_set(Path(folder))
     environment = _environment(test_set, objective)
-    return dump_environment(environment, horizon_s=0, ontology=[ontology]), _ontology(test_set, environment)
+    plain = plain_environment(environment, horizon_s=0, ontology=[ontology])
+    return dump_yaml(plain), _ontology(test_set, environment)
 
 
 def shortest_length(test_set: TestSet) -> int | None:

@@ -12,7 +12,7 @@ from time import perf_counter
 
 from cfgplan.comparing import Instance, Row
 from cfgplan.comparing.plots import performance_profile
-from cfgplan.formats.dump import dump_environment
+from cfgplan.formats.dump import dump_yaml, plain_environment
 from experiments.planning import ONE_SEED
 from experiments.planning.scale_tables import scale_text
 
@@ -41,7 +41,7 @@ def load_s(instance: Instance) -> float:
     with TemporaryDirectory() as folder:
         small, file = Path(folder, "small.yaml"), Path(folder, "environment.yaml")
         small.write_text("format: cfgplan/1\nhorizon: 1\ntransformations: []\n")
-        file.write_text(dump_environment(problem.environment, horizon_s=problem.horizon_s))
+        file.write_text(dump_yaml(plain_environment(problem.environment, horizon_s=problem.horizon_s)))
         code = f"from {__name__} import timed; print(timed({str(small)!r}, {str(file)!r}))"
         done = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, check=True)
     return round(float(done.stdout), 4)

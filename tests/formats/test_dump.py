@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 from loading import load_text
 
 from cfgplan.domain import Environment, OutputPort, Transformation
-from cfgplan.formats import dump_environment
+from cfgplan.formats import dump_yaml, plain_environment
 
 
 @given(environments(), st.integers(0, 10**9), st.none() | st.integers(0, 2**53 - 1))
 @settings(max_examples=150, deadline=None)
 def test_what_is_written_as_yaml_loads_back(environment: Environment, horizon_s: int, max_cost_us: int | None) -> None:
-    text = dump_environment(environment, horizon_s=horizon_s, max_cost_us=max_cost_us, ontology=["o n.ttl"])
+    text = dump_yaml(plain_environment(environment, horizon_s=horizon_s, max_cost_us=max_cost_us, ontology=["o n.ttl"]))
     with tempfile.TemporaryDirectory() as folder:
         world = load_text(Path(folder), text)
         assert world.environment == environment
@@ -28,7 +28,7 @@ def test_what_is_written_as_yaml_loads_back(environment: Environment, horizon_s:
 
 def test_the_yaml_is_what_a_person_would_write() -> None:
     transformation = Transformation("cam(piff)", outputs=(OutputPort("image", "Image ⊓ ∃hasSource.piff"),), labor_us=1)
-    assert dump_environment(Environment(library=(transformation,)), horizon_s=60) == (
+    assert dump_yaml(plain_environment(Environment(library=(transformation,)), horizon_s=60)) == (
         "format: cfgplan/1\n"
         "horizon: 60\n"
         "transformations:\n"
@@ -42,6 +42,6 @@ def test_the_yaml_is_what_a_person_would_write() -> None:
 
 @pytest.mark.parametrize("imports", [{"http://a.example/a": "sub/a.ttl", "http://b.example/b": None}, {"": None}])
 def test_imports_are_written_as_they_were_named_or_ignored(imports: dict[str, str | None], tmp_path: Path) -> None:
-    text = dump_environment(Environment(), horizon_s=60, ontology=["o.ttl"], imports=imports)
+    text = dump_yaml(plain_environment(Environment(), horizon_s=60, ontology=["o.ttl"], imports=imports))
     expected = tuple((iri, None if path is None else tmp_path / path) for iri, path in imports.items())
     assert load_text(tmp_path, text).imports == expected

@@ -96,7 +96,7 @@ import sys
 from loading import load
 from cfgplan.comparing.transport import document, restored
 from cfgplan.domain import Similarity
-from cfgplan.formats import dump_environment, dump_xml, environment_schema, fields, plain_environment
+from cfgplan.formats import dump_xml, dump_yaml, environment_schema, fields, plain_environment
 from cfgplan.planning import Problem
 
 text = "format: cfgplan/1\\ntransformations:\\n- {label: t, outputs: {o: O}GPU}\\n"
@@ -113,7 +113,7 @@ assert said.digest != without.digest
 assert fields.what_runs(t) != fields.what_runs(u)
 sent = json.loads(json.dumps(document(Problem(said.environment, Similarity({}), 1))))
 assert restored(sent).environment.library[0].gpu == 2
-assert world(".yaml", dump_environment(said.environment, horizon_s=1)).environment == said.environment
+assert world(".yaml", dump_yaml(plain_environment(said.environment, horizon_s=1))).environment == said.environment
 assert world(".xml", dump_xml(plain_environment(said.environment, horizon_s=1))).environment == said.environment
 """
 

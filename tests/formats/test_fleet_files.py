@@ -9,7 +9,7 @@ from loading import load, load_text, only_fault, place_of
 
 from cfgplan.domain import Host
 from cfgplan.errors import InvalidValueError
-from cfgplan.formats import dump_environment, plain_environment
+from cfgplan.formats import dump_yaml, plain_environment
 from cfgplan.formats.xml_dump import dump_xml
 from cfgplan.planning import Failures
 from cfgplan.qualities import Better, Contribution, Over, QualityAttribute, QualityRule, Wish
@@ -81,14 +81,14 @@ def test_cpu_and_memory_are_resources_among_others(tmp_path: Path) -> None:
     camera = world.environment.transformation["camera(piff)"]
     assert (camera.memory_mb, camera.needs) == (20, {"gpu": 1})
     assert camera.takes == {"cpu": 0, "memory": 20, "gpu": 1}
-    again = dump_environment(world.environment, horizon_s=world.horizon_s, survive=world.survive)
+    again = dump_yaml(plain_environment(world.environment, horizon_s=world.horizon_s, survive=world.survive))
     assert "cpu: 1.5\n  memory: 100\n  offers:\n    gpu: 2\n" in again
     assert load_text(tmp_path, again, "again.yaml").digest == world.digest != load_text(tmp_path, TEXT).digest
 
 
 def test_a_fleet_is_the_same_written_and_read_again(tmp_path: Path) -> None:
     world = load_text(tmp_path, TEXT)
-    text = dump_environment(world.environment, horizon_s=world.horizon_s, survive=world.survive)
+    text = dump_yaml(plain_environment(world.environment, horizon_s=world.horizon_s, survive=world.survive))
     again = load_text(tmp_path, text, "again.yaml")
     assert again.environment == world.environment
     assert again.digest == world.digest

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Publication, Similarity, Target, Transformation
 from cfgplan.errors import InputError, InvalidValueError
-from cfgplan.formats import dump_plan, environment_digest, load_plan, plan_schema
+from cfgplan.formats import EnvironmentFile, dump_plan, load_plan, plan_schema
 from cfgplan.planning import Plan, Problem, Status
 
 LIBRARY = (Transformation("a", labor_us=7, upkeep_us=3),)
@@ -71,11 +71,11 @@ def test_times_and_counts_survive(tmp_path: Path) -> None:
 
 def test_a_plan_for_another_environment_is_refused_as_stale(tmp_path: Path) -> None:
     before = PROBLEM.environment
-    path = written(tmp_path, dump_plan(PLAN, PROBLEM, environment_digest(before, 60)))
-    assert load_plan(path, environment_digest(before, 60)) == PLAN
+    path = written(tmp_path, dump_plan(PLAN, PROBLEM, EnvironmentFile(Path(), before, 60).digest))
+    assert load_plan(path, EnvironmentFile(Path(), before, 60).digest) == PLAN
     after = Environment(library=LIBRARY, targets=(Target("t", "T", "/t"),))
     with pytest.raises(InputError, match=r"plan\.json:3:18: environment: the plan is stale.*solve again"):
-        load_plan(path, environment_digest(after, 60))
+        load_plan(path, EnvironmentFile(Path(), after, 60).digest)
 
 
 def test_changes_of_the_library_are_no_plan() -> None:
