@@ -7,8 +7,8 @@ from collections import defaultdict
 from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
-ALLOWED = {"T", "__all__", "_HOMES", "_HOME_OF"}
-"""A function's own type variable, what Python asks each package for, and what a package's `__getattr__` reads."""
+ALLOWED = {"__all__", "_HOMES", "_HOME_OF"}
+"""What Python asks each package for, and what a package's `__getattr__` reads."""
 
 
 def test_no_two_classes_types_or_constants_have_one_name() -> None:
@@ -21,7 +21,7 @@ def test_no_two_classes_types_or_constants_have_one_name() -> None:
 
 
 def _names(module: ast.Module) -> list[str]:
-    """Those of the module's classes and of what it assigns."""
+    """Those of the module's classes and of what it assigns, but for type variables, which belong to their functions."""
     assigned = [node for part in module.body if isinstance(part, ast.Assign | ast.AnnAssign) for node in _targets(part)]
     return [
         *(part.name for part in module.body if isinstance(part, ast.ClassDef)),
@@ -30,4 +30,6 @@ def _names(module: ast.Module) -> list[str]:
 
 
 def _targets(part: ast.Assign | ast.AnnAssign) -> list[ast.expr]:
+    if isinstance(part.value, ast.Call) and ast.unparse(part.value.func) == "TypeVar":
+        return []
     return part.targets if isinstance(part, ast.Assign) else [part.target]

@@ -13,7 +13,7 @@ from cfgplan.formats.expansion import Expander
 from cfgplan.formats.fleet import FleetReader
 from cfgplan.formats.garbage import no_garbage_collection
 from cfgplan.formats.left_out import LeftOut
-from cfgplan.formats.places import Entry
+from cfgplan.formats.places import Passage
 from cfgplan.formats.references import UnitChecker
 from cfgplan.formats.suggestions import did_you_mean
 from cfgplan.formats.tags import TagChecker, TagVocabulary
@@ -76,20 +76,20 @@ def _build(document: Document, vocabulary: TagVocabulary) -> EnvironmentFile:
     )
 
 
-def _parts(document: Document, kind: str, faults: list[Fault]) -> Iterator[tuple[Entry, Any]]:
+def _parts(document: Document, kind: str, faults: list[Fault]) -> Iterator[tuple[Passage, Any]]:
     """The transformations, targets or units of all files, each with where it stands."""
     for file in document.files:
         for index, part in getattr(file, kind):
-            yield Entry(file.source, (kind, index), faults), part
+            yield Passage(file.source, (kind, index), faults), part
 
 
 class _Names:
     """The names that are taken, by kind and name, with who took them."""
 
     def __init__(self) -> None:
-        self.origins: dict[tuple[str, str], Entry] = {}
+        self.origins: dict[tuple[str, str], Passage] = {}
 
-    def is_new(self, kind: str, name: str, entry: Entry, key: str) -> bool:
+    def is_new(self, kind: str, name: str, entry: Passage, key: str) -> bool:
         """Take a name; False, and a fault, if it is taken."""
         if (kind, name) not in self.origins:
             self.origins[kind, name] = entry
@@ -104,7 +104,7 @@ class _Names:
 
 
 def _check_conflicts(
-    library: dict[str, Transformation], left_out: LeftOut, origins: Mapping[tuple[str, str], Entry]
+    library: dict[str, Transformation], left_out: LeftOut, origins: Mapping[tuple[str, str], Passage]
 ) -> None:
     for transformation in library.values():
         entry = origins["transformation", transformation.label].at("conflicts")
@@ -122,12 +122,12 @@ def _check_broken_tags(file: File, tags: TagChecker, faults: list[Fault]) -> Non
         for part in parts:
             if part.index is not None:
                 raw = file.source.data[kind][part.index]  # type: ignore[index]
-                for entry, tag in _tags_in(raw, Entry(file.source, (kind, part.index), faults)):
+                for entry, tag in _tags_in(raw, Passage(file.source, (kind, part.index), faults)):
                     if isinstance(tag, str) and tag and "$" not in tag:
                         tags.check(tag, entry)
 
 
-def _tags_in(raw: object, entry: Entry) -> Iterator[tuple[Entry, object]]:
+def _tags_in(raw: object, entry: Passage) -> Iterator[tuple[Passage, object]]:
     if isinstance(raw, dict):
         yield entry.at("tag"), raw.get("tag")
         for key in ("inputs", "outputs") if entry.path[0] == "transformations" else ():

@@ -25,7 +25,7 @@ from cfgplan.formats.fields import (
     UnitPart,
     Use,
 )
-from cfgplan.formats.places import Entry, Place
+from cfgplan.formats.places import Passage, Place
 from cfgplan.planning import Failures
 
 ANY_IMPORT = ""
@@ -49,7 +49,7 @@ class EnvironmentFile:
     ontology_paths: tuple[FilePath, ...] = ()
     survive: Failures | None = None
     imports: FoundImports = ()
-    origins: Mapping[tuple[str, str], Entry] = field(default_factory=dict, repr=False, compare=False)
+    origins: Mapping[tuple[str, str], Passage] = field(default_factory=dict, repr=False, compare=False)
 
     @cached_property
     def digest(self) -> str:
@@ -111,7 +111,7 @@ class EnvironmentFile:
         return None
 
 
-def _port_of(entry: Entry, port: str) -> Entry:
+def _port_of(entry: Passage, port: str) -> Passage:
     part: Any = entry.source.data
     for step in entry.path:
         part = part[step]

@@ -17,7 +17,7 @@ from cfgplan.formats.fields import (
 )
 from cfgplan.formats.fleet import FleetReader
 from cfgplan.formats.left_out import LeftOut
-from cfgplan.formats.places import Entry
+from cfgplan.formats.places import Passage
 from cfgplan.formats.suggestions import did_you_mean
 from cfgplan.formats.tags import BadClassError, TagChecker, TagVocabulary
 from cfgplan.formats.templates import (
@@ -58,7 +58,7 @@ class Expander:
         self._left_out = left_out
         self._instances: dict[str, tuple[str, ...] | BadClassError] = {}
 
-    def expand(self, entry: Entry, part: TransformationPart) -> Iterator[Transformation]:
+    def expand(self, entry: Passage, part: TransformationPart) -> Iterator[Transformation]:
         """The transformations that one written transformation stands for; none if it has faults."""
         if "$" not in str(vars(part)):
             yield from self._filled(entry, part, part, {})
@@ -71,7 +71,7 @@ class Expander:
         for values in assignments(instances):
             yield from self._filled(entry, part, substitute_all(part, values), values)
 
-    def _variable_instances(self, entry: Entry, part: TransformationPart) -> dict[Variable, tuple[str, ...]] | None:
+    def _variable_instances(self, entry: Passage, part: TransformationPart) -> dict[Variable, tuple[str, ...]] | None:
         """What each variable of a template ranges over, or None if the template has faults."""
         found = _variables(entry, part)
         if found is None:
@@ -112,7 +112,7 @@ class Expander:
         return self._instances[class_name]
 
     def _filled(
-        self, entry: Entry, part: TransformationPart, filled: TransformationPart, values: VariableValues
+        self, entry: Passage, part: TransformationPart, filled: TransformationPart, values: VariableValues
     ) -> Iterator[Transformation]:
         """The transformation of a part with all variables filled in; none if it has faults."""
         names = [substitute(name, values) for key in _PORT_TYPES for name in getattr(part, key) or ()]
@@ -129,7 +129,7 @@ class Expander:
         run = _run_options(entry.at("run", "start"), filled)
         yield Transformation(**{**self._costs_us, **filled.values(), **ports, **hosts, "run": run})
 
-    def _hosts(self, entry: Entry, written: str | list[str] | None) -> dict[str, Any]:
+    def _hosts(self, entry: Passage, written: str | list[str] | None) -> dict[str, Any]:
         if isinstance(written, list):
             for index, name in enumerate(written):
                 self._fleet.check_host(entry.at(index), name, is_choice=True)
@@ -139,7 +139,7 @@ class Expander:
         return {}
 
     def _ports(
-        self, entry: Entry, key: str, part: TransformationPart, filled: TransformationPart, values: VariableValues
+        self, entry: Passage, key: str, part: TransformationPart, filled: TransformationPart, values: VariableValues
     ) -> Iterator[InputPort | OutputPort]:
         templates, ports = getattr(part, key) or {}, getattr(filled, key) or {}
         for (written, template), (name, port) in zip(templates.items(), ports.items(), strict=True):
@@ -151,7 +151,7 @@ class Expander:
                 said["quality"] = self._fleet.contributions(at.at("quality"), said["quality"])
             yield _PORT_TYPES[key](name, **said)
 
-    def _check_plain_tags(self, entry: Entry, part: TransformationPart) -> None:
+    def _check_plain_tags(self, entry: Passage, part: TransformationPart) -> None:
         """Check the plain tags of a template that can't be expanded, so that all its faults are told at once."""
         for key in _PORT_TYPES:
             for name, written in (getattr(part, key) or {}).items():
@@ -160,9 +160,9 @@ class Expander:
                     self._tags.check(tag, place)
 
 
-def _variables(entry: Entry, part: TransformationPart) -> dict[Variable, tuple[Entry, int]] | None:
+def _variables(entry: Passage, part: TransformationPart) -> dict[Variable, tuple[Passage, int]] | None:
     """Each variable of a part with the place of its first mention, or None if a `${` is wrong."""
-    found: dict[Variable, tuple[Entry, int]] = {}
+    found: dict[Variable, tuple[Passage, int]] = {}
     is_good = True
     for path, text in texts(part, ()):
         place = entry.at(*path)
@@ -175,7 +175,7 @@ def _variables(entry: Entry, part: TransformationPart) -> dict[Variable, tuple[E
     return found if is_good else None
 
 
-def _is_well_numbered(entry: Entry, part: TransformationPart) -> bool:
+def _is_well_numbered(entry: Passage, part: TransformationPart) -> bool:
     """Whether a part does not ask for more units than it allows, nor for a resource in two places."""
     fits = part.max_instances is None or part.min_instances <= part.max_instances
     if not fits:
@@ -189,7 +189,7 @@ def _is_well_numbered(entry: Entry, part: TransformationPart) -> bool:
     return fits and not twice
 
 
-def _run_options(entry: Entry, filled: TransformationPart) -> RunOptions:
+def _run_options(entry: Passage, filled: TransformationPart) -> RunOptions:
     if filled.run is None:
         return RunOptions()
     start, known = filled.run.start, [*START_MODES, *(filled.inputs or ())]
@@ -199,7 +199,7 @@ def _run_options(entry: Entry, filled: TransformationPart) -> RunOptions:
     return RunOptions(**filled.run.values())
 
 
-def _note_repeated_port(entry: Entry, part: TransformationPart, names: list[str], values: VariableValues) -> None:
+def _note_repeated_port(entry: Passage, part: TransformationPart, names: list[str], values: VariableValues) -> None:
     twice = next(name for name in names if names.count(name) > 1)
     written = [entry.at(key, name) for key in _PORT_TYPES for name in (getattr(part, key) or {})]
     second = [place for place in written if substitute(str(place.path[-1]), values) == twice][1]
@@ -207,6 +207,6 @@ def _note_repeated_port(entry: Entry, part: TransformationPart, names: list[str]
     second.note(message, "rename one of the two", at_key=True)
 
 
-def _tag_of(written: str | InputPart | OutputPart, entry: Entry) -> tuple[Entry, str]:
+def _tag_of(written: str | InputPart | OutputPart, entry: Passage) -> tuple[Passage, str]:
     """The tag of a port as written, and its place."""
     return (entry, written) if isinstance(written, str) else (entry.at("tag"), written.tag)

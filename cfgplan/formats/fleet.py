@@ -10,7 +10,7 @@ from cfgplan.errors import Fault, InvalidValueError
 from cfgplan.formats.document import Document
 from cfgplan.formats.fields import ContributionPart, TargetPart, UnitPart, WishPart
 from cfgplan.formats.left_out import LeftOut
-from cfgplan.formats.places import Entry
+from cfgplan.formats.places import Passage
 from cfgplan.formats.suggestions import did_you_mean
 from cfgplan.planning import Failures
 from cfgplan.qualities import Better, Contribution, Over, QualityAttribute, QualityRule, Wish
@@ -24,7 +24,7 @@ class FleetReader:
         self.hosts: dict[str, Host] = {}
         self.attributes: dict[str, QualityAttribute] = {}
         header = document.header
-        main = Entry(document.files[0].source, (), faults) if document.files else None
+        main = Passage(document.files[0].source, (), faults) if document.files else None
         if main is None:  # a folder of the paper's XML has no header
             self.survive = None
             return
@@ -46,7 +46,7 @@ class FleetReader:
                     left_out.add("qualities", part.name)
         self.survive = self._survived(main.at("survive"), header.survive, has_hosts=bool(header.hosts))
 
-    def _survived(self, entry: Entry, written: int | str, *, has_hosts: bool) -> Failures | None:
+    def _survived(self, entry: Passage, written: int | str, *, has_hosts: bool) -> Failures | None:
         if written == "hosts" and not has_hosts and not self._left_out.any_of("hosts"):
             message = "the failure of a host can't be survived where no hosts are declared"
             entry.note(message, "declare `hosts:`, or write `survive: units`")
@@ -55,14 +55,14 @@ class FleetReader:
             return Failures.HOSTS if has_hosts else Failures.UNITS
         return Failures(written) if isinstance(written, str) else None
 
-    def check_host(self, entry: Entry, name: str, *, is_choice: bool = False) -> None:
+    def check_host(self, entry: Passage, name: str, *, is_choice: bool = False) -> None:
         """Note a host that is not declared. If none are declared, the host of a transformation is free text."""
         if name in self.hosts or self._left_out.any_of("hosts"):
             return
         if self.hosts or is_choice:
             entry.note(f"there is no host `{name}`", did_you_mean(name, self.hosts, "declare it under `hosts:`"))
 
-    def host_of(self, entry: Entry, part: UnitPart, only: str | None) -> str | None:
+    def host_of(self, entry: Passage, part: UnitPart, only: str | None) -> str | None:
         """Where a unit runs: where it says, or the only host that its transformation allows."""
         if part.host is not None:
             self.check_host(entry.at("host"), part.host, is_choice=True)
@@ -72,7 +72,7 @@ class FleetReader:
             entry.at("id").note(f"unit `{part.id}` does not say on which host it runs", mend)
         return only if only in self.hosts else None
 
-    def contributions(self, entry: Entry, written: Mapping[str, int | ContributionPart]) -> tuple[Contribution, ...]:
+    def contributions(self, entry: Passage, written: Mapping[str, int | ContributionPart]) -> tuple[Contribution, ...]:
         """The contributions of an output to quality attributes; `entry` is that of the mapping.
 
         Empty if no attributes are declared, so that a library may say more than an environment wants.
@@ -82,7 +82,7 @@ class FleetReader:
         found = (self._contribution(entry.at(name), name, part) for name, part in written.items())
         return tuple(contribution for contribution in found if contribution is not None)
 
-    def _contribution(self, entry: Entry, name: str, part: int | ContributionPart) -> Contribution | None:
+    def _contribution(self, entry: Passage, name: str, part: int | ContributionPart) -> Contribution | None:
         attribute = self._attribute(entry, name)
         if attribute is None:
             return None
@@ -103,7 +103,7 @@ class FleetReader:
             entry.note(message, mend)
             return None
 
-    def wishes(self, entry: Entry, part: TargetPart) -> tuple[Wish, ...]:
+    def wishes(self, entry: Passage, part: TargetPart) -> tuple[Wish, ...]:
         """What a target asks of its stream; `entry` is that of the mapping."""
         found = []
         for name, wish in (part.quality or {}).items():
@@ -112,7 +112,7 @@ class FleetReader:
                 found.append(Wish(name, **wish.values()))
         return tuple(found)
 
-    def _is_well_put(self, entry: Entry, attribute: QualityAttribute, wish: WishPart) -> bool:
+    def _is_well_put(self, entry: Passage, attribute: QualityAttribute, wish: WishPart) -> bool:
         wrong, right = "at_most", "at_least"
         if attribute.better is Better.LOWER:
             wrong, right = right, wrong
@@ -125,13 +125,13 @@ class FleetReader:
             return False
         return True
 
-    def _attribute(self, entry: Entry, name: str) -> QualityAttribute | None:
+    def _attribute(self, entry: Passage, name: str) -> QualityAttribute | None:
         if name not in self.attributes and not self._left_out.any_of("qualities"):
             mend = did_you_mean(name, self.attributes, "declare it under `qualities:` in the main file")
             entry.note(f"there is no quality attribute `{name}`", mend, at_key=True)
         return self.attributes.get(name)
 
-    def _is_new(self, entry: Entry, name: str, known: Mapping[str, object]) -> bool:
+    def _is_new(self, entry: Passage, name: str, known: Mapping[str, object]) -> bool:
         if name in known:
             entry.at("name").note(f"`{name}` stands here twice", "remove one of them")
         return name not in known

@@ -64,16 +64,16 @@ class Source:
         return Fault(message, self.file, spot.line, column, key_text(path) or None, mend)
 
 
-class Entry(NamedTuple):
+class Passage(NamedTuple):
     """A value that a file says: where it stands, and the list that notes what is wrong with it."""
 
     source: Source
     path: Path
     faults: list[Fault]
 
-    def at(self, *steps: str | int) -> Entry:
+    def at(self, *steps: str | int) -> Passage:
         """What stands further in, by keys and positions."""
-        return Entry(self.source, (*self.path, *steps), self.faults)
+        return Passage(self.source, (*self.path, *steps), self.faults)
 
     def note(
         self, message: str, mend: str | None = None, *, at_key: bool = False, text_column: int | None = None

@@ -11,7 +11,7 @@ from cfgplan.errors import InvalidValueError
 from cfgplan.formats.fields import UnitPart
 from cfgplan.formats.fleet import FleetReader
 from cfgplan.formats.left_out import LeftOut
-from cfgplan.formats.places import Entry
+from cfgplan.formats.places import Passage
 from cfgplan.formats.suggestions import did_you_mean
 
 MOST_CYCLES_SHOWN = 10
@@ -25,7 +25,7 @@ class UnitChecker:
 
     def __init__(
         self,
-        parts: Mapping[str, tuple[Entry, UnitPart]],
+        parts: Mapping[str, tuple[Passage, UnitPart]],
         library: Mapping[str, Transformation],
         topics: Collection[str],
         fleet: FleetReader,
@@ -43,7 +43,7 @@ class UnitChecker:
         self._check_cycles(units)
         return units
 
-    def _unit(self, entry: Entry, part: UnitPart) -> ComputationUnit:
+    def _unit(self, entry: Passage, part: UnitPart) -> ComputationUnit:
         transformation, host = self._library.get(part.transformation), None
         if transformation is not None:
             allowed = transformation.hosts if transformation.host is None else (transformation.host,)
@@ -62,7 +62,7 @@ class UnitChecker:
         return ComputationUnit(**{**part.values(), **wiring})
 
     def _subscriptions(
-        self, entry: Entry, part: UnitPart, transformation: Transformation | None
+        self, entry: Passage, part: UnitPart, transformation: Transformation | None
     ) -> Iterator[Subscription]:
         for port, text in (part.inputs or {}).items():
             place = entry.at(port)
@@ -78,7 +78,7 @@ class UnitChecker:
             self._check_stream(place, stream)
             yield Subscription(port, stream)
 
-    def _check_stream(self, entry: Entry, stream: Stream) -> None:
+    def _check_stream(self, entry: Passage, stream: Stream) -> None:
         if stream.unit not in self._parts:
             if not self._left_out.may_have("units", stream.unit):
                 mend = did_you_mean(stream.unit, self._parts, "write null if the feeder is gone")
@@ -90,7 +90,7 @@ class UnitChecker:
             _note_unknown_port(entry, stream.port, "output", transformation, at_key=False)
 
     def _publications(
-        self, entry: Entry, part: UnitPart, transformation: Transformation | None
+        self, entry: Passage, part: UnitPart, transformation: Transformation | None
     ) -> Iterator[Publication]:
         times = Counter(topic for topics in (part.topics or {}).values() for topic in topics)
         seen: set[str] = set()
@@ -140,7 +140,7 @@ class UnitChecker:
 
 
 def _note_unknown_port(
-    entry: Entry, port: str, kind: str, transformation: Transformation, *, at_key: bool = True
+    entry: Passage, port: str, kind: str, transformation: Transformation, *, at_key: bool = True
 ) -> None:
     known = list(transformation.input if kind == "input" else transformation.output)
     hint = f"its {kind}s are {', '.join(known)}" if known else f"it has no {kind}s"

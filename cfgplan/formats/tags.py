@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Protocol
 
 from cfgplan.errors import CfgplanError
-from cfgplan.formats.places import Entry, Path
+from cfgplan.formats.places import Passage, Path
 from cfgplan.formats.templates import Variable, original_column
 
 
@@ -48,7 +48,7 @@ class TagChecker:
         self._reported: set[tuple[str, Path]] = set()
 
     def check(
-        self, tag: str, entry: Entry, template: str | None = None, values: Mapping[Variable, str] | None = None
+        self, tag: str, entry: Passage, template: str | None = None, values: Mapping[Variable, str] | None = None
     ) -> None:
         """Note the fault of a tag, which may be a template's expansion, once for each place."""
         place = (entry.source.file, entry.path)
