@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Final
 
+from cfgplan.matching.axioms import LITERAL, DisjointExpressions, Statement, Subclass, Subrole, Subvalue, inverse
 from cfgplan.matching.concepts import (
     NOTHING_IRI,
     THING_IRI,
@@ -38,7 +39,7 @@ from cfgplan.matching.concepts import (
 from cfgplan.matching.functional import Signature, Tree, parse
 from cfgplan.matching.literals import XSD
 from cfgplan.matching.ontology import Ontology
-from cfgplan.matching.structures import LITERAL, Interpretation, inverse, linked_by, symbols_of
+from cfgplan.matching.structures import Interpretation, checks_of, linked_by, symbols_of
 
 MOST_MODELS: Final = 8
 """The number of models built for the same tags; each prefers other parts of unions."""
@@ -74,66 +75,30 @@ class _Program:
     """The axioms as rules: what a thing that is in one class expression also gets."""
 
     def __init__(self, trees: Iterable[Tree]) -> None:
-        self.trees = [tree for tree in trees if isinstance(tree, tuple) and tree[0] != "Declaration"]
-        self.individuals = sorted(Signature(self.trees).individuals | set(_anonymous(self.trees)))
+        trees = [tree for tree in trees if tree[0] != "Declaration"]
+        self.checks = [check for tree in trees for check in checks_of(tree)]
+        self.individuals = sorted(Signature(trees).individuals | set(_anonymous(trees)))
         self.inclusions: list[tuple[Tree, Tree]] = []
         self.roles: list[tuple[Tree, Tree]] = []
         self.values: list[tuple[str, str]] = []
         self.above: defaultdict[str, set[str]] = defaultdict(set)
         self.apart: defaultdict[str, set[str]] = defaultdict(set)
-        for tree in self.trees:
-            self._read(str(tree[0]), *tree[1:])
+        for check in self.checks:
+            self._read(check)
         for sub, sup in self.inclusions:
             if isinstance(sub, str) and isinstance(sup, str):
                 self.above[sub].add(sup)
 
-    def _read(self, keyword: str, *parts: Tree) -> None:
-        match keyword:
-            case "SubClassOf":
-                self._include(parts[0], parts[1])
-            case "EquivalentClasses":
-                for one, other in zip(parts, (*parts[1:], parts[0]), strict=True):
-                    self._include(one, other)
-            case "DisjointClasses":
+    def _read(self, statement: Statement) -> None:
+        match statement:
+            case Subclass(sub, sup):
+                self._include(sub, sup)
+            case DisjointExpressions(parts):
                 self._set_apart(parts)
-            case "DisjointUnion":
-                self._set_apart(parts[1:])
-                self._include(("ObjectUnionOf", *parts[1:]), parts[0])
-                self._include(parts[0], ("ObjectUnionOf", *parts[1:]))
-            case "ObjectPropertyDomain":
-                self._include(("ObjectSomeValuesFrom", parts[0], THING_IRI), parts[1])
-            case "ObjectPropertyRange":
-                self._include(("ObjectSomeValuesFrom", inverse(parts[0]), THING_IRI), parts[1])
-            case "ClassAssertion":
-                self._include(("ObjectOneOf", parts[1]), parts[0])
-            case "ObjectPropertyAssertion":
-                self._include(("ObjectOneOf", parts[1]), ("ObjectHasValue", parts[0], parts[2]))
-            case "SameIndividual":
-                self._include(("ObjectOneOf", *parts[1:]), ("ObjectOneOf", parts[0]))
-            case "FunctionalObjectProperty":
-                self._include(THING_IRI, ("ObjectMaxCardinality", "1", parts[0]))
-            case "InverseFunctionalObjectProperty":
-                self._include(THING_IRI, ("ObjectMaxCardinality", "1", inverse(parts[0])))
-            case "ReflexiveObjectProperty":
-                self._include(THING_IRI, ("ObjectHasSelf", parts[0]))
-            case "SubObjectPropertyOf":
-                self.roles.append((parts[0], parts[1]))
-            case "EquivalentObjectProperties":
-                self.roles += zip(parts, (*parts[1:], parts[0]), strict=True)
-            case "InverseObjectProperties":
-                self.roles += [(parts[0], inverse(parts[1])), (inverse(parts[1]), parts[0])]
-            case "SymmetricObjectProperty":
-                self.roles.append((parts[0], inverse(parts[0])))
-            case "TransitiveObjectProperty":
-                self.roles.append((("ObjectPropertyChain", parts[0], parts[0]), parts[0]))
-            case "DataPropertyAssertion":
-                self._include(("ObjectOneOf", parts[1]), ("DataHasValue", parts[0], parts[2]))
-            case "DataPropertyDomain":
-                self._include(("DataSomeValuesFrom", parts[0], LITERAL), parts[1])
-            case "SubDataPropertyOf":
-                self.values.append((str(parts[0]), str(parts[1])))
-            case "EquivalentDataProperties":
-                self.values += ((str(one), str(other)) for one in parts for other in parts if one != other)
+            case Subrole(sub, sup):
+                self.roles.append((sub, sup))
+            case Subvalue(sub, sup):
+                self.values.append((str(sub), str(sup)))
 
     def _include(self, sub: Tree, sup: Tree) -> None:
         if isinstance(sup, tuple) and sup[0] == "ObjectIntersectionOf":
@@ -148,7 +113,7 @@ class _Program:
                 self._include(sub, given)
         elif sup == NOTHING_IRI and isinstance(sub, tuple) and sub[0] == "ObjectIntersectionOf" and len(sub) == 3:
             self._set_apart(sub[1:])
-        elif sup not in (THING_IRI, NOTHING_IRI):
+        elif sup not in (THING_IRI, NOTHING_IRI) and sup[0] not in _ONLY_CHECKED:
             self.inclusions.append((sub, sup))
 
     def _set_apart(self, parts: Collection[Tree]) -> None:
@@ -198,6 +163,8 @@ _ORDER: Final = {
     "ObjectMinCardinality": 2, "ObjectExactCardinality": 2, "ObjectMaxCardinality": 3, "ObjectUnionOf": 4,
 }  # fmt: skip
 """The order in which rules are applied, by the kind of expression on their right; class names come first."""
+_ONLY_CHECKED: Final = frozenset(("DataAllValuesFrom", "DataMaxCardinality"))
+"""The kinds of expression for which nothing is built: a model either keeps to them or does not."""
 
 
 class _Model:
@@ -441,8 +408,8 @@ class _Model:
         broken = True
         while broken:
             broken = False
-            for tree in self._program.trees:
-                found = structure.broken(tree)
+            for check in self._program.checks:
+                found = structure.broken(check)
                 if found:
                     structure.remove(set(found))
                     broken = True

@@ -11,8 +11,7 @@ from cfgplan.matching.expressions import is_left_hand
 from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.rules import BOTTOM_ATOM, TOP_ATOM, Rules
 from cfgplan.matching.saturation import DerivedFact, Reason, Saturation
-from cfgplan.matching.statements import Inclusion
-from cfgplan.matching.translation import translate
+from cfgplan.matching.translation import Inclusion, translate
 
 _OFFERED: Final = Named("tag:offered")
 _DEMANDED: Final = Named("tag:demanded")

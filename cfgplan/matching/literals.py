@@ -13,11 +13,9 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Set
 from types import MappingProxyType
 from typing import Final
 
-from cfgplan.matching.concepts import Nominal
-from cfgplan.matching.expressions import OutsideError, concept_of
+from cfgplan.matching.axioms import LITERAL, Subvalue, statements_of
 from cfgplan.matching.functional import Tree, parse
 from cfgplan.matching.names import short_name
-from cfgplan.matching.statements import Translation, include
 
 XSD: Final = "http://www.w3.org/2001/XMLSchema#"
 _DECIMAL: Final = r"(?a:[+-]?(\d+(\.\d*)?|\.\d+))"
@@ -50,7 +48,7 @@ _RANGES: Final = MappingProxyType(
 )  # fmt: skip
 _BESIDES: Final = frozenset(
     (
-        "http://www.w3.org/2000/01/rdf-schema#Literal",
+        LITERAL,
         *(f"http://www.w3.org/2002/07/owl#{name}" for name in ("real", "rational")),
         *(f"http://www.w3.org/1999/02/22-rdf-syntax-ns#{name}" for name in ("PlainLiteral", "XMLLiteral")),
     )
@@ -81,7 +79,6 @@ def is_well_formed(text: str, datatype: str) -> bool:
 
 LOST_LITERALS: Final = "what "
 """How the description of literals that are lost begins; the data property and the individual follow."""
-_LITERAL: Final = "http://www.w3.org/2000/01/rdf-schema#Literal"
 _TYPED: Final = re.compile(r'("(?:[^"\\]|\\.)*)"\^\^<([^>]*)>')
 _ASSERTION: Final = re.compile(r"DataPropertyAssertion\(<([^>]*)> (<[^>]*>|_:\w+) ")
 _RESTRICTING: Final = (
@@ -113,7 +110,7 @@ def told(axioms: Collection[str]) -> tuple[frozenset[str], dict[str, str]]:
         name, individual = found.groups()
         limits = [other for other in used.limits({*used.reached(name)}) if other not in untold or other in lost]
         if limits:
-            result.add(f"ClassAssertion(DataSomeValuesFrom(<{name}> <{_LITERAL}>) {individual})")
+            result.add(f"ClassAssertion(DataSomeValuesFrom(<{name}> <{LITERAL}>) {individual})")
             text = f"{LOST_LITERALS}<{name}> is of {individual}"
             lost[text] = f"{_why(foreign[axiom])}, and it is restricted: {min(limits)}"
         else:
@@ -126,7 +123,9 @@ class _Usage:
 
     def __init__(self, axioms: Collection[str], restricting: Mapping[str, Tree]) -> None:
         self._restricting = restricting
-        self._above = _above(map(parse, (axiom for axiom in axioms if axiom.startswith(("SubData", "EquivalentData")))))
+        self._above = above_of(
+            map(parse, (axiom for axiom in axioms if axiom.startswith(("SubData", "EquivalentData"))))
+        )
         self._names = {axiom: frozenset(_names(tree)) for axiom, tree in restricting.items()}
         self._values: defaultdict[Tree, set[str]] = defaultdict(set)
         for axiom in axioms:
@@ -138,7 +137,7 @@ class _Usage:
 
     def reached(self, name: Tree) -> set[Tree]:
         """A data property and all above it."""
-        return _reached(name, self._above)
+        return reached_from(name, self._above)
 
     def limits(self, names: Set[Tree]) -> list[str]:
         """The axioms that restrict one of some data properties."""
@@ -209,19 +208,16 @@ def _foreign_in(tree: Tree) -> Iterator[str]:
             yield from _foreign(argument)
 
 
-def _above(trees: Iterable[Tree]) -> Mapping[Tree, set[Tree]]:
+def above_of(trees: Iterable[Tree]) -> Mapping[Tree, set[Tree]]:
     """The direct super-properties of each data property."""
     above: defaultdict[Tree, set[Tree]] = defaultdict(set)
-    for tree in trees:
-        if tree[0] == "SubDataPropertyOf":
-            above[tree[1]].add(tree[2])
-        elif tree[0] == "EquivalentDataProperties":
-            for one in tree[1:]:
-                above[one].update(tree[1:])
+    for statement in (statement for tree in trees for statement in statements_of(tree) or ()):
+        if isinstance(statement, Subvalue):
+            above[statement.sub].add(statement.sup)
     return above
 
 
-def _reached(name: Tree, above: Mapping[Tree, set[Tree]]) -> set[Tree]:
+def reached_from(name: Tree, above: Mapping[Tree, set[Tree]]) -> set[Tree]:
     """A data property and all above it."""
     reached, waiting = {name}, [name]
     while waiting:
@@ -229,22 +225,3 @@ def _reached(name: Tree, above: Mapping[Tree, set[Tree]]) -> set[Tree]:
         reached |= news
         waiting += news
     return reached
-
-
-def translate_data_properties(trees: Mapping[str, Tree], result: Translation) -> None:
-    """Add what literals say about their individuals: the domains. What could contradict literals is outside."""
-    above = _above(trees.values())
-    individuals: defaultdict[Tree, set[str]] = defaultdict(set)
-    for tree in trees.values():
-        if tree[0] == "DataPropertyAssertion":
-            for name in _reached(tree[1], above):
-                individuals[name].add(str(tree[2]))
-    for axiom, tree in trees.items():
-        if tree[0] == "DataPropertyDomain":
-            try:
-                for individual in sorted(individuals[tree[1]]):
-                    include(Nominal(individual), concept_of(tree[2]), axiom, result)
-            except OutsideError as reason:
-                result.outside[axiom] = str(reason)
-        elif tree[0] in ("DataPropertyRange", "FunctionalDataProperty") and individuals[tree[1]]:
-            result.outside[axiom] = "a restriction of literals that are in use is outside the fast fragment"

@@ -16,7 +16,7 @@ from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI, Concept, in_functi
 from cfgplan.matching.functional import Tree, parse
 from cfgplan.matching.literals import LOST_LITERALS, XSD
 from cfgplan.matching.ontology import BRACKETED, Ontology
-from cfgplan.matching.structures import Interpretation
+from cfgplan.matching.structures import Interpretation, checks_of
 
 
 class Losses:
@@ -58,7 +58,7 @@ def _is_open_to_newcomers(trees: list[tuple[Tree, ...]]) -> bool:
     structure = Interpretation()
     newcomer, everybody = structure.add_thing(), structure.add_thing()
     structure.individuals = {name: everybody for tree in trees for name in _names(tree)}
-    return not any(newcomer in structure.broken(tree) for tree in trees)
+    return not any(newcomer in structure.broken(check) for tree in trees for check in checks_of(tree))
 
 
 def _names(tree: Tree) -> Iterator[str]:

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from typing import Final
 
 from cfgplan.matching.concepts import BOTTOM, TOP, Concept, Intersection, Nominal, Some, Union
-from cfgplan.matching.statements import Inclusion, Translation
+from cfgplan.matching.translation import Inclusion, Translation
 
 TOP_ATOM: Final = 0
 BOTTOM_ATOM: Final = 1

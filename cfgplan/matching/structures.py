@@ -7,19 +7,27 @@ are written, so that expressions about them have certain members and possible on
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Set
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from functools import cache
-from itertools import combinations, pairwise
+from itertools import combinations
 from operator import ge, le
 from typing import Final, TypeAlias
 
-from cfgplan.matching.concepts import THING_IRI
+from cfgplan.matching.axioms import (
+    LITERAL,
+    DisjointExpressions,
+    DisjointRoles,
+    Statement,
+    Subclass,
+    Subrole,
+    Subvalue,
+    statements_of,
+)
+from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI
 from cfgplan.matching.expressions import BUILT_IN_ROLE
 from cfgplan.matching.functional import Tree
 
-INVERSE: Final = "ObjectInverseOf"
-LITERAL: Final = "http://www.w3.org/2000/01/rdf-schema#Literal"
 _STRING: Final = "http://www.w3.org/2001/XMLSchema#string"
 _DOMAIN: Final = "\0domain"
 _WITH_DOMAIN: Final = frozenset(
@@ -32,7 +40,6 @@ _WITH_DOMAIN: Final = frozenset(
 _BUILT_IN_PROPERTIES: Final = frozenset(
     f"{BUILT_IN_ROLE}{which}{kind}Property" for which in ("top", "bottom") for kind in ("Object", "Data")
 )
-_NOTHING_TO_BREAK: Final = frozenset(("Declaration", "DatatypeDefinition"))
 
 RoleLinks: TypeAlias = Mapping[int, Set[int]]
 
@@ -239,41 +246,32 @@ class Interpretation:
             return self.members(least, certain) & self.members(most, certain)
         return set() if certain else self.things
 
-    def broken(self, axiom: tuple[Tree, ...]) -> Set[int]:
-        """The things that break an axiom, or may break it. If there are none, the axiom holds.
+    def broken(self, statement: Statement) -> Set[int]:
+        """The things that break a statement, or may break it. If there are none, it holds.
 
         If there are any, it may hold once they are removed.
         """
-        keyword, *parts = axiom
-        if keyword in _NOTHING_TO_BREAK:
-            return set()
-        rule = _BROKEN.get(str(keyword))
-        if rule is None or _mentions_built_in_property(axiom):
-            return self.things
-        return rule(self, parts)
+        match statement:
+            case Subclass(sub, sup):
+                return self.members(sub, False) - self.members(sup, True)
+            case DisjointExpressions(parts):
+                counts = Counter(thing for part in parts for thing in self.members(part, False))
+                return {thing for thing, times in counts.items() if times > 1}
+            case Subrole(sub, sup):
+                above = self.successors(sup)
+                return {x for x, targets in linked_by(self, sub) if not targets <= above.get(x, set())}
+            case DisjointRoles(roles):
+                pairs = combinations(map(self.successors, roles), 2)
+                return {x for one, other in pairs for x in one.keys() & other.keys() if one[x] & other[x]}
+            case Subvalue(sub, sup):
+                given = self.valued(sup)
+                return {x for x, own in self.valued(sub).items() if not own <= given.get(x, set())}
 
 
-def _not_in(structure: Interpretation, sub: Tree, sup: Tree) -> Set[int]:
-    return structure.members(sub, False) - structure.members(sup, True)
-
-
-def _equivalent(structure: Interpretation, parts: list[Tree]) -> Set[int]:
-    return set().union(*(_not_in(structure, one, other) for one, other in pairwise([*parts, parts[0]])))
-
-
-def _disjoint(structure: Interpretation, parts: list[Tree]) -> Set[int]:
-    seen: set[int] = set()
-    twice: set[int] = set()
-    for part in parts:
-        members = structure.members(part, False)
-        twice |= seen & members
-        seen |= members
-    return twice
-
-
-def _disjoint_union(structure: Interpretation, parts: list[Tree]) -> Set[int]:
-    whole, *others = parts
-    return _equivalent(structure, [whole, ("ObjectUnionOf", *others)]) | _disjoint(structure, others)
+def checks_of(axiom: Tree) -> Sequence[Statement]:
+    """The statements by which an axiom holds in a structure; for one that is not understood, one that nothing keeps."""
+    statements = None if _mentions_built_in_property(axiom) else statements_of(axiom)
+    return (Subclass(THING_IRI, NOTHING_IRI),) if statements is None else statements
 
 
 def linked_by(structure: Interpretation, chain: Tree) -> Iterator[tuple[int, Set[int]]]:
@@ -285,101 +283,6 @@ def linked_by(structure: Interpretation, chain: Tree) -> Iterator[tuple[int, Set
         for links in others:
             reached = set().union(*(links[target] for target in reached & links.keys()))
         yield thing, reached
-
-
-def _sub_role(structure: Interpretation, sub: Tree, sup: Tree) -> Set[int]:
-    above = structure.successors(sup)
-    return {thing for thing, targets in linked_by(structure, sub) if not targets <= above.get(thing, set())}
-
-
-def _equivalent_roles(structure: Interpretation, parts: list[Tree]) -> Set[int]:
-    return set().union(*(_sub_role(structure, one, other) for one, other in pairwise([*parts, parts[0]])))
-
-
-def _disjoint_roles(structure: Interpretation, parts: list[Tree]) -> Set[int]:
-    links = [structure.successors(part) for part in parts]
-    return {x for one, other in combinations(links, 2) for x in one.keys() & other.keys() if one[x] & other[x]}
-
-
-def _functional(structure: Interpretation, role: Tree) -> Set[int]:
-    return {thing for thing, targets in structure.successors(role).items() if len(targets) > 1}
-
-
-def _asserted(structure: Interpretation, parts: list[Tree]) -> Set[int]:
-    role, one, other = parts
-    source, target = structure.individuals[str(one)], structure.individuals[str(other)]
-    return set() if target in structure.successors(role).get(source, ()) else {source}
-
-
-def _denied(structure: Interpretation, parts: list[Tree]) -> Set[int]:
-    return {structure.individuals[str(parts[1])]} - _asserted(structure, parts)
-
-
-def _same(structure: Interpretation, parts: list[Tree]) -> Set[int]:
-    things = {structure.individuals[str(name)] for name in parts}
-    return things if len(things) > 1 else set()
-
-
-def _different(structure: Interpretation, parts: list[Tree]) -> Set[int]:
-    things = [structure.individuals[str(name)] for name in parts]
-    return {thing for thing in things if things.count(thing) > 1} if len(set(things)) < len(things) else set()
-
-
-def _sub_values(structure: Interpretation, sub: Tree, sup: Tree) -> Set[int]:
-    above = structure.valued(sup)
-    return {x for x, own in structure.valued(sub).items() if not own <= above.get(x, set())}
-
-
-def _has_value(structure: Interpretation, parts: list[Tree]) -> Set[int]:
-    thing = structure.individuals[str(parts[1])]
-    return set() if parts[2] in structure.valued(parts[0]).get(thing, ()) else {thing}
-
-
-def _valued(structure: Interpretation, name: Tree) -> Set[int]:
-    return {thing for thing, own in structure.valued(name).items() if own}
-
-
-_BROKEN: Final[Mapping[str, Callable[[Interpretation, list[Tree]], Set[int]]]] = {
-    "SubClassOf": lambda s, p: _not_in(s, p[0], p[1]),
-    "EquivalentClasses": _equivalent,
-    "DisjointClasses": _disjoint,
-    "DisjointUnion": _disjoint_union,
-    "SubObjectPropertyOf": lambda s, p: _sub_role(s, p[0], p[1]),
-    "EquivalentObjectProperties": _equivalent_roles,
-    "InverseObjectProperties": lambda s, p: _equivalent_roles(s, [p[0], inverse(p[1])]),
-    "DisjointObjectProperties": _disjoint_roles,
-    "SymmetricObjectProperty": lambda s, p: _sub_role(s, p[0], inverse(p[0])),
-    "AsymmetricObjectProperty": lambda s, p: _disjoint_roles(s, [p[0], inverse(p[0])]),
-    "TransitiveObjectProperty": lambda s, p: _sub_role(s, ("ObjectPropertyChain", p[0], p[0]), p[0]),
-    "ReflexiveObjectProperty": lambda s, p: s.things - s.members(("ObjectHasSelf", p[0]), True),
-    "IrreflexiveObjectProperty": lambda s, p: s.members(("ObjectHasSelf", p[0]), False),
-    "FunctionalObjectProperty": lambda s, p: _functional(s, p[0]),
-    "InverseFunctionalObjectProperty": lambda s, p: _functional(s, inverse(p[0])),
-    "ObjectPropertyDomain": lambda s, p: _not_in(s, ("ObjectSomeValuesFrom", p[0], THING_IRI), p[1]),
-    "ObjectPropertyRange": lambda s, p: _not_in(s, ("ObjectSomeValuesFrom", inverse(p[0]), THING_IRI), p[1]),
-    "ClassAssertion": lambda s, p: {s.individuals[str(p[1])]} - s.members(p[0], True),
-    "ObjectPropertyAssertion": _asserted,
-    "NegativeObjectPropertyAssertion": _denied,
-    "SameIndividual": _same,
-    "DifferentIndividuals": _different,
-    "SubDataPropertyOf": lambda s, p: _sub_values(s, p[0], p[1]),
-    "EquivalentDataProperties": lambda s, p: set().union(
-        *(_sub_values(s, one, other) for one, other in pairwise([*p, p[0]]))
-    ),
-    "DisjointDataProperties": lambda s, p: set().union(
-        *(_valued(s, one) & _valued(s, other) for one, other in combinations(p, 2))
-    ),
-    "DataPropertyDomain": lambda s, p: _valued(s, p[0]) - s.members(p[1], True),
-    "DataPropertyRange": lambda s, p: s.things - s.members(("DataAllValuesFrom", p[0], p[1]), True),
-    "FunctionalDataProperty": lambda s, p: {x for x, own in s.valued(p[0]).items() if len(own) > 1},
-    "DataPropertyAssertion": _has_value,
-    "NegativeDataPropertyAssertion": lambda s, p: {s.individuals[str(p[1])]} & _valued(s, p[0]),
-}
-
-
-def inverse(role: Tree) -> Tree:
-    """The inverse of a role."""
-    return role[1] if isinstance(role, tuple) else (INVERSE, role)
 
 
 def surely_in(value: Tree, datatype: Tree) -> bool:

@@ -8,17 +8,105 @@ outside axiom says inside the fragment is kept: it makes the engine incomplete, 
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections import Counter, defaultdict
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, field
 from itertools import combinations
-from types import MappingProxyType
 from typing import Final
 
-from cfgplan.matching.concepts import BOTTOM, TOP, Nominal, Some, conjunction, disjunction
-from cfgplan.matching.expressions import BUILT_IN_ROLE, OutsideError, concept_of, role_of
+from cfgplan.matching.axioms import DisjointExpressions, Statement, Subclass, Subrole, statements_of
+from cfgplan.matching.concepts import BOTTOM, THING_IRI, TOP, Complement, Concept, Nominal, Only, Union, conjunction
+from cfgplan.matching.expressions import (
+    BUILT_IN_ROLE,
+    OutsideError,
+    concept_of,
+    is_left_hand,
+    right_hand_parts,
+    role_of,
+)
 from cfgplan.matching.functional import Tree
-from cfgplan.matching.literals import translate_data_properties
-from cfgplan.matching.statements import RoleInclusion, Translation, add_range, include, include_all
+from cfgplan.matching.literals import above_of, reached_from
+
+_ABOUT_LITERALS: Final = frozenset(
+    (
+        *("DataPropertyAssertion", "SubDataPropertyOf", "EquivalentDataProperties"),
+        *("DataPropertyDomain", "DataPropertyRange", "FunctionalDataProperty"),
+    )
+)
+"""The axioms that `_translate_literals` takes together."""
+
+
+@dataclass(frozen=True, slots=True)
+class Inclusion:
+    """`sub` ⊑ `sup`, by the axiom given as text."""
+
+    sub: Concept
+    sup: Concept
+    axiom: str
+
+
+@dataclass(frozen=True, slots=True)
+class RoleInclusion:
+    """`chain[0]` ∘ `chain[1]` ∘ ... ⊑ `role`."""
+
+    chain: tuple[str, ...]
+    role: str
+    axiom: str
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """Whatever `role` points to is a `concept`."""
+
+    role: str
+    concept: Concept
+    axiom: str
+
+
+@dataclass
+class Translation:
+    """The statements, the axioms outside the fragment with the reason, and roles that inverses replaced.
+
+    What is said of an axiom as far as it is inside is said even if the axiom is outside.
+    """
+
+    inclusions: list[Inclusion] = field(default_factory=list)
+    role_inclusions: list[RoleInclusion] = field(default_factory=list)
+    ranges: list[Range] = field(default_factory=list)
+    outside: dict[str, str] = field(default_factory=dict)
+    replaced_roles: frozenset[str] = frozenset()
+
+    def include(self, sub: Concept, sup: Concept, axiom: str) -> None:
+        """Say sub ⊑ sup as far as it is inside the fragment."""
+        if sup == TOP or sub == BOTTOM:
+            return
+        if isinstance(sub, Union):
+            for part in sub.parts:
+                self.include(part, sup, axiom)
+        elif sub == TOP and isinstance(sup, Only):
+            self.add_range(sup.role, sup.filler, axiom)
+        elif not is_left_hand(sub):
+            self.outside.setdefault(axiom, "its left-hand side is outside the fast fragment")
+        else:
+            for part in self._right_hand_parts(sup, axiom):
+                if isinstance(part, Complement):
+                    self.inclusions.append(Inclusion(conjunction((sub, part.concept)), BOTTOM, axiom))
+                else:
+                    self.inclusions.append(Inclusion(sub, part, axiom))
+
+    def add_range(self, role: str, concept: Concept, axiom: str) -> None:
+        """Say what a role points to as far as it is inside the fragment."""
+        for part in self._right_hand_parts(concept, axiom):
+            if isinstance(part, Complement):
+                self.outside.setdefault(axiom, "a complement as a range is outside the fast fragment")
+            else:
+                self.ranges.append(Range(role, part, axiom))
+
+    def _right_hand_parts(self, concept: Concept, axiom: str) -> Iterator[Concept]:
+        reasons: list[str] = []
+        yield from right_hand_parts(concept, reasons)
+        if reasons:
+            self.outside.setdefault(axiom, reasons[0])
 
 
 def translate(trees: Mapping[str, Tree], roles_of_tags: Collection[str] = ()) -> Translation:
@@ -27,121 +115,61 @@ def translate(trees: Mapping[str, Tree], roles_of_tags: Collection[str] = ()) ->
     inverses = replaceable_inverses(trees.values(), roles_of_tags)
     result.replaced_roles = frozenset(inverses)
     for axiom, tree in trees.items():
-        try:
-            _translate(without_inverses(tree, inverses), axiom, result)
-        except OutsideError as reason:
-            result.outside[axiom] = str(reason)
-    translate_data_properties(trees, result)
+        if tree[0] not in _ABOUT_LITERALS:
+            try:
+                _translate(without_inverses(tree, inverses), axiom, result)
+            except OutsideError as reason:
+                result.outside[axiom] = str(reason)
+    _translate_literals(trees, result)
     return result
 
 
 def _translate(tree: Tree, axiom: str, result: Translation) -> None:
-    translator = _TRANSLATORS.get(str(tree[0]))
-    if translator is None:
+    if tree[0] == "DifferentIndividuals" and len(set(tree)) == len(tree):
+        return  # The fragment can't make individuals equal, except by a tag, which is then not certified.
+    statements = statements_of(tree)
+    if statements is None:
         raise OutsideError(f"{tree[0]} is outside the fast fragment")
-    translator([*tree[1:]], axiom, result)
+    for statement in statements:
+        try:
+            _say(statement, axiom, result)
+        except OutsideError as reason:
+            result.outside.setdefault(axiom, str(reason))
 
 
-def _sub_class_of(arguments: list[Tree], axiom: str, result: Translation) -> None:
-    include(concept_of(arguments[0]), concept_of(arguments[1]), axiom, result)
+def _say(statement: Statement, axiom: str, result: Translation) -> None:
+    match statement:
+        case Subclass(("ObjectSomeValuesFrom", (_, role), sub), sup) if sub == THING_IRI:
+            result.add_range(role_of(role), concept_of(sup), axiom)
+        case Subclass(sub, sup):
+            result.include(concept_of(sub), concept_of(sup), axiom)
+        case DisjointExpressions(parts):
+            for one, other in combinations(map(concept_of, parts), 2):
+                result.include(conjunction((one, other)), BOTTOM, axiom)
+        case Subrole(sub, sup):
+            chain = sub[1:] if isinstance(sub, tuple) and sub[0] == "ObjectPropertyChain" else (sub,)
+            result.role_inclusions.append(RoleInclusion(tuple(map(role_of, chain)), role_of(sup), axiom))
+        case _:
+            raise OutsideError("disjoint properties are outside the fast fragment")
 
 
-def _equivalent_classes(arguments: list[Tree], axiom: str, result: Translation) -> None:
-    concepts = [concept_of(argument) for argument in arguments]
-    include_all(zip(concepts, [*concepts[1:], concepts[0]], strict=True), axiom, result)
-
-
-def _disjoint_classes(arguments: list[Tree], axiom: str, result: Translation) -> None:
-    for one, other in combinations(map(concept_of, arguments), 2):
-        include(conjunction((one, other)), BOTTOM, axiom, result)
-
-
-def _disjoint_union(arguments: list[Tree], axiom: str, result: Translation) -> None:
-    whole, *parts = map(concept_of, arguments)
-    include_all([(part, whole) for part in parts], axiom, result)
-    _disjoint_classes(arguments[1:], axiom, result)
-    include(whole, disjunction(parts), axiom, result)
-
-
-def _sub_property(arguments: list[Tree], axiom: str, result: Translation) -> None:
-    sub, sup = arguments
-    chain = sub[1:] if isinstance(sub, tuple) and sub[0] == "ObjectPropertyChain" else (sub,)
-    result.role_inclusions.append(RoleInclusion(tuple(map(role_of, chain)), role_of(sup), axiom))
-
-
-def _equivalent_properties(arguments: list[Tree], axiom: str, result: Translation) -> None:
-    roles = [role_of(argument) for argument in arguments]
-    for sub, sup in zip(roles, [*roles[1:], roles[0]], strict=True):
-        result.role_inclusions.append(RoleInclusion((sub,), sup, axiom))
-
-
-def _transitive(arguments: list[Tree], axiom: str, result: Translation) -> None:
-    role = role_of(arguments[0])
-    result.role_inclusions.append(RoleInclusion((role, role), role, axiom))
-
-
-def _domain(arguments: list[Tree], axiom: str, result: Translation) -> None:
-    include(Some(role_of(arguments[0]), TOP), concept_of(arguments[1]), axiom, result)
-
-
-def _range(arguments: list[Tree], axiom: str, result: Translation) -> None:
-    add_range(role_of(arguments[0]), concept_of(arguments[1]), axiom, result)
-
-
-def _class_assertion(arguments: list[Tree], axiom: str, result: Translation) -> None:
-    include(Nominal(str(arguments[1])), concept_of(arguments[0]), axiom, result)
-
-
-def _property_assertion(arguments: list[Tree], axiom: str, result: Translation) -> None:
-    role, one, other = arguments
-    if isinstance(role, tuple):
-        role, one, other = role[1], other, one
-    include(Nominal(str(one)), Some(role_of(role), Nominal(str(other))), axiom, result)
-
-
-def _negative_property_assertion(arguments: list[Tree], axiom: str, result: Translation) -> None:
-    role, one, other = arguments
-    if isinstance(role, tuple):
-        role, one, other = role[1], other, one
-    include(conjunction((Nominal(str(one)), Some(role_of(role), Nominal(str(other))))), BOTTOM, axiom, result)
-
-
-def _different_individuals(arguments: list[Tree], axiom: str, result: Translation) -> None:  # noqa: ARG001
-    # Nothing to add: the fragment can't make individuals equal, except by a tag, which is then not certified.
-    if len(set(arguments)) != len(arguments):
-        raise OutsideError("an individual is said to differ from itself")
-
-
-def _nothing(arguments: list[Tree], axiom: str, result: Translation) -> None:
-    """An axiom that says nothing about classes by itself."""
-
-
-_TRANSLATORS: Final[Mapping[str, Callable[[list[Tree], str, Translation], None]]] = MappingProxyType(
-    {
-        "SubClassOf": _sub_class_of,
-        "EquivalentClasses": _equivalent_classes,
-        "DisjointClasses": _disjoint_classes,
-        "DisjointUnion": _disjoint_union,
-        "SubObjectPropertyOf": _sub_property,
-        "EquivalentObjectProperties": _equivalent_properties,
-        "TransitiveObjectProperty": _transitive,
-        "ObjectPropertyDomain": _domain,
-        "ObjectPropertyRange": _range,
-        "ClassAssertion": _class_assertion,
-        "ObjectPropertyAssertion": _property_assertion,
-        "NegativeObjectPropertyAssertion": _negative_property_assertion,
-        "DifferentIndividuals": _different_individuals,
-        "InverseObjectProperties": _nothing,
-        "Declaration": _nothing,
-        "DatatypeDefinition": _nothing,
-        "DataPropertyAssertion": _nothing,
-        "SubDataPropertyOf": _nothing,
-        "EquivalentDataProperties": _nothing,
-        "DataPropertyDomain": _nothing,
-        "DataPropertyRange": _nothing,
-        "FunctionalDataProperty": _nothing,
-    }
-)
+def _translate_literals(trees: Mapping[str, Tree], result: Translation) -> None:
+    """Add what literals say about their individuals: the domains. What could contradict literals is outside."""
+    above = above_of(trees.values())
+    individuals: defaultdict[Tree, set[str]] = defaultdict(set)
+    for tree in trees.values():
+        if tree[0] == "DataPropertyAssertion":
+            for name in reached_from(tree[1], above):
+                individuals[name].add(str(tree[2]))
+    for axiom, tree in trees.items():
+        if tree[0] == "DataPropertyDomain":
+            try:
+                for individual in sorted(individuals[tree[1]]):
+                    result.include(Nominal(individual), concept_of(tree[2]), axiom)
+            except OutsideError as reason:
+                result.outside[axiom] = str(reason)
+        elif tree[0] in ("DataPropertyRange", "FunctionalDataProperty") and individuals[tree[1]]:
+            result.outside[axiom] = "a restriction of literals that are in use is outside the fast fragment"
 
 
 def replaceable_inverses(trees: Collection[Tree], roles_of_tags: Collection[str]) -> dict[str, str]:
@@ -182,7 +210,7 @@ def without_inverses(tree: Tree, inverses: Mapping[str, str]) -> Tree:
     keyword, rest = tree[0], tree[1:]
     if keyword == "InverseObjectProperties":
         if rest[0] in inverses or rest[1] in inverses:
-            return tree
+            return ("Declaration",)  # nothing is left to say
         raise OutsideError("inverse properties that are both in use are outside the fast fragment")
     role = inverses.get(str(rest[0])) if rest and isinstance(rest[0], str) else None
     if role is None:
