@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from cfgplan.matching.matrix import Matches, check_tag, instances, match
     from cfgplan.matching.ontology import Ontology
     from cfgplan.matching.ontology_files import load_ontology, read_owlready
-    from cfgplan.matching.reasoners import REASONERS
+    from cfgplan.matching.reference import REASONERS
     from cfgplan.matching.session import Matcher, Matching
 
 __all__ = [
@@ -55,7 +55,7 @@ _MODULES = {
     "ontology_files": ("load_ontology", "read_owlready"),
     "matrix": ("Matches", "check_tag", "instances", "match"),
     "ontology": ("Ontology",),
-    "reasoners": ("REASONERS",),
+    "reference": ("REASONERS",),
     "session": ("Matcher", "Matching"),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}

@@ -13,8 +13,7 @@ from cfgplan.matching.derivations import derivation
 from cfgplan.matching.faults import ReasonerError
 from cfgplan.matching.matrix import match
 from cfgplan.matching.ontology import Ontology
-from cfgplan.matching.reasoners import reference_named
-from cfgplan.matching.reference import Reference, classify
+from cfgplan.matching.reference import Reference, classify, reference_named
 from cfgplan.matching.syntax import parse_tag
 
 
@@ -141,10 +140,10 @@ def justification(offered: Concept, demanded: Concept, ontology: Ontology, refer
         if left_s <= 0:
             return False
         try:
-            answer = classify(reference, Ontology(some), [offered], [demanded], left_s)
+            _, below = classify(reference, Ontology(some), [offered], [demanded], left_s)
         except ReasonerError:
             return False
-        return bool(answer.below(offered, [demanded]))
+        return bool(below[demanded])
 
     for connected in _nearest_first(axioms, in_functional_syntax(offered) + in_functional_syntax(demanded)):
         if follows(connected):

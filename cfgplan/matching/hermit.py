@@ -8,12 +8,11 @@ from __future__ import annotations
 import math
 import re
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from cfgplan.matching.faults import InconsistentOntologyError, ReasonerError, ReasonerTimeoutError
-from cfgplan.matching.taxonomy import Taxonomy, read_taxonomy
 
 if TYPE_CHECKING:
     from subprocess import Popen
@@ -22,11 +21,13 @@ _MAIN: Final = "org.semanticweb.HermiT.cli.CommandLine"
 _EXCEPTION: Final = re.compile(
     r"^(?:Exception in thread \"\w+\" )?(?:[\w$]+\.)+(\w+(?:Exception|Error)):?\s*(.*)$", re.M
 )
+_TAXONOMY_LINE: Final = re.compile(r"^\s*(SubClassOf|EquivalentClasses)\((.*)\)\s*$", re.MULTILINE)
+_TAXONOMY_IRI: Final = re.compile(r"<([^<>]*)>")
 _ANSWER: Final = re.compile(r"^(\S+) is (not )?satisfiable\.$", re.M)
 
 
-def classify(document: str, *, time_limit_s: float | None = None) -> Taxonomy:
-    """The classes of an ontology in functional syntax (ASCII), by what they are subclasses of.
+def classify(document: str, *, time_limit_s: float | None = None) -> Sequence[tuple[str, str]]:
+    """Pairs of a class of an ontology in functional syntax (ASCII) and one above it, from which all others follow.
 
     Raises InconsistentOntologyError, ReasonerTimeoutError, or ReasonerError when HermiT refuses the ontology.
     """
@@ -38,7 +39,18 @@ def classify(document: str, *, time_limit_s: float | None = None) -> Taxonomy:
             raise ReasonerTimeoutError(
                 f"HermiT did not answer in {time_limit_s:g} s", "give it more time or simplify the ontology"
             )
-        return read_taxonomy(answer.read_text("ascii"))
+        return [
+            pair
+            for keyword, arguments in _TAXONOMY_LINE.findall(answer.read_text("ascii"))
+            for pair in _pairs(keyword, _TAXONOMY_IRI.findall(arguments))
+        ]
+
+
+def _pairs(keyword: str, names: Sequence[str]) -> Iterable[tuple[str, str]]:
+    """What one line says: each class with those above it; anything that is not between named classes says nothing."""
+    if keyword == "EquivalentClasses":
+        return zip(names, (*names[1:], *names[:1]), strict=True)
+    return [(names[0], names[1])] if len(names) == 2 else ()
 
 
 def satisfiable(

@@ -1,4 +1,5 @@
-"""Questions to a reference reasoner: which tags are below which, what can exist, and which ontology it is told.
+"""The reasoners that can be chosen, and questions to the reference among them: which tags are below which, what can
+exist, and which ontology it is told.
 
 Names are written in ASCII, tags as classes `t:N`, so that the answer can't be garbled by a locale.
 """
@@ -6,20 +7,25 @@ Names are written in ASCII, tags as classes `t:N`, so that the answer can't be g
 from __future__ import annotations
 
 import re
+from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Final, Protocol
 
-from cfgplan.matching.concepts import Concept, in_functional_syntax
+from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI, Concept, in_functional_syntax
+from cfgplan.matching.faults import UnknownNameError
 from cfgplan.matching.functional import Signature
+from cfgplan.matching.names import suggestion
 from cfgplan.matching.ontology import Ontology
-from cfgplan.matching.taxonomy import Taxonomy
 
 
 class Reference(Protocol):
     """A reasoner that is told a document in functional syntax, such as the module `hermit`."""
 
-    def classify(self, document: str, *, time_limit_s: float | None = None) -> Taxonomy:
-        """The classes by what they are subclasses of. Raises ReasonerError, ReasonerTimeoutError where time is over."""
+    def classify(self, document: str, *, time_limit_s: float | None = None) -> Sequence[tuple[str, str]]:
+        """Pairs of a class and one above it, from which all others follow. Raises ReasonerError, ReasonerTimeoutError
+        where time is over.
+        """
         ...
 
     def satisfiable(
@@ -34,24 +40,34 @@ class Reference(Protocol):
         ...
 
 
+REASONERS: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "auto": "the fast engine, finite models for what it can't certify, and HermiT for what is open then",
+        "el": "the fast engine and finite models alone; what they can't certify is unknown",
+        "hermit": "HermiT for everything",
+    }
+)
+"""What each reasoner that `match` accepts does."""
+
+
+def reference_named(reasoner: str) -> tuple[str, Reference | None]:
+    """The reference that a reasoner of REASONERS asks, with its name; None for one that asks none.
+
+    Raises UnknownNameError.
+    """
+    from cfgplan.matching import hermit
+
+    if reasoner not in REASONERS:
+        known = ", ".join(REASONERS)
+        raise UnknownNameError(
+            f"there is no reasoner {reasoner!r}", suggestion(reasoner, REASONERS) or f"choose one of {known}"
+        )
+    if reasoner == "el":
+        return "el", None
+    return "hermit", hermit
+
+
 _NON_ASCII: Final = re.compile(r"[^\x00-\x7f]")
-
-
-class Classification:
-    """Which offered concepts are below which demanded ones, as a reference reasoner sees it."""
-
-    def __init__(self, taxonomy: Taxonomy, number: Mapping[Concept, int]) -> None:
-        self._taxonomy = taxonomy
-        self._number = number
-
-    def is_unsatisfiable(self, concept: Concept) -> bool:
-        """Whether nothing can have an offered concept."""
-        return self._taxonomy.is_unsatisfiable(_tag_iri(self._number[concept]))
-
-    def below(self, lower: Concept, uppers: Iterable[Concept]) -> set[Concept]:
-        """Those of the demanded `uppers` that subsume the offered `lower`."""
-        name = _tag_iri(self._number[lower])
-        return {upper for upper in uppers if self._taxonomy.subsumes(_tag_iri(self._number[upper]), name)}
 
 
 def classify(
@@ -60,11 +76,34 @@ def classify(
     offered: Collection[Concept],
     demanded: Collection[Concept],
     time_limit_s: float | None,
-) -> Classification:
-    """Ask a reasoner which of `offered` are below which of `demanded`. Raises what the reasoner raises."""
+) -> tuple[frozenset[Concept], dict[Concept, frozenset[Concept]]]:
+    """Ask a reasoner which of `offered` nothing can have, and for each of `demanded` which others are below it.
+
+    Raises what the reasoner raises.
+    """
     number = {concept: index for index, concept in enumerate(dict.fromkeys((*offered, *demanded)))}
     document = _document(ontology, number, offered, demanded)
-    return Classification(reference.classify(document, time_limit_s=time_limit_s), number)
+    above: defaultdict[str, set[str]] = defaultdict(set)
+    for lower, upper in reference.classify(document, time_limit_s=time_limit_s):
+        above[lower].add(upper)
+    everything = _reached(THING_IRI, above)
+    reached = {concept: everything | _reached(_tag_iri(number[concept]), above) for concept in offered}
+    impossible = frozenset(concept for concept in offered if NOTHING_IRI in reached[concept])
+    possible = [concept for concept in offered if concept not in impossible]
+    return impossible, {
+        wanted: frozenset(concept for concept in possible if _tag_iri(number[wanted]) in reached[concept])
+        for wanted in demanded
+    }
+
+
+def _reached(start: str, above: Mapping[str, Collection[str]]) -> set[str]:
+    """A class and all that is above it."""
+    reached, waiting = {start}, [start]
+    while waiting:
+        news = {*above.get(waiting.pop(), ())} - reached
+        reached |= news
+        waiting += news
+    return reached
 
 
 def satisfiable(

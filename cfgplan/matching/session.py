@@ -17,7 +17,7 @@ from cfgplan.matching.faults import InconsistentOntologyError, MatchingError
 from cfgplan.matching.functional import parse
 from cfgplan.matching.losses import Losses
 from cfgplan.matching.ontology import Ontology
-from cfgplan.matching.reasoners import reference_named
+from cfgplan.matching.reference import reference_named
 from cfgplan.matching.registry import TagRegistry
 from cfgplan.matching.verdicts import AskedPair, Verdicts, countdown
 from cfgplan.planning import Pair

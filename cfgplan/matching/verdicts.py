@@ -101,15 +101,13 @@ class Verdicts:
         if time_limit_s is not None and any(tags >= n and time_limit_s <= s for n, s in self._too_hard):
             return
         try:
-            answer = classify(self._reference, self._ontology, offered, demanded, time_limit_s)
+            impossible, below = classify(self._reference, self._ontology, offered, demanded, time_limit_s)
         except ReasonerTimeoutError:
             self._too_hard.append((tags, time_limit_s or 0.0))
             return
-        self._note({concept: not answer.is_unsatisfiable(concept) for concept in offered}, offered)
-        for wanted in demanded:
-            self._tell(
-                wanted, offered, (one for one in self.possible.intersection(offered) if answer.below(one, (wanted,)))
-            )
+        self._note({concept: concept not in impossible for concept in offered}, offered)
+        for wanted, concepts in below.items():
+            self._tell(wanted, offered, concepts)
 
     def _ask_one_by_one(self, pairs: Sequence[AskedPair], left_s: Callable[[], float | None]) -> None:
         """Ask pair by pair until time is over. A pair that gets no answer is tried again after the others."""

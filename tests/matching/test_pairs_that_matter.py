@@ -11,7 +11,6 @@ import pytest
 from cfgplan.errors import InputError
 from cfgplan.matching import Matcher, Ontology, ReasonerTimeoutError, hermit
 from cfgplan.matching.concepts import Concept, Named
-from cfgplan.matching.taxonomy import Taxonomy
 from cfgplan.matching.verdicts import Verdicts
 
 COVERED = Ontology(
@@ -149,7 +148,7 @@ class Slow:
         self.classified_s: list[float | None] = []
         self.answered: list[str] = []
 
-    def classify(self, _: str, *, time_limit_s: float | None = None) -> Taxonomy:
+    def classify(self, _: str, *, time_limit_s: float | None = None) -> list[tuple[str, str]]:
         self.classified_s.append(time_limit_s)
         raise ReasonerTimeoutError("too hard", "")
 
