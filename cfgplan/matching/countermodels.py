@@ -15,13 +15,11 @@ M. Kaminski, I. Horrocks, "PAGOdA: Pay-as-you-go ontology query answering using 
 from __future__ import annotations
 
 import time
-from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Set
+from collections.abc import Collection, Iterable, Iterator, Mapping, Set
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Final
 
-from cfgplan.matching.axioms import LITERAL, DisjointExpressions, Statement, Subclass, Subrole, Subvalue, inverse
+from cfgplan.matching.axioms import LITERAL, Statement, Subclass, Subrole, Subvalue, inverse
 from cfgplan.matching.concepts import (
     NOTHING_IRI,
     THING_IRI,
@@ -81,20 +79,13 @@ class _Program:
         self.inclusions: list[tuple[Tree, Tree]] = []
         self.roles: list[tuple[Tree, Tree]] = []
         self.values: list[tuple[str, str]] = []
-        self.above: defaultdict[str, set[str]] = defaultdict(set)
-        self.apart: defaultdict[str, set[str]] = defaultdict(set)
         for check in self.checks:
             self._read(check)
-        for sub, sup in self.inclusions:
-            if isinstance(sub, str) and isinstance(sup, str):
-                self.above[sub].add(sup)
 
     def _read(self, statement: Statement) -> None:
         match statement:
             case Subclass(sub, sup):
                 self._include(sub, sup)
-            case DisjointExpressions(parts):
-                self._set_apart(parts)
             case Subrole(sub, sup):
                 self.roles.append((sub, sup))
             case Subvalue(sub, sup):
@@ -107,19 +98,11 @@ class _Program:
         elif isinstance(sup, tuple) and sup[0] == "ObjectAllValuesFrom":
             self._include(("ObjectSomeValuesFrom", inverse(sup[1]), sub), sup[2])
         elif isinstance(sup, tuple) and sup[0] == "ObjectComplementOf":
-            self._set_apart((sub, sup[1]))
             given = complement(sup[1])
             if given[0] != "ObjectComplementOf":
                 self._include(sub, given)
-        elif sup == NOTHING_IRI and isinstance(sub, tuple) and sub[0] == "ObjectIntersectionOf" and len(sub) == 3:
-            self._set_apart(sub[1:])
         elif sup not in (THING_IRI, NOTHING_IRI) and sup[0] not in _ONLY_CHECKED:
             self.inclusions.append((sub, sup))
-
-    def _set_apart(self, parts: Collection[Tree]) -> None:
-        names = [part for part in parts if isinstance(part, str)]
-        for name in names:
-            self.apart[name].update(other for other in names if other != name)
 
 
 def _some(changes: Iterable[bool]) -> bool:
@@ -158,11 +141,6 @@ def _anonymous(trees: Iterable[Tree]) -> Iterator[str]:
             yield tree
 
 
-_ORDER: Final = {
-    "ObjectHasValue": 0, "ObjectHasSelf": 0, "DataHasValue": 0, "ObjectOneOf": 1, "ObjectSomeValuesFrom": 2,
-    "ObjectMinCardinality": 2, "ObjectExactCardinality": 2, "ObjectMaxCardinality": 3, "ObjectUnionOf": 4,
-}  # fmt: skip
-"""The order in which rules are applied, by the kind of expression on their right; class names come first."""
 _ONLY_CHECKED: Final = frozenset(("DataAllValuesFrom", "DataMaxCardinality"))
 """The kinds of expression for which nothing is built: a model either keeps to them or does not."""
 
@@ -180,8 +158,7 @@ class _Model:
         self._needed: dict[tuple[object, ...], int] = {}
         self._markers: dict[Tree, str] = {}
         self._replaced: dict[int, int] = {}
-        self._above: dict[str, frozenset[str]] = {}
-        self._rules: list[list[_Inclusion]] = [[] for _ in range(5)]
+        self._rules: list[_Inclusion] = []
         self._roles = [_RoleInclusion(sub, sup, symbols_of(sub) | symbols_of(sup)) for sub, sup in program.roles]
         for name in program.individuals:
             self.individual(name)
@@ -219,19 +196,12 @@ class _Model:
         return thing
 
     def _rule(self, sub: Tree, sup: Tree) -> None:
-        order = 0 if isinstance(sup, str) else _ORDER.get(str(sup[0]), 0)
-        self._rules[order].append(_Inclusion(sub, sup, symbols_of(sub) | symbols_of(sup)))
+        self._rules.append(_Inclusion(sub, sup, symbols_of(sub) | symbols_of(sup)))
 
     def saturate(self) -> None:
         """Apply all rules until nothing changes. Raises _OutOfTimeError."""
-        while any(step() for step in self._steps()):
+        while self._follow_roles() or self._follow_values() or self._follow_inclusions():
             pass
-
-    def _steps(self) -> Iterator[Callable[[], bool]]:
-        yield self._follow_roles
-        yield self._follow_values
-        for rules in self._rules:
-            yield partial(self._follow, rules)
 
     def _follow_roles(self) -> bool:
         changed = False
@@ -255,19 +225,16 @@ class _Model:
                 changed = self.structure.give(sup, thing, value) or changed
         return changed
 
-    def _follow(self, rules: list[_Inclusion]) -> bool:
+    def _follow_inclusions(self) -> bool:
         if self._deadline is not None and time.monotonic() > self._deadline:
             raise _OutOfTimeError
         changed = False
-        for rule in list(rules):
-            if not self.structure.has_changed(rule.symbols, rule.seen):
-                continue
-            rule.seen = self.structure.clock
-            missing = self.structure.members(rule.sub, True) - self.structure.members(rule.sup, True)
-            if missing:
-                changed = self.require(missing, rule.sup) or changed
-                if changed and rules is self._rules[4]:
-                    return True
+        for rule in list(self._rules):
+            if self.structure.has_changed(rule.symbols, rule.seen):
+                rule.seen = self.structure.clock
+                missing = self.structure.members(rule.sub, True) - self.structure.members(rule.sup, True)
+                if missing:
+                    changed = self.require(missing, rule.sup) or changed
         return changed
 
     def require(self, things: Set[int], tree: Tree) -> bool:
@@ -349,41 +316,7 @@ class _Model:
 
     def _choose(self, thing: int, parts: tuple[Tree, ...]) -> bool:
         self.chose = True
-        start = self._turn % len(parts)
-        for part in (*parts[start:], *parts[:start]):
-            if not self._clashes(thing, part):
-                return self.require({thing}, part)
-        return False
-
-    def _clashes(self, thing: int, part: Tree) -> bool:
-        """Whether a part of a union obviously contradicts what is known of a thing."""
-        classes = self.structure.classes
-        conjuncts = part[1:] if isinstance(part, tuple) and part[0] == "ObjectIntersectionOf" else (part,)
-        for each in conjuncts:
-            if each == NOTHING_IRI:
-                return True
-            if isinstance(each, tuple):
-                if each[0] == "ObjectComplementOf" and thing in self.structure.members(each[1], False):
-                    return True
-                continue
-            if any(
-                thing in classes.get(other, ())
-                for name in self._all_above(each)
-                for other in self._program.apart.get(name, ())
-            ):
-                return True
-        return False
-
-    def _all_above(self, name: str) -> frozenset[str]:
-        known = self._above.get(name)
-        if known is None:
-            reached, waiting = {name}, [name]
-            while waiting:
-                news = self._program.above.get(waiting.pop(), set()) - reached
-                reached |= news
-                waiting += news
-            known = self._above[name] = frozenset(reached)
-        return known
+        return self.require({thing}, parts[self._turn % len(parts)])
 
     def _merge_targets(self, thing: int, tree: tuple[Tree, ...]) -> bool:
         number, fillers = int(str(tree[1])), self.structure.members(tree[3], False) if len(tree) > 3 else None
