@@ -54,18 +54,10 @@ class _OutOfTimeError(Exception):
 
 
 @dataclass
-class _Inclusion:
-    sub: Tree
-    sup: Tree
-    symbols: frozenset[str]
-    seen: int = -1
+class _Rule:
+    """What is on the left of the statement is to be on its right; looked at last when the clock said `seen`."""
 
-
-@dataclass
-class _RoleInclusion:
-    chain: Tree
-    sup: Tree
-    symbols: frozenset[str]
+    statement: Subclass | Subrole | Subvalue
     seen: int = -1
 
 
@@ -76,33 +68,25 @@ class _Program:
         trees = [tree for tree in trees if tree[0] != "Declaration"]
         self.checks = [check for tree in trees for check in checks_of(tree)]
         self.individuals = sorted(Signature(trees).individuals | set(_anonymous(trees)))
-        self.inclusions: list[tuple[Tree, Tree]] = []
-        self.roles: list[tuple[Tree, Tree]] = []
-        self.values: list[tuple[str, str]] = []
-        for check in self.checks:
-            self._read(check)
+        self.rules = [rule for check in self.checks for rule in _rules_of(check)]
 
-    def _read(self, statement: Statement) -> None:
-        match statement:
-            case Subclass(sub, sup):
-                self._include(sub, sup)
-            case Subrole(sub, sup):
-                self.roles.append((sub, sup))
-            case Subvalue(sub, sup):
-                self.values.append((str(sub), str(sup)))
 
-    def _include(self, sub: Tree, sup: Tree) -> None:
-        if isinstance(sup, tuple) and sup[0] == "ObjectIntersectionOf":
-            for part in sup[1:]:
-                self._include(sub, part)
-        elif isinstance(sup, tuple) and sup[0] == "ObjectAllValuesFrom":
-            self._include(("ObjectSomeValuesFrom", inverse(sup[1]), sub), sup[2])
-        elif isinstance(sup, tuple) and sup[0] == "ObjectComplementOf":
-            given = complement(sup[1])
+def _rules_of(statement: Statement) -> Iterator[Subclass | Subrole | Subvalue]:
+    """What can be built to make a statement hold."""
+    match statement:
+        case Subrole() | Subvalue():
+            yield statement
+        case Subclass(sub, ("ObjectIntersectionOf", *parts)):
+            for part in parts:
+                yield from _rules_of(Subclass(sub, part))
+        case Subclass(sub, ("ObjectAllValuesFrom", role, filler)):
+            yield from _rules_of(Subclass(("ObjectSomeValuesFrom", inverse(role), sub), filler))
+        case Subclass(sub, ("ObjectComplementOf", part)):
+            given = complement(part)
             if given[0] != "ObjectComplementOf":
-                self._include(sub, given)
-        elif sup not in (THING_IRI, NOTHING_IRI) and sup[0] not in _ONLY_CHECKED:
-            self.inclusions.append((sub, sup))
+                yield from _rules_of(Subclass(sub, given))
+        case Subclass(sub, sup) if sup not in (THING_IRI, NOTHING_IRI) and sup[0] not in _ONLY_CHECKED:
+            yield statement
 
 
 def _some(changes: Iterable[bool]) -> bool:
@@ -158,12 +142,9 @@ class _Model:
         self._needed: dict[tuple[object, ...], int] = {}
         self._markers: dict[Tree, str] = {}
         self._replaced: dict[int, int] = {}
-        self._rules: list[_Inclusion] = []
-        self._roles = [_RoleInclusion(sub, sup, symbols_of(sub) | symbols_of(sup)) for sub, sup in program.roles]
+        self._rules = [*map(_Rule, program.rules)]
         for name in program.individuals:
             self.individual(name)
-        for sub, sup in program.inclusions:
-            self._rule(sub, sup)
 
     def individual(self, name: str) -> int:
         """The thing that an individual's name stands for."""
@@ -195,47 +176,31 @@ class _Model:
         self.require({thing}, tree)
         return thing
 
-    def _rule(self, sub: Tree, sup: Tree) -> None:
-        self._rules.append(_Inclusion(sub, sup, symbols_of(sub) | symbols_of(sup)))
-
     def saturate(self) -> None:
         """Apply all rules until nothing changes. Raises _OutOfTimeError."""
-        while self._follow_roles() or self._follow_values() or self._follow_inclusions():
-            pass
+        changed = True
+        while changed:
+            if self._deadline is not None and time.monotonic() > self._deadline:
+                raise _OutOfTimeError
+            changed = _some(self._apply(rule) for rule in self._rules)
 
-    def _follow_roles(self) -> bool:
-        changed = False
-        for rule in self._roles:
-            if self.structure.has_changed(rule.symbols, rule.seen):
-                rule.seen = self.structure.clock
-                missing = [
-                    (source, target)
-                    for source, targets in linked_by(self.structure, rule.chain)
-                    for target in targets - self.structure.successors(rule.sup).get(source, set())
-                ]
-                for source, target in missing:
-                    changed = self.structure.link(rule.sup, source, target) or changed
-        return changed
-
-    def _follow_values(self) -> bool:
-        changed = False
-        for sub, sup in self._program.values:
-            given = [(x, value) for x, own in self.structure.values.get(sub, {}).items() for value in own]
-            for thing, value in given:
-                changed = self.structure.give(sup, thing, value) or changed
-        return changed
-
-    def _follow_inclusions(self) -> bool:
-        if self._deadline is not None and time.monotonic() > self._deadline:
-            raise _OutOfTimeError
-        changed = False
-        for rule in list(self._rules):
-            if self.structure.has_changed(rule.symbols, rule.seen):
-                rule.seen = self.structure.clock
-                missing = self.structure.members(rule.sub, True) - self.structure.members(rule.sup, True)
-                if missing:
-                    changed = self.require(missing, rule.sup) or changed
-        return changed
+    def _apply(self, rule: _Rule) -> bool:
+        """Give things what a rule says they have. Returns whether something changed."""
+        structure, sub, sup = self.structure, rule.statement.sub, rule.statement.sup
+        if not structure.has_changed(symbols_of(sub) | symbols_of(sup), rule.seen):
+            return False
+        rule.seen = structure.clock
+        match rule.statement:
+            case Subclass():
+                missing = structure.members(sub, True) - structure.members(sup, True)
+                return bool(missing) and self.require(missing, sup)
+            case Subrole():
+                above = structure.successors(sup)
+                links = [(x, y) for x, targets in linked_by(structure, sub) for y in targets - above.get(x, set())]
+                return _some(structure.link(sup, source, target) for source, target in links)
+            case Subvalue():
+                given = [(x, value) for x, own in structure.valued(sub).items() for value in own]
+                return _some(structure.give(str(sup), thing, value) for thing, value in given)
 
     def require(self, things: Set[int], tree: Tree) -> bool:
         """Make things members of a class expression, if possible. Returns whether something changed."""
@@ -289,9 +254,9 @@ class _Model:
         if marker is None:
             marker = self._markers[tree] = f"\0marker {len(self._markers)}"
             if tree[0] == "ObjectAllValuesFrom":
-                self._rule(("ObjectSomeValuesFrom", inverse(tree[1]), marker), tree[2])
+                self._rules.append(_Rule(Subclass(("ObjectSomeValuesFrom", inverse(tree[1]), marker), tree[2])))
             else:
-                self._rule(marker, tree)
+                self._rules.append(_Rule(Subclass(marker, tree)))
         return self.structure.put(marker, things)
 
     def _link(self, thing: int, role: Tree, filler: Tree, number: int) -> bool:
