@@ -1,8 +1,9 @@
 """Storms: one random perturbation after the other, after which what runs must be as good as a fresh optimal plan.
 
-python experiments/lifecycle/storm.py [--perturbations 200] [--seeds 10] [--seed 0] [--real]
+python experiments/lifecycle/storm.py [--perturbations 200] [--seeds 10] [--seed 0] [--real | --hosts]
 
-Units run in thought, on a clock that jumps, or with --real as processes. With an even seed units are free to start, so
+Units run in thought, on a clock that jumps, or with --real as processes. With --hosts they are placed on three hosts,
+which are lost and come back. With an even seed units are free to start, so
 that what runs must cost exactly what a fresh plan costs; else it must cost exactly what a planner without memory
 finds for what runs. What is met must be the same, no rule of the judge may be broken, and on the topics of processes
 elements must come.
@@ -41,7 +42,7 @@ from cfgplan_runtime.lifecycle.reports import Reviewed
 from cfgplan_runtime.lifecycle.seams import DeclaredCosts
 
 from cfgplan import api
-from cfgplan.domain import Environment, InputPort, OutputPort, Target, Transformation
+from cfgplan.domain import Environment, Host, InputPort, OutputPort, Target, Transformation
 from cfgplan.errors import InputError
 from cfgplan.explaining import best_effort
 from cfgplan.matching import Matcher
@@ -50,7 +51,10 @@ from cfgplan.planning import Problem, Status
 from cfgplan.validity import Rule, violations
 
 LAYERS = "ABCD"
-HOSTS = (None, None, "near", "far")
+HOSTS = (Host("near", cpu_us=2000), Host("far", cpu_us=3000), Host("base"))
+PLACES: tuple[tuple[str, ...], ...] = ((), (), ("near",), ("far",))
+CHOICES: tuple[tuple[str, ...], ...] = ((), ("near", "far"), ("near", "base"), ("far", "base"), ("base",))
+TRANSFER_US = 1000
 PATIENCE_S = 60.0
 HORIZON_S = 300
 UNITS = """
@@ -69,21 +73,25 @@ def give2(x0, x1, seed=0):
 """
 
 
-def library(randoms: random.Random, *, is_free_to_start: bool) -> list[Transformation]:
+def library(
+    randoms: random.Random, *, is_free_to_start: bool, places: tuple[tuple[str, ...], ...] = PLACES
+) -> list[Transformation]:
     """Sources of A, and for each further layer transformations that need one or two tags of the layer before."""
     made = []
     for layer, letter in enumerate(LAYERS):
         for number in range(4):
             width = 0 if layer == 0 else randoms.choice((1, 1, 2))
+            hosts = randoms.choice(places)
             made.append(
                 Transformation(
                     f"{letter.lower()}{number}",
                     tuple(InputPort(f"x{port}", f"{LAYERS[layer - 1]}{randoms.randrange(2)}") for port in range(width)),
-                    (OutputPort("y", f"{letter}{number % 2}"),),
+                    (OutputPort("y", f"{letter}{number % 2}", rate_uhz=10_000_000, size_bytes=1000 * number),),
                     0 if is_free_to_start else randoms.randrange(1, 1000) * 1000,
                     randoms.randrange(1, 1000),
                     source=f"storm_units.py:give{width}",
-                    host=randoms.choice(HOSTS),
+                    host=hosts[0] if len(hosts) == 1 else None,
+                    hosts=hosts if len(hosts) > 1 else (),
                 )
             )
     return made
@@ -132,8 +140,10 @@ class Storm:
 def faults(manager: Manager, running: Environment, *, is_free_to_start: bool) -> list[str]:
     """In what way what runs is not as good as it can be, by a planner without memory and the judge."""
     world, lost = manager.world, manager.snapshot().lost_hosts
-    possible = tuple(t for t in world.environment.library if t.host not in lost)
-    now = Environment(running.units, possible, world.environment.targets)
+    hosts = tuple(host for host in world.environment.hosts if host.name not in lost)
+    known = replace(world.environment, hosts=hosts)
+    possible = tuple(t for t in known.library if (known.hosts_for(t) if hosts else t.host not in lost))
+    now = replace(known, units=running.units, library=possible)
     matcher = Matcher(world.ontology)
     matcher.add(
         offered={port.tag for t in possible for port in t.outputs},
@@ -157,11 +167,18 @@ def faults(manager: Manager, running: Environment, *, is_free_to_start: bool) ->
     return found
 
 
-def in_thought(seed: int, perturbations: int) -> list[str]:
+def on_hosts(seed: int, perturbations: int) -> list[str]:
+    """A storm on a simulated backend with hosts, which are lost and come back."""
+    return in_thought(seed, perturbations, hosts=HOSTS)
+
+
+def in_thought(seed: int, perturbations: int, hosts: tuple[Host, ...] = ()) -> list[str]:
     """A storm on a simulated backend, with crashes and cut subscriptions among the perturbations."""
     is_free_to_start = seed % 2 == 0
-    known = library(random.Random(seed), is_free_to_start=is_free_to_start)
-    world = api.world(Environment((), tuple(known), tuple(targets())), horizon_s=HORIZON_S)
+    places = CHOICES if hosts else PLACES
+    known = library(random.Random(seed), is_free_to_start=is_free_to_start, places=places)
+    environment = Environment((), tuple(known), tuple(targets()), hosts, transfer_us=TRANSFER_US)
+    world = api.world(environment, horizon_s=HORIZON_S)
     runtime = SimulatedRuntime()
     decisions: Counter[str] = Counter()
     costs = DeclaredCosts(failure_us=0)  # what crashed is to be as good as before in the end
@@ -176,9 +193,17 @@ def in_thought(seed: int, perturbations: int) -> list[str]:
         elif kind < 0.3 and inlets:
             inlet = storm.randoms.choice(inlets)
             runtime.cut(inlet.unit or None, inlet.port)
+        elif kind < 0.5 and hosts:
+            host = storm.randoms.choice(hosts).name
+            if host in runtime.backend.lost_hosts:
+                runtime.backend.join_host(host)
+            else:
+                runtime.backend.lose_host(host)
         else:
             manager.request(storm.change(manager))
         manager.run(storm.randoms.choice((0.0, 0.0, 0.001, 0.02, 1.0, 30.0)))
+    if hosts:
+        runtime.backend.join_host("base")  # where nothing is there, a fresh plan has nothing to say
     manager.run(2.0)
     last = manager.request(ReviewNow())
     manager.run(2.0)
@@ -256,8 +281,9 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0, help="the first one")
     parser.add_argument("--seeds", type=int, default=10, help="how many")
     parser.add_argument("--real", action="store_true", help="run units as processes")
+    parser.add_argument("--hosts", action="store_true", help="place units on hosts, which are lost and come back")
     options = parser.parse_args()
-    blow = on_processes if options.real else in_thought
+    blow = on_processes if options.real else on_hosts if options.hosts else in_thought
     is_good = True
     for seed in range(options.seed, options.seed + options.seeds):
         found = blow(seed, options.perturbations)
