@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from decimal import Decimal
+from types import MappingProxyType
 
-from cfgplan.domain import OutputPort, Transformation
+from cfgplan.domain import CPU, Host, OutputPort, Transformation
 from cfgplan.errors import InvalidValueError
+from cfgplan.qualities import MICRO
 
 MICROSECONDS = 1_000_000
 MILLISECONDS = MICROSECONDS // 1000
@@ -32,19 +35,45 @@ def seconds(cost_us: int) -> Decimal:
     return (Decimal(cost_us) / MICROSECONDS).normalize()
 
 
-def keep_cost_us(transformation: Transformation, horizon_s: int) -> int:
+def labor_us(transformation: Transformation, host: Host | None = None) -> int:
+    """What a start costs on a host."""
+    return _on(host, transformation, 0, transformation.labor_us)
+
+
+def upkeep_us(transformation: Transformation, host: Host | None = None) -> int:
+    """What a running unit costs on a host each second."""
+    return _on(host, transformation, 1, transformation.upkeep_us)
+
+
+def _on(host: Host | None, transformation: Transformation, which: int, usual_us: int) -> int:
+    """What a unit costs on a host: as seen there, else what the host's speed makes of it, rounded up."""
+    if host is None:
+        return usual_us
+    seen_us = transformation.seen_us.get(host.name)
+    return -(-usual_us * MICRO // host.speed) if seen_us is None else seen_us[which]
+
+
+def keep_cost_us(transformation: Transformation, horizon_s: int, host: Host | None = None) -> int:
     """What a unit that runs on costs over the horizon: its upkeep."""
-    return transformation.upkeep_us * horizon_s
+    return upkeep_us(transformation, host) * horizon_s
 
 
-def start_cost_us(transformation: Transformation, horizon_s: int) -> int:
+def start_cost_us(transformation: Transformation, horizon_s: int, host: Host | None = None) -> int:
     """What a new unit costs over the horizon: its labor, then its upkeep."""
-    return transformation.labor_us + keep_cost_us(transformation, horizon_s)
+    return labor_us(transformation, host) + keep_cost_us(transformation, horizon_s, host)
 
 
-def standby_cost_us(transformation: Transformation, horizon_s: int) -> int:
+def standby_cost_us(transformation: Transformation, horizon_s: int, host: Host | None = None) -> int:
     """What a cold spare costs over the horizon: being ready. Its labor is paid when it has to start."""
-    return (transformation.standby_us or 0) * horizon_s
+    speed = MICRO if host is None else host.speed
+    return -(-(transformation.standby_us or 0) * MICRO // speed) * horizon_s
+
+
+def taken(transformation: Transformation, host: Host | None) -> Mapping[str, int]:
+    """What a unit takes of a host, see `Transformation.takes`."""
+    if host is None or (host.speed == MICRO and host.name not in transformation.seen_us):
+        return transformation.takes
+    return MappingProxyType({**transformation.takes, CPU: upkeep_us(transformation, host)})
 
 
 def transfer_cost_us(output: OutputPort, horizon_s: int, price_us: int) -> int:

@@ -15,7 +15,7 @@ from typing import TypeVar
 
 from cfgplan.canonical import fields_of, refuse_duplicates, store_resources, store_sorted, store_whole
 from cfgplan.errors import InvalidValueError
-from cfgplan.qualities import QualityAttribute, Wish
+from cfgplan.qualities import MICRO, QualityAttribute, Wish
 from cfgplan.transformations import CPU as CPU
 from cfgplan.transformations import MEMORY as MEMORY
 from cfgplan.transformations import START_MODES as START_MODES
@@ -120,15 +120,20 @@ class Target:
 class Host:
     """A computer: the CPU time (microseconds each second) and megabytes that units may take; None: no limit.
 
-    `offers` says how much it has of other resources, in whole numbers: of what is not there it has nothing.
+    `offers` says how much it has of other resources, in whole numbers: of what is not there it has nothing. A unit
+    takes the CPU time of its transformation divided by `speed`, which is in millionths.
     """
 
     name: str
     cpu_us: int | None = None
     memory_mb: int | None = None
     offers: Mapping[str, int] = field(default_factory=dict, hash=False)
+    speed: int = MICRO
 
     def __post_init__(self) -> None:
+        store_whole(self, "speed")
+        if self.speed <= 0:
+            raise InvalidValueError(f"the speed of host {self.name!r} is not above 0")
         store_resources(self, "offers", {CPU: "cpu_us", MEMORY: "memory_mb"})
 
     def room(self, resource: str) -> int | None:
@@ -296,6 +301,14 @@ class Environment:
             return (None,)
         wanted = transformation.hosts if transformation.host is None else (transformation.host,)
         return tuple(host.name for host in self.hosts if not wanted or host.name in wanted)
+
+    def places_for(self, transformation: Transformation) -> tuple[Host | None, ...]:
+        """The hosts where units of a transformation may run; only None if there are no hosts."""
+        return tuple(None if name is None else self.host[name] for name in self.hosts_for(transformation))
+
+    def place_of(self, unit: ComputationUnit) -> Host | None:
+        """The host of a unit; None if it has none that is known."""
+        return None if unit.host is None else self.host.get(unit.host)
 
     def update(self, change_set: ChangeSet) -> Environment:
         """The environment after the update by `change_set` (Definition 7): additions, then removals.

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
-from cfgplan.costs import keep_cost_us, standby_cost_us, transfer_cost_us
+from cfgplan.costs import keep_cost_us, labor_us, standby_cost_us, taken, transfer_cost_us
 from cfgplan.domain import CPU, MEMORY, ComputationUnit, Environment, Stream
 from cfgplan.planning import Problem
 from cfgplan.qualities import QualityAttribute, price_us, propagated
@@ -42,19 +42,20 @@ class Transfer:
 
 def cost_parts(problem: Problem, units: Collection[ComputationUnit]) -> CostParts:
     """The cost of an update that leaves these units, by parts."""
-    library, running = problem.environment.transformation, problem.environment.unit
+    environment, horizon_s = problem.environment, problem.horizon_s
+    library, place_of = environment.transformation, environment.place_of
     hot = [unit for unit in units if not unit.standby]
     prices = 0
-    if any(target.quality for target in problem.environment.targets):
-        reached = qualities_of_targets(problem.environment, units)
-        for target in problem.environment.targets:
+    if any(target.quality for target in environment.targets):
+        reached = qualities_of_targets(environment, units)
+        for target in environment.targets:
             for wish in target.quality if target.label in reached else ():
-                attribute = problem.environment.quality[wish.attribute]
+                attribute = environment.quality[wish.attribute]
                 prices += price_us(attribute, wish, reached[target.label][wish.attribute])
     return CostParts(
-        sum(library[unit.transformation].labor_us for unit in hot if unit.id not in running),
-        sum(keep_cost_us(library[unit.transformation], problem.horizon_s) for unit in hot),
-        sum(standby_cost_us(library[u.transformation], problem.horizon_s) for u in units if u.standby),
+        sum(labor_us(library[u.transformation], place_of(u)) for u in hot if u.id not in environment.unit),
+        sum(keep_cost_us(library[u.transformation], horizon_s, place_of(u)) for u in hot),
+        sum(standby_cost_us(library[u.transformation], horizon_s, place_of(u)) for u in units if u.standby),
         sum(transfer.cost_us for transfer in transfers(problem, units)),
         prices,
     )
@@ -89,7 +90,7 @@ def loads(environment: Environment, units: Collection[ComputationUnit]) -> Mappi
     found: dict[str, Counter[str]] = {host.name: Counter({CPU: 0, MEMORY: 0}) for host in environment.hosts}
     for unit in units:
         if unit.host in found and unit.transformation in environment.transformation:
-            found[unit.host].update(environment.transformation[unit.transformation].takes)
+            found[unit.host].update(taken(environment.transformation[unit.transformation], environment.place_of(unit)))
     return found
 
 

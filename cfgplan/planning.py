@@ -95,8 +95,10 @@ class Problem:
         labels = [*library, *(u.transformation for u in self.environment.units if u.transformation in library)]
         if self.is_plain:
             return sum(start_cost_us(library[label], horizon_s) for label in labels)
-        units = [library[label] for label in labels]
-        once_us = sum(max(start_cost_us(t, horizon_s), standby_cost_us(t, horizon_s)) for t in units)
+        units, costs = [library[label] for label in labels], (start_cost_us, standby_cost_us)
+        once_us = sum(
+            max(cost(t, horizon_s, host) for host in (None, *self.environment.hosts) for cost in costs) for t in units
+        )
         return self._largest_fleet_cost_us(once_us, horizon_s)
 
     def _largest_fleet_cost_us(self, once_us: int, horizon_s: int) -> int:

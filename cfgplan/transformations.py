@@ -107,8 +107,9 @@ class Transformation:
 
     Where an environment has hosts, units run on `host`, or on one of `hosts` if that is None, or anywhere if
     both are empty, and take there what `takes` says: CPU time, memory and `needs`, whole numbers of other resources.
-    No unit is beside one of a transformation in `conflicts`. At least `min_instances` units run; at most
-    `max_instances` are there, cold spares counted. A cold spare takes `standby_us` each second; None: it has none.
+    On a host in `seen_us` they cost the labor and upkeep given there, instead of what its speed makes of `labor_us`
+    and `upkeep_us`. No unit is beside one of a transformation in `conflicts`. At least `min_instances` units run; at
+    most `max_instances` are there, cold spares counted. A cold spare takes `standby_us` each second; None: it has none.
     """
 
     label: str
@@ -130,6 +131,7 @@ class Transformation:
     max_instances: int | None = None
     standby_us: int | None = None
     needs: Mapping[str, int] = field(default_factory=dict, hash=False)
+    seen_us: Mapping[str, tuple[int, int]] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
         store_sorted(self, "inputs", self.inputs, attrgetter("name"))
@@ -165,7 +167,7 @@ class Transformation:
 
     @cached_property
     def takes(self) -> Mapping[str, int]:
-        """What a unit takes of its host: CPU in microseconds each second, memory in megabytes, and what it `needs`."""
+        """What a unit takes of a host of speed 1: CPU in microseconds each second, megabytes, and what it `needs`."""
         return MappingProxyType({CPU: self.upkeep_us, MEMORY: self.needs_mb, **self.needs})
 
     @cached_property

@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterator
 from rich.text import Text
 
 from cfgplan.cli.screen import counted
-from cfgplan.costs import keep_cost_us, seconds
+from cfgplan.costs import keep_cost_us, labor_us, seconds, standby_cost_us, upkeep_us
 from cfgplan.domain import CPU, MEMORY, ComputationUnit, Environment, Host, Target
 from cfgplan.figures import cost_parts, loads, qualities_of_targets, transfers
 from cfgplan.planners import IGNORING_REQUIRED
@@ -87,10 +87,11 @@ def _headline(sign: str, unit: ComputationUnit, width: int, environment: Environ
     line = Text(f"  {sign} {verb:6}  {unit.id:{width}}", style=_STYLE[sign])
     if transformation is not None:
         where = "" if unit.host is None else f"on {unit.host}, "
-        labor = f"labor {cpu(transformation.labor_us)}, " if sign == "+" else ""
-        figures = f"{labor}upkeep {cpu(transformation.upkeep_us)}/s"
+        host = environment.place_of(unit)
+        labor = f"labor {cpu(labor_us(transformation, host))}, " if sign == "+" else ""
+        figures = f"{labor}upkeep {cpu(upkeep_us(transformation, host))}/s"
         if unit.standby:
-            figures = f"a cold spare, standby {cpu(transformation.standby_us or 0)}/s"
+            figures = f"a cold spare, standby {cpu(standby_cost_us(transformation, 1, host))}/s"
         line.append(f"   {where}{figures}", style="dim")
     return line
 
@@ -127,10 +128,10 @@ def _summary(problem: Problem, plan: Plan, given_up: Collection[str]) -> Iterato
             f"{len(changes.stopped)} to stop, {kept} kept as they are.",
             style="bold",
         )
-        library = before.transformation
-        labor = sum(library[unit.transformation].labor_us for unit in changes.started if not unit.standby)
+        library, place_of = before.transformation, before.place_of
+        labor = sum(labor_us(library[u.transformation], place_of(u)) for u in changes.started if not u.standby)
         now = sum(
-            keep_cost_us(library[u.transformation], horizon_s)
+            keep_cost_us(library[u.transformation], horizon_s, place_of(u))
             for u in before.units
             if u.transformation in library and not u.standby
         )

@@ -87,8 +87,9 @@ class _Ranking:
         self._kept = self._keeping.labels
         self._required = frozenset(environment.required)
         self._cost_us = {
-            t.label: (keep_cost_us if t.label in running else start_cost_us)(t, problem.horizon_s)
+            t.label: min(((cost_us(t, problem.horizon_s, host)) for host in environment.places_for(t)), default=0)
             for t in environment.library
+            for cost_us in [keep_cost_us if t.label in running else start_cost_us]
         }
 
     def plans(self, end_s: float | None) -> Iterator[Plan | None]:

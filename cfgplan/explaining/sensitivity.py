@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import pairwise
 
-from cfgplan.costs import LARGEST_COST_US, standby_cost_us
-from cfgplan.domain import Environment
+from cfgplan.costs import LARGEST_COST_US, keep_cost_us, standby_cost_us
+from cfgplan.domain import Environment, Transformation
 from cfgplan.errors import InputError
 from cfgplan.explaining.why_this import after_update
 from cfgplan.planning import Plan, Planner, Problem, Status
+from cfgplan.qualities import MICRO
 from cfgplan.validity.hosts import carried_us
 
 
@@ -85,7 +86,7 @@ def horizon_sensitivity(problem: Problem, planner: Planner) -> Sensitivity:
 
     def each_us(after: Environment) -> int:
         units = sum(
-            library[u.transformation].upkeep_us if not u.standby else standby_cost_us(library[u.transformation], 1)
+            (standby_cost_us if u.standby else keep_cost_us)(library[u.transformation], 1, after.place_of(u))
             for u in after.units
         )
         return units + carried_us(after, 1)
@@ -103,20 +104,22 @@ def upkeep_sensitivity(problem: Problem, planner: Planner, label: str) -> Sensit
     Where the horizon is 0, upkeep does not matter and there is one span. Raises InputError where hosts limit CPU time:
     what fits on them changes with the upkeep.
     """
-    _refuse_limits(problem)
     environment = problem.environment
+    kind = environment.transformation[label]
+    _refuse_limits(problem, kind)
 
     def at(upkeep_us: int) -> Problem:
         changed = (replace(t, upkeep_us=upkeep_us) if t.label == label else t for t in environment.library)
         return replace(problem, environment=replace(environment, library=tuple(changed)), max_cost_us=None)
 
     def each_us(after: Environment) -> int:
-        return problem.horizon_s * sum(u.transformation == label and not u.standby for u in after.units)
+        running = [unit for unit in after.units if unit.transformation == label and not unit.standby]
+        return problem.horizon_s * sum(unit.host not in kind.seen_us for unit in running)
 
     # With more upkeep each second than all else can cost, it is used only where it must be.
     rest = at(0).largest_cost_us(problem.horizon_s)
     most = (LARGEST_COST_US - rest) // max(at(1).largest_cost_us(problem.horizon_s) - rest, 1)
-    value = environment.transformation[label].upkeep_us
+    value = kind.upkeep_us
     return _sensitivity(_Envelope(problem, planner, at, each_us), value, max(1 + rest, value), most, label)
 
 
@@ -217,8 +220,13 @@ def _refuse_rounding(problem: Problem) -> None:
                 )
 
 
-def _refuse_limits(problem: Problem) -> None:
+def _refuse_limits(problem: Problem, kind: Transformation) -> None:
     for host in problem.environment.hosts:
+        if host.speed != MICRO and host in problem.environment.places_for(kind):
+            raise InputError.of(
+                f"host {host.name} has a speed: upkeep there is rounded, and the least cost has no exact break points",
+                mend="solve with several values, such as --set T.upkeep=0.1",
+            )
         if host.cpu_us is not None:
             raise InputError.of(
                 f"host {host.name} limits CPU time: what fits on it changes with the upkeep, so that the least cost "

@@ -33,6 +33,7 @@ from cfgplan.formats.schema_values import (
     Resources,
     RuleName,
     Seconds,
+    Speed,
     TagText,
     TimeSpan,
     WhenFull,
@@ -305,6 +306,7 @@ class HostPart(Part):
     cpu: Cost | None = row("CPU seconds per second that units may take; no limit if absent", to="cpu_us")
     memory: int | None = row("megabytes that units may take; no limit if absent", to="memory_mb", ge=0)
     offers: Resources | None = row("how much it has of other resources, by name; nothing of what is absent")
+    speed: Speed = row("what the CPU seconds of labor, upkeep and standby are divided by on it", 1)
 
 
 class AttributePart(Part):

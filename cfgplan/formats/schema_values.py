@@ -15,10 +15,12 @@ from pydantic_core import PydanticCustomError
 from cfgplan.canonical import normal
 from cfgplan.costs import microseconds, seconds
 from cfgplan.errors import InvalidValueError
-from cfgplan.qualities import Better, QualityRule, micro_units, units
+from cfgplan.qualities import MICRO, Better, QualityRule, micro_units, units
 from cfgplan.transformations import CPU, LEAST_HANG_S, RunOptions
 
 LARGEST_AMOUNT = 1_000_000_000
+SPEEDS = (Decimal("0.001"), 1000)
+"""The least and the largest speed of a host."""
 LARGEST_RATE_HZ = 100_000
 NAME_PATTERN = r"^[^\s\x00-\x1f\x7f]([^\x00-\x1f\x7f]*[^\s\x00-\x1f\x7f])?$"
 PORT = r"^[^\s\x00-\x1f\x7f/]([^\x00-\x1f\x7f/]*[^\s\x00-\x1f\x7f/])?$"
@@ -152,6 +154,15 @@ def _amount(value: object) -> Decimal | int:
     return number
 
 
+def _speed(value: object) -> int:
+    """The speed of a host in millionths."""
+    micro = _positive_micro(value)
+    if not SPEEDS[0] * MICRO <= micro <= SPEEDS[1] * MICRO:
+        mend = f"write a number from {SPEEDS[0]} to {SPEEDS[1]}; 1 is where costs were measured"
+        raise PydanticCustomError("speed", "{text}", {"text": f"{value} is no speed of a host", "mend": mend})
+    return micro
+
+
 def _resources(amounts: dict[str, Decimal | int]) -> dict[str, int]:
     """Amounts of resources by name: whole numbers, and for CPU time microseconds per second."""
     found = {name: _microseconds(amount) if name == CPU else amount for name, amount in amounts.items()}
@@ -218,6 +229,12 @@ Rate = Annotated[
 ]
 Micro = Annotated[int, PlainValidator(_micro), WithJsonSchema({"type": "number"}), Written(plain_quality)]
 PositiveMicro = Annotated[int, PlainValidator(_positive_micro), WithJsonSchema(_NUMBER), Written(plain_quality)]
+Speed = Annotated[
+    int,
+    PlainValidator(_speed),
+    WithJsonSchema({"type": "number", "minimum": float(SPEEDS[0]), "maximum": SPEEDS[1]}),
+    Written(plain_quality),
+]
 Amount = Annotated[Decimal | int, PlainValidator(_amount), WithJsonSchema({**_NUMBER, "maximum": LARGEST_AMOUNT})]
 Resources = Annotated[dict[Name, Amount], AfterValidator(_resources)]
 Params = Annotated[dict[str, Any], PlainValidator(_params), WithJsonSchema({"type": ["object", "null"]})]

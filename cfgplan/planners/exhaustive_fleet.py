@@ -24,6 +24,7 @@ from cfgplan.planners.exhaustive_judging import (
     needed_by,
     reached_from,
     runnable,
+    taken_by,
 )
 from cfgplan.planning import Plan, Problem, Progress, Status, fresh_units
 
@@ -158,10 +159,10 @@ def _is_allowed(problem: Problem, units: Units) -> bool:
         if there[t.label] and any(there[other] for other in t.conflicts if other != t.label):
             return False
     for host in environment.hosts:
-        on_it = [library[unit.transformation] for unit in units if unit.host == host.name]
-        for resource in {resource for t in on_it for resource in t.takes}:
+        takes = [taken_by(problem, unit) for unit in units if unit.host == host.name]
+        for resource in {resource for each in takes for resource in each}:
             room = host.room(resource)
-            if room is not None and sum(t.takes.get(resource, 0) for t in on_it) > room:
+            if room is not None and sum(each.get(resource, 0) for each in takes) > room:
                 return False
     pinned = {u.id for u in environment.units if _may_stay(problem, u) and library[u.transformation].pinned}
     if pinned:

@@ -1,19 +1,19 @@
 """How the oracle judges a finished configuration of a fleet: cost, leanness, failures.
 
-It asks the judge which quality is reached and what is carried.
+It asks the judge which quality is reached, what is carried, and what a unit costs on its host.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations, product
 
-from cfgplan.domain import ComputationUnit, Target
+from cfgplan.domain import CPU, ComputationUnit, Target
 from cfgplan.errors import InputError
 from cfgplan.planning import Failures, Problem
-from cfgplan.validity.hosts import carried_us
+from cfgplan.validity.hosts import carried_us, costs_there
 from cfgplan.validity.quality import priced_us, quality_violations
 
 OracleKey = tuple[int, int, int, int]
@@ -44,13 +44,17 @@ def cost_of_units(problem: Problem, units: Units) -> int:
     cost = 0
     for unit in units:
         transformation = problem.environment.transformation[unit.transformation]
-        if unit.standby:
-            cost += (transformation.standby_us or 0) * problem.horizon_s
-            continue
-        cost += transformation.upkeep_us * problem.horizon_s
-        if unit.id not in problem.environment.unit:
-            cost += transformation.labor_us
+        labor_us, upkeep_us, standby_us = costs_there(problem.environment, unit, transformation)
+        cost += (standby_us if unit.standby else upkeep_us) * problem.horizon_s
+        if unit.id not in problem.environment.unit and not unit.standby:
+            cost += labor_us
     return cost
+
+
+def taken_by(problem: Problem, unit: ComputationUnit) -> Mapping[str, int]:
+    """How much a unit takes of each resource of its host."""
+    transformation = problem.environment.transformation[unit.transformation]
+    return {**transformation.takes, CPU: costs_there(problem.environment, unit, transformation)[1]}
 
 
 def is_borne(problem: Problem, units: Sequence[ComputationUnit]) -> bool:

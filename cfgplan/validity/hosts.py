@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
+from fractions import Fraction
 
-from cfgplan.domain import Environment, amount_of
+from cfgplan.domain import CPU, ComputationUnit, Environment, Transformation, amount_of
 from cfgplan.validity.reading import known_units
 from cfgplan.validity.rules import Rule, Violation
 
@@ -22,12 +24,28 @@ def placing_violations(environment: Environment) -> Iterator[Violation]:
             text = f"unit {unit.id} is on {unit.host}, where {transformation.label} may not run"
             yield Violation(Rule.PLACED, text, unit.id)
     for host in environment.hosts:
-        there = [transformation for unit, transformation in known_units(environment) if unit.host == host.name]
-        for resource in sorted({resource for transformation in there for resource in transformation.takes}):
-            taken, room = sum(transformation.takes.get(resource, 0) for transformation in there), host.room(resource)
+        there = [
+            {**transformation.takes, CPU: costs_there(environment, unit, transformation)[1]}
+            for unit, transformation in known_units(environment)
+            if unit.host == host.name
+        ]
+        for resource in sorted({resource for takes in there for resource in takes}):
+            taken, room = sum(takes.get(resource, 0) for takes in there), host.room(resource)
             if room is not None and taken > room:
                 text = f"the units on {host.name} take {amount_of(resource, taken)}, but it has {room}"
                 yield Violation(Rule.CAPACITY, text)
+
+
+def costs_there(
+    environment: Environment, unit: ComputationUnit, transformation: Transformation
+) -> tuple[int, int, int]:
+    """A unit's labor, upkeep and standby on its host, in microseconds: divided by its speed unless they were seen."""
+    costs = (transformation.labor_us, transformation.upkeep_us, transformation.standby_us or 0)
+    host = environment.host.get(unit.host or "")
+    if host is None:
+        return costs
+    labor_us, upkeep_us, standby_us = (math.ceil(Fraction(cost * 10**6, host.speed)) for cost in costs)
+    return (*transformation.seen_us.get(host.name, (labor_us, upkeep_us)), standby_us)
 
 
 def carried_us(environment: Environment, horizon_s: int) -> int:

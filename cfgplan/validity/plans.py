@@ -9,7 +9,7 @@ from cfgplan.domain import ComputationUnit, Environment, Transformation
 from cfgplan.errors import InvalidValueError
 from cfgplan.planning import Plan, Problem, Status
 from cfgplan.validity.environments import violations
-from cfgplan.validity.hosts import carried_us
+from cfgplan.validity.hosts import carried_us, costs_there
 from cfgplan.validity.quality import priced_us
 from cfgplan.validity.reading import known_units, needed_by, publishers
 from cfgplan.validity.rules import Rule, Violation
@@ -148,16 +148,16 @@ def kept_us(environment: Environment, horizon_s: int) -> int:
     """What it costs to keep what runs over a horizon in seconds, in microseconds; unknown units cost nothing."""
     cost = carried_us(environment, horizon_s) + priced_us(environment)
     for unit, transformation in known_units(environment):
-        a_second_us = (transformation.standby_us or 0) if unit.standby else transformation.upkeep_us
-        cost += a_second_us * horizon_s
+        _, upkeep_us, standby_us = costs_there(environment, unit, transformation)
+        cost += (standby_us if unit.standby else upkeep_us) * horizon_s
     return cost
 
 
 def _cost_us(problem: Problem, after: Environment) -> int:
     """What the update to an environment costs, in microseconds."""
     before = problem.environment.unit
-    new = [transformation for unit, transformation in known_units(after) if unit.id not in before and not unit.standby]
-    return kept_us(after, problem.horizon_s) + sum(transformation.labor_us for transformation in new)
+    new = [known for known in known_units(after) if known[0].id not in before and not known[0].standby]
+    return kept_us(after, problem.horizon_s) + sum(costs_there(after, *known)[0] for known in new)
 
 
 def _bad_cost(problem: Problem, plan: Plan, after: Environment) -> Iterator[Violation]:

@@ -18,6 +18,7 @@ from cfgplan.errors import InputError, InvalidValueError
 from cfgplan.explaining import Sensitivity, horizon_sensitivity, upkeep_sensitivity
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import Failures, Notion, Plan, Problem, Status
+from cfgplan.qualities import MICRO
 
 EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "60"))
 many = settings(
@@ -116,7 +117,7 @@ def test_fleets_have_such_spans_of_horizons_too(problem: Problem) -> None:
 @given(beyond_the_paper, st.data())
 def test_fleets_have_such_spans_of_upkeeps_too(problem: Problem, data: st.DataObject) -> None:
     environment = problem.environment
-    unlimited = tuple(replace(host, cpu_us=None) for host in environment.hosts)
+    unlimited = tuple(replace(host, cpu_us=None, speed=MICRO) for host in environment.hosts)
     label = data.draw(st.sampled_from(sorted(environment.transformation)))
     problem = replace(problem, environment=replace(environment, hosts=unlimited))
     found = upkeep_sensitivity(problem, cpsat, label)

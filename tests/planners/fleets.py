@@ -13,6 +13,7 @@ from cfgplan.qualities import Better, Contribution, Over, QualityAttribute, Qual
 
 MICRO = 1_000_000
 HOSTS = (Host("h0", 9, 4, {"gpu": 1}), Host("h1", 6, None, {"gpu": 3}), Host("h2"))
+SPEEDS = st.sampled_from([MICRO, MICRO, MICRO // 2, 700_000, 3 * MICRO])
 VALUES = st.sampled_from([0, 1, 2, 3, 5, 8])
 FACTORS = st.sampled_from([0, MICRO // 3, MICRO // 2, MICRO, 3 * MICRO // 2])
 
@@ -23,6 +24,7 @@ def fleets(draw: st.DrawFn, notions: frozenset[Notion], *, most: int = 3) -> Pro
     plain = draw(problems(most=most, special=draw(st.booleans())))
     environment = plain.environment
     hosts = HOSTS[: draw(st.integers(1, 3))] if Notion.HOSTS in notions else ()
+    hosts = tuple(replace(host, speed=draw(SPEEDS)) for host in hosts)
     qualities = draw(attributes()) if Notion.QUALITY in notions else ()
     labels = [t.label for t in environment.library]
     library = [draw(transformations(t, labels, hosts, qualities, notions)) for t in environment.library]
@@ -83,6 +85,7 @@ def transformations(
         changes["host"] = draw(st.sampled_from(names)) if choice == "one" else None
         changes["hosts"] = tuple(draw(st.sets(st.sampled_from(names), min_size=1))) if choice == "some" else ()
         changes["memory_mb"] = draw(st.sampled_from([None, 0, 1, 2, 3]))
+        changes["seen_us"] = draw(st.sampled_from([{}, {}, {names[0]: (1, 2)}, {names[-1]: (3, 0)}]))
         changes["needs"] = draw(st.sampled_from([{}, {}, {}, {"gpu": 0}, {"gpu": 1}, {"gpu": 2}]))
     if Notion.CONFLICTS in notions:
         changes["conflicts"] = tuple(draw(st.sets(st.sampled_from(labels), max_size=1)) - {plain.label})

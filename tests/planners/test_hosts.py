@@ -22,6 +22,7 @@ from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import Fleet, Tuning
 from cfgplan.planning import Notion, Problem, Status
 from cfgplan.reasons import unmet_reasons
+from cfgplan.validity import plan_violations
 
 on_hosts = fleets(frozenset({Notion.HOSTS, Notion.CONFLICTS, Notion.INSTANCES}), most=9)
 
@@ -95,3 +96,16 @@ def test_what_nothing_grounds_on_any_host_is_cut_by_who_has_to_run() -> None:
     assert len(unfounded) == 2
     assert ways_in == [model.runs[s].index]
     assert not fixed.allows(runs("t.1"), runs("u.1"), ~runs("s.1"))
+
+
+def test_a_unit_runs_on_the_faster_host_unless_its_streams_cost_more_to_carry() -> None:
+    output = OutputPort("x", "", rate_uhz=1_000_000, size_bytes=1_000_000)
+    library = (kind("t", gives="B", labor_us=90, output=output),)
+    hosts = (Host("far", speed=3_000_000), Host("near"))
+    target = Target("B", "B", "/B", host="near")
+    for transfer_us, place, cost_us in ((59, "far", 89), (61, "near", 90)):
+        found = fleet.plan(world((target,), *library, hosts=hosts, transfer_us=transfer_us))
+        assert found.change_set is not None
+        assert [unit.host for unit in found.change_set.started] == [place]
+        assert (found.status, found.cost_us) == (Status.OPTIMAL, cost_us)
+        assert not plan_violations(world((target,), *library, hosts=hosts, transfer_us=transfer_us), found)

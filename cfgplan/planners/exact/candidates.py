@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Iterator, Sequence, Set
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from functools import cached_property
 
-from cfgplan.costs import keep_cost_us, standby_cost_us, start_cost_us
-from cfgplan.domain import ComputationUnit, Environment, Stream, Transformation
+from cfgplan.costs import keep_cost_us, standby_cost_us, start_cost_us, taken
+from cfgplan.domain import ComputationUnit, Environment, Host, Stream, Transformation
 from cfgplan.planners.networks.keys import may_stay
 from cfgplan.planners.networks.network import Network
 from cfgplan.planners.solving.clock import Clock
@@ -20,21 +20,42 @@ HostName = str | None
 """Where something is; None where there are no hosts, or on no host in particular."""
 
 
+@dataclass(frozen=True, slots=True)
+class Place:
+    """What a unit costs on a host if it runs there or waits, and what it takes of it."""
+
+    cost_us: int
+    waiting_cost_us: int
+    takes: Mapping[str, int]
+
+
 @dataclass(frozen=True)
 class Candidate:
     """A unit of the environment, or a new one of a transformation. It `may_run`, or `may_wait` as a cold spare.
 
-    `hosts` are those it may be on: its own if it is there already, only None where there are no hosts.
+    `places` are the hosts it may be on: its own if it is there already, only None where there are no hosts.
     """
 
     id: str
     transformation: Transformation
     running: ComputationUnit | None
-    cost_us: int
-    hosts: tuple[HostName, ...] = (None,)
+    places: Mapping[HostName, Place]
     may_run: bool = True
     may_wait: bool = False
-    waiting_cost_us: int = 0
+
+    @cached_property
+    def hosts(self) -> tuple[HostName, ...]:
+        return tuple(self.places)
+
+    @cached_property
+    def cost_us(self) -> int:
+        """What it costs if it runs where it is cheapest."""
+        return min(place.cost_us for place in self.places.values())
+
+    @cached_property
+    def waiting_cost_us(self) -> int:
+        """What it costs if it waits where it is cheapest."""
+        return min(place.waiting_cost_us for place in self.places.values())
 
 
 @dataclass(frozen=True)
@@ -254,25 +275,37 @@ def _candidates(problem: Problem, labels: frozenset[str], clock: Clock) -> Itera
                 unit.id,
                 transformation,
                 unit,
-                keep_cost_us(transformation, horizon_s),
-                (unit.host if environment.hosts else None,),
+                _places(transformation, [environment.place_of(unit)], horizon_s, keep_cost_us),
                 not unit.standby,
                 unit.standby,
-                standby_cost_us(transformation, horizon_s),
             )
     for label, unit_ids in clock.each(fresh_units(environment, _numbers_of_new(problem, labels)).items()):
         transformation = environment.transformation[label]
-        hosts = environment.hosts_for(transformation)
-        for unit_id in unit_ids if hosts else ():
+        places = _places(transformation, environment.places_for(transformation), horizon_s, start_cost_us)
+        for unit_id in unit_ids if places else ():
             yield Candidate(
                 unit_id,
                 transformation,
                 None,
-                start_cost_us(transformation, horizon_s),
-                hosts,
+                places,
                 may_wait=problem.survive is not None and transformation.standby_us is not None,
-                waiting_cost_us=standby_cost_us(transformation, horizon_s),
             )
+
+
+def _places(
+    transformation: Transformation,
+    hosts: Iterable[Host | None],
+    horizon_s: int,
+    cost_us: Callable[[Transformation, int, Host | None], int],
+) -> Mapping[HostName, Place]:
+    return {
+        None if host is None else host.name: Place(
+            cost_us(transformation, horizon_s, host),
+            standby_cost_us(transformation, horizon_s, host),
+            taken(transformation, host),
+        )
+        for host in hosts
+    }
 
 
 def _may_go_on(problem: Problem, unit: ComputationUnit) -> bool:

@@ -70,8 +70,8 @@ class Flat:
         self.labels: list[Label] = []
         self.cost_us: list[int] = []
         for i, candidate in candidates.clock.each(enumerate(candidates.all)):
-            for host in candidate.hosts:
-                self._add(Placed(i, host), candidate.cost_us)
+            for host, place in candidate.places.items():
+                self._add(Placed(i, host), place.cost_us)
         for i, candidate in candidates.clock.each(enumerate(candidates.all)):
             for port in candidate.transformation.outputs if environment.hosts else ():
                 price_us = transfer_cost_us(port, candidates.problem.horizon_s, environment.transfer_us)

@@ -95,11 +95,12 @@ def hosts_bear_their_units(model: FlatModel) -> None:
     placed = [(n, label) for n, label in enumerate(model.flat.labels) if isinstance(label, Placed)]
     units = model.candidates.all
     for host in model.environment.hosts:
-        here = [(model.uses[n], units[label.unit].transformation) for n, label in placed if label.host == host.name]
-        for resource in sorted({resource for _, t in here for resource in t.takes}):
+        there = [(n, label.unit) for n, label in placed if label.host == host.name]
+        here = [(model.uses[n], units[unit].places[host.name].takes) for n, unit in there]
+        for resource in sorted({resource for _, takes in here for resource in takes}):
             room = host.room(resource)
             if room is not None:
-                model.cp.add(sum(t.takes.get(resource, 0) * uses for uses, t in here) <= room)
+                model.cp.add(sum(takes.get(resource, 0) * uses for uses, takes in here) <= room)
 
 
 def numbers_and_conflicts_are_kept(model: FlatModel) -> None:

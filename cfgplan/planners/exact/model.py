@@ -193,6 +193,12 @@ class Model:
         candidates = self.candidates.all
         terms: list[LinearExprT] = [candidates[i].cost_us * runs for i, runs in self.runs.items()]
         terms += [candidates[i].waiting_cost_us * waits for i, waits in self.waits.items()]
+        for i, candidate in enumerate(candidates):
+            for host, place in candidate.places.items():
+                if more_us := place.cost_us - candidate.cost_us if candidate.may_run else 0:
+                    terms.append(more_us * self.runs_on[i][host])
+                if more_us := place.waiting_cost_us - candidate.waiting_cost_us if candidate.may_wait else 0:
+                    terms.append(more_us * self.waits_on[i][host])
         return LinearExpr.sum([*terms, *self.more_costs])
 
     def changes(self) -> LinearExprT:

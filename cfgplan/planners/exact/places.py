@@ -29,10 +29,8 @@ class Places:
         if not all(self.put(unit, hosts) for unit, hosts in hosts_of.items() if len(hosts) <= 1):
             return False
         for unit in new:
-            if unit not in self.host_of:
-                by_price = sorted(hosts_of[unit], key=lambda host: (self._carry_us(grounded, unit, host), host or ""))
-                if not self.put(unit, by_price):
-                    return False
+            if unit not in self.host_of and not self.put(unit, self._by_price(grounded, unit, hosts_of[unit])):
+                return False
         self._feed(grounded)
         return True
 
@@ -40,7 +38,7 @@ class Places:
         """Place a unit on the first of some hosts that has room for it; False if none has."""
         for host in hosts:
             if self._has_room(unit, host):
-                for resource, amount in self.candidates.all[unit].transformation.takes.items():
+                for resource, amount in self.candidates.all[unit].places[host].takes.items():
                     self._taken[host, resource] += amount
                 self.host_of[unit] = host
                 return True
@@ -49,12 +47,17 @@ class Places:
     def _has_room(self, unit: int, host: HostName) -> bool:
         if host is None:
             return True
-        takes, room = self.candidates.all[unit].transformation.takes, self.candidates.environment.host[host].room
+        takes, room = self.candidates.all[unit].places[host].takes, self.candidates.environment.host[host].room
         return all(
             most is None or self._taken[host, resource] + amount <= most
             for resource, amount in takes.items()
             for most in [room(resource)]
         )
+
+    def _by_price(self, grounded: Grounded, unit: int, hosts: Iterable[HostName]) -> list[HostName]:
+        """Hosts by what it costs to run a unit there, and to carry its inputs there."""
+        places = self.candidates.all[unit].places
+        return sorted(hosts, key=lambda h: (places[h].cost_us + self._carry_us(grounded, unit, h), h or ""))
 
     def _carry_us(self, grounded: Grounded, unit: int, host: HostName) -> int:
         """The cost to carry a unit's inputs to a host from those of their feeders that are placed."""

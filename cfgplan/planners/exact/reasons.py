@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Mapping
 
+from cfgplan.costs import taken
 from cfgplan.domain import Environment, Target, Transformation, amount_of
 from cfgplan.planning import Failures, Problem
 from cfgplan.qualities import Better, is_met, propagated, units
@@ -72,11 +73,15 @@ def _missing_together(problem: Problem) -> str | None:
 
 
 def _lack(environment: Environment, t: Transformation) -> str | None:
-    hosts = [environment.host[name] for name in environment.hosts_for(t) if name is not None]
-    for resource, amount in sorted(t.takes.items()):
-        rooms = [host.room(resource) for host in hosts]
-        if hosts and all(room is not None and amount > room for room in rooms):
-            return f"no host where {t.label} may run has {amount_of(resource, amount)}"
+    hosts = [host for host in environment.places_for(t) if host is not None]
+    for resource in sorted(t.takes):
+        lacks = [
+            (amount := taken(t, host)[resource], room is not None and amount > room)
+            for host in hosts
+            for room in [host.room(resource)]
+        ]
+        if hosts and all(is_too_little for _, is_too_little in lacks):
+            return f"no host where {t.label} may run has {amount_of(resource, min(lacks)[0])}"
     return None
 
 

@@ -238,15 +238,15 @@ def hosts_bear_their_units(model: Model) -> None:
     candidates = model.candidates.all
     for host in model.environment.hosts:
         here = [
-            (literal, candidates[i].transformation)
+            (literal, candidates[i].places[host.name].takes)
             for places in (model.runs_on, model.waits_on)
             for i, on in places.items()
             for literal in ([on[host.name]] if host.name in on else [])
         ]
-        for resource in sorted({resource for _, t in here for resource in t.takes}):
+        for resource in sorted({resource for _, takes in here for resource in takes}):
             room = host.room(resource)
             if room is not None:
-                taken = [t.takes.get(resource, 0) * literal for literal, t in here]
+                taken = [takes.get(resource, 0) * literal for literal, takes in here]
                 model.cp.add(LinearExpr.sum(taken) <= room)
 
 
