@@ -18,7 +18,7 @@ from rich.text import Text
 from cfgplan.canonical import normal
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import Exit
-from cfgplan.cli.run_report import printable
+from cfgplan.cli.run_output import printable
 from cfgplan.cli.screen import OUTPUT_VERSION, Screen
 from cfgplan.errors import Fault, InputError
 

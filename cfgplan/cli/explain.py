@@ -48,21 +48,18 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan import answers, api
 
-    world = shared.load(options, screen)
-    matches = shared.matches(options, screen, world, api.FEW_PAIRS)
-    problem = shared.problem(options, screen, world, matches)
+    task = shared.task(options, screen)
+    world, planning, reasoning = task.world, task.planning, task.reasoning
     with screen.phase("plan"):
-        problem, plan = api.solved(problem, matches, planner=options.planner, time_limit_s=options.timeout)
-    reasoning = {"reasoner": options.reasoner, "reasoner_limit_s": options.reasoner_timeout}
-    chosen = {"planner": options.planner, "time_limit_s": options.timeout, "decider": matches}
+        problem, plan = api.solved(task.problem, **planning)
     if plan.change_set is None:
         with screen.phase("explain"):
-            why = answers.why_not(world, problem, **reasoning, **chosen)
+            why = answers.why_not(world, problem, **reasoning, **planning)
         _show_why_not(problem, why, screen)
         return OF_STATUS[plan.status]
     with screen.phase("explain"):
-        whys = [answers.why(problem, plan, kind, name, **chosen) for kind, name in _subjects(options, problem, plan)]
-        unused = answers.why_not(world, problem, **reasoning, **chosen).unused if plan.unused_required else ()
+        whys = [answers.why(problem, plan, kind, name, **planning) for kind, name in _subjects(options, problem, plan)]
+        unused = answers.why_not(world, problem, **reasoning, **planning).unused if plan.unused_required else ()
     pinned = answers.unfed_pinned(world, problem, **reasoning)
     asked = {unit: reason for unit, reason in pinned.items() if options.unit == unit or not _names_one(options)}
     if screen.json:

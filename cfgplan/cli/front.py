@@ -10,7 +10,7 @@ from cfgplan.cli import options as shared
 from cfgplan.cli.exits import OF_STATUS, Exit
 from cfgplan.cli.screen import Screen, counted
 from cfgplan.errors import InputError
-from cfgplan.planning import Decider, Problem, Status
+from cfgplan.planning import Problem, Status
 from cfgplan.qualities import units
 
 if TYPE_CHECKING:
@@ -29,19 +29,17 @@ def add_front(parser: argparse._MutuallyExclusiveGroup) -> None:
     )
 
 
-def show_front(options: argparse.Namespace, screen: Screen, problem: Problem, decider: Decider) -> Exit:
+def show_front(options: argparse.Namespace, screen: Screen, task: shared.Task) -> Exit:
     """Compute the front and show it; exit code 0 only if it is complete."""
     from cfgplan import answers
 
-    target, attribute = _asked(options.front, problem)
+    target, attribute = _asked(options.front, task.problem)
     with screen.phase("plan"):
-        found = answers.front(
-            problem, target, attribute, planner=options.planner, time_limit_s=options.timeout, decider=decider
-        )
+        found = answers.front(task.problem, target, attribute, **task.planning)
     if screen.json:
         screen.show_json(_plain(found))
     else:
-        _show(screen, problem, found)
+        _show(screen, task.problem, found)
     if options.plot:
         shared.write_plot(options.plot, (6, 4), partial(_draw, found), screen)
     if not found.points:

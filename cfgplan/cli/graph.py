@@ -42,10 +42,9 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     world = shared.load(options, screen)
     code, change_set = Exit.OK, None
     if not options.running:
-        matches = shared.matches(options, screen, world, api.FEW_PAIRS)
-        problem = shared.problem(options, screen, world, matches)
+        task = shared.task(options, screen, world)
         with screen.phase("plan"):
-            _, plan = api.solved(problem, matches, planner=options.planner, time_limit_s=options.timeout)
+            _, plan = api.solved(task.problem, **task.planning)
         code, change_set = OF_STATUS[plan.status], plan.change_set
         if change_set is None:
             screen.warn(f"there is no update to draw ({plan.status}): the picture shows what runs now")

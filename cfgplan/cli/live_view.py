@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.live import Live
 
+from cfgplan.cli.run_output import fetched, show_files, show_ledger
 from cfgplan.cli.run_picture import LogLine, RunPicture
-from cfgplan.cli.run_report import fetched, show_files, show_ledger
 from cfgplan.cli.screen import Screen, counted
 
 if TYPE_CHECKING:

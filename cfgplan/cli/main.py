@@ -26,73 +26,27 @@ _EXTRA_OF = {
     "matplotlib": "plots",
     "prometheus_client": "metrics",
 }
-VERBS: Mapping[str, tuple[str, str]] = MappingProxyType(
+VERBS: Mapping[str, str] = MappingProxyType(
     {
-        "check": (
-            "check:add_to",
-            "load and match an environment and judge its running configuration",
-        ),
-        "match": (
-            "match:add_to",
-            "print which outputs may feed which inputs and targets, or explain one pair",
-        ),
-        "solve": (
-            "solve:add_to",
-            "find the cheapest update that meets every target, and prove it",
-        ),
-        "explain": (
-            "explain:add_to",
-            "say why there is no plan, or why the plan uses what it uses and what doing without would cost",
-        ),
-        "sensitivity": (
-            "sensitivity:add_to",
-            "find for which horizons, or upkeeps of a transformation, which plan is optimal",
-        ),
-        "graph": (
-            "graph:add_to",
-            "draw the configuration before and after the optimal update, the changes coloured",
-        ),
-        "run": (
-            "run:add_to",
-            "start what meets the targets, as processes, and keep it the best there is",
-        ),
-        "ctl": (
-            "ctl:add_to",
-            "steer a run that is under way",
-        ),
-        "listen": (
-            "listen:add_to",
-            "print what comes on a topic of a running system",
-        ),
-        "query": (
-            "query:add_to",
-            "answer a temporal formula over the streams of semantic subscriptions",
-        ),
-        "certificates": (
-            "certificates:add_to",
-            "make a fleet's own authority, and a certificate for each of its hosts",
-        ),
-        "demo": (
-            "demo:add_to",
-            "play the paper's case study: two robots, one ball, a failure and a fusion",
-        ),
-        "compare": (
-            "compare:add_to",
-            "run planners side by side, each run in a process of its own, and check them against each other",
-        ),
-        "import": (
-            "exchange:add_import",
-            "turn the paper's XML, or a web service composition test set, into an environment file",
-        ),
-        "export": (
-            "exchange:add_export",
-            "write the environment file's JSON Schema, or an environment as YAML or the paper's XML",
-        ),
+        "check": "load and match an environment and judge its running configuration",
+        "match": "print which outputs may feed which inputs and targets, or explain one pair",
+        "solve": "find the cheapest update that meets every target, and prove it",
+        "explain": "say why there is no plan, or why the plan uses what it uses and what doing without would cost",
+        "sensitivity": "find for which horizons, or upkeeps of a transformation, which plan is optimal",
+        "graph": "draw the configuration before and after the optimal update, the changes coloured",
+        "run": "start what meets the targets, as processes, and keep it the best there is",
+        "ctl": "steer a run that is under way",
+        "listen": "print what comes on a topic of a running system",
+        "query": "answer a temporal formula over the streams of semantic subscriptions",
+        "certificates": "make a fleet's own authority, and a certificate for each of its hosts",
+        "demo": "play the paper's case study: two robots, one ball, a failure and a fusion",
+        "compare": "run planners side by side, each run in a process of its own, and check them against each other",
+        "import": "turn the paper's XML, or a web service composition test set, into an environment file",
+        "export": "write the environment file's JSON Schema, or an environment as YAML or the paper's XML",
     }
 )
-"""Each verb: the function that adds its options, and what the verb does. Its module is imported only when the verb
-is called.
-"""
+"""What each verb does. Its module, or the function of `_PLACES`, is imported only when the verb is called."""
+_PLACES = {"import": "exchange:add_import", "export": "exchange:add_export"}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -233,13 +187,13 @@ def _parser(arguments: Sequence[str]) -> Parser:
     parser.add_argument("--version", action="version", version=f"cfgplan {__version__}")
     verbs = parser.add_subparsers(metavar="VERB")
     asked = next((each for each in arguments if not each.startswith("-")), None)
-    for name, (place, summary) in VERBS.items():
+    for name, summary in VERBS.items():
         sentence = f"{summary[0].upper()}{summary[1:]}."
         verb = verbs.add_parser(
             name, help=summary, description=sentence, formatter_class=argparse.RawDescriptionHelpFormatter
         )
         if name == asked:
-            module, _, add_to = place.partition(":")
+            module, _, add_to = _PLACES.get(name, f"{name}:add_to").partition(":")
             getattr(import_module(f"cfgplan.cli.{module}"), add_to)(verb)
     return parser
 

@@ -6,13 +6,13 @@ import argparse
 import json
 import os
 import re
-from collections.abc import Callable
-from dataclasses import asdict
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
 from decimal import Decimal, InvalidOperation
 from importlib.util import find_spec
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from cfgplan.canonical import normal
 from cfgplan.cli.screen import Screen
@@ -138,6 +138,30 @@ def problem(options: argparse.Namespace, screen: Screen, world: api.World, known
         max_cost_us=getattr(options, "max_cost", None),
         survive=_failures(getattr(options, "survive", None), world),
     )
+
+
+@dataclass(frozen=True)
+class Task:
+    """What a verb that plans has to do: in which world, which problem, by what planner and what reasoner."""
+
+    world: api.World
+    problem: Problem
+    matches: Matches
+    planning: Mapping[str, Any]
+    """The planner, its time limit and who decides open pairs, as the API takes them."""
+    reasoning: Mapping[str, Any]
+    """The reasoner and its time limit, likewise."""
+
+
+def task(options: argparse.Namespace, screen: Screen, world: api.World | None = None) -> Task:
+    """Load the world that the options name, if none is given, and match it as far as it takes to begin."""
+    from cfgplan.api import FEW_PAIRS
+
+    world = world or load(options, screen)
+    found = matches(options, screen, world, FEW_PAIRS)
+    planning = {"planner": options.planner, "time_limit_s": options.timeout, "decider": found}
+    reasoning = {"reasoner": options.reasoner, "reasoner_limit_s": options.reasoner_timeout}
+    return Task(world, problem(options, screen, world, found), found, planning, reasoning)
 
 
 def _failures(asked: str | None, world: api.World) -> Failures | Literal[0] | None:

@@ -105,13 +105,10 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         screen.note(f"The file names {count}, but a run starts from nothing: `units:` does not count.")
     world = replace(loaded, environment=replace(loaded.environment, units=()))
     if options.dry_run or options.strict:
-        from cfgplan.api import FEW_PAIRS
-
         settings = _settings(options)
-        matches = shared.matches(options, screen, world, FEW_PAIRS)
-        problem = shared.problem(options, screen, world, matches)
+        task = shared.task(options, screen, world)
         with screen.phase("plan"):
-            found = first_update(problem, settings, matches)
+            found = first_update(task.problem, settings, task.matches)
         code = _exit_of(found)
         if options.dry_run or code is not Exit.OK:
             _show_first(found, world.digest, screen)

@@ -17,7 +17,7 @@ from rich.table import Table
 from rich.text import Text
 
 from cfgplan.cli.plan_text import with_the_stream
-from cfgplan.cli.run_report import printable
+from cfgplan.cli.run_output import printable
 from cfgplan.cli.screen import counted
 from cfgplan.domain import ComputationUnit
 

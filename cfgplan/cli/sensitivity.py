@@ -40,19 +40,11 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
-    from cfgplan import answers, api
+    from cfgplan import answers
 
-    world = shared.load(options, screen)
-    matches = shared.matches(options, screen, world, api.FEW_PAIRS)
-    problem = shared.problem(options, screen, world, matches)
+    task = shared.task(options, screen)
     with screen.phase("plan"):
-        found = answers.sensitivity(
-            problem,
-            upkeep_of=options.upkeep_of,
-            planner=options.planner,
-            time_limit_s=options.timeout,
-            decider=matches,
-        )
+        found = answers.sensitivity(task.problem, upkeep_of=options.upkeep_of, **task.planning)
     if screen.json:
         from cfgplan.explaining import plain
 

@@ -22,8 +22,7 @@ from cfgplan.explaining import Alternatives
 from cfgplan.planning import Plan, PlannerFaultError, Problem, Status
 
 if TYPE_CHECKING:
-    from cfgplan.api import World
-    from cfgplan.planning import Decider, Pair, Problem
+    from cfgplan.planning import Pair, Problem
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
@@ -63,45 +62,39 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
-    from cfgplan import api
-
     if options.plot and options.front is None:
         raise InputError.of("--plot draws what --front finds", mend="add --front; `cfgplan graph` draws an update")
     if options.out and options.front is not None:
         raise InputError.of("--out writes one plan, but --front finds several", mend="use --json, or --plot FILE")
-    world = shared.load(options, screen)
-    matches = shared.matches(options, screen, world, api.FEW_PAIRS)
-    problem = shared.problem(options, screen, world, matches)
+    task = shared.task(options, screen)
     try:
         if options.front is not None:
-            return show_front(options, screen, problem, matches)
+            return show_front(options, screen, task)
         if options.alternatives:
-            return _alternatives(options, screen, world, problem, matches)
-        return _solve(options, screen, world, problem, matches)
+            return _alternatives(options, screen, task)
+        return _solve(options, screen, task)
     except PlannerFaultError as error:
         if error.plan.change_set is None or os.environ.get("CFGPLAN_TRACEBACK"):
             raise
-        return _show_unjudged(screen, world, problem, error)
+        return _show_unjudged(screen, task, error)
 
 
-def _solve(options: argparse.Namespace, screen: Screen, world: World, problem: Problem, matches: Decider) -> Exit:
+def _solve(options: argparse.Namespace, screen: Screen, task: shared.Task) -> Exit:
     from cfgplan import answers, api
     from cfgplan.cli.explain import pinned_lines
     from cfgplan.cli.plan_text import update_text
 
-    is_proven = True
+    world, is_proven = task.world, True
     undecided: tuple[Pair, ...] = ()
     given_up: Collection[str] = ()
     with screen.phase("plan"):
         if options.best_effort:
-            found = answers.best_effort(problem, planner=options.planner, time_limit_s=options.timeout, decider=matches)
+            found = answers.best_effort(task.problem, **task.planning)
             problem, plan, is_proven, undecided = found.problem, found.plan, found.exact, found.undecided
             given_up = found.given_up
         else:
             report = shared.progress_report(screen) if options.progress else None
-            problem, plan = api.solved(
-                problem, matches, planner=options.planner, time_limit_s=options.timeout, report=report
-            )
+            problem, plan = api.solved(task.problem, **task.planning, report=report)
     try:
         document = api.plan_text(world, problem, plan) if screen.json or options.out else ""
         shown = None if screen.json else update_text(problem, plan, given_up)
@@ -114,8 +107,7 @@ def _solve(options: argparse.Namespace, screen: Screen, world: World, problem: P
     if options.out:
         api.write_file(Path(options.out), document.encode())
     if not screen.json:
-        reasoning = {"reasoner": options.reasoner, "reasoner_limit_s": options.reasoner_timeout}
-        unfed = answers.unfed_pinned(world, problem, **reasoning) if plan.change_set is not None else {}
+        unfed = answers.unfed_pinned(world, problem, **task.reasoning) if plan.change_set is not None else {}
         for unit, why in unfed.items():
             screen.warn("\n".join(pinned_lines(problem.environment, unit, why)))
         if not is_proven and undecided:
@@ -138,18 +130,18 @@ def _solve(options: argparse.Namespace, screen: Screen, world: World, problem: P
     return OF_STATUS[plan.status]
 
 
-def _show_unjudged(screen: Screen, world: World, problem: Problem, error: PlannerFaultError) -> Exit:
+def _show_unjudged(screen: Screen, task: shared.Task, error: PlannerFaultError) -> Exit:
     """Print a plan that nobody vouches for and why not; as plain data where even its text fails."""
     from cfgplan import api
     from cfgplan.cli.plan_text import update_text
 
     document: dict[str, Any] = {"cost_us": error.plan.cost_us, "change_set": repr(error.plan.change_set)}
     with suppress(Exception):
-        document = json.loads(api.plan_text(world, problem, error.plan))
+        document = json.loads(api.plan_text(task.world, task.problem, error.plan))
     shown = None
     if not screen.json:
         with suppress(Exception):
-            shown = update_text(problem, error.plan)
+            shown = update_text(task.problem, error.plan)
     if shown is None:
         screen.show_json({**document, "unjudged": str(error)})
     else:
@@ -160,25 +152,21 @@ def _show_unjudged(screen: Screen, world: World, problem: Problem, error: Planne
     return Exit.INTERNAL
 
 
-def _alternatives(
-    options: argparse.Namespace, screen: Screen, world: World, problem: Problem, decider: Decider
-) -> Exit:
+def _alternatives(options: argparse.Namespace, screen: Screen, task: shared.Task) -> Exit:
     from cfgplan import answers, api
 
     with screen.phase("plan"):
-        found = answers.alternatives(
-            problem, options.alternatives, planner=options.planner, time_limit_s=options.timeout, decider=decider
-        )
+        found = answers.alternatives(task.problem, options.alternatives, **task.planning)
     if not found.plans:
-        return _solve(options, screen, world, problem, decider)
-    documents = [api.plan_text(world, problem, plan) for plan in found.plans]
+        return _solve(options, screen, task)
+    documents = [api.plan_text(task.world, task.problem, plan) for plan in found.plans]
     if options.out:
         api.write_file(Path(options.out), documents[0].encode())
     if screen.json:
         plans = [json.loads(document) for document in documents]
         screen.show_json({"complete": found.complete, "has_more": found.has_more, "alternatives": plans})
     else:
-        screen.show(alternatives_text(problem, found))
+        screen.show(alternatives_text(task.problem, found))
         screen.times()
         if options.out:
             screen.note(f"Wrote {options.out}: the first of them.")
