@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Final, Protocol
 
 from cfgplan.canonical import store_whole
 from cfgplan.costs import LARGEST_COST_US, standby_cost_us, start_cost_us, transfer_cost_us
@@ -82,6 +82,15 @@ class Problem:
         """Whether the problem asks nothing beyond the paper."""
         return not self.notions
 
+    def with_parts(self, **parts: Any) -> Problem:
+        """The problem with other `units`, another `library` or other `targets`."""
+        return replace(self, environment=replace(self.environment, **parts))
+
+    def after(self, plan: Plan) -> Environment:
+        """The environment after the update of a plan that has one."""
+        assert plan.change_set is not None
+        return self.environment.update(plan.change_set)
+
     def most_new(self, transformation: Transformation) -> int:
         """How many units of a transformation a plan may start: one, unless more are asked for or allowed."""
         if transformation.max_instances is not None:
@@ -140,6 +149,13 @@ class Status(StrEnum):
         return cls.OPTIMAL if bound_us == cost_us else cls.FEASIBLE
 
 
+REFUSED: Final = (Status.INFEASIBLE, Status.TOO_EXPENSIVE)
+"""The statuses by which a planner says: it is proven that there is no plan."""
+
+Rank = tuple[int, int, int, int]
+"""Unused required transformations, cost in microseconds, rewired and started units: the least is optimal."""
+
+
 @dataclass(frozen=True)
 class Plan:
     """A planner's answer.
@@ -176,6 +192,13 @@ class Plan:
         if self.cost_us is None:
             return None
         return (self.cost_us - self.bound_us) / self.cost_us if self.cost_us else 0.0
+
+    @property
+    def rank(self) -> Rank:
+        """Where a plan with a change set stands in the order of optimality."""
+        assert self.change_set is not None and self.cost_us is not None
+        changes = self.change_set
+        return len(self.unused_required), self.cost_us, len(changes.rewired), len(changes.started)
 
 
 class PlannerFaultError(CfgplanError):
@@ -233,9 +256,7 @@ class Decider(Protocol):
 
 def fresh_unit_ids(environment: Environment, labels: list[str]) -> dict[str, str]:
     """An id for one new unit of each label: `label.N` with the least N that nothing runs or refers to."""
-    taken = {unit.id for unit in environment.units}
-    taken.update(s.stream.unit for unit in environment.units for s in unit.subscriptions)
-    return {label: _free_id(label, taken) for label in labels}
+    return {label: ids[0] for label, ids in fresh_units(environment, dict.fromkeys(labels, 1)).items()}
 
 
 def fresh_units(environment: Environment, numbers: Mapping[str, int]) -> dict[str, tuple[str, ...]]:

@@ -63,10 +63,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     pinned = answers.unfed_pinned(world, problem, **reasoning)
     asked = {unit: reason for unit, reason in pinned.items() if options.unit == unit or not _names_one(options)}
     if screen.json:
-        from cfgplan.explaining import plain
-
-        unfed = {unit: plain(reason) for unit, reason in asked.items()}
-        screen.show_json({"plan": plain(plan), "why": plain(tuple(whys)), "unused": plain(unused), "unfed": unfed})
+        screen.show_json({"plan": plan, "why": whys, "unused": unused, "unfed": asked})
         return OF_STATUS[plan.status]
     from cfgplan.cli.plan_text import verdict
 
@@ -83,9 +80,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
 def _show_why_not(problem: Problem, why: WhyNot, screen: Screen) -> None:
     if screen.json:
-        from cfgplan.explaining import plain
-
-        screen.show_json(plain(why))
+        screen.show_json(why)
         return
     from cfgplan.cli.plan_text import undecided_lines, verdict
 
@@ -103,8 +98,7 @@ def _names_one(options: argparse.Namespace) -> bool:
 
 def _subjects(options: argparse.Namespace, problem: Problem, plan: Plan) -> list[tuple[Subject, str]]:
     """What is asked for, or all that the plan uses."""
-    assert plan.change_set is not None
-    after = problem.environment.update(plan.change_set)
+    after = problem.after(plan)
     if options.unit:
         return [("unit", options.unit)]
     if options.transformation:

@@ -5,13 +5,17 @@ from __future__ import annotations
 import errno
 import json
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from fractions import Fraction
 from functools import cached_property
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from cfgplan.errors import Fault
+from cfgplan.planning import Plan
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -48,9 +52,9 @@ class Screen:
         """Print a result for people; long lines are left to the terminal."""
         self._out.print(result, soft_wrap=True)
 
-    def show_json(self, document: dict[str, Any]) -> None:
-        """Print a result for machines."""
-        print(json.dumps({"format_version": OUTPUT_VERSION, **document}, indent=2, ensure_ascii=False))
+    def show_json(self, document: object) -> None:
+        """Print a result for machines: a mapping or a dataclass, as `_plain` says it."""
+        print(json.dumps({"format_version": OUTPUT_VERSION, **_plain(document)}, indent=2, ensure_ascii=False))
 
     def write(self, text: str) -> None:
         """Print text as it is."""
@@ -92,13 +96,11 @@ class Screen:
 
     def faults(self, faults: Iterable[Fault]) -> None:
         """Show what is wrong with the input: place, what, mend."""
-        from dataclasses import asdict
-
         from rich.text import Text
 
         faults = list(faults)
         if self.json:
-            self.show_json({"errors": [asdict(fault) for fault in faults]})
+            self.show_json({"errors": faults})
             return
         for fault in faults:
             place = ":".join(str(part) for part in (fault.file, fault.line, fault.column) if part is not None)
@@ -133,3 +135,23 @@ class Screen:
         from rich.console import Console
 
         return Console(stderr=True, highlight=False, markup=False, emoji=False)
+
+
+def _plain(value: object) -> Any:
+    """An explanation as JSON values. A plan becomes its status, cost and bound; a fraction becomes text."""
+    match value:
+        case Enum():
+            return value.value
+        case Fraction():
+            return value.numerator if value.denominator == 1 else str(value)
+        case Plan():
+            return {"status": value.status.value, "cost_us": value.cost_us, "bound_us": value.bound_us}
+        case Mapping():
+            return {name: _plain(member) for name, member in value.items()}
+        case frozenset():
+            return sorted(map(_plain, value))
+        case tuple() | list():
+            return [_plain(member) for member in value]
+    if is_dataclass(value):
+        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
+    return value

@@ -46,10 +46,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     with screen.phase("plan"):
         found = answers.sensitivity(task.problem, upkeep_of=options.upkeep_of, **task.planning)
     if screen.json:
-        from cfgplan.explaining import plain
-
         here = None if found.here is None else found.spans.index(found.here)
-        screen.show_json({**plain(found), "breaks": plain(found.breaks), "here": here})
+        screen.show_json({**vars(found), "breaks": found.breaks, "here": here})
     else:
         screen.show(sensitivity_text(found))
     if not found.spans:

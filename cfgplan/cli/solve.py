@@ -19,7 +19,7 @@ from cfgplan.cli.plan_text import cpu, verdict
 from cfgplan.cli.screen import Screen, counted
 from cfgplan.errors import InputError
 from cfgplan.explaining import Alternatives
-from cfgplan.planning import Plan, PlannerFaultError, Problem, Status
+from cfgplan.planning import REFUSED, Plan, PlannerFaultError, Problem, Status
 
 if TYPE_CHECKING:
     from cfgplan.planning import Pair, Problem
@@ -119,7 +119,7 @@ def _solve(options: argparse.Namespace, screen: Screen, task: shared.Task) -> Ex
         screen.times()
         if options.out:
             screen.note(f"Wrote {options.out}.")
-        if plan.status in (Status.INFEASIBLE, Status.TOO_EXPENSIVE):
+        if plan.status in REFUSED:
             screen.note(f"`cfgplan explain {options.env}` tells more about why.")
     if plan.status is Status.OPTIMAL and not is_proven:
         return Exit.NOT_PROVEN
@@ -209,5 +209,4 @@ def _plan(problem: Problem, first: Plan, place: int, plan: Plan) -> Iterator[Tex
 
 
 def _running(problem: Problem, plan: Plan) -> set[str]:
-    assert plan.change_set is not None
-    return {unit.transformation for unit in problem.environment.update(plan.change_set).units}
+    return {unit.transformation for unit in problem.after(plan).units}

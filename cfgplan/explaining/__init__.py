@@ -6,11 +6,10 @@ Everything is asked of a planner (`planning.Planner`), of which nothing is known
 from cfgplan.explaining.alternatives import Alternatives, alternatives
 from cfgplan.explaining.best_effort import BestEffort, best_effort
 from cfgplan.explaining.front import Front, FrontPoint, front
-from cfgplan.explaining.plain import plain
 from cfgplan.explaining.sensitivity import CostLine, Sensitivity, Span, horizon_sensitivity, upkeep_sensitivity
-from cfgplan.explaining.together import Clash, DemandSet, demanding
-from cfgplan.explaining.unfed import Blocked, Unfed, Unreachable, named_alone, unreachable
-from cfgplan.explaining.why_not import Unused, WhyNot, running, why_not
+from cfgplan.explaining.unfed import Blocked, Unfed, Unreachable, unreachable
+from cfgplan.explaining.what_if import named_alone, running
+from cfgplan.explaining.why_not import Clash, DemandSet, Unused, WhyNot, demanding, why_not
 from cfgplan.explaining.why_this import Choice, Why, why_stream, why_transformation, why_unit
 
 __all__ = [
@@ -36,7 +35,6 @@ __all__ = [
     "front",
     "horizon_sensitivity",
     "named_alone",
-    "plain",
     "running",
     "unreachable",
     "upkeep_sensitivity",

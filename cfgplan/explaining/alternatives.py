@@ -12,17 +12,14 @@ from itertools import combinations
 from cfgplan.costs import keep_cost_us, start_cost_us
 from cfgplan.errors import InputError
 from cfgplan.explaining.kept import Kept, Labels, unused_required
-from cfgplan.explaining.together import REFUSED
-from cfgplan.planning import Notion, Plan, Planner, Problem, Status
+from cfgplan.explaining.what_if import requiring, without_transformations
+from cfgplan.planning import REFUSED, Notion, Plan, Planner, Problem, Rank, Status
 from cfgplan.reasons import Givers, startable
 
 FIRST_LOOK_S = 1.0
 """Seconds for the planner's first look at a part; each later look, when the part's bound is the least, takes twice
 as long.
 """
-
-RankKey = tuple[int, int, int, int]
-"""Unused required transformations, cost in microseconds, rewired and started units: the order of optimality."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +92,7 @@ class _Ranking:
     def plans(self, end_s: float | None) -> Iterator[Plan | None]:
         """The plans in order; None when time is over, or when it is not decided which one is next."""
         whole = _Part(frozenset(), frozenset())
-        heap: list[tuple[RankKey, int, bool, list[str], list[str], _Part | Plan | None]] = [
+        heap: list[tuple[Rank, int, bool, list[str], list[str], _Part | Plan | None]] = [
             ((0,) * 4, 0, False, [], [], whole)
         ]
         while heap:
@@ -117,7 +114,7 @@ class _Ranking:
             runs = self._runs(cheapest)
             plan = self._best_that_runs(runs)
             least_us = cheapest.cost_us or 0
-            key = self._key(plan) if plan else (len(self._required - runs - self._kept), least_us, 0, 0)
+            key = plan.rank if plan else (len(self._required - runs - self._kept), least_us, 0, 0)
             if self._is_allowed(key[1]):
                 heapq.heappush(heap, (key, 1, plan != self._best, sorted(runs), [], plan))
             for part in self._rest(entry, runs):
@@ -149,7 +146,7 @@ class _Ranking:
             return replace(plan, bound_us=0) if plan.unused_required else plan
         if plan.change_set is None or plan.unused_required:
             return None
-        after = self._problem.environment.update(plan.change_set)
+        after = self._problem.after(plan)
         kept = {unit.transformation for unit in after.units}
         return plan if self._kept <= kept else None
 
@@ -184,12 +181,12 @@ class _Ranking:
                     continue
                 if runs.intersection(self._required, self._unused(plan)):
                     strict = self._planner(_restricted(self._problem, others, runs | serving))
-                    if strict.unused_required or self._key(strict) != self._key(plan):
+                    if strict.unused_required or strict.rank != plan.rank:
                         return None
                     plan = strict
                 found.append(plan)
             if found:
-                return min(found, key=self._key)
+                return min(found, key=lambda plan: plan.rank)
         return None
 
     def _plan(
@@ -203,18 +200,11 @@ class _Ranking:
         return self._keeping.really(self._planner(restricted, time_limit_s=limit_s), restricted)
 
     def _unused(self, plan: Plan) -> tuple[str, ...]:
-        assert plan.change_set is not None
-        return unused_required(self._problem.environment.update(plan.change_set))
+        return unused_required(self._problem.after(plan))
 
     def _runs(self, plan: Plan) -> Labels:
-        assert plan.change_set is not None
-        after = self._problem.environment.update(plan.change_set)
+        after = self._problem.after(plan)
         return frozenset(unit.transformation for unit in after.units) - self._kept
-
-    def _key(self, plan: Plan) -> RankKey:
-        assert plan.change_set is not None and plan.cost_us is not None
-        changes = plan.change_set
-        return len(plan.unused_required), plan.cost_us, len(changes.rewired), len(changes.started)
 
     def _is_allowed(self, cost_us: int) -> bool:
         return self._problem.max_cost_us is None or cost_us <= self._problem.max_cost_us
@@ -237,10 +227,4 @@ class _Ranking:
 
 def _restricted(problem: Problem, without: Iterable[str], required: Labels) -> Problem:
     """The problem without some transformations, with others required, whatever that costs."""
-    out = set(without)
-    library = tuple(
-        t if t.required == (t.label in required) else replace(t, required=t.label in required)
-        for t in problem.environment.library
-        if t.label not in out
-    )
-    return replace(problem, environment=replace(problem.environment, library=library), max_cost_us=None)
+    return requiring(without_transformations(problem, set(without)), required)

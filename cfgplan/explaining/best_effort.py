@@ -10,8 +10,8 @@ from functools import cached_property
 
 from cfgplan.costs import seconds
 from cfgplan.domain import Target
-from cfgplan.explaining.together import REFUSED, only_targets
-from cfgplan.planning import Pair, Plan, Planner, Problem, Status
+from cfgplan.explaining.what_if import only_targets
+from cfgplan.planning import REFUSED, Pair, Plan, Planner, Problem, Status
 from cfgplan.reasons import unmet_reasons, with_pinned_reasons
 
 
@@ -94,9 +94,8 @@ class _Search:
     @cached_property
     def _free(self) -> Problem:
         """The problem that requires nothing."""
-        environment = self._problem.environment
-        library = tuple(replace(t, required=False) if t.required else t for t in environment.library)
-        return replace(self._problem, environment=replace(environment, library=library))
+        library = (replace(t, required=False) if t.required else t for t in self._problem.environment.library)
+        return self._problem.with_parts(library=tuple(library))
 
     def run(self) -> None:
         everything = frozenset(self._targets)
@@ -161,18 +160,12 @@ class _Search:
         most, best = self._counts(targets), self._counts(self.best)
         if most != best:
             return most > best
-        return targets != self.best and self._key(targets) < self._key(self.best)
+        return targets != self.best and self._plan(targets).rank < self._plan(self.best).rank
 
     def _counts(self, targets: frozenset[Target]) -> tuple[int, ...]:
         """How many targets there are of each priority, the highest first."""
         count = Counter(target.priority for target in targets)
         return tuple(count[level] for level in self._levels)
-
-    def _key(self, targets: frozenset[Target]) -> tuple[int, int, int, int]:
-        plan = self._plan(targets)
-        assert plan.change_set is not None and plan.cost_us is not None
-        changes = plan.change_set
-        return len(plan.unused_required), plan.cost_us, len(changes.rewired), len(changes.started)
 
     def _is_met(self, targets: frozenset[Target]) -> bool:
         return not self._is_refused(targets) and self._plan(targets).change_set is not None

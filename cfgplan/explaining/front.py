@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 
-from cfgplan.domain import Environment, Target
+from cfgplan.domain import Target
 from cfgplan.figures import qualities_of_targets
-from cfgplan.planning import Plan, Planner, Problem, Status
+from cfgplan.planning import REFUSED, Plan, Planner, Problem, Status
 from cfgplan.qualities import Better, QualityAttribute, Wish
 
 
@@ -58,12 +58,12 @@ def front(
         if left_s is not None and left_s <= 0:
             break
         plan = planner(asked, time_limit_s=left_s)
-        if plan.status in (Status.INFEASIBLE, Status.TOO_EXPENSIVE):
+        if plan.status in REFUSED:
             complete = True
             break
         if plan.status is not Status.OPTIMAL or plan.change_set is None or plan.cost_us is None:
             break
-        after = asked.environment.update(plan.change_set)
+        after = asked.after(plan)
         value = qualities_of_targets(after, after.units)[target][attribute]
         found = [point for point in found if point.cost_us < plan.cost_us]
         found.append(FrontPoint(plan, plan.cost_us, value))
@@ -83,5 +83,4 @@ def _asking(problem: Problem, label: str, attribute: str, bound: int | None) -> 
         others = tuple(wish for wish in target.quality if wish.attribute != attribute)
         return replace(target, quality=others if bound is None else (*others, Wish(attribute, bound)))
 
-    environment: Environment = problem.environment
-    return replace(problem, environment=replace(environment, targets=tuple(map(asks, environment.targets))))
+    return problem.with_parts(targets=tuple(map(asks, problem.environment.targets)))

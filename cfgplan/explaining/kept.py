@@ -64,7 +64,7 @@ class Kept:
         """A plan of `serving`, or of a part of it, translated back: without the publications for artificial targets."""
         if plan.change_set is None:
             return plan
-        units = [_without(unit) for unit in serving.environment.update(plan.change_set).units]
+        units = [_without(unit) for unit in serving.after(plan).units]
         return replace(plan, change_set=self.problem.environment.change_to(units))
 
     @cached_property

@@ -11,7 +11,6 @@ from itertools import pairwise
 from cfgplan.costs import LARGEST_COST_US, keep_cost_us, standby_cost_us
 from cfgplan.domain import Environment, Transformation
 from cfgplan.errors import InputError
-from cfgplan.explaining.why_this import after_update
 from cfgplan.planning import Plan, Planner, Problem, Status
 from cfgplan.qualities import MICRO
 from cfgplan.validity.hosts import carried_us
@@ -110,7 +109,7 @@ def upkeep_sensitivity(problem: Problem, planner: Planner, label: str) -> Sensit
 
     def at(upkeep_us: int) -> Problem:
         changed = (replace(t, upkeep_us=upkeep_us) if t.label == label else t for t in environment.library)
-        return replace(problem, environment=replace(environment, library=tuple(changed)), max_cost_us=None)
+        return replace(problem.with_parts(library=tuple(changed)), max_cost_us=None)
 
     def each_us(after: Environment) -> int:
         running = [unit for unit in after.units if unit.transformation == label and not unit.standby]
@@ -177,7 +176,7 @@ class _Envelope:
         return list(dict.fromkeys(found))
 
     def span(self, begin: Fraction, end: Fraction | None, line: CostLine) -> Span:
-        after = after_update(self._problem, self._plans[line])
+        after = self._problem.after(self._plans[line])
         return Span(begin, end, line, self._plans[line], tuple(sorted({u.transformation for u in after.units})))
 
     def best(self, value: int) -> CostLine | None:
@@ -187,7 +186,7 @@ class _Envelope:
             self.exact &= plan.status in (Status.OPTIMAL, Status.INFEASIBLE)
             self._best[value] = None
             if plan.cost_us is not None and plan.change_set is not None:
-                each_us = self._each_us(after_update(self._problem, plan))
+                each_us = self._each_us(self._problem.after(plan))
                 line = self._best[value] = CostLine(plan.cost_us - each_us * value, each_us)
                 self._plans.setdefault(line, plan)
         return self._best[value]

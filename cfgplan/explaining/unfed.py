@@ -76,17 +76,6 @@ def unreachable(problem: Problem, nearest: NearestOffers | None = None) -> tuple
     )
 
 
-def named_alone(problem: Problem, target: str, named: Collection[tuple[str, str]]) -> Problem:
-    """The problem of one target in which the transformations have only the named inputs, as transformation and port."""
-    environment = problem.environment
-    library = tuple(
-        replace(t, inputs=tuple(port for port in t.inputs if (t.label, port.name) in named))
-        for t in environment.library
-    )
-    alone = replace(environment, units=(), library=library, targets=(environment.target[target],))
-    return replace(problem, environment=alone, max_cost_us=None)
-
-
 class DeadEnds:
     """The transformations that can't run, and for each the inputs that are given as the reason.
 

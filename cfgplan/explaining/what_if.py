@@ -1,18 +1,21 @@
-"""What if: an environment without some of what it has, or with other costs."""
+"""What if: environments and problems without some of what they have, or that ask for something else."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from decimal import Decimal, InvalidOperation
+from functools import partial
+from types import MappingProxyType
+from typing import Any
 
 from cfgplan.costs import microseconds
-from cfgplan.domain import Environment, Transformation
-from cfgplan.errors import Fault, InputError, InvalidValueError, nearest
+from cfgplan.domain import Environment, OutputPort, Similarity, Target
+from cfgplan.errors import Fault, InputError, InvalidValueError, known, nearest
+from cfgplan.planning import Problem
 
-_COSTS = ("labor", "upkeep")
-_FLAGS = ("pinned", "required")
 _TRUTH = {"true": True, "yes": True, "false": False, "no": False}
+_USED = "\0used"
 
 
 @dataclass(frozen=True)
@@ -71,30 +74,17 @@ def _with_setting(supposed: Supposed, key: str, value: str) -> Supposed:
     if key == "max_cost":
         return replace(supposed, max_cost_us=_cost_us(value))
     label, _, name = key.rpartition(".")
+    if name not in _SETTINGS:
+        settable = ", ".join(f"T.{each}" for each in _SETTINGS)
+        raise InputError.of(f"{key!r} can't be set", mend=f"set horizon, max_cost, {settable}")
+    attribute, read = _SETTINGS[name]
     if name == "priority":
-        if label not in environment.target:
-            raise InputError.of(f"there is no target {label!r}", mend=nearest(label, environment.target))
-        changed = replace(environment.target[label], priority=_whole(value, signed=True))
-        targets = tuple(changed if t.label == label else t for t in environment.targets)
-        return replace(supposed, environment=replace(environment, targets=targets))
-    if name not in (*_COSTS, *_FLAGS):
-        known = "horizon, max_cost, T.labor, T.upkeep, T.pinned, T.required or T.priority"
-        raise InputError.of(f"{key!r} can't be set", mend=f"set {known}")
-    if label not in environment.transformation:
-        raise InputError.of(f"there is no transformation {label!r}", mend=nearest(label, environment.transformation))
-    library = tuple(_changed(t, name, value) if t.label == label else t for t in environment.library)
-    return replace(supposed, environment=replace(environment, library=library))
-
-
-def _changed(transformation: Transformation, name: str, value: str) -> Transformation:
-    if name == "labor":
-        return replace(transformation, labor_us=_cost_us(value))
-    if name == "upkeep":
-        return replace(transformation, upkeep_us=_cost_us(value))
-    if value.lower() not in _TRUTH:
-        raise InputError.of(f"{value!r} is neither true nor false")
-    is_so = _TRUTH[value.lower()]
-    return replace(transformation, pinned=is_so) if name == "pinned" else replace(transformation, required=is_so)
+        known(label, environment.target, "target")
+        targets = (replace(t, priority=read(value)) if t.label == label else t for t in environment.targets)
+        return replace(supposed, environment=replace(environment, targets=tuple(targets)))
+    known(label, environment.transformation, "transformation")
+    library = (replace(t, **{attribute: read(value)}) if t.label == label else t for t in environment.library)
+    return replace(supposed, environment=replace(environment, library=tuple(library)))
 
 
 def _cost_us(value: str) -> int:
@@ -116,3 +106,62 @@ def _number(value: str) -> Decimal:
     if not number.is_finite():
         raise InputError.of(f"{value!r} is not a number")
     return number
+
+
+def _flag(value: str) -> bool:
+    if value.lower() not in _TRUTH:
+        raise InputError.of(f"{value!r} is neither true nor false")
+    return _TRUTH[value.lower()]
+
+
+_SETTINGS: Mapping[str, tuple[str, Callable[[str], Any]]] = MappingProxyType(
+    {
+        "labor": ("labor_us", _cost_us),
+        "upkeep": ("upkeep_us", _cost_us),
+        "pinned": ("pinned", _flag),
+        "required": ("required", _flag),
+        "priority": ("priority", partial(_whole, signed=True)),
+    }
+)
+"""What can be set of a transformation or, for the last one, of a target: its attribute, and how its value is read."""
+
+
+def without_transformations(problem: Problem, labels: Collection[str]) -> Problem:
+    """The problem without these transformations in the library."""
+    return problem.with_parts(library=tuple(t for t in problem.environment.library if t.label not in labels))
+
+
+def only_targets(problem: Problem, labels: Collection[str]) -> Problem:
+    """The problem with these of its targets; itself if these are all."""
+    targets = tuple(target for target in problem.environment.targets if target.label in labels)
+    return problem if len(targets) == len(problem.environment.targets) else problem.with_parts(targets=targets)
+
+
+def requiring(problem: Problem, labels: Collection[str]) -> Problem:
+    """The problem in which just these transformations are required, whatever that costs."""
+    library = (
+        t if t.required == (t.label in labels) else replace(t, required=t.label in labels)
+        for t in problem.environment.library
+    )
+    return replace(problem.with_parts(library=tuple(library)), max_cost_us=None)
+
+
+def running(problem: Problem, label: str) -> Problem:
+    """The problem of a target that wants nothing but a unit of one transformation."""
+    environment = problem.environment
+    used = OutputPort(_USED, _USED)
+    library = tuple(replace(t, outputs=(*t.outputs, used)) if t.label == label else t for t in environment.library)
+    similarity = Similarity({**problem.similarity.offers, _USED: frozenset({_USED})}, problem.similarity.open)
+    alone = replace(environment, units=(), library=library, targets=(Target(label, _USED, _USED),))
+    return replace(problem, environment=alone, similarity=similarity)
+
+
+def named_alone(problem: Problem, target: str, named: Collection[tuple[str, str]]) -> Problem:
+    """The problem of one target in which the transformations have only the named inputs, as transformation and port."""
+    environment = problem.environment
+    library = tuple(
+        replace(t, inputs=tuple(port for port in t.inputs if (t.label, port.name) in named))
+        for t in environment.library
+    )
+    alone = replace(environment, units=(), library=library, targets=(environment.target[target],))
+    return replace(problem, environment=alone, max_cost_us=None)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from cfgplan.domain import ChangeSet, ComputationUnit, Environment
+from cfgplan.domain import ComputationUnit, Environment
 from cfgplan.explaining.kept import Kept, unused_required
-from cfgplan.explaining.why_not import requiring
+from cfgplan.explaining.what_if import requiring, without_transformations
 from cfgplan.planning import Notion, Plan, Planner, Problem, Status
 
 
@@ -61,22 +61,21 @@ def why_unit(problem: Problem, planner: Planner, plan: Plan, unit: str) -> Why:
     To do without a running unit is to plan as if it had died; without a new one, as if its transformation were gone.
     """
     environment = problem.environment
-    after = after_update(problem, plan)
+    after = problem.after(plan)
     label = (after.unit.get(unit) or environment.unit[unit]).transformation
     units = [u for u in after.units if u.id == unit]
     if unit not in environment.unit:
         other = without_transformations(problem, {label})
     else:
         rest = tuple(u for u in environment.units if u.id != unit)
-        other = replace(problem, environment=replace(environment, units=rest))
-    return _why(problem, planner, plan, unit, label, units, other if units else requiring_also(problem, label))
+        other = problem.with_parts(units=rest)
+    return _why(problem, planner, plan, unit, label, units, other)
 
 
 def why_transformation(problem: Problem, planner: Planner, plan: Plan, label: str) -> Why:
     """Why a plan with a change set has units of a transformation, or none."""
-    units = [u for u in after_update(problem, plan).units if u.transformation == label]
-    other = without_transformations(problem, {label}) if units else requiring_also(problem, label)
-    return _why(problem, planner, plan, label, label, units, other)
+    units = [u for u in problem.after(plan).units if u.transformation == label]
+    return _why(problem, planner, plan, label, label, units, without_transformations(problem, {label}))
 
 
 def why_stream(problem: Problem, planner: Planner, plan: Plan, label: str, port: str) -> Why:
@@ -85,7 +84,7 @@ def why_stream(problem: Problem, planner: Planner, plan: Plan, label: str, port:
     To do without is to plan as if the transformation had no such output.
     """
     environment = problem.environment
-    after = after_update(problem, plan)
+    after = problem.after(plan)
     units = [u for u in after.units if u.transformation == label and _readers(after, [u], port)]
     if not units:
         return Why(f"{label}/{port}", (), (), (), Choice.UNREAD, plan)
@@ -93,25 +92,8 @@ def why_stream(problem: Problem, planner: Planner, plan: Plan, label: str, port:
         replace(t, outputs=tuple(p for p in t.outputs if p.name != port)) if t.label == label else t
         for t in environment.library
     )
-    other = replace(problem, environment=replace(environment, library=library))
+    other = problem.with_parts(library=library)
     return _why(problem, planner, plan, f"{label}/{port}", label, units, other, port)
-
-
-def after_update(problem: Problem, plan: Plan) -> Environment:
-    """The environment after the update of a plan that has one."""
-    assert plan.change_set is not None
-    return problem.environment.update(plan.change_set)
-
-
-def without_transformations(problem: Problem, labels: Collection[str]) -> Problem:
-    """The problem without these transformations in the library."""
-    library = tuple(t for t in problem.environment.library if t.label not in labels)
-    return replace(problem, environment=replace(problem.environment, library=library))
-
-
-def requiring_also(problem: Problem, label: str) -> Problem:
-    """The problem with one more transformation required, whatever that costs."""
-    return requiring(problem, {label, *problem.environment.required})
 
 
 def _why(
@@ -121,10 +103,11 @@ def _why(
     subject: str,
     label: str,
     units: list[ComputationUnit],
-    other: Problem,
+    without: Problem,
     port: str | None = None,
 ) -> Why:
-    after = after_update(problem, plan)
+    other = without if units else requiring(problem, {label, *problem.environment.required})
+    after = problem.after(plan)
     otherwise = planner(replace(other, max_cost_us=None))
     if not units and label in otherwise.unused_required:
         otherwise = _feeding_what_stays(other, planner, label) or otherwise
@@ -139,7 +122,7 @@ def _why(
     if otherwise.change_set is None or choice is Choice.IMPOSSIBLE:
         return why
     assert plan.cost_us is not None and otherwise.cost_us is not None
-    then = {u.transformation for u in after_update(other, otherwise).units}
+    then = {u.transformation for u in other.after(otherwise).units}
     now = {u.transformation for u in after.units}
     return replace(
         why,
@@ -161,7 +144,7 @@ def _feeding_what_stays(problem: Problem, planner: Planner, label: str) -> Plan 
     if found.change_set is None or label in found.unused_required:
         return None
     plan = kept.really(found, serving)
-    unused = unused_required(after_update(problem, plan))
+    unused = unused_required(problem.after(plan))
     return replace(plan, unused_required=tuple(each for each in unused if each != label))
 
 
@@ -170,20 +153,15 @@ def _choice(plan: Plan, otherwise: Plan) -> Choice:
         return Choice.FORCED
     if otherwise.status is not Status.OPTIMAL or plan.status is not Status.OPTIMAL:
         return Choice.UNDECIDED
-    assert plan.change_set is not None and otherwise.change_set is not None
     assert plan.cost_us is not None and otherwise.cost_us is not None
     if otherwise.cost_us != plan.cost_us:
         return Choice.CHEAPER if otherwise.cost_us > plan.cost_us else Choice.DEMANDED
     if not (plan.ties_proven and otherwise.ties_proven):
         return Choice.UNDECIDED
-    one, two = _changes(plan.change_set), _changes(otherwise.change_set)
+    one, two = plan.rank[1:], otherwise.rank[1:]
     if one == two:
         return Choice.TIE
     return Choice.LESS_CHANGE if one < two else Choice.DEMANDED
-
-
-def _changes(changes: ChangeSet) -> tuple[int, int]:
-    return len(changes.rewired), len(changes.started)
 
 
 def _served(environment: Environment, units: Iterable[ComputationUnit], port: str | None) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from worlds import TAGS, problems
 
 from cfgplan.domain import Environment, OutputPort, Similarity, Target, Transformation
 from cfgplan.explaining import BestEffort, best_effort
-from cfgplan.explaining.together import only_targets
+from cfgplan.explaining.what_if import only_targets
 from cfgplan.planners import PLANNERS
 from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planning import Plan, Problem, Status

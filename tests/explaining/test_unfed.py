@@ -8,7 +8,8 @@ from hypothesis import HealthCheck, assume, given, settings
 from worlds import problems
 
 from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Target, Transformation
-from cfgplan.explaining.unfed import Unreachable, named_alone, unreachable
+from cfgplan.explaining.unfed import Unreachable, unreachable
+from cfgplan.explaining.what_if import named_alone
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import Problem, Status
 

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from worlds import problems
 
 from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Target, Transformation
-from cfgplan.explaining.together import REFUSED, demanding, only_targets
-from cfgplan.explaining.why_not import WhyNot, requiring, why_not
+from cfgplan.explaining.what_if import only_targets, requiring
+from cfgplan.explaining.why_not import WhyNot, demanding, why_not
 from cfgplan.planners import PLANNERS
-from cfgplan.planning import Plan, Problem, Status
+from cfgplan.planning import REFUSED, Plan, Problem, Status
 
 EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "80"))
 many = settings(

@@ -20,7 +20,7 @@ from cfgplan.domain import (
     Transformation,
 )
 from cfgplan.explaining import Choice, Why, why_stream, why_transformation, why_unit
-from cfgplan.explaining.why_this import without_transformations
+from cfgplan.explaining.what_if import without_transformations
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import Plan, Problem, Status
 

@@ -19,7 +19,7 @@ from cfgplan_runtime.lifecycle.seams import DeclaredCosts
 from cfgplan_runtime.runtime import Runtime
 
 from cfgplan import api
-from cfgplan.explaining.why_not import requiring
+from cfgplan.explaining.what_if import requiring
 from cfgplan.planning import Problem, Status
 from nao_demo.listening import Listener, Sample
 from nao_demo.played import TOPIC, Alternative, Played, silence
