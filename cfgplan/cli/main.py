@@ -45,8 +45,8 @@ VERBS: Mapping[str, str] = MappingProxyType(
         "export": "write the environment file's JSON Schema, or an environment as YAML or the paper's XML",
     }
 )
-"""What each verb does. Its module, or the function of `_PLACES`, is imported only when the verb is called."""
-_PLACES = {"import": "exchange:add_import", "export": "exchange:add_export"}
+"""What each verb does. Its module, or the function of `_OTHER_HOMES`, is imported only when the verb is called."""
+_OTHER_HOMES = {"import": "exchange:add_import", "export": "exchange:add_export"}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -193,7 +193,7 @@ def _parser(arguments: Sequence[str]) -> Parser:
             name, help=summary, description=sentence, formatter_class=argparse.RawDescriptionHelpFormatter
         )
         if name == asked:
-            module, _, add_to = _PLACES.get(name, f"{name}:add_to").partition(":")
+            module, _, add_to = _OTHER_HOMES.get(name, f"{name}:add_to").partition(":")
             getattr(import_module(f"cfgplan.cli.{module}"), add_to)(verb)
     return parser
 
