@@ -5,7 +5,7 @@ Conjunctions and disjunctions are sets: the order of their parts and repetitions
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -133,6 +133,17 @@ def at_least(number: int, role: str, filler: Concept) -> Concept:
     if number == 0:
         return TOP
     return some(role, filler) if number == 1 else AtLeast(number, role, filler)
+
+
+def walk(concept: Concept) -> Iterator[Concept]:
+    """A concept and all that it is made of."""
+    yield concept
+    match concept:
+        case Intersection(parts) | Union(parts):
+            for part in parts:
+                yield from walk(part)
+        case Some(_, part) | Only(_, part) | AtLeast(_, _, part) | AtMost(_, _, part) | Complement(part):
+            yield from walk(part)
 
 
 def in_description_logic(concept: Concept, name: Callable[[str], str]) -> str:

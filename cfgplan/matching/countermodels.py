@@ -23,18 +23,16 @@ from cfgplan.matching.axioms import LITERAL, Statement, Subclass, Subrole, Subva
 from cfgplan.matching.concepts import (
     NOTHING_IRI,
     THING_IRI,
-    AtLeast,
     AtMost,
     Complement,
     Concept,
     Intersection,
     Nominal,
     Only,
-    Some,
-    Union,
     in_functional_syntax,
+    walk,
 )
-from cfgplan.matching.functional import Signature, Tree, parse
+from cfgplan.matching.functional import Signature, Tree, leaves, parse
 from cfgplan.matching.literals import XSD
 from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.structures import Interpretation, checks_of, linked_by, symbols_of
@@ -67,7 +65,8 @@ class _Program:
     def __init__(self, trees: Iterable[Tree]) -> None:
         trees = [tree for tree in trees if tree[0] != "Declaration"]
         self.checks = [check for tree in trees for check in checks_of(tree)]
-        self.individuals = sorted(Signature(trees).individuals | set(_anonymous(trees)))
+        anonymous = {leaf for tree in trees for leaf in leaves(tree) if leaf.startswith("_:")}
+        self.individuals = sorted(Signature(trees).individuals | anonymous)
         self.rules = [rule for check in self.checks for rule in _rules_of(check)]
 
 
@@ -115,14 +114,6 @@ def complement(tree: Tree) -> Tree:
         case "ObjectMaxCardinality":
             return ("ObjectMinCardinality", str(int(str(parts[0])) + 1), *parts[1:])
     return ("ObjectComplementOf", tree)
-
-
-def _anonymous(trees: Iterable[Tree]) -> Iterator[str]:
-    for tree in trees:
-        if isinstance(tree, tuple):
-            yield from _anonymous(tree[1:])
-        elif tree.startswith("_:"):
-            yield tree
 
 
 _ONLY_CHECKED: Final = frozenset(("DataAllValuesFrom", "DataMaxCardinality"))
@@ -446,22 +437,10 @@ def _both(tree: Tree, besides: Collection[Tree]) -> Tree:
 
 def _says_not(concept: Concept) -> bool:
     """Whether a concept says what a thing is not. A minimal model does not refute such a concept."""
-    return isinstance(concept, Complement | Only | AtMost) or any(map(_says_not, _parts_of(concept)))
+    return any(isinstance(part, Complement | Only | AtMost) for part in walk(concept))
 
 
 def _says_more_of_individuals(concept: Concept) -> bool:
     """Whether a concept joins an individual with something else."""
-    if isinstance(concept, Intersection) and any(isinstance(part, Nominal) for part in concept.parts):
-        return True
-    return any(map(_says_more_of_individuals, _parts_of(concept)))
-
-
-def _parts_of(concept: Concept) -> Iterable[Concept]:
-    match concept:
-        case Intersection(parts) | Union(parts):
-            return parts
-        case Some(_, filler) | Only(_, filler) | AtLeast(_, _, filler) | AtMost(_, _, filler):
-            return (filler,)
-        case Complement(part):
-            return (part,)
-    return ()
+    joined = (part.parts for part in walk(concept) if isinstance(part, Intersection))
+    return any(isinstance(part, Nominal) for parts in joined for part in parts)

@@ -14,7 +14,6 @@ from cfgplan.matching.concepts import (
     TOP,
     AtLeast,
     AtMost,
-    Complement,
     Concept,
     Intersection,
     Named,
@@ -24,6 +23,7 @@ from cfgplan.matching.concepts import (
     Union,
     conjunction,
     some,
+    walk,
 )
 from cfgplan.matching.expressions import is_left_hand
 from cfgplan.matching.functional import Tree
@@ -204,11 +204,7 @@ def disjuncts(concept: Concept) -> tuple[tuple[Concept, ...], bool]:
 
 
 def _is_conjunctive(concept: Concept) -> bool:
-    if isinstance(concept, Named | Nominal):
-        return True
-    if isinstance(concept, Some):
-        return _is_conjunctive(concept.filler)
-    return isinstance(concept, Intersection) and all(map(_is_conjunctive, concept.parts))
+    return all(isinstance(part, Named | Nominal | Some | Intersection) for part in walk(concept))
 
 
 def _subjects(axioms: Mapping[str, Tree]) -> set[str] | None:
@@ -224,11 +220,4 @@ def _subjects(axioms: Mapping[str, Tree]) -> set[str] | None:
 
 def roles_in(concept: Concept) -> set[str]:
     """The roles that a concept mentions."""
-    match concept:
-        case Some(role, filler) | Only(role, filler) | AtLeast(_, role, filler) | AtMost(_, role, filler):
-            return {role} | roles_in(filler)
-        case Intersection(parts) | Union(parts):
-            return set().union(*map(roles_in, parts))
-        case Complement(part):
-            return roles_in(part)
-    return set()
+    return {part.role for part in walk(concept) if isinstance(part, Some | Only | AtLeast | AtMost)}

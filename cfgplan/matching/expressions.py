@@ -22,6 +22,7 @@ from cfgplan.matching.concepts import (
     disjunction,
     negation,
     some,
+    walk,
 )
 from cfgplan.matching.functional import Tree
 
@@ -71,14 +72,7 @@ def role_of(tree: Tree) -> str:
 
 def is_left_hand(concept: Concept) -> bool:
     """Whether the engine can recognise members of the concept: names, nominals, ⊓, ⊔ and ∃."""
-    match concept:
-        case Named() | Nominal():
-            return True
-        case Intersection(parts) | Union(parts):
-            return all(map(is_left_hand, parts))
-        case Some(_, filler):
-            return is_left_hand(filler)
-    return False
+    return all(isinstance(part, Named | Nominal | Intersection | Union | Some) for part in walk(concept))
 
 
 def right_hand_parts(concept: Concept, reasons: list[str]) -> Iterator[Concept]:
@@ -101,7 +95,7 @@ def right_hand_parts(concept: Concept, reasons: list[str]) -> Iterator[Concept]:
                     reasons.append("a filler is a complement")
                 yield some(role, conjunction(part for part in inner if not isinstance(part, Complement)))
         case AtLeast(_, role, filler):
-            if _mentions_nominal(filler):
+            if any(isinstance(part, Nominal) for part in walk(filler)):
                 reasons.append("individuals are counted")
             yield from right_hand_parts(Some(role, filler), reasons)
         case Complement(part) if is_left_hand(part):
@@ -117,16 +111,3 @@ _WORDS_FOR_KINDS: Final = {
     Only: "∀",
     AtMost: "≤",
 }
-
-
-def _mentions_nominal(concept: Concept) -> bool:
-    match concept:
-        case Nominal():
-            return True
-        case Intersection(parts) | Union(parts):
-            return any(map(_mentions_nominal, parts))
-        case Some(_, filler) | Only(_, filler) | AtLeast(_, _, filler) | AtMost(_, _, filler):
-            return _mentions_nominal(filler)
-        case Complement(part):
-            return _mentions_nominal(part)
-    return False

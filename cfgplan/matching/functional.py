@@ -6,7 +6,7 @@ Reference: OWL 2 Structural Specification and Functional-Style Syntax (W3C, 2012
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Final, TypeAlias
 
 from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI
@@ -102,6 +102,15 @@ def parse(text: str) -> Tree:
     if len(stack) != 1 or len(stack[0]) != 1:
         raise ValueError(f"not one axiom in functional syntax: {text!r}")
     return stack[0][0]
+
+
+def leaves(tree: Tree) -> Iterator[str]:
+    """The arguments of an axiom or expression at any depth: names, numbers and literals, but no keyword."""
+    if isinstance(tree, str):
+        yield tree
+    else:
+        for part in tree[1:]:
+            yield from leaves(part)
 
 
 def _without_repetition(closed: list[Tree]) -> Tree:

@@ -14,7 +14,7 @@ from types import MappingProxyType
 from typing import Final
 
 from cfgplan.matching.axioms import LITERAL, Subvalue, statements_of
-from cfgplan.matching.functional import Tree, parse
+from cfgplan.matching.functional import Tree, leaves, parse
 from cfgplan.matching.names import short_name
 
 XSD: Final = "http://www.w3.org/2001/XMLSchema#"
@@ -126,7 +126,7 @@ class _Usage:
         self._above = above_of(
             map(parse, (axiom for axiom in axioms if axiom.startswith(("SubData", "EquivalentData"))))
         )
-        self._names = {axiom: frozenset(_names(tree)) for axiom, tree in restricting.items()}
+        self._names = {axiom: frozenset(leaves(tree)) for axiom, tree in restricting.items()}
         self._values: defaultdict[Tree, set[str]] = defaultdict(set)
         for axiom in axioms:
             found = _ASSERTION.match(axiom)
@@ -178,14 +178,6 @@ def _why(kinds: frozenset[str]) -> str:
 def _as_text(literal: re.Match[str]) -> str:
     is_foreign = _foreign_kind(literal[1], literal[2]) is not None
     return f'{literal[1]} ({short_name(literal[2])})"' if is_foreign else literal.group()
-
-
-def _names(tree: Tree) -> Iterator[str]:
-    for part in tree[1:] if isinstance(tree, tuple) else (tree,):
-        if isinstance(part, tuple):
-            yield from _names(part)
-        else:
-            yield part
 
 
 def _foreign_in(tree: Tree) -> Iterator[str]:

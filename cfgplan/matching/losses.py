@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from functools import cached_property
 
 from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI, Concept, in_functional_syntax
-from cfgplan.matching.functional import Tree, parse
+from cfgplan.matching.functional import Tree, leaves, parse
 from cfgplan.matching.literals import LOST_LITERALS, XSD
 from cfgplan.matching.ontology import BRACKETED, Ontology
 from cfgplan.matching.structures import Interpretation, checks_of
@@ -63,8 +63,6 @@ def _is_open_to_newcomers(trees: list[tuple[Tree, ...]]) -> bool:
 
 def _names(tree: Tree) -> Iterator[str]:
     """The names in an axiom or expression, but those of OWL and XML Schema."""
-    if isinstance(tree, tuple):
-        for part in tree[1:]:
-            yield from _names(part)
-    elif not tree.startswith(('"', XSD)) and not tree.isdigit() and tree not in (THING_IRI, NOTHING_IRI):
-        yield tree
+    for name in leaves(tree):
+        if not name.startswith(('"', XSD)) and not name.isdigit() and name not in (THING_IRI, NOTHING_IRI):
+            yield name

@@ -26,7 +26,7 @@ from cfgplan.matching.axioms import (
 )
 from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI
 from cfgplan.matching.expressions import BUILT_IN_ROLE
-from cfgplan.matching.functional import Tree
+from cfgplan.matching.functional import Tree, leaves
 
 _STRING: Final = "http://www.w3.org/2001/XMLSchema#string"
 _DOMAIN: Final = "\0domain"
@@ -270,7 +270,7 @@ class Interpretation:
 
 def checks_of(axiom: Tree) -> Sequence[Statement]:
     """The statements by which an axiom holds in a structure; for one that is not understood, one that nothing keeps."""
-    statements = None if _mentions_built_in_property(axiom) else statements_of(axiom)
+    statements = None if not _BUILT_IN_PROPERTIES.isdisjoint(leaves(axiom)) else statements_of(axiom)
     return (Subclass(THING_IRI, NOTHING_IRI),) if statements is None else statements
 
 
@@ -300,10 +300,3 @@ def symbols_of(tree: Tree) -> frozenset[str]:
     if isinstance(tree, str):
         return frozenset((_DOMAIN if tree == THING_IRI else tree,))
     return frozenset().union(*map(symbols_of, tree[1:]), {_DOMAIN} if tree[0] in _WITH_DOMAIN else ())
-
-
-def _mentions_built_in_property(tree: Tree) -> bool:
-    """Whether the universal or the empty property is in an axiom."""
-    if isinstance(tree, str):
-        return tree in _BUILT_IN_PROPERTIES
-    return any(map(_mentions_built_in_property, tree[1:]))

@@ -24,7 +24,7 @@ from cfgplan.matching.expressions import (
     right_hand_parts,
     role_of,
 )
-from cfgplan.matching.functional import Tree
+from cfgplan.matching.functional import Tree, leaves
 from cfgplan.matching.literals import above_of, reached_from
 
 _ABOUT_LITERALS: Final = frozenset(
@@ -182,11 +182,11 @@ def replaceable_inverses(trees: Collection[Tree], roles_of_tags: Collection[str]
             pairs.append((tree[1], tree[2]))
             uses.update((tree[1], tree[2]))
         elif keyword in ("ObjectPropertyDomain", "ObjectPropertyRange"):
-            uses.update(_words(tree[2:]))
+            uses.update(leaves(tree[2]))
         elif keyword == "ObjectPropertyAssertion":
             uses.update(() if isinstance(tree[1], str) else (str(tree[1][1]), str(tree[1][1])))
         elif keyword != "Declaration":
-            uses.update(_words(tree[1:]))
+            uses.update(leaves(tree))
     replaced: dict[str, str] = {}
     for pair in pairs:
         for role, other in sorted((pair, pair[::-1]), key=lambda turn: (turn[0] in roles_of_tags, turn)):
@@ -194,14 +194,6 @@ def replaceable_inverses(trees: Collection[Tree], roles_of_tags: Collection[str]
                 replaced[role] = other
                 break
     return replaced
-
-
-def _words(trees: Collection[Tree]) -> Iterator[str]:
-    for tree in trees:
-        if isinstance(tree, str):
-            yield tree
-        else:
-            yield from _words(tree)
 
 
 def without_inverses(tree: Tree, inverses: Mapping[str, str]) -> Tree:
