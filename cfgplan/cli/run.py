@@ -234,6 +234,7 @@ def first_update(problem: Problem, settings: Settings, decider: Decider) -> Best
     """What the first review of a run would decide, by the costs that are known by now."""
     from cfgplan_runtime.estimating.estimates_file import load
     from cfgplan_runtime.estimating.estimator import make_estimator
+    from cfgplan_runtime.lifecycle.configuration import EstimatedLibrary
 
     from cfgplan.explaining.best_effort import best_effort
     from cfgplan.planners import PLANNERS
@@ -243,8 +244,8 @@ def first_update(problem: Problem, settings: Settings, decider: Decider) -> Best
     if settings.estimates is not None:
         load(estimator, settings.estimates, time.monotonic())
     environment = problem.environment
-    library = estimator.estimated(environment.library, problem.horizon_s)
-    estimated = replace(problem, environment=replace(environment, library=tuple(library)))
+    library = EstimatedLibrary().estimated(environment, estimator, problem.horizon_s)
+    estimated = replace(problem, environment=replace(environment, library=tuple(library.values())))
     deciding = Deciding(settings.planner or PLANNERS["cpsat"], decider)
     found = best_effort(estimated, deciding, time_limit_s=settings.policy.time_limit_s)
     return replace(found, problem=deciding.known(found.problem))

@@ -14,17 +14,26 @@ HORIZON_S = 600
 
 
 def observation(
-    unit: str, cpu_us: float, *, transformation: str | None = None, labor_us: int = 100_000, steps: int = 0
+    unit: str,
+    cpu_us: float,
+    *,
+    transformation: str | None = None,
+    labor_us: int = 100_000,
+    steps: int = 0,
+    host: str | None = None,
 ) -> Observation:
     label = transformation or unit.rpartition(".")[0]
-    return Observation(unit, label, labor_us, None, round(cpu_us), 1 << 20, steps, 0.0, 0, None, {}, {})
+    return Observation(unit, label, labor_us, None, round(cpu_us), 1 << 20, steps, 0.0, 0, None, {}, {}, host=host)
 
 
 class Watched:
     """Lets units of one transformation run for an estimator that looks every `every_s` seconds."""
 
-    def __init__(self, estimator: LearningEstimator, label: str = "work", *, every_s: float = 1.0) -> None:
+    def __init__(
+        self, estimator: LearningEstimator, label: str = "work", *, every_s: float = 1.0, host: str | None = None
+    ) -> None:
         self.estimator = estimator
+        self.host = host
         self.label = label
         self.every_s = every_s
         self.now_s = 0.0
@@ -50,4 +59,5 @@ class Watched:
         self.estimator.observe([], self.now_s)
 
     def _look(self, unit: str, used_us: float, labor_us: int) -> None:
-        self.estimator.observe([observation(unit, used_us, transformation=self.label, labor_us=labor_us)], self.now_s)
+        seen = observation(unit, used_us, transformation=self.label, labor_us=labor_us, host=self.host)
+        self.estimator.observe([seen], self.now_s)

@@ -11,12 +11,13 @@ from cfgplan_runtime.estimating.estimator import ESTIMATORS, LearningEstimator, 
 from cfgplan_runtime.estimating.evidence import family
 from cfgplan_runtime.estimating.expectations import Origin
 from cfgplan_runtime.estimating.settings import Learning
+from cfgplan_runtime.lifecycle.configuration import EstimatedLibrary
 from cfgplan_runtime.supervision.simulated_backend import Behaviour, SimulatedBackend
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from observing import HORIZON_S, WORK, Watched, observation
 
-from cfgplan.domain import Environment, Similarity, Transformation
+from cfgplan.domain import Environment, Host, Similarity, Transformation
 from cfgplan.planning import Problem
 
 LEARNING = [name for name in ESTIMATORS if name != "declared"]
@@ -260,3 +261,42 @@ def test_a_simulated_unit_uses_what_its_behaviour_says() -> None:
     usage = backend.usage("work.1")
     assert usage is not None
     assert (backend.now(), usage.cpu_us) == (2.5, 70_000 + 0 + 1000 + 1000)
+
+
+SLOW, FAST = Host("slow", speed=500_000), Host("fast", speed=2_000_000)
+
+
+def on(estimator: LearningEstimator, *hosts: Host) -> list[tuple[int, int]]:
+    """The labor and upkeep of WORK that are expected on hosts."""
+    return [(estimator.labor_us(WORK, HORIZON_S, at), estimator.upkeep_us(WORK, HORIZON_S, at)) for at in hosts]
+
+
+def test_what_was_never_seen_costs_on_a_host_what_is_declared_by_its_speed() -> None:
+    assert on(make_estimator(), SLOW, FAST) == [(600_000, 40_000), (150_000, 10_000)]
+
+
+def test_what_was_seen_on_a_host_counts_there_and_elsewhere_by_the_speeds() -> None:
+    estimator = make_estimator()
+    on(estimator, SLOW, FAST)
+    Watched(estimator, host="slow").run(lambda _: 80_000, 60, labor_us=400_000)
+    assert on(estimator, SLOW, FAST) == [(400_000, 80_000), (100_000, 20_000)]
+    Watched(estimator, host="fast").run(lambda _: 50_000, 60, labor_us=400_000)
+    assert on(estimator, SLOW, FAST) == [(400_000, 80_000), (400_000, 50_000)]
+    assert estimator.estimated([WORK], HORIZON_S) == (WORK,)
+
+
+def test_a_failure_makes_a_start_dearer_on_every_host() -> None:
+    estimator = make_estimator()
+    before = on(estimator, SLOW, FAST)
+    estimator.failed("work", 0.0)
+    assert all(after > was for (_, was), (_, after) in zip(before, on(estimator, SLOW, FAST), strict=True))
+
+
+def test_estimates_of_hosts_reach_the_library_that_is_planned_with() -> None:
+    estimator, library = make_estimator(), EstimatedLibrary()
+    world = Environment((), (WORK,), (), (SLOW, FAST))
+    assert library.estimated(world, estimator, HORIZON_S)["work"] is WORK
+    Watched(estimator, host="slow").run(lambda _: 80_000, 60, labor_us=400_000)
+    known = library.estimated(world, estimator, HORIZON_S)["work"]
+    assert known == replace(WORK, seen_us={"slow": (400_000, 80_000), "fast": (100_000, 20_000)})
+    assert library.estimated(world, estimator, HORIZON_S)["work"] is known

@@ -13,6 +13,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from observing import HORIZON_S, WORK, Watched
 
+from cfgplan.domain import Host
+
 RUNS = st.lists(st.lists(st.integers(0, 10**6), max_size=30), min_size=1, max_size=4)
 shared_folder = settings(
     max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
@@ -172,3 +174,17 @@ def test_no_parameter_of_a_transformation_is_written_down(file: Path) -> None:
     Watched(estimator).run(lambda _: 1000, 10)
     save(estimator, file, 10.0)
     assert b"hunter2" not in file.read_bytes()
+
+
+def test_what_was_learned_on_hosts_is_kept_and_a_file_without_hosts_is_read(file: Path) -> None:
+    host, before, after = Host("r1"), make_estimator(), make_estimator()
+    before.labor_us(WORK, HORIZON_S, host)
+    watched = Watched(before, host="r1")
+    watched.run(lambda _: 80_000, 60, labor_us=400_000)
+    save(before, file, watched.now_s)
+    load(after, file, 0.0)
+    assert (after.labor_us(WORK, HORIZON_S, host), after.upkeep_us(WORK, HORIZON_S, host)) == (400_000, 80_000)
+    file.write_text('{"format": "cfgplan-estimates/1", "evidence": {}}')
+    without = make_estimator()
+    load(without, file, 0.0)
+    assert without.labor_us(WORK, HORIZON_S, host) == WORK.labor_us

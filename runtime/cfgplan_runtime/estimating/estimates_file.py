@@ -25,6 +25,7 @@ class _Kept(msgspec.Struct):
 
     format: str
     evidence: dict[str, Evidence]
+    on_hosts: dict[str, dict[str, Evidence]] = {}
 
 
 def default_file(environment_file: Path) -> Path:
@@ -41,8 +42,9 @@ def default_file(environment_file: Path) -> Path:
 
 def save(estimator: LearningEstimator, path: Path, now_s: float) -> None:
     """Write what was learned, as a whole or not at all, through to the disk. Raises EstimatesError."""
-    known = {label: one.moved(-now_s) for label, one in sorted(estimator.evidence.items()) if not one.is_empty}
-    data = msgspec.json.format(msgspec.json.encode(_Kept(ESTIMATES_FORMAT, known)), indent=1)
+    on_hosts = {host: _moved(there, -now_s) for host, there in sorted(estimator.on_hosts.items())}
+    kept = _Kept(ESTIMATES_FORMAT, _moved(estimator, -now_s), on_hosts)
+    data = msgspec.json.format(msgspec.json.encode(kept), indent=1)
     _refuse_what_is_no_file(path)
     new = path.with_name(f".{path.name}.{os.getpid()}.new")
     try:
@@ -76,7 +78,8 @@ def load(estimator: LearningEstimator, path: Path, now_s: float) -> None:
         kept = msgspec.json.decode(data, type=_Kept)
         if kept.format != ESTIMATES_FORMAT:
             raise msgspec.ValidationError(f"its format is {kept.format!r}, not {ESTIMATES_FORMAT!r}")
-        wrong = [label for label, evidence in kept.evidence.items() if not evidence.is_in_order]
+        parts = [kept.evidence, *kept.on_hosts.values()]
+        wrong = [label for part in parts for label, evidence in part.items() if not evidence.is_in_order]
         if wrong:
             raise msgspec.ValidationError(f"the samples of {wrong[0]!r} are out of order")
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
@@ -87,11 +90,19 @@ def load(estimator: LearningEstimator, path: Path, now_s: float) -> None:
             f"{path}: damaged ({error}); it was renamed to {aside.name}, and learning begins anew"
         ) from None
     fresh = estimator.settings
-    for evidence in kept.evidence.values():
-        evidence.labor.take_limits(fresh.labor())
-        evidence.upkeep.take_limits(fresh.upkeep())
-        evidence.failures.forget_s = fresh.forget_s
+    for part in parts:
+        for evidence in part.values():
+            evidence.labor.take_limits(fresh.labor())
+            evidence.upkeep.take_limits(fresh.upkeep())
+            evidence.failures.forget_s = fresh.forget_s
     estimator.take_over({label: evidence.moved(now_s) for label, evidence in kept.evidence.items()})
+    for host, part in kept.on_hosts.items():
+        estimator.at(host).take_over({label: evidence.moved(now_s) for label, evidence in part.items()})
+
+
+def _moved(estimator: LearningEstimator, by: float) -> dict[str, Evidence]:
+    """What was learned, on a clock that shows `by` more."""
+    return {label: one.moved(by) for label, one in sorted(estimator.evidence.items()) if not one.is_empty}
 
 
 def _refuse_what_is_no_file(path: Path) -> None:

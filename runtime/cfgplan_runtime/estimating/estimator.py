@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
+from cfgplan import costs
 from cfgplan.costs import LARGEST_COST_US
-from cfgplan.domain import Transformation
+from cfgplan.domain import Host, Transformation
+from cfgplan.qualities import MICRO
 from cfgplan_runtime.estimating.evidence import Evidence, declaration, family
 from cfgplan_runtime.estimating.expectations import Expectations, Origin
 from cfgplan_runtime.estimating.forecasters import FORECASTERS, Forecaster, Trend
@@ -71,8 +73,8 @@ class _Family:
 class LearningEstimator:
     """Learns what units of each transformation cost, and what their failures do.
 
-    Costs are clustered by label. `forecaster` is for upkeep; with None the costs are those of `guess`, and only
-    failures are learned. Times `now_s` are on any one clock that only rises.
+    Costs are clustered by label, on each host by itself. `forecaster` is for upkeep; with None the costs are those of
+    `guess`, and only failures are learned. Times `now_s` are on any one clock that only rises.
     """
 
     def __init__(
@@ -83,6 +85,10 @@ class LearningEstimator:
     ) -> None:
         self.settings = settings or Learning()
         self.evidence: dict[str, Evidence] = {}
+        self.on_hosts: dict[str, LearningEstimator] = {}
+        """By host: what was learned there."""
+        self._forecaster, self._guess = forecaster, guess
+        self._scaled: dict[tuple[str, str], tuple[Transformation, Host, Transformation]] = {}
         self._expectations = Expectations(forecaster, guess, self.settings)
         self._units: dict[str, tuple[Observation, float]] = {}
         self._families: dict[str, _Family] = {}
@@ -91,14 +97,17 @@ class LearningEstimator:
         self._made: dict[str, _Made] = {}
         self._now_s = 0.0
 
-    def observe(self, observations: Iterable[Observation], now_s: float) -> None:
+    def observe(self, observations: Sequence[Observation], now_s: float) -> None:
         """Learn from the units that run now; upkeep is what each has used since the last call.
 
         Nothing is learned from a unit that gives nothing: what it uses counts once it gives its next element. Where a
         middleware does not count a unit's CPU time (`cpu_us` is 0), its `upkeep_us` is taken.
         """
         before, self._units, self._now_s = self._units, {}, now_s
-        for seen in observations:
+        here = [seen for seen in observations if seen.host is None]
+        for host in {seen.host for seen in observations if seen.host is not None} | self.on_hosts.keys():
+            self.at(host).observe([replace(seen, host=None) for seen in observations if seen.host == host], now_s)
+        for seen in here:
             last, since_s = before.get(seen.unit, (None, now_s))
             ran_s = now_s - since_s
             if last is None or not _is_same_process(last, seen):
@@ -119,18 +128,26 @@ class LearningEstimator:
             self.estimate(self._declared[label], self._made[label].horizon_s)
 
     def failed(self, transformation: str, now_s: float) -> None:
-        """Learn that a unit could not start, died, hung or kept failing; once per unit."""
+        """Learn that a unit could not start, died, hung or kept failing, on whatever host; once per unit."""
         self._now_s = now_s
+        for there in self.on_hosts.values():
+            there.failed(transformation, now_s)
         with self._learning(transformation) as evidence:
             evidence.failed(now_s)
 
-    def labor_us(self, transformation: Transformation, horizon_s: int) -> int:
-        """CPU time of one start, in microseconds."""
-        return self.estimate(transformation, horizon_s).labor_us
+    def at(self, host: str) -> LearningEstimator:
+        """The estimator of what was learned on a host."""
+        if host not in self.on_hosts:
+            self.on_hosts[host] = LearningEstimator(self._forecaster, self._guess, self.settings)
+        return self.on_hosts[host]
 
-    def upkeep_us(self, transformation: Transformation, horizon_s: int) -> int:
+    def labor_us(self, transformation: Transformation, horizon_s: int, host: Host | None = None) -> int:
+        """CPU time of one start, in microseconds."""
+        return self._estimate_on(host, transformation, horizon_s).labor_us
+
+    def upkeep_us(self, transformation: Transformation, horizon_s: int, host: Host | None = None) -> int:
         """CPU time per second, in microseconds: the mean over the horizon with what failures cost, rounded half up."""
-        return self.estimate(transformation, horizon_s).upkeep_us
+        return self._estimate_on(host, transformation, horizon_s).upkeep_us
 
     def estimated(self, library: Iterable[Transformation], horizon_s: int) -> tuple[Transformation, ...]:
         """The library, given with its declared costs, with estimated ones."""
@@ -159,6 +176,35 @@ class LearningEstimator:
         if estimate.upkeep_origin == Origin.OBSERVED:
             self._widen(estimate.labor_us, estimate.running_us)
         return estimate
+
+    def _estimate_on(self, host: Host | None, transformation: Transformation, horizon_s: int) -> Estimate:
+        """What a unit costs on a host. What was never seen there costs what it does elsewhere, by the hosts' speeds."""
+        if host is None:
+            return self.estimate(transformation, horizon_s)
+        label, there = transformation.label, self.at(host.name)
+        own = there.estimate(self._declared_on(host, transformation), horizon_s)
+        if there.evidence[label].is_known:
+            return own
+        known = [
+            (self._scaled[name, label][1].speed, other.estimate(other._declared[label], horizon_s))
+            for name, other in self.on_hosts.items()
+            if (name, label) in self._scaled and label in other._declared and other.evidence[label].is_known
+        ]
+        if not known:
+            return own
+        labor = sum(speed * seen.labor_us for speed, seen in known) / len(known) / host.speed
+        running = sum(speed * seen.running_us for speed, seen in known) / len(known) / host.speed
+        return replace(own, labor_us=round(labor), running_us=round(running))
+
+    def _declared_on(self, host: Host, transformation: Transformation) -> Transformation:
+        """A transformation with what its declared costs are on a host; the same object while both stay the same."""
+        key = host.name, transformation.label
+        if key not in self._scaled or self._scaled[key][0] is not transformation or self._scaled[key][1] != host:
+            there = transformation
+            if host.speed != MICRO:
+                there = replace(there, labor_us=costs.labor_us(there, host), upkeep_us=costs.upkeep_us(there, host))
+            self._scaled[key] = transformation, host, there
+        return self._scaled[key][2]
 
     def take_over(self, evidence: Mapping[str, Evidence]) -> None:
         """Go on with what was learned before, its times on this estimator's clock."""

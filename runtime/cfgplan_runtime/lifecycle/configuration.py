@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
+from cfgplan.costs import labor_us, upkeep_us
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Host, Transformation
 from cfgplan_runtime.lifecycle.back_off import BackOffs
 from cfgplan_runtime.lifecycle.differing import runs_alike
@@ -89,15 +90,31 @@ class EstimatedLibrary:
     def __init__(self) -> None:
         self._estimated: dict[str, tuple[Transformation, Transformation]] = {}
 
-    def estimated(self, transformation: Transformation, estimator: Estimator, horizon_s: int) -> Transformation:
-        labor_us = _capped(estimator.labor_us(transformation, horizon_s))
-        upkeep_us = _capped(estimator.upkeep_us(transformation, horizon_s))
-        if (labor_us, upkeep_us) == (transformation.labor_us, transformation.upkeep_us):
+    def estimated(self, world: Environment, estimator: Estimator, horizon_s: int) -> Mapping[str, Transformation]:
+        """The library of a world by label, with what units are expected to cost on each host where they may run."""
+        return {one.label: self._of(one, world, estimator, horizon_s) for one in world.library}
+
+    def _of(
+        self, transformation: Transformation, world: Environment, estimator: Estimator, horizon_s: int
+    ) -> Transformation:
+        costs_us = (transformation.labor_us, transformation.upkeep_us)
+        seen_us = {}
+        for host in world.places_for(transformation):
+            there = [host] if host is not None else []
+            expected_us = (
+                _capped(estimator.labor_us(transformation, horizon_s, *there)),
+                _capped(estimator.upkeep_us(transformation, horizon_s, *there)),
+            )
+            if host is None:
+                costs_us = expected_us
+            elif expected_us != (labor_us(transformation, host), upkeep_us(transformation, host)):
+                seen_us[host.name] = expected_us
+        declared, known = self._estimated.get(transformation.label, (transformation, transformation))
+        if declared is not transformation or (known.labor_us, known.upkeep_us, known.seen_us) != (*costs_us, seen_us):
+            known = replace(transformation, labor_us=costs_us[0], upkeep_us=costs_us[1], seen_us=seen_us)
+        if known == transformation and not seen_us:
             return transformation
-        declared, known = self._estimated.get(transformation.label, (None, transformation))
-        if declared is not transformation or (known.labor_us, known.upkeep_us) != (labor_us, upkeep_us):
-            known = replace(transformation, labor_us=labor_us, upkeep_us=upkeep_us)
-            self._estimated[transformation.label] = (transformation, known)
+        self._estimated[transformation.label] = (transformation, known)
         return known
 
 

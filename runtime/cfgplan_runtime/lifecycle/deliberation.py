@@ -200,7 +200,7 @@ class Deliberation:
         """What is left out for now, the estimated costs by label, and the environment to plan in."""
         wanted = world.environment
         avoided = avoided_now(wanted, running, situation)
-        costs = {t.label: self._library.estimated(t, self._estimator, world.horizon_s) for t in wanted.library}
+        costs = self._library.estimated(wanted, self._estimator, world.horizon_s)
         return avoided, costs, environment_to_plan(wanted, running, situation, avoided, costs)
 
     def _letting_wait(self, thought: Thought, world: World, situation: Situation) -> Thought:

@@ -7,7 +7,8 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from cfgplan.domain import ChangeSet, Environment, Transformation
+from cfgplan import costs
+from cfgplan.domain import ChangeSet, Environment, Host, Transformation
 from cfgplan_runtime.supervision.events import Applied, Event
 from cfgplan_runtime.supervision.observation import Observation
 
@@ -62,10 +63,10 @@ class Estimator(Protocol):
     def failed(self, transformation: str, now_s: float) -> None:
         """Learn that a unit of a transformation could not start, died, hung or kept failing."""
 
-    def labor_us(self, transformation: Transformation, horizon_s: int) -> int:
-        """CPU time of one start, in microseconds, including what failures cost."""
+    def labor_us(self, transformation: Transformation, horizon_s: int, host: Host | None = None) -> int:
+        """CPU time of one start, in microseconds, with what failures cost. There is a `host` if the world has hosts."""
 
-    def upkeep_us(self, transformation: Transformation, horizon_s: int) -> int:
+    def upkeep_us(self, transformation: Transformation, horizon_s: int, host: Host | None = None) -> int:
         """CPU time per second, in microseconds, as the mean over the horizon from now."""
 
 
@@ -109,10 +110,10 @@ class DeclaredCosts:
         recent = [at for at in self._failures.get(transformation, ()) if now_s - at < self._forget_s]
         self._failures[transformation] = [*recent, now_s]
 
-    def labor_us(self, transformation: Transformation, horizon_s: int) -> int:  # noqa: ARG002
+    def labor_us(self, transformation: Transformation, horizon_s: int, host: Host | None = None) -> int:  # noqa: ARG002
         failures = self._failures.get(transformation.label, ())
         recent = sum(1 for at in failures if self._now_s - at < self._forget_s)
-        return transformation.labor_us + self._failure_us * max(0, recent - 1)
+        return costs.labor_us(transformation, host) + self._failure_us * max(0, recent - 1)
 
-    def upkeep_us(self, transformation: Transformation, horizon_s: int) -> int:  # noqa: ARG002
-        return transformation.upkeep_us
+    def upkeep_us(self, transformation: Transformation, horizon_s: int, host: Host | None = None) -> int:  # noqa: ARG002
+        return costs.upkeep_us(transformation, host)
