@@ -10,6 +10,7 @@ their devices. Nothing has a name outside.
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -33,11 +34,13 @@ class Network:
             if missing:
                 raise NotAllowedError(f"not installed: {', '.join(missing)}")
             # Who is not root is it in a user namespace of its own.
-            rights = [] if os.geteuid() == 0 else ["--user", "--map-root-user"]
-            self._switch = stack.enter_context(_namespace(["unshare", *rights, "--net"]))
+            is_root = os.geteuid() == 0
+            self._rights = [] if is_root else ["--user", "--preserve-credentials"]
+            mapped = [] if is_root else ["--user", "--map-root-user"]
+            self._switch = stack.enter_context(_namespace(["unshare", *mapped, "--net"]))
             self._in("switch", "ip", "link", "add", "bridge", "type", "bridge")
             self._in("switch", "ip", "link", "set", "bridge", "up")
-            self._pids = {}
+            self._pids: dict[str, str] = {}
             for host, address in self.address.items():
                 self._pids[host] = stack.enter_context(_namespace([*self._enter("switch"), "unshare", "--net"]))
                 self._in("switch", "ip", "link", "add", host, "type", "veth", "peer", "eth0", "netns", self._pids[host])
@@ -46,6 +49,19 @@ class Network:
                 for device in ("lo", "eth0"):
                     self._in(host, "ip", "link", "set", device, "up")
             self._stack = stack.pop_all()
+
+    @property
+    def token(self) -> str:
+        """What `joined` takes."""
+        return json.dumps([self.address, self._pids, self._switch])
+
+    @classmethod
+    def joined(cls, token: str) -> Network:
+        """A network that another process has made, for who was started on one of its hosts."""
+        network = cls.__new__(cls)
+        network.address, network._pids, network._switch = json.loads(token)
+        network._rights, network._stack = [], ExitStack()
+        return network
 
     def start(self, host: str, command: Sequence[str], **options: Any) -> subprocess.Popen[str]:
         """Start a command on a host; it is left to the caller to end it. Options are those of Popen."""
@@ -70,6 +86,11 @@ class Network:
         self._in("switch", "tc", "qdisc", "replace", "dev", host, "root", *rate)
         self._in(host, "tc", "qdisc", "replace", "dev", "eth0", "root", *rate)
 
+    def unlimit(self, host: str) -> None:
+        """Undo `limit`."""
+        self._in("switch", "tc", "qdisc", "delete", "dev", host, "root")
+        self._in(host, "tc", "qdisc", "delete", "dev", "eth0", "root")
+
     def __enter__(self) -> Network:
         return self
 
@@ -79,8 +100,8 @@ class Network:
         self._stack.close()
 
     def _enter(self, place: str) -> list[str]:
-        rights = [] if os.geteuid() == 0 else ["--user", "--preserve-credentials"]
-        return ["nsenter", "--target", self._switch if place == "switch" else self._pids[place], *rights, "--net"]
+        pid = self._switch if place == "switch" else self._pids[place]
+        return ["nsenter", "--target", pid, *self._rights, "--net"]
 
     def _in(self, place: str, *command: str) -> None:
         done = subprocess.run([*self._enter(place), *command], capture_output=True, text=True, check=False)
