@@ -87,7 +87,7 @@ class Close:
     far: Annotated[float, Said("share of the plan", "of a gap that leaves the solver little hope", LIBRARIES)] = 0.3
     patience: Annotated[int, Said("times", "as much work then", LIBRARIES)] = 100
     again: Annotated[int, Said("landmarks", "charged greedily that a round adds again", LIBRARIES)] = 40
-    many: Annotated[int, Said("labels", "with which a linear program takes long", LIBRARIES)] = 3000
+    many: Annotated[int, Said("transformations", "with which a linear program takes long", LIBRARIES)] = 3000
     times: Annotated[int, Said("times", "needs are taken then, to miss more landmarks", LIBRARIES)] = 4
     entries: Annotated[int, Said("entries/link", "the first linear program has", TIMED)] = 3
     inward: Annotated[float, Said("share", "of the way to what hits all landmarks", LIBRARIES)] = 0.5
@@ -121,13 +121,16 @@ class Solve:
 class Fleet:
     """Fleets: quality, hosts, conflicts, numbers, spares."""
 
-    round: Annotated[float, Said("the engine's s", "for the first round", FLEETS)] = 2.0
+    round: Annotated[float, Said("the engine's s", "for the first round for quality", FLEETS)] = 2.0
     growth: Annotated[float, Said("times", "as long is each next round", FLEETS)] = 4.0
-    many: Annotated[int, Said("labels", "of which few are looked among first, without hosts", FLEETS)] = 400
-    sizes: Annotated[tuple[int, ...], Said("units", "looked among, of twice as many", FLEETS)] = (50, 100, 200)
+    many: Annotated[int, Said("kinds of unit", "of bounded quality, of which few are first", FLEETS)] = 400
+    sizes: Annotated[tuple[int, ...], Said("kinds of unit", "looked among, of twice as many", FLEETS)] = (
+        50,
+        100,
+        200,
+    )
     look: Annotated[float, Said("the engine's s", "for each of these looks", FLEETS)] = 0.5
-    gap: Annotated[int, Said("parts", "of the gap, one of which such a plan has to close", FLEETS)] = 4
-    small: Annotated[int, Said("booleans", "of a model of hosts that probing takes too long for", FLEETS)] = 20_000
+    small: Annotated[int, Said("booleans", "of a fleet's model that probing takes too long for", FLEETS)] = 20_000
 
 
 @dataclass(frozen=True)

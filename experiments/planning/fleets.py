@@ -91,7 +91,6 @@ FAMILIES: dict[str, Callable[[int], Problem]] = {
 
 
 def measured(family: str, seed: int, limit_s: float) -> str:
-    import cfgplan.planners.exact.flat_search
     import cfgplan.planners.exact.search  # noqa: F401 - the solver's import is not to be measured
 
     problem = FAMILIES[family](seed)

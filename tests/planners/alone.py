@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import inf
 
 from cfgplan.planners.exact.candidates import Candidates
-from cfgplan.planners.exact.flat import Flat
-from cfgplan.planners.exact.flat_search import FlatSearch
-from cfgplan.planners.exact.flatness import is_flat
 from cfgplan.planners.exact.model import ModelRule
 from cfgplan.planners.exact.rules import RULES
 from cfgplan.planners.exact.search import Search
@@ -24,25 +20,13 @@ def search_alone(problem: Problem, *, is_apart: bool = False, rules: Sequence[Mo
     return Search(Candidates(problem), Standing(problem, Clock(), None), is_apart=is_apart, rules=rules)
 
 
-def flat_search(problem: Problem) -> FlatSearch:
-    """A search in the model of what is where, from nothing; the problem has to be flat."""
-    candidates, standing = Candidates(problem), Standing(problem, Clock(), None)
-    assert is_flat(candidates)
-    standing.counts = {"conflicts": 0}
-    return FlatSearch(Flat(candidates), standing, inf)
-
-
 def plan_alone(problem: Problem) -> Plan:
     """The optimal update by the solver alone."""
     return PlannerSession(Tuning.solver_only()).plan(problem)
 
 
-def flat_cost_alone(problem: Problem) -> int | None:
-    """The least cost by the model of what is where alone; None if no plan is possible."""
-    search = flat_search(problem)
-    if search.flat.is_impossible:
-        return None
+def plan_apart(problem: Problem) -> Plan:
+    """The same in the model in which every possible subscription has a boolean."""
+    search = search_alone(problem, is_apart=True)
     search.run()
-    best = search.standing.best
-    assert best is None or search.standing.is_cost_proven
-    return None if best is None else best.key.cost_us
+    return search.standing.plan()

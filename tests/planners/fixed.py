@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, replace
 
-from alone import flat_search, search_alone
+from alone import search_alone
 from ortools.sat.python.cp_model import OPTIMAL, CpModel, CpSolver, IntVar, LinearExprT
 
 from cfgplan.domain import (
@@ -24,14 +24,7 @@ from cfgplan.domain import (
     Target,
     Transformation,
 )
-from cfgplan.planners.exact.anywhere import Anywhere as WithoutHosts
-from cfgplan.planners.exact.candidates import Candidates
-from cfgplan.planners.exact.flat import Flat as Labels
-from cfgplan.planners.exact.flat import Met
-from cfgplan.planners.exact.flat_decode import decoded
-from cfgplan.planners.exact.flat_model import FlatModel
 from cfgplan.planners.exact.rules import RULES, one_of_new_units_alike_is_enough
-from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Problem
 
 MOST_CUTS = 200
@@ -190,54 +183,6 @@ class Apart(Hubs):
     """The model in which every possible subscription has a boolean."""
 
     is_apart = True
-
-
-class Flat(Fixed):
-    """The model of what is where, for which it does not matter who feeds whom."""
-
-    def build(self) -> CpModel:
-        self.search = flat_search(self.problem)
-        self.candidates = self.search.model.candidates
-        self.model = self.search.model
-        return self.model.cp
-
-    def booleans(self, fact: Fact) -> list[IntVar]:
-        model, unit = self.model, self.candidates.index_of.get(fact.of[0])
-        if unit is None:
-            return []
-        if fact.kind == "runs":
-            return model.ways_to_run(unit)
-        if fact.kind == "on":
-            places = model.flat.places(unit)
-            return [model.uses[place] for place in places if model.flat.labels[place].host == fact.of[1]]
-        assert fact.kind == "publishes"
-        target = self.problem.environment.target[fact.of[1]]
-        return _from(fact.of[0], dict(model.streams(Met(target.tag, target.host))))
-
-    def is_one(self, solver: CpSolver) -> bool:
-        if decoded(self.model, solver.boolean_value) is not None:
-            return True
-        self.search._cut(solver.boolean_value)
-        return False
-
-    def cost(self) -> LinearExprT:
-        return self.model.cost()
-
-
-class Anywhere(Flat):
-    """What holds whatever the hosts, without what grounds the model of what is where."""
-
-    limit_us = 10**6
-
-    def build(self) -> CpModel:
-        self.candidates = Candidates(self.problem)
-        flat = Labels(self.candidates)
-        self.model = FlatModel(flat, [])
-        WithoutHosts(flat, self.limit_us, Clock()).add_to(self.model)
-        return self.model.cp
-
-    def is_one(self, solver: CpSolver) -> bool:  # noqa: ARG002
-        return True
 
 
 def _from(unit: str, choices: dict[Stream, IntVar]) -> list[IntVar]:

@@ -14,10 +14,9 @@ from test_fleets_against_the_oracle import EXAMPLES, agree_with_the_explicit_mod
 
 from cfgplan.domain import Environment, Host, InputPort, OutputPort, Similarity, Target, Transformation
 from cfgplan.planners.exact import fleet
-from cfgplan.planners.exact.anywhere import Anywhere
 from cfgplan.planners.exact.candidates import Candidates
-from cfgplan.planners.exact.flat import Flat
-from cfgplan.planners.exact.flatness import is_flat
+from cfgplan.planners.exact.kernels import left_by_bounds
+from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import Fleet, Tuning
 from cfgplan.planning import Notion, Problem, Status
@@ -46,15 +45,13 @@ def test_rounds_that_are_too_short_change_no_answer(problem: Problem) -> None:
 @some
 @given(on_hosts)
 def test_with_hosts_forgotten_no_plan_costs_less_than_the_bound(problem: Problem) -> None:
-    candidates = Candidates(problem)
-    assume(is_flat(candidates) and not unmet_reasons(problem))
-    flat = Flat(candidates)
-    assume(not flat.is_impossible)
-    bound = Anywhere(flat, sum(flat.cost_us), Clock()).bound
+    assume(not unmet_reasons(problem))
+    standing = Standing(problem, Clock(), None)
+    left_by_bounds(Candidates(problem), standing)
     found = fleet.plan(problem, tuning=IN_PARTS)
     assume(found.status is Status.OPTIMAL)
     assert found.cost_us is not None
-    assert bound.value <= found.cost_us
+    assert standing.bound_us <= found.cost_us
 
 
 def test_a_dearer_unit_on_the_target_s_host_beats_a_cheap_one_and_a_transfer() -> None:

@@ -13,11 +13,11 @@ from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Targe
 from cfgplan.errors import InputError
 from cfgplan.figures import qualities_of_targets
 from cfgplan.planners import PLANNERS
+from cfgplan.planners.bounding.bounds import Bound
 from cfgplan.planners.exact.best_case import leave_out_what_is_too_bad
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.first_plans import FirstPlans
-from cfgplan.planners.exact.flat import Flat
-from cfgplan.planners.exact.flatness import is_flat
+from cfgplan.planners.exact.flatness import is_one_stream_best_for_all
 from cfgplan.planners.exact.quality_chains import Chains
 from cfgplan.planners.exact.quality_cuts import QUICK, chain_cuts
 from cfgplan.planners.exact.quality_plan import QualityPlanner, can_be_planned
@@ -111,8 +111,10 @@ def test_a_plan_without_search_costs_what_it_says(problem: Problem) -> None:
     assume(not unmet_reasons(problem))
     candidates = Candidates(problem)
     leave_out_what_is_too_bad(candidates)
+    candidates = candidates.among(candidates.labels)
     asked = {wish.attribute for target in problem.environment.targets for wish in target.quality}
-    assume(asked and is_flat(candidates) and can_be_planned(candidates) and not Flat(candidates).is_impossible)
+    assume(asked and is_one_stream_best_for_all(candidates) and can_be_planned(candidates))
+    assume(len(candidates.network.targets) == len(problem.environment.targets))
     planner = QualityPlanner(candidates, problem.environment.quality[asked.pop()], Clock())
     plan = planner.best([], np.zeros(len(candidates.all)))
     assume(plan is not None)
@@ -126,5 +128,6 @@ def test_a_plan_without_search_costs_what_it_says(problem: Problem) -> None:
 
 
 def test_a_fleet_too_large_for_the_relaxation_gets_no_cuts() -> None:
-    flat = Flat(Candidates(random_library(0, transformations=2000, branching=400)))
-    assert chain_cuts(flat, [], Clock(), QUICK)[0] == []
+    candidates = Candidates(random_library(0, transformations=2000, branching=400))
+    bound = Bound(candidates.network.core, candidates.least_us)
+    assert chain_cuts(candidates, bound, Clock(), QUICK)[0] == []

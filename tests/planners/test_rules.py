@@ -6,7 +6,6 @@ import pytest
 from fixed import (
     Apart,
     Fixed,
-    Flat,
     Hubs,
     WithoutTwins,
     feeds,
@@ -22,7 +21,7 @@ from fixed import (
 from cfgplan.domain import ComputationUnit, Transformation
 from cfgplan.planning import Problem
 
-every_model = pytest.mark.parametrize("model", [Hubs, Apart, Flat])
+every_model = pytest.mark.parametrize("model", [Hubs, Apart])
 who_is_wired_how = pytest.mark.parametrize("model", [Hubs, Apart])
 
 SOURCE, OTHER, FILTER = kind("s", gives="A"), kind("t", gives="A"), kind("f", "A", "B")

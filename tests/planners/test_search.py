@@ -16,7 +16,7 @@ from ortools.sat.python.cp_model import FEASIBLE, INFEASIBLE, MODEL_INVALID, OPT
 
 from cfgplan.comparing.families.random_library import random_library
 from cfgplan.planners.cpsat import PlannerSession
-from cfgplan.planners.exact import flat_search, search
+from cfgplan.planners.exact import search
 from cfgplan.planners.tuning import USUAL
 from cfgplan.planning import Failures, PlannerFaultError, Problem, Status
 from cfgplan.validity import plan_violations
@@ -50,10 +50,10 @@ def test_a_solution_that_is_not_grounded_is_forbidden_before_anything_is_proven_
     [
         (search, random_library(0, transformations=60), INFEASIBLE),
         (search, random_library(0, transformations=60), MODEL_INVALID),
-        (flat_search, instances.weighted(0, 40, 2), INFEASIBLE),
+        (search, instances.weighted(0, 40, 2), INFEASIBLE),
         (search, replace(random_library(0, transformations=12, targets=1), survive=Failures.UNITS), INFEASIBLE),
     ],
-    ids=["plain", "plain, invalid", "flat", "explicit"],
+    ids=["plain", "plain, invalid", "quality", "failures"],
 )
 def test_an_engine_that_denies_the_plan_in_hand_is_an_error_that_carries_it(
     room: ModuleType, problem: Problem, status: int

@@ -5,11 +5,10 @@ The best values assume that all that can run runs. A stream that misses every bo
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import defaultdict
 
 from cfgplan.domain import Stream
 from cfgplan.planners.exact.candidates import Candidate, Candidates
-from cfgplan.planning import Notion
 from cfgplan.qualities import MICRO, Better, Contribution, Over, QualityAttribute, QualityRule, price_us, propagated
 
 
@@ -27,29 +26,6 @@ def leave_out_what_is_too_bad(candidates: Candidates) -> None:
                 if stream not in best or attribute.is_better(worst, best[stream])
             }
         )
-
-
-def range_of_use(candidates: Candidates, attribute: QualityAttribute) -> dict[Stream, tuple[int, int]]:
-    """For each stream that a plan may use its best value, and the worst with which its unit is of use.
-
-    The latter is the attribute's worst for spares, which may get any quality, for units that are asked for whatever
-    they give, and for units of which another stream may be used instead.
-    """
-    best = best_values(candidates, attribute)
-    allowed = worst_of_use(candidates, attribute) if Notion.SURVIVAL not in candidates.problem.notions else {}
-    used: dict[Stream, int] = {}
-    ports = [port for candidate in candidates.all for port in candidate.transformation.inputs]
-    for tag in {*(port.tag for port in ports), *(target.tag for target in candidates.environment.targets)}:
-        for stream in candidates.streams(tag):
-            worst = allowed.get(tag, attribute.worst)
-            if stream in best and (stream not in used or attribute.is_better(used[stream], worst)):
-                used[stream] = worst
-    streams_of = Counter(stream.unit for stream in used)
-    for stream, worst in candidates.clock.each(used.items()):
-        i = candidates.index_of[stream.unit]
-        if candidates.is_asked_for(i) or streams_of[stream.unit] > 1 or attribute.is_better(worst, best[stream]):
-            used[stream] = attribute.worst
-    return {stream: (best[stream], worst) for stream, worst in used.items()}
 
 
 def least_prices_us(candidates: Candidates) -> dict[tuple[str, str], int]:

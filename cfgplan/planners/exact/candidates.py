@@ -7,8 +7,11 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
+
 from cfgplan.costs import keep_cost_us, standby_cost_us, start_cost_us, taken
 from cfgplan.domain import ComputationUnit, Environment, Host, Stream, Transformation
+from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.keys import may_stay
 from cfgplan.planners.networks.network import Network
 from cfgplan.planners.solving.clock import Clock
@@ -142,20 +145,37 @@ class Candidates:
         if not self._is_closed:
             left = startable(Environment((), library), self.givers, self.clock.each)
             library = tuple(t for t in library if t.label in left)
+        if not self._useless:
+            return self._network_of(library, self.givers)
+        useful = {tag: {self.label_of(stream) for stream in self.streams(tag)} for tag, _ in self._useless}
+        givers = self.givers.restricted({tag: tuple(sorted(labels)) for tag, labels in useful.items()})
+        network = self._network_of(library, givers)
+        if network.special:
+            return network
+        reached = network.core.facts_one_by_one([np.int64(0)] * len(library), max)
+        fed = [t for n, t in enumerate(library) if reached.keys() >= set(network.core.needs.lists[n])]
+        return network if len(fed) == len(library) else self._network_of(fed, givers)
+
+    def _network_of(self, library: Sequence[Transformation], givers: Givers) -> Network:
         labels = {t.label for t in library}
         asked = {c.transformation.label for i, c in enumerate(self.all) if self.is_asked_for(i)}
         targets = [target.tag for target in self.environment.targets]
-        return Network(
-            library,
-            [tag for tag in targets if not labels.isdisjoint(self.givers.of(tag))],
-            asked & labels,
-            self.givers,
-            self.clock.each,
-        )
+        met = [tag for tag in targets if not labels.isdisjoint(givers.of(tag))]
+        return Network(library, met, asked & labels, givers, self.clock.each)
+
+    @cached_property
+    def least_us(self) -> Ints:
+        """The least cost of a unit of each transformation in the network."""
+        units = [[c.cost_us for c in self.of(label) if c.may_run] for label in self.network.labels]
+        return np.array([min(these, default=0) for these in units], np.int64)
 
     def numbers(self, labels: Iterable[str]) -> list[int]:
         """The numbers that transformations have in the network, sorted."""
         return sorted(self.network.number[label] for label in labels if label in self.network.number)
+
+    def label_of(self, stream: Stream) -> str:
+        """The transformation of a stream's unit."""
+        return self.all[self.index_of[stream.unit]].transformation.label
 
     def of(self, label: str) -> list[Candidate]:
         """The candidates of a transformation."""

@@ -100,6 +100,8 @@ class _Decoding:
             there = [stream for stream, connected in connects.items() if connected.index in self.true][:1]
         elif unit in model.stays and model.stays[unit].index in self.true and old is not None:
             return old if self._place(old, host) is not None else None
+        elif (key := model.hub_key(port.tag, host)) in model.meets:
+            there = [stream for stream, taken in model.meets[key].items() if taken.index in self.rank]
         else:
             limit = len(self.rank) if port.feedback else self._wired_at(unit)
             streams = model.choices(port.tag)

@@ -9,7 +9,7 @@ from cfgplan.qualities import MICRO, Better, Over, QualityAttribute, QualityRule
 from cfgplan.reasons import distinct_groups
 
 
-def is_flat(candidates: Candidates) -> bool:
+def is_one_stream_best_for_all(candidates: Candidates) -> bool:
     """Whether one stream can meet a demand for all who have it.
 
     With one attribute all want the best stream. Where no stream in a ring of demands is better than its inputs, the

@@ -1,20 +1,19 @@
 """The exact planner for what the paper leaves to the future: quality, hosts, conflicts, instances, spares.
 
-First plans are made without search. Where it does not matter who feeds whom, landmarks and a model of what is where
-prove the cost. All else goes to a model that tells inputs apart where it has to.
+First plans are made without search, then by the solver among few transformations. Landmarks over units bound the cost
+and leave out what is too dear; the solver proves the rest in the one model.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable
+from math import inf
 from threading import Event
-from typing import TYPE_CHECKING
 
-from cfgplan.planners.exact.best_case import bound_by_price, least_of_all, leave_out_what_is_too_bad
+from cfgplan.planners.exact.best_case import least_of_all, leave_out_what_is_too_bad
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.first_plans import FirstPlans
-from cfgplan.planners.exact.flat import Flat
-from cfgplan.planners.exact.flatness import is_flat
+from cfgplan.planners.exact.quality_chains import ChainCut
 from cfgplan.planners.exact.quality_start import QualityStart
 from cfgplan.planners.exact.running import offer_what_runs
 from cfgplan.planners.exact.standing import Standing
@@ -22,9 +21,6 @@ from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import USUAL, Tuning
 from cfgplan.planning import Notion, Plan, Problem, Progress
 from cfgplan.reasons import unmet_reasons
-
-if TYPE_CHECKING:
-    from cfgplan.planners.exact.flat_search import FlatSearch
 
 __all__ = ["plan"]
 
@@ -79,66 +75,39 @@ def _bring_forward(standing: Standing, last: Collection[str]) -> None:
         return
     if Notion.SURVIVAL not in problem.notions:  # a hot spare may get any quality
         leave_out_what_is_too_bad(candidates)
+        candidates = candidates.among(candidates.labels)
     _search(candidates, standing, first)
 
 
 def _search(candidates: Candidates, standing: Standing, first: FirstPlans) -> None:
-    """Search a flat fleet by labels on hosts. What is open then, and all else, goes to the model of who feeds whom."""
+    """Search among few transformations, then among all that bounds leave."""
+    from cfgplan.planners.exact.kernels import left_by_bounds, look_among_few
+
     clock = standing.clock
-    if is_flat(candidates):
-        search = _solve_flat(candidates, standing, first)
-        clock.end("flat")
-        standing.are_ties_proven = search is not None and search.is_done
-        if search is None or standing.are_ties_proven or standing.is_infeasible or clock.is_over():
-            return
-        if standing.is_cost_proven:
-            candidates = candidates.among(search.left())
-    from cfgplan.planners.exact.kernels import left_by_bounds, look_among_few_of
-
-    if not standing.is_cost_proven:
-        look_among_few_of(candidates, standing, first)
-    left = left_by_bounds(candidates, standing)
-    clock.end("bounds")
-    _solve(candidates.among(left.labels), standing, left.landmarks)
+    quality = QualityStart(candidates, standing, first)
+    if not quality.is_asked or (not quality.is_weighed and len(candidates.network.labels) >= clock.tuning.fleet.many):
+        look_among_few(candidates, standing, first)
+    slice_s = clock.tuning.fleet.round if quality.is_asked else inf
+    while not (standing.is_over or standing.is_infeasible):
+        left = left_by_bounds(quality.candidates, standing)
+        clock.end("bounds")
+        _solve(quality.candidates.among(left.labels), standing, left.landmarks, quality.cuts, slice_s)
+        slice_s *= clock.tuning.fleet.growth
+        if not (standing.is_over or standing.is_infeasible):
+            quality.look_closer()
 
 
-def _solve(candidates: Candidates, standing: Standing, landmarks: Iterable[tuple[list[str], int]] = ()) -> None:
-    """Run the solver to the end, in the model of who feeds whom."""
+def _solve(
+    candidates: Candidates,
+    standing: Standing,
+    landmarks: Iterable[tuple[list[str], int]] = (),
+    cuts: Iterable[ChainCut] = (),
+    slice_s: float = inf,
+) -> None:
+    """Run the solver for `slice_s` of its own seconds, without bounds to the end."""
     from cfgplan.planners.exact.search import Search
 
-    search = Search(candidates, standing, landmarks=landmarks)
+    search = Search(candidates, standing, landmarks=landmarks, cuts=cuts)
     standing.clock.end("model")
-    search.run()
-
-
-def _solve_flat(candidates: Candidates, standing: Standing, first: FirstPlans) -> FlatSearch | None:
-    """Search a flat fleet until its cost is proven. Returns the last search; None if no plan is possible."""
-    from cfgplan.planners.exact.flat_search import FlatSearch  # the solver takes long to import
-    from cfgplan.planners.exact.kernels import look_among_few, well_below_best_us
-
-    problem, clock = candidates.problem, standing.clock
-    slice_s, bound = clock.tuning.fleet.round, None
-    quality = QualityStart(candidates, standing, first)
-    flat = Flat(candidates)
-    is_probing = bool(problem.environment.hosts) and not flat.is_impossible
-    if is_probing:
-        bound = look_among_few(flat, standing)
-        slice_s *= 2
-    elif standing.best is not None and quality.is_bounded_only and len(flat.labels) >= clock.tuning.fleet.many:
-        bound = look_among_few(flat, standing)
-    while not flat.is_impossible:
-        limit_us = well_below_best_us(standing) if is_probing else None
-        search = FlatSearch(flat, standing, slice_s, bound=bound, limit_us=limit_us, cuts=quality.cuts)
-        has_ended = search.run()
-        if standing.is_cost_proven or clock.is_over() or (has_ended and limit_us is None):
-            return search
-        is_probing, bound = False, None
-        if limit_us is not None:
-            continue
-        slice_s *= clock.tuning.fleet.growth
-        quality.look_closer()
-        if standing.best is not None and Notion.QUALITY in problem.notions:
-            bound_by_price(candidates, standing.best.key.cost_us - search.least_us)
-            flat = Flat(candidates)
-    standing.prove_infeasible()
-    return None
+    search.run(slice_s)
+    standing.clock.end("search")

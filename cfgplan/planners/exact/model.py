@@ -15,6 +15,7 @@ from ortools.sat.python.cp_model import CpModel, IntVar, LinearExpr, LinearExprT
 from cfgplan.costs import transfer_cost_us
 from cfgplan.domain import InputPort, Stream
 from cfgplan.planners.exact.candidates import Candidates, HostName
+from cfgplan.planners.exact.flatness import is_one_stream_best_for_all
 from cfgplan.planners.solving.engine import at_least
 from cfgplan.planners.solving.support import Support
 from cfgplan.planning import Notion
@@ -25,14 +26,15 @@ ModelRule = Callable[["Model"], None]
 class Model:
     """The booleans of a problem's candidates, by their index; streams and ports by name.
 
-    With `is_apart`, and where targets ask for quality, every input and target is told apart.
+    Every input and target is told apart with `is_apart`, and where quality is asked for and no stream is best for all.
     """
 
     def __init__(self, candidates: Candidates, rules: Iterable[ModelRule], *, is_apart: bool = False) -> None:
         self.candidates = candidates
         self.problem = candidates.problem
         self.environment = candidates.environment
-        self.is_apart = is_apart or Notion.QUALITY in self.problem.notions
+        self.asks_for_quality = Notion.QUALITY in self.problem.notions
+        self.is_apart = is_apart or (self.asks_for_quality and not is_one_stream_best_for_all(candidates))
         self.cp = CpModel()
         self.support = Support()
         self.anywhere = Support()
@@ -46,12 +48,15 @@ class Model:
         self.stays: dict[int, IntVar] = {}
         self.is_wired: dict[int, IntVar] = {}
         self.hubs: dict[tuple[int, HostName], IntVar] = {}
+        self.meets: dict[tuple[int, HostName], dict[Stream, IntVar]] = {}
         self.connects: dict[tuple[int, str], dict[Stream, IntVar]] = {}
         self.publishes: dict[str, dict[Stream, IntVar]] = {}
         self.carried: dict[tuple[Stream, HostName], IntVar] = {}
         self.serves: dict[int, IntVar] = {}
         self.uses_required: dict[str, IntVar] = {}
         self.more_costs: list[LinearExprT] = []
+        self.missed_by: dict[tuple[str, str], tuple[LinearExprT, int]] = {}
+        """By how much each target's stream misses the best of an attribute, in steps, and the size of a step."""
         self.tracked = _downstream_of_required(candidates)
         self._demand_of_tag: dict[str, int] = {}
         self._demand_of_streams: dict[tuple[Stream, ...], int] = {}
@@ -61,7 +66,7 @@ class Model:
             for c in (candidates.all if self.environment.hosts else ())
             for port in c.transformation.outputs
         }
-        self.tells_ports = self.is_apart or any(self._price_us.values())
+        self.tells_ports = self.is_apart or self.asks_for_quality or any(self._price_us.values())
         """Whether it matters which stream of a unit is taken."""
         self._any_stream = [Stream(candidate.id, "") for candidate in candidates.all]
         self.needing = self._units_by_demand()
@@ -139,8 +144,11 @@ class Model:
     def hub_key(self, tag: str, host: HostName) -> tuple[int, HostName]:
         """The key of a hub: its demand, and its host only if a stream that meets the demand costs to be carried."""
         demand = self.demand(tag)
-        is_carried = host is not None and any(map(self.price_us, self._streams[demand]))
-        return demand, host if is_carried else None
+        return demand, host if self.is_carried(demand) else None
+
+    def is_carried(self, demand: int) -> bool:
+        """Whether a stream that meets the demand costs to be carried, so that it matters where it is met."""
+        return any(map(self.price_us, self._streams[demand]))
 
     def price_us(self, stream: Stream) -> int:
         """What it costs to carry a stream to one more host."""
@@ -163,10 +171,6 @@ class Model:
             return [self.runs[unit]]
         ways = (self.runs_on[unit].get(host), self.carried.get((stream, host)))
         return [way for way in ways if way is not None]
-
-    def ways_to_run(self, unit: int) -> list[IntVar]:
-        """Booleans one of which holds if the candidate runs."""
-        return [self.runs[unit]] if unit in self.runs else []
 
     def present(self, stream: Stream, host: HostName) -> IntVar:
         """The boolean that the stream is there on a host."""

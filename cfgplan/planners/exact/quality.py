@@ -1,52 +1,28 @@
 """How good streams are, in the constraint model.
 
 A value may be worse than the wiring makes it, never better: since every rule is monotone and only
-good values are asked for, the solver makes them as good as they are.
+good values are asked for, the solver makes them as good as they are. Only where a stream is chosen there is a variable.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Hashable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from math import gcd
-from typing import Protocol
 
-from ortools.sat.python.cp_model import CpModel, IntVar, LinearExpr, LinearExprT
+from ortools.sat.python.cp_model import IntVar, LinearExpr, LinearExprT, LiteralT
 
-from cfgplan.domain import Environment, InputPort, Stream, Target
-from cfgplan.planners.exact.best_case import range_of_use
+from cfgplan.domain import InputPort, Stream
+from cfgplan.planners.exact.best_case import best_values, worst_of_use
 from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.exact.model import Model
 from cfgplan.planners.exact.quality_chains import ChainCut
+from cfgplan.planning import Notion
 from cfgplan.qualities import MICRO, Better, Contribution, Over, QualityAttribute, QualityRule, Wish
 
 
-class QualityModel(Protocol):
-    """What a constraint model must have to know quality."""
-
-    candidates: Candidates
-    environment: Environment
-    cp: CpModel
-    more_costs: list[LinearExprT]
-
-    def ways_to_run(self, unit: int) -> list[IntVar]:
-        """Booleans one of which holds if the candidate runs."""
-
-
-QualityValues = dict[Stream, IntVar]
-Choices = Iterable[tuple[Stream, IntVar]]
-"""Streams of which one is taken, with the booleans that say which."""
-
-
-def targets_get_the_quality_they_ask_for(
-    model: QualityModel,
-    published: Callable[[Target], Choices],
-    value_at: Callable[[QualityAttribute, int, InputPort, QualityValues], IntVar],
-    cuts: Iterable[ChainCut] = (),
-) -> None:
-    """Demand the targets' bounds on quality, and add their prices to the cost.
-
-    `published` gives what a target may take, `value_at` a variable for the value at a candidate's input.
-    """
+def targets_get_the_quality_they_ask_for(model: Model) -> None:
+    """Targets' bounds on quality are kept, and their prices are a part of the cost."""
     for attribute in model.environment.qualities:
         asked = [
             (target, wish)
@@ -55,25 +31,23 @@ def targets_get_the_quality_they_ask_for(
             if wish.attribute == attribute.name
         ]
         if asked:
-            scaled = Scaled(model.candidates, attribute)
-            values = _values(model, scaled, value_at)
-            missed_by = {target.label: _grant(model, scaled, wish, published(target), values) for target, wish in asked}
-            mine = [cut for cut in cuts if cut.attribute == attribute.name]
-            chains_are_as_bad_as_who_runs_lets_them(model, mine, missed_by, scaled.step)
+            values = _Values(model, attribute)
+            for target, wish in asked:
+                value = values.of_choice(target.label, target.tag, model.publishes[target.label])
+                missed_by = _badness(values.scaled.attribute, value)
+                _grant(model, values.scaled, wish, missed_by)
+                model.missed_by[target.label, attribute.name] = missed_by, values.scaled.step
+            values.follow_rules()
 
 
-def chains_are_as_bad_as_who_runs_lets_them(
-    model: QualityModel, cuts: Iterable[ChainCut], missed_by: dict[str, IntVar], step: int
-) -> None:
-    """Add the cuts on chains: implied, but the linear relaxation needs them. `missed_by` of each target is in steps."""
+def chains_are_as_bad_as_who_runs_lets_them(model: Model, cuts: Iterable[ChainCut]) -> None:
+    """Add the cuts on chains: implied, but the linear relaxation needs them."""
+    index_of = model.candidates.index_of
     for cut in cuts:
-        terms = [missed_by[cut.target]]
-        terms += [
-            -(-ahead // step) * runs
-            for unit, ahead in zip(cut.units.tolist(), cut.ahead.tolist(), strict=True)
-            for runs in model.ways_to_run(unit)
-        ]
-        model.cp.add(LinearExpr.sum(terms) >= -(-cut.least // step))
+        missed_by, step = model.missed_by[cut.target, cut.attribute]
+        ahead = {index_of[unit]: by for unit, by in cut.ahead.items() if unit in index_of}
+        terms = [-(-by // step) * model.runs[i] for i, by in ahead.items() if i in model.runs]
+        model.cp.add(LinearExpr.sum([missed_by, *terms]) >= -(-cut.least // step))
 
 
 class Scaled:
@@ -87,10 +61,7 @@ class Scaled:
         is_cut = any(c.rule is QualityRule.SCALE or c.over is Over.MEAN for c in stated)
         self.step = 1 if is_cut else gcd(attribute.worst, attribute.best, *(c.value for c in stated))
         self.attribute = replace(attribute, worst=attribute.worst // self.step, best=attribute.best // self.step)
-        self.ranges = {
-            stream: (best // self.step, self.at_most(worst))
-            for stream, (best, worst) in range_of_use(candidates, attribute).items()
-        }
+        self.best = {stream: value // self.step for stream, value in best_values(candidates, attribute).items()}
 
     def at_most(self, value: int) -> int:
         """The worst multiple that is no worse than a value."""
@@ -100,43 +71,120 @@ class Scaled:
         return stated.value if stated.rule is QualityRule.SCALE else stated.value // self.step
 
 
-def value_of_choice(
-    model: QualityModel, attribute: QualityAttribute, choices: Choices, values: QualityValues
-) -> IntVar:
-    """A variable no better than the value of the stream that is taken."""
-    choices = [(stream, taken) for stream, taken in choices if stream in values]
-    is_low = attribute.better is Better.LOWER
-    ends = [end for stream, _ in choices for end in values[stream].proto.domain]
-    value = model.cp.new_int_var(min(ends), max(ends), "") if ends else model.cp.new_constant(attribute.worst)
-    for stream, taken in choices:
-        model.cp.add(value >= values[stream] if is_low else value <= values[stream]).only_enforce_if(taken)
-    if choices:  # implied, but what the linear relaxation needs
-        best_of = min if is_low else max
-        start = best_of(ends)
-        at_best = LinearExpr.sum([(best_of(values[stream].proto.domain) - start) * taken for stream, taken in choices])
-        at_best += start
-        model.cp.add(value >= at_best if is_low else value <= at_best)
-    return value
+class _Values:
+    """Variables for the values of an attribute where a stream is chosen: at targets, at inputs told apart, in hubs."""
+
+    def __init__(self, model: Model, attribute: QualityAttribute) -> None:
+        self.model, self.scaled = model, Scaled(model.candidates, attribute)
+        self.attribute = self.scaled.attribute
+        self._is_low = attribute.better is Better.LOWER
+        self._of: dict[Hashable, IntVar] = {}
+        self._choices: list[tuple[IntVar, Mapping[Stream, IntVar]]] = []
+        self._worst: dict[int, int] = {}
+        """The worst value at which a demand is of use to anybody; spares may get any quality."""
+        allowed = worst_of_use(model.candidates, attribute) if Notion.SURVIVAL not in model.problem.notions else {}
+        for tag, value in allowed.items():
+            worst = self.scaled.at_most(value)
+            self._worst[model.demand(tag)] = self._worse(worst, self._worst.get(model.demand(tag), worst))
+
+    def _worse(self, *values: int) -> int:
+        return max(values) if self._is_low else min(values)
+
+    def _better(self, *values: int) -> int:
+        return min(values) if self._is_low else max(values)
+
+    def of_choice(self, where: Hashable, tag: str, choices: Mapping[Stream, IntVar]) -> IntVar:
+        """A variable no better than the value of the stream that is taken for a demand."""
+        if where not in self._of:
+            known = {stream: taken for stream, taken in choices.items() if stream in self.scaled.best}
+            worst = self._worst.get(self.model.demand(tag), self.attribute.worst)
+            best = self._better(worst, *(self.scaled.best[stream] for stream in known))
+            self._of[where] = self.model.cp.new_int_var(min(best, worst), max(best, worst), "")
+            self._choices.append((self._of[where], known))
+        return self._of[where]
+
+    def follow_rules(self) -> None:
+        """Let each variable be what the rules of the streams make of their inputs, which get variables too."""
+        for value, choices in self.model.candidates.clock.each(self._choices):
+            self._is_no_better_than_what_is_taken(value, choices)
+
+    def _is_no_better_than_what_is_taken(self, value: IntVar, choices: Mapping[Stream, IntVar]) -> None:
+        cp, ends = self.model.cp, list(value.proto.domain)
+        start, worst = self._better(*ends), self._worse(*ends)
+        held: list[LiteralT] = []
+        if worst == self.attribute.worst:  # what is worse than the scale counts as its worst
+            is_worst = cp.new_bool_var("")
+            cp.add(value == worst).only_enforce_if(is_worst)
+            held.append(is_worst.negated())
+        terms: list[LinearExprT] = [start]
+        for stream, taken in choices.items():
+            best = self.scaled.best[stream]
+            if self._worse(best, worst) != worst:
+                cp.add_bool_or([taken.negated()])
+                continue
+            terms.append((best - start) * taken)
+            for other, by in self._made(stream):
+                no_better = by * value >= other if self._is_low else by * value <= other
+                cp.add(no_better).only_enforce_if([taken, *held])
+        at_best = LinearExpr.sum(terms)  # implied, but what the linear relaxation needs
+        cp.add(value >= at_best if self._is_low else value <= at_best)
+
+    def _made(self, stream: Stream) -> Iterable[tuple[LinearExprT, int]]:
+        """What a stream's value times a number is no better than."""
+        unit = self.model.unit_of(stream)
+        transformation = self.model.candidates.all[unit].transformation
+        stated = {c.attribute: c for c in transformation.output[stream.port].quality}.get(self.attribute.name)
+        own = 0 if stated is None else self.scaled.own(stated)
+        ordinary = [port for port in transformation.inputs if not port.feedback]
+        if not ordinary:
+            yield self.attribute.worst if stated is None else own, 1
+            return
+        rule = QualityRule.ADD if stated is None else stated.rule
+        if rule in (QualityRule.SET, QualityRule.LIMIT):
+            yield own, 1
+        if rule is QualityRule.SET:
+            return
+        inputs = list({value.index: value for value in (self._at(unit, port) for port in ordinary)}.values())
+        if stated is not None and stated.over is not Over.WORST:
+            inputs = [self._combined(unit, stated.over, [self._at(unit, port) for port in ordinary])]
+        for theirs in inputs:
+            if rule is QualityRule.SCALE:
+                common = gcd(own, MICRO)
+                yield own // common * theirs, MICRO // common
+            else:
+                yield theirs + (own if rule is QualityRule.ADD else 0), 1
+
+    def _at(self, unit: int, port: InputPort) -> IntVar:
+        """The value at a candidate's input."""
+        model, where = self.model, ("input", unit, port.name)
+        if (unit, port.name) in model.connects:
+            return self.of_choice(where, port.tag, model.connects[unit, port.name])
+        if where not in self._of:
+            keys = [(wired, model.hub_key(port.tag, host)) for host, wired in model.wired_on(unit).items()]
+            met = [(wired, self.of_choice(key, port.tag, model.meets[key])) for wired, key in keys]
+            running = model.candidates.all[unit].running
+            kept = running.feeds[port.name] if unit in model.stays and running is not None else None
+            if len({value.index for _, value in met}) == 1 and kept is None:
+                self._of[where] = met[0][1]
+                return met[0][1]
+            low, high = sorted((self.attribute.worst, self.attribute.best))
+            value = self._of[where] = model.cp.new_int_var(low, high, "")
+            if kept is not None:
+                self._choices.append((value, {kept: model.stays[unit]} if kept in self.scaled.best else {}))
+            for wired, theirs in met:
+                model.cp.add(value >= theirs if self._is_low else value <= theirs).only_enforce_if(wired)
+        return self._of[where]
+
+    def _combined(self, unit: int, over: Over, inputs: Sequence[IntVar]) -> IntVar:
+        where = ("combined", unit, over)
+        if len(inputs) == 1:
+            return inputs[0]
+        if where not in self._of:
+            self._of[where] = _combined(self.model, self.attribute, over, inputs)
+        return self._of[where]
 
 
-def _grant(model: QualityModel, scaled: Scaled, wish: Wish, choices: Choices, values: QualityValues) -> IntVar:
-    """Demand what a target asks. Returns the variable for what its stream misses the best by, in steps."""
-    attribute = scaled.attribute
-    missed_by = model.cp.new_int_var(0, abs(attribute.worst - attribute.best), "")
-    for stream, published in choices:
-        if stream not in values:
-            continue
-        distance = _badness(attribute, values[stream])
-        model.cp.add(missed_by >= distance).only_enforce_if(published)
-    known = [(stream, published) for stream, published in choices if stream in values]
-    best_of = min if attribute.better is Better.LOWER else max
-    at_best = [_badness_of(attribute, best_of(values[s].proto.domain)) * published for s, published in known]
-    model.cp.add(missed_by >= LinearExpr.sum(at_best))
-    grant(model, scaled, wish, missed_by)
-    return missed_by
-
-
-def grant(model: QualityModel, scaled: Scaled, wish: Wish, missed_by: IntVar) -> None:
+def _grant(model: Model, scaled: Scaled, wish: Wish, missed_by: LinearExprT) -> None:
     """Demand a wish's bound on `missed_by`, and add its price to the cost."""
     attribute = scaled.attribute
     if wish.bound is not None:
@@ -152,44 +200,10 @@ def grant(model: QualityModel, scaled: Scaled, wish: Wish, missed_by: IntVar) ->
         model.more_costs.append(price)
 
 
-def _values(
-    model: QualityModel, scaled: Scaled, value_at: Callable[[QualityAttribute, int, InputPort, QualityValues], IntVar]
-) -> QualityValues:
-    """A variable for the value of each stream that is of use."""
-    attribute, ranges = scaled.attribute, scaled.ranges
-    values = {stream: model.cp.new_int_var(min(ends), max(ends), "") for stream, ends in ranges.items()}
-    for i, candidate in model.candidates.clock.each(enumerate(model.candidates.all)):
-        outputs = [port for port in candidate.transformation.outputs if Stream(candidate.id, port.name) in values]
-        ordinary = [port for port in candidate.transformation.inputs if not port.feedback] if outputs else []
-        inputs = [value_at(attribute, i, port, values) for port in ordinary]
-        for port in outputs:
-            stated = {c.attribute: c for c in port.quality}.get(attribute.name)
-            value = values[Stream(candidate.id, port.name)]
-            no_better = _NoBetter(model, attribute, value, ranges[Stream(candidate.id, port.name)][1], i)
-            if not inputs:
-                no_better.than(attribute.worst if stated is None else scaled.own(stated))
-                continue
-            theirs = _combined(model, attribute, Over.WORST if stated is None else stated.over, inputs)
-            rule, own = (QualityRule.ADD, 0) if stated is None else (stated.rule, scaled.own(stated))
-            if rule in (QualityRule.SET, QualityRule.LIMIT):
-                no_better.than(own)
-            if rule is QualityRule.SCALE:
-                common = gcd(own, MICRO)
-                no_better.than(own // common * theirs, MICRO // common)
-            elif rule is not QualityRule.SET:
-                no_better.than(theirs + (own if rule is QualityRule.ADD else 0))
-    return values
-
-
-def _combined(model: QualityModel, attribute: QualityAttribute, over: Over, inputs: Sequence[IntVar]) -> IntVar:
-    if len(inputs) == 1:
-        return inputs[0]
+def _combined(model: Model, attribute: QualityAttribute, over: Over, inputs: Sequence[IntVar]) -> IntVar:
     result = model.cp.new_int_var(0, max(attribute.worst, attribute.best) * len(inputs), "")
     is_low = attribute.better is Better.LOWER
     match over:
-        case Over.WORST:
-            for value in inputs:
-                model.cp.add(result >= value if is_low else result <= value)
         case Over.BEST if is_low:
             model.cp.add_min_equality(result, inputs)
         case Over.BEST:
@@ -200,33 +214,6 @@ def _combined(model: QualityModel, attribute: QualityAttribute, over: Over, inpu
         case Over.SUM:
             model.cp.add(result == LinearExpr.sum(list(inputs)))
     return result
-
-
-@dataclass(frozen=True)
-class _NoBetter:
-    """Keeps a candidate's value from being better than another; `end` is the worst value that it can have.
-
-    Values worse than the scale count as its worst. If `end` is better than that, the candidate does not run unless its
-    value is good enough.
-    """
-
-    model: QualityModel
-    attribute: QualityAttribute
-    value: IntVar
-    end: int
-    unit: int
-
-    def than(self, other: LinearExprT, by: int = 1) -> None:
-        """Demand that the value times `by` is no better than `other`."""
-        cp, is_low = self.model.cp, self.attribute.better is Better.LOWER
-        no_better = by * self.value >= other if is_low else by * self.value <= other
-        if self.end != self.attribute.worst:
-            for runs in self.model.ways_to_run(self.unit):
-                cp.add(no_better).only_enforce_if(runs)
-        else:
-            is_worst = cp.new_bool_var("")
-            cp.add(self.value == self.attribute.worst).only_enforce_if(is_worst)
-            cp.add(no_better).only_enforce_if(is_worst.negated())
 
 
 def _badness(attribute: QualityAttribute, value: IntVar) -> LinearExprT:

@@ -14,6 +14,7 @@ is kept at the worst of the scale is no better than any potential, since these a
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -32,13 +33,12 @@ MOST_GAIN = 64 * MICRO
 
 @dataclass(frozen=True)
 class ChainCut:
-    """A cut: a target's badness, plus `ahead` of each of the candidates `units` that runs, is at least `least`."""
+    """A cut: a target's badness, plus `ahead` of each unit that runs, by its id, is at least `least`."""
 
     target: str
     attribute: str
     least: int
-    units: Ints
-    ahead: Ints
+    ahead: Mapping[str, int]
 
 
 class Chains:

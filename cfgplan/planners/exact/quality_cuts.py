@@ -1,4 +1,4 @@
-"""Which cuts on chains of streams help: those that the linear relaxation of a flat fleet violates.
+"""Which cuts on chains of streams help: those that the linear relaxation of who runs violates.
 
 The relaxation has landmarks, what units need and the cuts so far. Its solution runs each unit to some share. Potentials
 are chosen by a chain that takes the best streams first, as far as their shares reach.
@@ -11,8 +11,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from cfgplan.domain import Target
+from cfgplan.planners.bounding.bounds import Bound
 from cfgplan.planners.closing.program import FROM_THE_LAST_BASIS
-from cfgplan.planners.exact.flat import Flat
+from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.quality_chains import ChainCut, Chains, Root
 from cfgplan.planners.networks.core import Floats, Ints
 from cfgplan.planners.solving.clock import Clock
@@ -25,12 +26,15 @@ QUICK, CLOSE = (0.0,), (0.0, 1.0)
 """The spreads to try one after the other, see `Chains.deciding`."""
 
 
-def chain_cuts(flat: Flat, landmarks: list[list[int]], clock: Clock, spreads: Spreads) -> tuple[list[ChainCut], Floats]:
-    """Cuts for all that targets ask, and each candidate's share in the relaxation; no cuts if that is too large."""
-    tuning = clock.tuning.quality
-    if sum(len(flat.givers[fact]) for needs in flat.needs for fact in needs) > tuning.largest:
-        return [], np.zeros(len(flat.candidates.all))
-    relaxation = Relaxation(flat, landmarks, tuning)
+def chain_cuts(candidates: Candidates, bound: Bound, clock: Clock, spreads: Spreads) -> tuple[list[ChainCut], Floats]:
+    """Cuts for all that targets ask, and each candidate's share in the relaxation; no cuts if that is too large.
+
+    `bound` is one of the candidates' network.
+    """
+    tuning, core = clock.tuning.quality, candidates.network.core
+    if int(np.diff(core.givers.starts)[core.needs.items].sum()) > tuning.largest:
+        return [], np.zeros(len(candidates.all))
+    relaxation = Relaxation(candidates, bound, tuning)
     values: list[float] = []
     while len(values) < tuning.rounds and not clock.is_over() and relaxation.solve(clock.left_s()):
         values.append(relaxation.value_us)
@@ -44,68 +48,73 @@ def chain_cuts(flat: Flat, landmarks: list[list[int]], clock: Clock, spreads: Sp
 class _Asked:
     """What a target asks of an attribute, and its badness in the relaxation."""
 
-    def __init__(self, flat: Flat, chains: Chains, target: Target, wish: Wish) -> None:
+    def __init__(self, candidates: Candidates, chains: Chains, target: Target, wish: Wish) -> None:
         self.chains, self.target, self.wish = chains, target.label, wish
         self.root: Root = chains.root(target.tag)
         self.least = int(chains.best[self.root.demand])
-        bound = flat.candidates.bounds.get((target.label, wish.attribute), chains.attribute.worst)
+        bound = candidates.bounds.get((target.label, wish.attribute), chains.attribute.worst)
         self.most = max(self.least, chains.badness(bound))
         self.unit = float(max(1, self.least, self.most - self.least))
 
 
 class Relaxation:
-    """A flat fleet's linear relaxation; `value_us` is the solver's bound on the cost, as exact as its floats are."""
+    """The linear relaxation of which labels run, a first unit of each.
 
-    def __init__(self, flat: Flat, landmarks: list[list[int]], tuning: Quality) -> None:
+    `value_us` is the solver's bound on the cost, as exact as its floats are.
+    """
+
+    def __init__(self, candidates: Candidates, bound: Bound, tuning: Quality) -> None:
         from ortools.linear_solver import pywraplp  # type: ignore[import-untyped]
 
-        self._flat, self._tuning = flat, tuning
+        self._candidates, self._tuning = candidates, tuning
         self._optimal = pywraplp.Solver.OPTIMAL
         self.lp = pywraplp.Solver.CreateSolver("GLOP")
         self.lp.SuppressOutput()
         self.lp.SetSolverSpecificParametersAsString(FROM_THE_LAST_BASIS)
         self.cuts: list[ChainCut] = []
         self.value_us = 0.0
-        self.share = np.zeros(len(flat.candidates.all))
-        self._unit_us = float(max(1, *flat.cost_us))
-        self._uses = [self.lp.NumVar(0.0, 1.0, "") for _ in flat.candidates.clock.each(flat.labels)]
-        self._places = [[self._uses[n] for n in flat.places(unit)] for unit in range(len(flat.candidates.all))]
+        self.share = np.zeros(len(candidates.all))
+        network, cost_us = candidates.network, candidates.least_us.tolist()
+        self._unit_us = float(max(1, *cost_us))
+        firsts = [candidates.units_of(label)[0] for label in network.labels]
+        self._uses = {unit: self.lp.NumVar(0.0, 1.0, "") for unit in candidates.clock.each(firsts)}
+        self._variables = list(self._uses.values())
         objective = self.lp.Objective()
         objective.SetMinimization()
-        for uses, cost_us in zip(self._uses, flat.cost_us, strict=True):
-            objective.SetCoefficient(uses, cost_us / self._unit_us)
+        for uses, us in zip(self._uses.values(), cost_us, strict=True):
+            objective.SetCoefficient(uses, us / self._unit_us)
         self._asked: list[_Asked] = []
         self._badness = []
-        environment = flat.candidates.environment
+        environment = candidates.environment
         for attribute in environment.qualities:
             wishes = [(t, w) for t in environment.targets for w in t.quality if w.attribute == attribute.name]
-            chains = Chains(flat.candidates, attribute, tuning) if wishes else None
+            chains = Chains(candidates, attribute, tuning) if wishes else None
             for target, wish in wishes:
                 assert chains is not None
-                asked = _Asked(flat, chains, target, wish)
+                asked = _Asked(candidates, chains, target, wish)
                 badness = self.lp.NumVar(asked.least / asked.unit, asked.most / asked.unit, "")
                 objective.SetCoefficient(badness, asked.unit * wish.weight_us / MICRO / self._unit_us)
                 self._asked.append(asked)
                 self._badness.append(badness)
-        self._need(landmarks)
+        self._need(bound)
 
-    def _need(self, landmarks: list[list[int]]) -> None:
-        flat = self._flat
-        for members in flat.candidates.clock.each(landmarks):
-            self._any_of(members)
-        for fact in flat.wanted:
-            self._any_of(list(flat.givers[fact]))
-        for label, needs in flat.candidates.clock.each(enumerate(flat.needs)):
-            for fact in needs:
-                self._any_of([giver for giver in flat.givers[fact] if fact not in flat.needs[giver]], label)
+    def _need(self, bound: Bound) -> None:
+        core, clock = self._candidates.network.core, self._candidates.clock
+        for landmark in clock.each(bound.landmarks):
+            self._any_of(bound.core.labels[landmark.members].tolist())
+        for label in clock.each(range(core.goal + 1)):
+            for fact in core.needs.lists[label]:
+                first = [giver for giver in core.givers.lists[fact] if fact not in core.needs.lists[giver]]
+                self._any_of(first, label if label < core.goal else None)
 
     def _any_of(self, labels: list[int], unless_without: int | None = None) -> None:
         """Demand that one of `labels` is used; if `unless_without` is a label, only where that is used."""
+        uses = self._variables
         row = self.lp.Constraint(1.0 if unless_without is None else 0.0, self.lp.infinity())
         for label in labels:
-            row.SetCoefficient(self._uses[label], 1.0)
+            row.SetCoefficient(uses[label], 1.0)
         if unless_without is not None and unless_without not in labels:
-            row.SetCoefficient(self._uses[unless_without], -1.0)
+            row.SetCoefficient(uses[unless_without], -1.0)
 
     def solve(self, time_limit_s: float | None) -> bool:
         if time_limit_s is not None:
@@ -117,7 +126,9 @@ class Relaxation:
 
     def cut(self, spreads: Spreads) -> bool:
         """Add the cuts that are violated; False if there are none."""
-        self.share = share = np.array([sum(uses.solution_value() for uses in places) for places in self._places])
+        share = self.share
+        for unit, uses in self._uses.items():
+            share[unit] = uses.solution_value()
         now = [badness.solution_value() for badness in self._badness]
         is_cut = False
         for asked, badness, value in zip(self._asked, self._badness, now, strict=True):
@@ -125,13 +136,14 @@ class Relaxation:
             if violation - value * asked.unit > self._tuning.least * max(1.0, value * asked.unit):
                 potential = asked.root.lifted(potential)
                 ahead = asked.root.ahead(potential)
-                units = np.flatnonzero(ahead)
                 least = int(potential[asked.root.demand])
-                self.cuts.append(ChainCut(asked.target, asked.wish.attribute, least, units, ahead[units]))
+                units = self._candidates.all
+                cut = {units[i].id: int(ahead[i]) for i in np.flatnonzero(ahead).tolist()}
+                self.cuts.append(ChainCut(asked.target, asked.wish.attribute, least, cut))
                 row = self.lp.Constraint(least / asked.unit, self.lp.infinity())
                 row.SetCoefficient(badness, 1.0)
-                for unit in units.tolist():
-                    for uses in self._places[unit]:
+                for unit, uses in self._uses.items():
+                    if ahead[unit]:
                         row.SetCoefficient(uses, float(ahead[unit]) / asked.unit)
                 is_cut = True
         return is_cut

@@ -10,6 +10,7 @@ from ortools.sat.python.cp_model import IntVar, LinearExpr
 from cfgplan.domain import InputPort, Stream
 from cfgplan.planners.exact.candidates import HostName
 from cfgplan.planners.exact.model import Model, ModelRule
+from cfgplan.planners.exact.quality import targets_get_the_quality_they_ask_for
 
 
 def a_unit_runs_or_waits_in_one_place(model: Model) -> None:
@@ -125,7 +126,8 @@ def a_target_is_published_by_one_unit(model: Model) -> None:
         for stream in model.choices(target.tag):
             feeder = model.unit_of(stream)
             running = model.candidates.all[feeder].running
-            if not model.is_apart and feeder not in model.tracked and running is None:
+            is_told_apart = model.is_apart or target.quality or feeder in model.tracked
+            if not is_told_apart and running is None:
                 others += model.ways(stream, target.host)
                 continue
             publishes = choices[stream] = model.boolean()
@@ -152,7 +154,20 @@ def a_demand_is_met_first_by_a_unit_that_does_not_need_it(model: Model) -> None:
     for (demand, host), hub in model.candidates.clock.each(model.hubs.items()):
         first = {stream: _first_ways(model, stream, demand, host) for stream in model.streams_of(demand)}
         ways = {way.index: way for these in first.values() for way in these}
-        model.rests_on_any(hub, list(ways.values()))
+        if model.asks_for_quality and (host is not None or not model.is_carried(demand)):
+            model.needs_any(hub, list(ways.values()))
+            one_stream_meets_a_demand(model, (demand, host), first)
+        else:
+            model.rests_on_any(hub, list(ways.values()))
+
+
+def one_stream_meets_a_demand(model: Model, key: tuple[int, HostName], first: dict[Stream, list[IntVar]]) -> None:
+    """All who have the demand there and are wired take it: its quality is theirs."""
+    meets = model.meets[key] = {stream: model.boolean() for stream, ways in first.items() if ways}
+    for stream, taken in meets.items():
+        model.rests_on_any(taken, first[stream])
+    model.cp.add_exactly_one(*meets.values(), model.hubs[key].negated())
+    model.support.rests_on_any(model.hubs[key].index, [taken.index for taken in meets.values()])
 
 
 def _first_ways(model: Model, stream: Stream, demand: int, host: HostName) -> list[IntVar]:
@@ -344,5 +359,6 @@ RULES: Final[tuple[ModelRule, ...]] = (
     there_are_as_many_units_as_asked_for_and_allowed,
     new_units_come_in_order,
     one_of_new_units_alike_is_enough,
+    targets_get_the_quality_they_ask_for,
 )
 """What a configuration must be, in the order in which the booleans are made."""

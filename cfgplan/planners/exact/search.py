@@ -17,20 +17,19 @@ from ortools.sat.python.cp_model import (
     LinearExprT,
 )
 
-from cfgplan.domain import InputPort
 from cfgplan.errors import InputError
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.decode import decode, lean, named
 from cfgplan.planners.exact.first_plans import FirstPlans
 from cfgplan.planners.exact.model import Model, ModelRule
-from cfgplan.planners.exact.quality import QualityValues, targets_get_the_quality_they_ask_for, value_of_choice
+from cfgplan.planners.exact.quality import chains_are_as_bad_as_who_runs_lets_them
+from cfgplan.planners.exact.quality_chains import ChainCut
 from cfgplan.planners.exact.rules import RULES
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.exact.survival import Survival
 from cfgplan.planners.networks.keys import Key
 from cfgplan.planners.solving.clock import Clock, ContradictionError
 from cfgplan.planners.solving.engine import OnSolution, repeatable_solver, solve
-from cfgplan.qualities import QualityAttribute
 
 EXACT = 2**50
 """Up to here the solver's bound, a double, is exact."""
@@ -55,6 +54,7 @@ class Search:
         is_all: bool = True,
         is_apart: bool = False,
         landmarks: Landmarks = (),
+        cuts: Iterable[ChainCut] = (),
         missed: Callable[[Collection[str], Clock], Landmarks] = lambda *_: (),
         rules: Sequence[ModelRule] = RULES,
     ) -> None:
@@ -73,21 +73,13 @@ class Search:
         if self.problem.survive is not None:
             self._survival, self._first = Survival(candidates), FirstPlans(candidates, standing)
         self.model = Model(candidates, rules, is_apart=is_apart)
-        self._ask_for_quality()
         self.model.enough_of_each_run(landmarks)
+        chains_are_as_bad_as_who_runs_lets_them(self.model, cuts)
         self._cost = self.model.cost()
         self._is_no_dearer_than_the_incumbent()
         for name in ("rounds", "cuts", "conflicts"):
             standing.counts.setdefault(name, 0)
         standing.counts["booleans"] = len(self.model.literals)
-
-    def _ask_for_quality(self) -> None:
-        model = self.model
-
-        def value_at(attribute: QualityAttribute, unit: int, port: InputPort, values: QualityValues) -> IntVar:
-            return value_of_choice(model, attribute, model.connects[unit, port.name].items(), values)
-
-        targets_get_the_quality_they_ask_for(model, lambda target: model.publishes[target.label].items(), value_at)
 
     def _is_no_dearer_than_the_incumbent(self) -> None:
         if (largest_us := self.standing.largest_us) is not None:
@@ -253,7 +245,8 @@ class Search:
     def solver(self) -> CpSolver:
         """A solver for one round, with the time that is left."""
         size, tuning = len(self.model.literals), self.standing.clock.tuning
-        small = size < (tuning.fleet.small if self._has_hosts else tuning.solve.small)
+        is_large = self._has_hosts or self.model.asks_for_quality
+        small = size < (tuning.fleet.small if is_large else tuning.solve.small)
         solver = repeatable_solver(small=small, time_limit_s=self.standing.clock.left_s())
         if size < tuning.solve.tiny:
             solver.parameters.max_presolve_iterations = 1
