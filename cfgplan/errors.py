@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
+
+_MOST_NAMES_COMPARED = 500
+_LETTERS = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-./:()@ "
 
 
 class CfgplanError(Exception):
@@ -49,19 +52,40 @@ class InputError(CfgplanError):
         return cls([Fault(message, file=file, mend=mend)])
 
 
-def known(name: str, names: Iterable[str], what: str) -> str:
-    """A name, if it is one of these; raises InputError with the nearest one."""
+def known(name: str, names: Iterable[str], what: str, hint: str | None = None) -> str:
+    """A name, if it is one of these; else raises InputError with the nearest one, or a hint."""
     names = sorted(names)
     if name in names:
         return name
-    raise InputError.of(f"there is no {what} {name!r}", mend=nearest(name, names))
+    some = f"there are {len(names)}, such as {', '.join(names[:3])}" if names else None
+    raise InputError.of(f"there is no {what} `{name}`", mend=did_you_mean(name, names, hint or some))
 
 
-def nearest(name: str, names: Collection[str]) -> str | None:
-    """The name that somebody who wrote an unknown one probably meant, or some of them, as a mend."""
+def did_you_mean(name: str, names: Collection[str], otherwise: str | None = None) -> str | None:
+    """A mend for an unknown name: the known one that is close to it, or else a hint.
+
+    Among many names only those that differ by one letter are found: comparing with all of them takes seconds.
+    """
     from difflib import get_close_matches
 
-    close = get_close_matches(name, names, n=1)
-    if close:
-        return f"did you mean {close[0]!r}?"
-    return f"there are {len(names)}, such as {', '.join(sorted(names)[:3])}" if names else None
+    there = {*names}
+    if len(there) <= _MOST_NAMES_COMPARED:
+        close = get_close_matches(name, sorted(there), n=1)
+    else:
+        close = [edited for edited in _edits(name) if edited in there][:1]
+    close = close or sorted(each for each in there if each.casefold() == name.casefold())
+    return f"did you mean `{close[0]}`?" if close else otherwise
+
+
+def _edits(name: str) -> Iterator[str]:
+    """Every text that differs from a name by one letter, or by the order of two."""
+    for at in range(len(name) + 1):
+        before, after = name[:at], name[at:]
+        if after:
+            yield before + after[1:]
+        if len(after) > 1:
+            yield before + after[1] + after[0] + after[2:]
+        for letter in _LETTERS:
+            yield before + letter + after
+            if after:
+                yield before + letter + after[1:]

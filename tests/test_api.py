@@ -132,17 +132,17 @@ def test_what_is_not_there_is_bad_input_that_names_the_nearest(
     lost: tuple[cfgplan.World, cfgplan.Problem, cfgplan.Plan],
 ) -> None:
     world, problem, plan = lost
-    with pytest.raises(InputError, match="did you mean 'cpsat'"):
+    with pytest.raises(InputError, match="did you mean `cpsat`"):
         cfgplan.plan(problem, planner="cp-sat")
-    with pytest.raises(InputError, match=r"did you mean 'segmenter\(piff\)\.1'"):
+    with pytest.raises(InputError, match=r"did you mean `segmenter\(piff\)\.1`"):
         cfgplan.why(problem, plan, "unit", "segmenter(piff)")
-    with pytest.raises(InputError, match="no output 'bottom_cam'"):
+    with pytest.raises(InputError, match="no output `bottom_cam`"):
         cfgplan.why(problem, plan, "stream", "bottom_cam")
-    with pytest.raises(InputError, match="no kind of subject 'topic'"):
+    with pytest.raises(InputError, match="no kind of subject `topic`"):
         cfgplan.why(problem, plan, "topic", "/ball")  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="no transformation 'segmenter'"):
+    with pytest.raises(InputError, match="no transformation `segmenter`"):
         cfgplan.sensitivity(problem, upkeep_of="segmenter")
-    with pytest.raises(InputError, match="no target 'nothing'"):
+    with pytest.raises(InputError, match="no target `nothing`"):
         cfgplan.front(problem, "nothing", "error")
     with pytest.raises(InputError, match="at least 1"):
         cfgplan.alternatives(problem, -1)

@@ -10,7 +10,7 @@ from cfgplan.canonical import normal
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.screen import Screen, counted
-from cfgplan.errors import Fault, InputError
+from cfgplan.errors import InputError, known
 
 if TYPE_CHECKING:
     from cfgplan.domain import Environment, Similarity
@@ -129,10 +129,4 @@ def _input_tag(environment: Environment, name: str) -> str:
 
 
 def _named(tags: dict[str, str], name: str, what: str) -> str:
-    if name in tags:
-        return tags[name]
-    from difflib import get_close_matches
-
-    close = get_close_matches(name, tags, n=1)
-    mend = f"did you mean {close[0]!r}?" if close else "`cfgplan match ENV` lists them all"
-    raise InputError([Fault(f"there is no {what} {name!r}", mend=mend)])
+    return tags[known(name, tags, what, "`cfgplan match ENV` lists them all")]

@@ -11,7 +11,7 @@ from typing import Any
 
 from cfgplan.costs import microseconds
 from cfgplan.domain import Environment, OutputPort, Similarity, Target
-from cfgplan.errors import Fault, InputError, InvalidValueError, known, nearest
+from cfgplan.errors import Fault, InputError, InvalidValueError, did_you_mean, known
 from cfgplan.planning import Problem
 
 _TRUTH = {"true": True, "yes": True, "false": False, "no": False}
@@ -32,12 +32,12 @@ def without(environment: Environment, names: Collection[str]) -> Environment:
 
     A unit that is gone leaves gaps in those that it fed, as one that has died. Raises InputError.
     """
-    faults = []
-    for name in names:
-        known = [*environment.transformation, *environment.unit, *environment.target]
-        if name not in known:
-            message = f"there is no transformation, unit or target {name!r}"
-            faults.append(Fault(message, key="--without", mend=nearest(name, known)))
+    there = {*environment.transformation, *environment.unit, *environment.target}
+    faults = [
+        Fault(f"there is no transformation, unit or target `{name}`", key="--without", mend=did_you_mean(name, there))
+        for name in names
+        if name not in there
+    ]
     if faults:
         raise InputError(faults)
     return replace(

@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 from cfgplan.domain import Environment, Target, Transformation
-from cfgplan.errors import Fault, InputError
+from cfgplan.errors import Fault, InputError, did_you_mean
 from cfgplan.formats.document import Document, File
 from cfgplan.formats.environment_file import EnvironmentFile
 from cfgplan.formats.expansion import Expander
@@ -15,7 +15,6 @@ from cfgplan.formats.garbage import no_garbage_collection
 from cfgplan.formats.left_out import LeftOut
 from cfgplan.formats.places import Passage
 from cfgplan.formats.references import UnitChecker
-from cfgplan.formats.suggestions import did_you_mean
 from cfgplan.formats.tags import TagChecker, TagVocabulary
 
 

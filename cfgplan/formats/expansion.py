@@ -7,6 +7,7 @@ from math import prod
 from typing import Any
 
 from cfgplan.domain import CPU, MEMORY, START_MODES, InputPort, OutputPort, RunOptions, Transformation
+from cfgplan.errors import did_you_mean
 from cfgplan.formats.fields import (
     DEFAULT_LABOR_US,
     DEFAULT_UPKEEP_US,
@@ -18,7 +19,6 @@ from cfgplan.formats.fields import (
 from cfgplan.formats.fleet import FleetReader
 from cfgplan.formats.left_out import LeftOut
 from cfgplan.formats.places import Passage
-from cfgplan.formats.suggestions import did_you_mean
 from cfgplan.formats.tags import BadClassError, TagChecker, TagVocabulary
 from cfgplan.formats.templates import (
     MOST_EXPANSIONS,

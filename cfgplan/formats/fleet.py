@@ -6,12 +6,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from cfgplan.domain import Host
-from cfgplan.errors import Fault, InvalidValueError
+from cfgplan.errors import Fault, InvalidValueError, did_you_mean
 from cfgplan.formats.document import Document
 from cfgplan.formats.fields import ContributionPart, TargetPart, UnitPart, WishPart
 from cfgplan.formats.left_out import LeftOut
 from cfgplan.formats.places import Passage
-from cfgplan.formats.suggestions import did_you_mean
 from cfgplan.planning import Failures
 from cfgplan.qualities import Better, Contribution, Over, QualityAttribute, QualityRule, Wish
 

@@ -7,12 +7,11 @@ from collections.abc import Collection, Iterator, Mapping
 from graphlib import CycleError, TopologicalSorter
 
 from cfgplan.domain import ComputationUnit, Publication, Stream, Subscription, Transformation
-from cfgplan.errors import InvalidValueError
+from cfgplan.errors import InvalidValueError, did_you_mean
 from cfgplan.formats.fields import UnitPart
 from cfgplan.formats.fleet import FleetReader
 from cfgplan.formats.left_out import LeftOut
 from cfgplan.formats.places import Passage
-from cfgplan.formats.suggestions import did_you_mean
 
 MOST_CYCLES_SHOWN = 10
 

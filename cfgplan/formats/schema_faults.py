@@ -8,12 +8,11 @@ from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel
 
-from cfgplan.errors import Fault
+from cfgplan.errors import Fault, did_you_mean
 from cfgplan.formats.fields import FORMAT, EnvironmentPart, IncludedPart
 from cfgplan.formats.places import Path, Source
 from cfgplan.formats.scalars import resolve
 from cfgplan.formats.schema_values import FULL_FORM, PORT, SHORT_FORM
-from cfgplan.formats.suggestions import did_you_mean
 
 _KINDS_OF_VALUE = {
     "string_type": "text",
@@ -88,7 +87,7 @@ def _unknown_key(source: Source, path: Path, part: type[BaseModel]) -> Fault:
     known = sorted((_part_at(part, path[:-1]) or part).model_fields)
     name = str(path[-1])
     if part is IncludedPart and len(path) == 1 and name in EnvironmentPart.model_fields:
-        mend = "an included file has only transformations and targets: move this key to the main file"
+        mend: str | None = "an included file has only transformations and targets: move this key to the main file"
     else:
         mend = did_you_mean(name, known, f"the keys here are {', '.join(known)}")
     return source.fault(path, f"unknown key `{name}`", mend, at_key=True)

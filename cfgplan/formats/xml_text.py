@@ -11,7 +11,7 @@ from decimal import Decimal
 from typing import Any
 
 from cfgplan.canonical import normal
-from cfgplan.errors import Fault, InputError
+from cfgplan.errors import Fault, InputError, did_you_mean
 from cfgplan.formats.fields import (
     FORMAT,
     DefaultsPart,
@@ -27,7 +27,6 @@ from cfgplan.formats.fields import (
 from cfgplan.formats.json_text import read_json
 from cfgplan.formats.places import Path, Source, Spot
 from cfgplan.formats.scalars import resolve
-from cfgplan.formats.suggestions import did_you_mean
 from cfgplan.formats.xml_elements import XmlElement, parse_xml
 
 _PARTS: dict[str, type[Part]] = {
@@ -265,5 +264,5 @@ class _XmlReading:
             self._note(element, f"<{element.name}> has no attribute `{name}`", f'add {name}="..."')
         return element.attributes.get(name)
 
-    def _note(self, element: XmlElement, message: str, mend: str) -> None:
+    def _note(self, element: XmlElement, message: str, mend: str | None) -> None:
         self.faults.append(Fault(message, self.file, element.line, element.column, mend=mend))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
@@ -78,13 +77,3 @@ def expanded(name: str, prefixes: Mapping[str, str]) -> str | None:
         known = ", ".join(f"{known}:" for known in sorted(prefixes)) or "no prefix at all"
         raise UnknownNameError(f"the prefix {prefix + ':'!r} is unknown", f"the ontology declares {known}")
     return prefixes[prefix] + local
-
-
-def suggestion(name: str, known: Iterable[str]) -> str | None:
-    """A question with the known name that was probably meant; None if none is like it."""
-    choices = sorted(known)
-    close = difflib.get_close_matches(name, choices, n=1, cutoff=0.6)
-    if not close:
-        folded = {choice.casefold(): choice for choice in choices}
-        close = [folded[name.casefold()]] if name.casefold() in folded else []
-    return f"did you mean {close[0]!r}?" if close else None

@@ -11,11 +11,12 @@ from types import MappingProxyType
 from typing import Final
 
 from cfgplan.canonical import normal
+from cfgplan.errors import did_you_mean
 from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI, Concept, in_description_logic
 from cfgplan.matching.faults import UnknownNameError
 from cfgplan.matching.functional import Signature, Tree, parse
 from cfgplan.matching.literals import told
-from cfgplan.matching.names import NameTable, expanded, short_name, suggestion
+from cfgplan.matching.names import NameTable, expanded, short_name
 
 BRACKETED: Final = re.compile(r"<([^<>\s]+)>")
 
@@ -175,7 +176,7 @@ class Ontology:
             if other not in vocabularies and other.find(name) is not None:
                 return UnknownNameError(f"{name!r} is {_article(other.what)}, but {_article(wanted)} is wanted here")
         known = [short for vocabulary in vocabularies for short in vocabulary.by_short_name]
-        mend = suggestion(name, known) or "declare it in the ontology"
+        mend = did_you_mean(name, known, "declare it in the ontology")
         return UnknownNameError(f"the ontology has no {wanted} {name!r}", mend)
 
 

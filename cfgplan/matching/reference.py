@@ -12,10 +12,10 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Final, Protocol
 
+from cfgplan.errors import did_you_mean
 from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI, Concept, in_functional_syntax
 from cfgplan.matching.faults import UnknownNameError
 from cfgplan.matching.functional import Signature
-from cfgplan.matching.names import suggestion
 from cfgplan.matching.ontology import Ontology
 
 
@@ -58,10 +58,8 @@ def reference_named(reasoner: str) -> tuple[str, Reference | None]:
     from cfgplan.matching import hermit
 
     if reasoner not in REASONERS:
-        known = ", ".join(REASONERS)
-        raise UnknownNameError(
-            f"there is no reasoner {reasoner!r}", suggestion(reasoner, REASONERS) or f"choose one of {known}"
-        )
+        mend = did_you_mean(reasoner, REASONERS, f"choose one of {', '.join(REASONERS)}")
+        raise UnknownNameError(f"there is no reasoner {reasoner!r}", mend)
     if reasoner == "el":
         return "el", None
     return "hermit", hermit

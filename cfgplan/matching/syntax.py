@@ -12,6 +12,7 @@ import re
 from typing import Final
 from unicodedata import category
 
+from cfgplan.errors import did_you_mean
 from cfgplan.matching.concepts import (
     BOTTOM,
     TOP,
@@ -28,7 +29,6 @@ from cfgplan.matching.concepts import (
     some,
 )
 from cfgplan.matching.faults import TagError, UnknownNameError
-from cfgplan.matching.names import suggestion
 from cfgplan.matching.ontology import Ontology
 
 DEEPEST_CONCEPT: Final = 100
@@ -141,7 +141,7 @@ class _Reader:
     def _refuse_misspelt_word(self) -> None:
         """A name never follows a name: one that is like `some` or `and` was meant to be that."""
         token = self._tokens[self._at]
-        mend = suggestion(token.casefold(), _BETWEEN_NAMES) if token[:1].isalpha() else None
+        mend = did_you_mean(token.casefold(), _BETWEEN_NAMES) if token[:1].isalpha() else None
         if mend:
             raise self._error(f"{token!r} is not expected here", mend)
 

@@ -62,7 +62,7 @@ def test_units_and_streams_can_be_asked_for(run: Run) -> None:
 def test_an_unknown_subject_is_bad_input_with_the_nearest_name(run: Run) -> None:
     result = run("explain", NAO / "2-segmenter-lost.yaml", "--unit", "segmentor(piff).1")
     assert result.code == 30
-    assert "did you mean 'segmenter(piff).1'?" in result.err
+    assert "did you mean `segmenter(piff).1`?" in result.err
 
 
 def test_a_name_is_understood_however_its_accents_are_encoded(run: Run, write: Callable[[str], Path]) -> None:

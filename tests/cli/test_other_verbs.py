@@ -65,7 +65,7 @@ def test_match_explains_a_match(run: Run) -> None:
 def test_match_suggests_the_port_that_was_meant(run: Run) -> None:
     result = run("match", PIFF, "subsampler(piff)/y81", "segmenter(piff)/y")
     assert result.code == 30
-    assert "did you mean 'subsampler(piff)/y80'?" in result.err
+    assert "did you mean `subsampler(piff)/y80`?" in result.err
 
 
 @pytest.mark.parametrize(

@@ -78,7 +78,7 @@ def test_what_can_not_be_supposed_is_bad_input_all_at_once(run: Run) -> None:
     assert result.code == 30
     assert result.err.count("error:") == 3
     assert run("solve", FUSION, "--set", "horizon").code == 30
-    assert "did you mean 'segmenter(piff)'?" in run("solve", FUSION, "--without", "segmentor(piff)").err
+    assert "did you mean `segmenter(piff)`?" in run("solve", FUSION, "--without", "segmentor(piff)").err
 
 
 def test_a_plan_of_a_supposed_world_is_stale_for_the_real_one(run: Run) -> None:

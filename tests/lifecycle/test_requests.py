@@ -210,7 +210,7 @@ def test_an_individual_that_was_declared_can_be_removed_unless_it_is_needed(robo
 
 
 def test_an_individual_with_an_unknown_class_is_refused(robots: Life) -> None:
-    with pytest.raises(InputError, match=r"no class 'Robto' \(did you mean 'Robot'"):
+    with pytest.raises(InputError, match=r"no class 'Robto' \(did you mean `Robot`"):
         robots.ask(AddIndividuals((Individual("r2", ("Robto",)),)))
 
 

@@ -28,7 +28,7 @@ def test_every_reasoner_decides_the_example_of_the_paper(reasoner: str, streams:
 
 
 def test_an_unknown_reasoner_is_refused(streams: Ontology) -> None:
-    with pytest.raises(MatchingError, match="did you mean 'hermit'"):
+    with pytest.raises(MatchingError, match="did you mean `hermit`"):
         match(["Image"], ["Image"], streams, reasoner="hermet")
 
 

@@ -33,10 +33,10 @@ ALIKE = [
 ]
 WRONG = [
     ("", 1, "empty"),
-    ("Imag", 1, "did you mean 'Image'?"),
+    ("Imag", 1, "did you mean `Image`?"),
     ("Image and", 10, "ends where a concept"),
     ("Image Device", 7, "not expected"),
-    ("∃hasSorce.Camera", 2, "did you mean 'hasSource'?"),
+    ("∃hasSorce.Camera", 2, "did you mean `hasSource`?"),
     ("∃hasSource", 11, "'.' is wanted"),
     ("Image ⊓ ∃hasSource.{Camera}", 21, "'Camera' is a class, but an individual is wanted"),
     ("Image)", 6, "remove it"),
@@ -46,8 +46,8 @@ WRONG = [
     ("x:Image", 1, "prefix 'x:' is unknown"),
     ("Image ⊓ ⊓ Device", 9, "where a concept is wanted"),
     ("hasSource", 1, "is a property"),
-    ("hasSource somee Camera", 11, "did you mean 'some'?"),
-    ("Image adn Device", 7, "did you mean 'and'?"),
+    ("hasSource somee Camera", 11, "did you mean `some`?"),
+    ("Image adn Device", 7, "did you mean `and`?"),
     ("some Camera", 1, "where a concept is wanted"),
     ("(" * 200 + "Image", 101, "nested"),
 ]

@@ -161,11 +161,11 @@ def test_a_bad_addition_is_refused_with_its_place(
 
 
 def test_what_the_manager_refuses_is_told_with_its_faults(control: Control, manager: FakeManager) -> None:
-    manager.refuse = InputError([Fault("no unit 'ghost' runs", mend="did you mean 'goal'?")])
+    manager.refuse = InputError([Fault("no unit 'ghost' runs", mend="did you mean `goal`?")])
     with pytest.raises(RefusedError) as refused:
         control.call("kill", unit="ghost")
     assert refused.value.faults == manager.refuse.faults
-    assert refused.value.mend == "did you mean 'goal'?"
+    assert refused.value.mend == "did you mean `goal`?"
 
 
 def test_what_the_manager_finds_wrong_with_an_addition_is_told_with_its_place(

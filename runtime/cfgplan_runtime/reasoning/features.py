@@ -19,10 +19,9 @@ from pathlib import Path
 from typing import Any
 
 from cfgplan.domain import Environment
-from cfgplan.errors import Fault, InputError
+from cfgplan.errors import Fault, InputError, did_you_mean
 from cfgplan.formats.files import read_source
 from cfgplan.formats.places import Source
-from cfgplan.formats.suggestions import did_you_mean
 from cfgplan.formats.yaml_text import read_yaml
 from cfgplan_runtime.reasoning.regions import NotARegionError, Region, region_from
 

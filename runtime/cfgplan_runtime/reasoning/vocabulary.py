@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 from decimal import Decimal
 from typing import Any
 
-from cfgplan.errors import Fault
-from cfgplan.formats.suggestions import did_you_mean
+from cfgplan.errors import Fault, did_you_mean
 from cfgplan_runtime.reasoning.conditions import RCC8, Field, RegionName
 from cfgplan_runtime.reasoning.grammar import SPELLED
 from cfgplan_runtime.reasoning.regions import Region
