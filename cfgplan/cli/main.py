@@ -35,6 +35,7 @@ VERBS: Mapping[str, str] = MappingProxyType(
         "sensitivity": "find for which horizons, or upkeeps of a transformation, which plan is optimal",
         "graph": "draw the configuration before and after the optimal update, the changes coloured",
         "run": "start what meets the targets, as processes, and keep it the best there is",
+        "agent": "run units on this computer for a run of several computers",
         "ctl": "steer a run that is under way",
         "listen": "print what comes on a topic of a running system",
         "query": "answer a temporal formula over the streams of semantic subscriptions",

@@ -1,7 +1,26 @@
 """The world under test is a folder of unit code, and the network that of an experiment; neither is installed."""
 
+from __future__ import annotations
+
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+
+import psutil
+import pytest
 
 ROOT = Path(__file__).parents[2]
 sys.path += [str(ROOT / "models" / "fleet"), str(ROOT / "experiments" / "fleet")]
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_left_behind(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    base = tmp_path_factory.mktemp("r")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(base))
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+    me = psutil.Process()
+    children = set(me.children(recursive=True))
+    yield
+    left = [child for child in set(me.children(recursive=True)) - children if child.status() != psutil.STATUS_ZOMBIE]
+    assert left == [], "processes"
+    assert list((base / "cfgplan").rglob("*")) == []

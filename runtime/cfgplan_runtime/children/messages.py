@@ -8,11 +8,13 @@ import msgspec
 
 
 class UnitOrder(msgspec.Struct, frozen=True, tag=True):
-    """All that a child needs to be a unit."""
+    """All that a child needs to be a unit.
+
+    Its source is relative to `folder`; the times of its elements are the monotonic clock plus the offset.
+    """
 
     unit: str
     source: str
-    folder: str
     params: dict[str, Any]
     inputs: list[str]
     outputs: list[str]
@@ -24,7 +26,8 @@ class UnitOrder(msgspec.Struct, frozen=True, tag=True):
     keeps_state: bool
     state: bytes | None
     memory_bytes: int | None
-    clock_offset_ns: int
+    folder: str = ""
+    clock_offset_ns: int = 0
 
 
 class OutletOrder(msgspec.Struct, frozen=True, tag=True):
@@ -32,6 +35,16 @@ class OutletOrder(msgspec.Struct, frozen=True, tag=True):
 
     folder: str
     queue: int
+
+
+class RelayOrder(msgspec.Struct, frozen=True, tag=True):
+    """All that a child needs to be the relay of `host`; `config` is of its connection to the fleet."""
+
+    host: str
+    config: dict[str, Any]
+
+
+ChildOrder: TypeAlias = UnitOrder | OutletOrder | RelayOrder
 
 
 # To a child.
@@ -90,11 +103,35 @@ class CloseOutlet(msgspec.Struct, tag=True):
     topic: str
 
 
+class Export(msgspec.Struct, tag=True):
+    """Have an input, the crossing, whose elements go to another host; at most `queue` wait if it `blocks`."""
+
+    crossing: str
+    host: str
+    queue: int
+    blocks: bool
+
+
+class Import(msgspec.Struct, tag=True):
+    """Have an output, the crossing, with what another host exports; its times are to be `shift_ns` later."""
+
+    crossing: str
+    host: str
+    shift_ns: int
+
+
+class Release(msgspec.Struct, tag=True):
+    """Give up an export or import."""
+
+    crossing: str
+
+
 class Finish(msgspec.Struct, tag=True):
     """Process what has arrived, then end."""
 
 
-ToChild: TypeAlias = Feed | Serve | Cut | End | Unserve | SwitchNow | OpenOutlet | CloseOutlet | Finish
+ToRelay: TypeAlias = Export | Import | Release
+ToChild: TypeAlias = Feed | Serve | Cut | End | Unserve | SwitchNow | OpenOutlet | CloseOutlet | ToRelay | Finish
 
 
 # From a child.
@@ -185,7 +222,30 @@ class Unserved(msgspec.Struct, tag=True):
     cause: str
 
 
-FromChild: TypeAlias = Ready | Switched | Lost | Trouble | Exhausted | UnitSign | Flowing | Unserved
+class ImportUnused(msgspec.Struct, tag=True):
+    """Nobody takes from an import any more; it has served so many inputs up to now."""
+
+    crossing: str
+    served: int
+
+
+class CrossingCounts(msgspec.Struct, frozen=True):
+    """What went over a crossing, what had no room or was lost, what was sent again, and what waits there now."""
+
+    elements: int = 0
+    dropped: int = 0
+    resent: int = 0
+    waiting: int = 0
+
+
+class RelaySign(msgspec.Struct, tag=True):
+    """A sign of life of a relay, with the counts of its exports."""
+
+    exports: dict[str, CrossingCounts]
+
+
+FromRelay: TypeAlias = ImportUnused | RelaySign
+FromChild: TypeAlias = Ready | Switched | Lost | Trouble | Exhausted | UnitSign | Flowing | Unserved | FromRelay
 
 
 # To and from the nursery.
@@ -195,7 +255,7 @@ class Fork(msgspec.Struct, tag=True):
     """Make a child. Comes with its end of the control connection and of the pipe for what it prints."""
 
     serial: int
-    order: UnitOrder | OutletOrder
+    order: ChildOrder
 
 
 class Kill(msgspec.Struct, tag=True):

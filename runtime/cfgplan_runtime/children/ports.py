@@ -53,6 +53,8 @@ class UnitOutput:
     senders: list[Sender] = field(default_factory=list)
     elements: int = 0
     dropped_before: int = 0
+    served: int = 0
+    """The number of subscriptions that there were."""
 
 
 class Ports:
@@ -97,10 +99,19 @@ class Ports:
             if sender.is_closed or (sender.depth and not had_rest):
                 self._after_sending(output, sender)
 
+    def skip(self, port: str, count: int) -> None:
+        """Let every subscriber of an output see that so many elements were dropped before it."""
+        for sender in self.outputs[port].senders:
+            sender.skip(count)
+
     @property
     def must_wait(self) -> bool:
         """Whether a blocking subscriber has no room."""
-        return any(sender.is_full for output in self.outputs.values() for sender in output.senders)
+        return any(map(self.is_full, self.outputs))
+
+    def is_full(self, port: str) -> bool:
+        """Whether a blocking subscriber of an output has no room."""
+        return any(sender.is_full for sender in self.outputs[port].senders)
 
     @property
     def is_flushed(self) -> bool:
@@ -116,12 +127,20 @@ class Ports:
     def add_sender(self, port: str, sender: Sender) -> None:
         output = self.outputs[port]
         output.senders.append(sender)
+        output.served += 1
         self._selector.register(sender.socket, selectors.EVENT_READ, lambda: self._peer_spoke(output, sender))
 
     def close_output(self, port: str) -> None:
         for sender in list(self.outputs[port].senders):
             self._remove_sender(self.outputs[port], sender)
         del self.outputs[port]
+
+    def end_output(self, port: str) -> bool:
+        """Close the subscriptions of an output that have been sent everything. Returns whether none is left."""
+        output = self.outputs[port]
+        for sender in [sender for sender in output.senders if not sender.depth]:
+            self._remove_sender(output, sender)
+        return not output.senders
 
     def close_input(self, port: str) -> None:
         for receiver in self.inputs.pop(port).receivers.values():
@@ -162,7 +181,7 @@ class Ports:
                     self.say(Lost(port, wire))
                 case Feed(port, wire):
                     self._feed(port, wire, sockets[0])
-                case Serve(port, wire, queue, blocks) if sockets:
+                case Serve(port, wire, queue, blocks) if sockets and port in self.outputs:
                     self.add_sender(port, Sender(sockets[0], queue=queue, blocks=blocks, wire=wire))
                 case Cut(port, wire):
                     self._cut(port, wire)
@@ -171,8 +190,9 @@ class Ports:
                     self._cut(port, wire)
                 case Unserve(port, wire) if port in self.outputs:
                     self._unserve(self.outputs[port], wire)
-                case Serve() | End() | Unserve():  # no descriptor was left, or a topic is gone
-                    pass
+                case Serve() | End() | Unserve():  # no descriptor was left, or a topic or crossing is gone
+                    for end in sockets:
+                        end.close()
                 case SwitchNow(port):
                     self._switch_now(self.inputs[port])
                 case _:

@@ -6,15 +6,12 @@ from cfgplan.domain import Transformation
 from cfgplan_runtime.children.messages import UnitOrder
 
 
-def unit_order(
-    unit: str, transformation: Transformation, state: bytes | None, folder: str, clock_offset_ns: int
-) -> UnitOrder:
-    """The order for a unit of a transformation. The times of its elements are the monotonic clock plus the offset."""
+def unit_order(unit: str, transformation: Transformation, state: bytes | None) -> UnitOrder:
+    """The order for a unit of a transformation. Its code folder and clock are those of the computer that starts it."""
     run = transformation.run
     return UnitOrder(
         unit=unit,
         source=transformation.source or "",
-        folder=folder,
         params=dict(transformation.params),
         inputs=[port.name for port in transformation.inputs],
         outputs=[port.name for port in transformation.outputs],
@@ -26,5 +23,4 @@ def unit_order(
         keeps_state=run.state,
         state=state,
         memory_bytes=None if run.memory_mb is None else run.memory_mb << 20,
-        clock_offset_ns=clock_offset_ns,
     )

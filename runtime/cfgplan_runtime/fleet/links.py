@@ -25,8 +25,10 @@ def config(
 ) -> Config:
     """Zenoh's configuration of one session; endpoints are written `tcp/192.168.1.5:7447` or `unixsock-stream/PATH`.
 
-    With `certificates`, a host's folder, all links to other computers are written `quic/192.168.1.5:7447`. Raises
-    InputError for an endpoint that strangers could reach without certificates.
+    In mode "peer" all have to be linked with all. A "router" also passes on between those that are not, but when others
+    come and go within 0.1 s, Zenoh's routers overlook some for good. With `certificates`, a host's folder, all links to
+    other computers are written `quic/192.168.1.5:7447`. Raises InputError for an endpoint that strangers could reach
+    without certificates.
     """
     for endpoint in listen if certificates is None else ():
         _refuse_strangers(endpoint)

@@ -25,18 +25,21 @@ from setproctitle import setproctitle
 from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.messages import (
     Alive,
+    ChildOrder,
     Fork,
     Forked,
     Gone,
     Kill,
     NotForked,
     OutletOrder,
+    RelayOrder,
     ToChild,
     ToNursery,
     Trouble,
     UnitOrder,
 )
 from cfgplan_runtime.children.outlet_child import NO_DESCRIPTOR, OutletChild
+from cfgplan_runtime.children.relay_child import RelayChild
 from cfgplan_runtime.children.unit_child import UnitChild
 
 DUMP_SIGNAL = signal.SIGUSR1
@@ -84,7 +87,7 @@ class Nursery:
         for pid in self._serials:
             _kill_group(pid)
 
-    def _fork(self, serial: int, order: UnitOrder | OutletOrder, sockets: list[socket.socket]) -> None:
+    def _fork(self, serial: int, order: ChildOrder, sockets: list[socket.socket]) -> None:
         parent = os.getpid()
         cause, pid = NO_DESCRIPTOR, -1
         if len(sockets) == _SOCKETS_OF_A_CHILD:
@@ -96,8 +99,7 @@ class Nursery:
             status = FAILED
             try:
                 self._become_child(parent)
-                name = order.unit if isinstance(order, UnitOrder) else "outlets"
-                setproctitle(f"cfgplan {self._run} {name}")
+                setproctitle(f"cfgplan {self._run} {_title(order)}")
                 status = be_child(order, *sockets)
             finally:
                 os._exit(status)
@@ -139,8 +141,14 @@ class Nursery:
                 self._control.send(Gone(serial, status))
 
 
-def be_child(order: UnitOrder | OutletOrder, control_end: socket.socket, printed: socket.socket) -> int:
-    """Run as a unit or as the outlets until told to finish. Returns the exit status."""
+def _title(order: ChildOrder) -> str:
+    if isinstance(order, UnitOrder):
+        return order.unit
+    return "outlets" if isinstance(order, OutletOrder) else "relay"
+
+
+def be_child(order: ChildOrder, control_end: socket.socket, printed: socket.socket) -> int:
+    """Run as a unit, the outlets or the relay until told to finish. Returns the exit status."""
     _redirect(printed)
     random.seed()
     control: ControlConnection[ToChild] = ControlConnection(control_end, ToChild)
@@ -148,6 +156,9 @@ def be_child(order: UnitOrder | OutletOrder, control_end: socket.socket, printed
     try:
         if isinstance(order, OutletOrder):
             OutletChild(order, control).run()
+            return 0
+        if isinstance(order, RelayOrder):
+            RelayChild(order, control).run()
             return 0
         if "numpy.random" in sys.modules:
             sys.modules["numpy.random"].seed()

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator, Sequence
 
 from cfgplan_runtime.children.control import ControlConnection
-from cfgplan_runtime.children.messages import Fork, FromNursery, Kill, OutletOrder, UnitOrder
+from cfgplan_runtime.children.messages import ChildOrder, Fork, FromNursery, Kill
 
 _CODE = "import sys; from cfgplan_runtime.processes.nursery import main; main(sys.argv[1:])"
 _PATIENCE_AT_CLOSE_S = 5.0
@@ -46,7 +46,7 @@ class NurseryLink:
         self._control = ControlConnection(ours, FromNursery)
         return ours
 
-    def fork(self, serial: int, order: UnitOrder | OutletOrder, ends: Sequence[socket.socket]) -> None:
+    def fork(self, serial: int, order: ChildOrder, ends: Sequence[socket.socket]) -> None:
         """Have a child made, with its ends of the control connection and of the pipe for what it prints."""
         assert self._control is not None
         self._control.send(Fork(serial, order), ends)

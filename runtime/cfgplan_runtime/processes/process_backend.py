@@ -12,10 +12,13 @@ from contextlib import suppress
 from math import inf
 from pathlib import Path
 
+import msgspec
+
 from cfgplan.domain import Stream, Transformation
 from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.messages import (
     Alive,
+    ChildOrder,
     CloseOutlet,
     Cut,
     End,
@@ -25,15 +28,20 @@ from cfgplan_runtime.children.messages import (
     Flowing,
     Forked,
     FromChild,
+    FromRelay,
     Gone,
+    ImportUnused,
     Lost,
     NotForked,
     OpenOutlet,
     OutletOrder,
     Ready,
+    RelayOrder,
+    RelaySign,
     Serve,
     Switched,
     SwitchNow,
+    ToRelay,
     Trouble,
     UnitOrder,
     UnitSign,
@@ -65,11 +73,12 @@ from cfgplan_runtime.supervision.events import (
     WireSwitched,
 )
 
-OUTLETS = ""
+OUTLETS, RELAY = "", "/relay"
+"""Names of the helpers among children; no unit has one of them."""
 _NO_DESCRIPTOR = (errno.EMFILE, errno.ENFILE)
-OUTLETS_HELPER, NURSERY_HELPER = "outlets", "nursery"
+OUTLETS_HELPER, NURSERY_HELPER, RELAY_HELPER = "outlets", "nursery", "relay"
 HELPER_S = 10.0
-"""Seconds that the nursery or the outlets may be silent."""
+"""Seconds that a helper may be silent."""
 _HELPER_START_S = 60.0
 """Seconds until the first sign of life: the nursery imports modules first."""
 _OUTLET_QUEUE = 1024
@@ -107,10 +116,21 @@ class ProcessBackend:
         """When the outlets are to be made anew; None if they need not."""
         self._is_short = False
         """Whether there was no descriptor for the last wire."""
+        self._from_relay: list[FromRelay] = []
 
     @property
     def id(self) -> str:
         return self.run_folder.id
+
+    @property
+    def clock_offset_ns(self) -> int:
+        """What is added to the monotonic clock, in nanoseconds, for the times of elements."""
+        return self._clock_offset_ns
+
+    @property
+    def code_folder(self) -> Path:
+        """What `units.py:Class` is relative to."""
+        return Path(self._code_folder)
 
     def now(self) -> float:
         return time.monotonic()
@@ -134,8 +154,27 @@ class ProcessBackend:
         return events
 
     def start(self, unit: str, transformation: Transformation, state: bytes | None, host: str | None) -> None:  # noqa: ARG002
-        order = unit_order(unit, transformation, state, self._code_folder, self._clock_offset_ns)
-        self._fork(unit, order)
+        self.start_unit(unit_order(unit, transformation, state))
+
+    def start_unit(self, order: UnitOrder) -> None:
+        """Start a unit with this computer's code and clock: UnitReady or UnitDied follows."""
+        here = msgspec.structs.replace(order, folder=self._code_folder, clock_offset_ns=self._clock_offset_ns)
+        self._fork(order.unit, here)
+
+    def start_relay(self, order: RelayOrder) -> None:
+        """Start the relay, whose name is RELAY; and the nursery, so that it is warm when units are started."""
+        if self._fork(RELAY, order) is not None:
+            self._events.append(HelperAlive(RELAY_HELPER, _HELPER_START_S))
+
+    def tell_relay(self, message: ToRelay) -> None:
+        """Have the relay do something; does nothing without one."""
+        if RELAY in self._by_name:
+            self._tell(self._by_name[RELAY], message)
+
+    def heard_from_relay(self) -> list[FromRelay]:
+        """What the relay has said since the last call."""
+        heard, self._from_relay = self._from_relay, []
+        return heard
 
     def stop(self, unit: str) -> None:
         child = self._by_name.get(unit)
@@ -203,7 +242,7 @@ class ProcessBackend:
         if helper == NURSERY_HELPER:
             self._nursery.end()
         else:
-            self.kill(OUTLETS)
+            self.kill(OUTLETS if helper == OUTLETS_HELPER else RELAY)
 
     def usage(self, unit: str) -> Usage | None:
         child = self._by_name.get(unit)
@@ -257,7 +296,7 @@ class ProcessBackend:
         if self._topics:
             self._outlets_due_s = self.now() + doubling_s(self._outlets_lost, _AGAIN_S, _MOST_AGAIN_S)
 
-    def _fork(self, name: str, order: UnitOrder | OutletOrder) -> ChildProcess | None:
+    def _fork(self, name: str, order: ChildOrder) -> ChildProcess | None:
         """Have a child made. If the system has no room, report the child as dead and return None."""
         ends: list[socket.socket] = []
         try:
@@ -373,6 +412,9 @@ class ProcessBackend:
                 self._events.append(SourceExhausted(name))
             case Flowing(flows):
                 self._events += [HelperAlive(OUTLETS_HELPER, HELPER_S), TopicsStatus(flows)]
+            case RelaySign() | ImportUnused():
+                self._events.append(HelperAlive(RELAY_HELPER, HELPER_S))
+                self._from_relay.append(message)
             case Unserved(topic, cause):
                 self._events.append(OutOfDescriptors(f"subscribers of {topic} wait: {cause}"))
             case UnitSign(steps, errors, inputs, outputs, state):

@@ -78,6 +78,10 @@ class Sender:
                 self._waiting_bytes -= self._waiting.popleft()[1].size
                 self.dropped += 1
 
+    def skip(self, count: int) -> None:
+        """Leave a gap in the numbers: so many elements were dropped before they came here."""
+        self._number += count
+
     def flush(self) -> bool:
         """Send what waits. Returns whether nothing is left."""
         while not self.is_closed and self.depth:

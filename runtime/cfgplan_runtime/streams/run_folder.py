@@ -59,6 +59,13 @@ class RunFolder:
             raise
         return listener
 
+    def show(self, topic: str, run: Path) -> None:
+        """Have a topic of another run on this computer be found here too."""
+        here, there = address(self.path, topic), address(run, topic)
+        self.forget(topic)
+        here.symlink_to(there)
+        here.with_suffix(".topic").write_text(topic, encoding="utf-8")
+
     def forget(self, topic: str) -> None:
         """Remove the topic's address."""
         for path in (address(self.path, topic), address(self.path, topic).with_suffix(".topic")):

@@ -135,7 +135,9 @@ def subscribe(
 
 
 def _runs_with(topic: str, run: str | None) -> list[Path]:
-    return [path for path in live_runs(base_folder()) if run in (None, path.name) and address(path, topic).exists()]
+    """Each address once, as a run may show a topic of another one."""
+    runs = [path for path in live_runs(base_folder()) if run in (None, path.name) and address(path, topic).exists()]
+    return list({address(path, topic).resolve(): path for path in runs}.values())
 
 
 def _why_not(topic: str, run: str | None, found: list[Path]) -> str:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Lane: TypeAlias = Literal["orders", "small", "large"]
 """What is put on an earlier lane overtakes what waits on a later one."""
 
-_CLOSE_S = 2.0
+_LINK_CLOSE_S = 2.0
 """Zenoh may wait long for a peer that is gone when a session is closed."""
 
 
@@ -102,7 +102,7 @@ class ZenohLink:
         """Close the session; it is left to itself if it does not close in time."""
         thread = threading.Thread(target=self._session.close, daemon=True)
         thread.start()
-        thread.join(_CLOSE_S)
+        thread.join(_LINK_CLOSE_S)
 
 
 def _first_line(error: Exception) -> str:

@@ -1,0 +1,63 @@
+"""`cfgplan agent`: this computer's part of a run of several computers."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from cfgplan.cli.exits import Exit
+from cfgplan.cli.screen import Screen
+
+_EXAMPLE = """\
+example, on the robot r1 and on the base station, and then on either:
+  cfgplan agent --name r1 --connect tcp/127.0.0.1:7447
+  cfgplan agent --name base
+  cfgplan run env.yaml --connect tcp/127.0.0.1:7447
+
+Without certificates an agent listens on loopback only. Units run on while no run's command is there."""
+
+
+def add_to(parser: argparse.ArgumentParser) -> None:
+    parser.epilog = _EXAMPLE
+    parser.add_argument("--name", required=True, metavar="HOST", help="the host that this computer is in the file")
+    add_links(parser)
+    parser.add_argument(
+        "--listen",
+        action="append",
+        default=[],
+        metavar="ENDPOINT",
+        help="where others reach this agent (tcp/127.0.0.1:7447)",
+    )
+    parser.add_argument("--folder", default=".", metavar="DIR", help="what `source: units.py:Class` is relative to (.)")
+    parser.add_argument("--preload", action="append", default=[], metavar="MODULE", help="import it before units start")
+    parser.set_defaults(run=run)
+
+
+def add_links(parser: argparse.ArgumentParser) -> None:
+    """Options of whoever takes part in a fleet."""
+    parser.add_argument(
+        "--connect",
+        action="append",
+        default=[],
+        metavar="ENDPOINT",
+        help="another agent, such as tcp/127.0.0.1:7447 (several: once for each)",
+    )
+    parser.add_argument("--certificates", metavar="DIR", help="this computer's certificate and the run's authority")
+
+
+def run(options: argparse.Namespace, screen: Screen) -> Exit:
+    from cfgplan_runtime.fleet.agent import Agent
+
+    listen = options.listen or ["tcp/127.0.0.1:7447"]
+    agent = Agent(
+        options.name,
+        listen=listen,
+        connect=options.connect,
+        certificates=None if options.certificates is None else Path(options.certificates),
+        folder=Path(options.folder),
+        preload=options.preload,
+        say=screen.note,
+    )
+    screen.note(f"agent {options.name} listens on {', '.join(listen)}")
+    agent.run()
+    return Exit.OK

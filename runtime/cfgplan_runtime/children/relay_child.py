@@ -1,0 +1,220 @@
+"""The process through which a host's streams go to other hosts and come from them, each once for each other host.
+
+An export is an input: what feeds it crosses. An import is an output with what another host's relay exports. The thread
+that reads units only queues; what puts into the network has a thread for each export.
+"""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections import deque
+from contextlib import suppress
+from dataclasses import dataclass, field
+from math import inf
+
+from cfgplan_runtime.children.control import ControlConnection
+from cfgplan_runtime.children.messages import (
+    CrossingCounts,
+    Export,
+    Finish,
+    Import,
+    ImportUnused,
+    Ready,
+    RelayOrder,
+    RelaySign,
+    Release,
+    ToChild,
+)
+from cfgplan_runtime.children.ports import Ports, UnitInput, UnitOutput
+from cfgplan_runtime.streams.crossing import (
+    LAST_PIECE,
+    Piece,
+    Receiving,
+    Sending,
+    crossing_key,
+    read_credit,
+    read_frame,
+)
+from cfgplan_runtime.streams.element import Element, Outgoing
+from cfgplan_runtime.streams.inlet import InputQueue
+from cfgplan_runtime.streams.zenoh_link import Lane, PutThread, ZenohLink
+
+LARGE_BYTES = 16_384
+"""Crossings whose first element has more bytes let all others overtake."""
+_RELAY_SIGN_S = 1.0
+_LOOK_S = 0.1
+"""Imports that nobody uses any more are looked for so often."""
+
+
+@dataclass(slots=True)
+class _Export:
+    sending: Sending
+    host: str
+    input: UnitInput
+    was_fed: bool = False
+    has_ended: bool = False
+    thread: PutThread | None = None
+
+
+@dataclass(slots=True)
+class _Import:
+    host: str
+    shift_ns: int
+    put_credit: PutThread
+    receiving: Receiving = field(default_factory=Receiving)
+    skipped: int = 0
+    has_ended: bool = False
+    told_unused: int = 0
+
+
+class RelayChild:
+    """The relay of one host."""
+
+    def __init__(self, order: RelayOrder, control: ControlConnection[ToChild]) -> None:
+        self._host = order.host
+        self._ports = Ports(control, self._obey)
+        self._exports: dict[str, _Export] = {}
+        self._imports: dict[str, _Import] = {}
+        self._arrived: deque[tuple[str, bytes, bytes]] = deque()
+        self._is_finishing = self._has_rung = False
+        self._bell, self._bell_rope = socket.socketpair()
+        for bell in (self._bell, self._bell_rope):
+            bell.setblocking(False)
+        self._ports.watch(self._bell, self._hear_bell)
+        self._link = ZenohLink(order.config)
+        for kind in ("data", "credit"):
+            self._link.hear(crossing_key("*", kind, self._host, "*"), self._take)
+
+    def run(self) -> None:
+        """Relay until told to finish, or until the agent is gone."""
+        self._ports.say(Ready(time.process_time_ns()))
+        status_s = look_s = time.monotonic()
+        while not self._ports.has_ended and not self._is_finishing:
+            self._ports.wait(max(0.0, min(status_s, look_s, self._due_s()) - time.monotonic()))
+            now_s = time.monotonic()
+            self._take_what_came(now_s)
+            for name, export in self._exports.items():
+                self._send(name, export, now_s)
+            for name, one in self._imports.items():
+                self._acknowledge(name, one, now_s)
+            self._ports.resume()
+            if now_s >= look_s:
+                look_s = now_s + _LOOK_S
+                self._tell_of_unused()
+            if now_s >= status_s:
+                status_s = now_s + _RELAY_SIGN_S
+                self._ports.say(RelaySign({name: _counts(export) for name, export in self._exports.items()}))
+
+    def _take(self, key: str, head: bytes, payload: bytes) -> None:
+        """Called by threads of the link."""
+        self._arrived.append((key, head, payload))
+        if not self._has_rung:
+            self._has_rung = True
+            with suppress(OSError):
+                self._bell_rope.send(b"!")
+
+    def _hear_bell(self) -> None:
+        with suppress(BlockingIOError):
+            self._bell.recv(4096)
+
+    def _due_s(self) -> float:
+        sent = [one.sending.due_s for one in self._exports.values()]
+        told = [one.receiving.due_s for one in self._imports.values()]
+        return min((due_s for due_s in sent + told if due_s is not None), default=inf)
+
+    def _obey(self, message: ToChild, _: list[socket.socket]) -> None:
+        match message:
+            case Export(name, host, queue, blocks):
+                self._export(name, host, queue, blocks)
+            case Import(name, host, shift_ns):
+                put = self._link.publisher(crossing_key(self._host, "credit", host, name), "orders")
+                self._imports[name] = _Import(host, shift_ns, PutThread(put))
+                self._ports.outputs[name] = UnitOutput()
+            case Release(name):
+                self._release(name)
+            case Finish():
+                self._is_finishing = True
+
+    def _export(self, name: str, host: str, queue: int, blocks: bool) -> None:
+        sending = Sending(blocks=blocks, most=queue) if blocks else Sending()
+        inlet, known = InputQueue(queue), 0
+
+        def take(element: Element) -> None:
+            nonlocal known
+            sending.dropped += inlet.dropped - known
+            known = inlet.dropped
+            payload = element.payload if isinstance(element.payload, bytes) else bytes(element.payload)
+            sending.offer(Piece(element.time_ns, element.turn, payload))
+
+        port = self._ports.inputs[name] = UnitInput(name, inlet, take, lambda: not sending.is_full)
+        self._exports[name] = _Export(sending, host, port)
+
+    def _release(self, name: str) -> None:
+        export, one = self._exports.pop(name, None), self._imports.pop(name, None)
+        if export is not None:
+            self._ports.close_input(name)
+            if export.thread is not None:
+                export.thread.close()
+        if one is not None:
+            self._ports.close_output(name)
+            one.put_credit.close()
+
+    def _take_what_came(self, now_s: float) -> None:
+        self._has_rung = False
+        while self._arrived:
+            key, head, payload = self._arrived.popleft()
+            _, _, kind, _, name = key.split("/")
+            if kind == "credit" and name in self._exports:
+                credit = read_credit(payload)
+                if credit is not None:
+                    self._exports[name].sending.hear(credit)
+            elif kind == "data" and name in self._imports:
+                self._hand_on(name, self._imports[name], head, payload, now_s)
+
+    def _hand_on(self, name: str, one: _Import, head: bytes, payload: bytes, now_s: float) -> None:
+        frame = read_frame(head, payload)
+        for piece in () if frame is None else one.receiving.take(frame, now_s):
+            if one.receiving.dropped > one.skipped:
+                self._ports.skip(name, one.receiving.dropped - one.skipped)
+                one.skipped = one.receiving.dropped
+            if piece.is_last:
+                one.has_ended = True
+            else:
+                self._ports.emit(name, Outgoing(piece.time_ns + one.shift_ns, piece.turn, [piece.payload]))
+
+    def _send(self, name: str, export: _Export, now_s: float) -> None:
+        if export.input.receivers:
+            export.was_fed = True
+        elif export.was_fed and not export.has_ended:
+            export.has_ended = True
+            export.sending.offer(LAST_PIECE)
+        for frame in export.sending.due(now_s):
+            payload = b"" if frame.piece is None else frame.piece.payload
+            assert isinstance(payload, bytes)
+            if export.thread is None:
+                lane: Lane = "large" if len(payload) > LARGE_BYTES else "small"
+                key = crossing_key(self._host, "data", export.host, name)
+                export.thread = PutThread(self._link.publisher(key, lane))
+            export.thread.give(frame.head(), payload)
+
+    def _acknowledge(self, name: str, one: _Import, now_s: float) -> None:
+        if not self._ports.outputs[name].served:
+            return  # what comes before anybody takes it would be lost
+        credit = one.receiving.credit(now_s, has_room=not self._ports.is_full(name))
+        if credit is not None:
+            one.put_credit.give(b"", credit.packed())
+        if one.has_ended:
+            self._ports.end_output(name)
+
+    def _tell_of_unused(self) -> None:
+        for name, one in self._imports.items():
+            output = self._ports.outputs[name]
+            if not output.senders and output.served != one.told_unused:
+                one.told_unused = output.served
+                self._ports.say(ImportUnused(name, output.served))
+
+
+def _counts(export: _Export) -> CrossingCounts:
+    sending = export.sending
+    return CrossingCounts(export.input.elements, sending.dropped, sending.resent, sending.depth)

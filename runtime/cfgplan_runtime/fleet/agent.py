@@ -1,0 +1,335 @@
+"""The agent of a host: keeps the host's units, wires and topics, and does what the manager of the highest term says.
+
+It outlives managers: units run on while there is none.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import secrets
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from urllib.parse import quote
+
+from cfgplan.errors import InputError
+from cfgplan_runtime.children.messages import Export, Import, RelayOrder, Release
+from cfgplan_runtime.fleet.certificates import MANAGER
+from cfgplan_runtime.fleet.links import LEASE_S, config
+from cfgplan_runtime.fleet.orders import (
+    HEARD,
+    REFUSE,
+    SAY,
+    CloseTopicOrder,
+    ConnectOrder,
+    CutOrder,
+    EndWireOrder,
+    FromAgent,
+    GreetOrder,
+    KillOrder,
+    LeaveOrder,
+    OpenTopicOrder,
+    Order,
+    RelayLost,
+    RenewOrder,
+    Session,
+    StartOrder,
+    StopOrder,
+    SwitchOrder,
+    Talk,
+    UsageTold,
+    Welcome,
+    read_session,
+    told,
+)
+from cfgplan_runtime.processes.process_backend import RELAY, ProcessBackend
+from cfgplan_runtime.streams.crossing import crossing_key
+from cfgplan_runtime.streams.zenoh_link import ZenohLink
+from cfgplan_runtime.supervision.delays import doubling_s
+from cfgplan_runtime.supervision.events import (
+    Event,
+    InputLost,
+    UnitDied,
+    UnitPrinted,
+    UnitReady,
+    UnitStopped,
+    WireSwitched,
+)
+
+USAGE_PERIOD_S = 0.5
+_RELAY_AGAIN_S, _MOST_RELAY_AGAIN_S, _GOOD_RELAY_S = 0.1, 5.0, 10.0
+"""Seconds until a relay that was lost is made anew, doubled for each further loss up to the second value. A relay that
+lived for the third value is the first to be lost again."""
+
+
+def alive_key(host: str) -> str:
+    """The key below which a host's agent is alive."""
+    return f"cfgplan/{quote(host, safe='*')}/alive"
+
+
+def clock_key(host: str) -> str:
+    """The key at which an agent tells its clock, in nanoseconds."""
+    return f"cfgplan/{quote(host, safe='*')}/clock"
+
+
+def digest_of(path: Path) -> str | None:
+    """What tells one version of a source file from others; None if there is no such file."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError:
+        return None
+
+
+def source_file(source: str, folder: Path) -> Path | None:
+    """The file of `units.py:Class`; None if a source names a module."""
+    place = source.rpartition(":")[0]
+    return folder / place if place.endswith(".py") else None
+
+
+class Agent:
+    """One host's part of a fleet, for the thread that made it.
+
+    `folder` is what `units.py:Class` is relative to here, `base` where the folder of its topics is made. With
+    `passes_on`, hosts that are not linked reach each other through this one. Raises InputError if it can't listen, or
+    if the fleet has an agent of that name.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        *,
+        listen: Sequence[str] = (),
+        connect: Sequence[str] = (),
+        certificates: Path | None = None,
+        folder: Path | None = None,
+        preload: Sequence[str] = (),
+        base: Path | None = None,
+        passes_on: bool = False,
+        say: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        if name == MANAGER:
+            raise InputError.of(f"no host can be called {MANAGER!r}: name it otherwise")
+        self.name = name
+        self._tell_user = say
+        self._arrived: deque[tuple[str, bytes, bytes]] = deque()
+        self._talk: Talk[Order] | None = None
+        self._units: set[str] = set()
+        self._topics: set[str] = set()
+        self._crossings: set[str] = set()
+        self._ending: set[str] = set()
+        """Units of before the last greeting that have not ended yet: orders wait for that, and nothing is told."""
+        self._owes_welcome = False
+        self._orders: deque[Order] = deque()
+        self._managers: set[str] = set()
+        """Keys of the managers that are alive."""
+        self._usage_due_s = 0.0
+        self._relays_lost, self._relay_since_s = 0, 0.0
+        self._relay_due_s: float | None = None
+        mode = "router" if passes_on else "peer"
+        given = config(listen, connect, certificates, mode=mode)  # refused before a process is made
+        self._backend = ProcessBackend(folder=folder, preload=preload, base=base)
+        try:
+            door = f"unixsock-stream/{self._backend.run_folder.path}/relay"
+            self._relay_order = RelayOrder(name, config(connect=[door], mode="client"))
+            given["listen"]["endpoints"].append(door)
+            self._link = ZenohLink(given)
+            try:
+                self._refuse_twin()
+                self._answer()
+                self._start_relay()
+                self._link.live(f"{alive_key(name)}/{secrets.token_hex(4)}")
+            except BaseException:
+                self._link.close()
+                raise
+        except BaseException:
+            self._backend.close()
+            raise
+
+    def run(self) -> None:
+        """Work until an exception, such as a signal handler's, then end everything that runs here."""
+        try:
+            while True:
+                self._step()
+        finally:
+            self._link.close()
+            self._backend.close()
+
+    def _refuse_twin(self) -> None:
+        """Raise InputError if the fleet has this host already. One that was killed just now may seem to be there."""
+        end_s = time.monotonic() + 2 * LEASE_S
+        while self._link.alive(f"{alive_key(self.name)}/*"):
+            if time.monotonic() > end_s:
+                raise InputError.of(f"the fleet has an agent {self.name!r} already", mend="give it another --name")
+            time.sleep(0.1)
+
+    def _answer(self) -> None:
+        offset_ns = self._backend.clock_offset_ns
+        self._link.answer(clock_key(self.name), lambda: str(time.monotonic_ns() + offset_ns).encode())
+        self._link.watch(f"{alive_key(MANAGER)}/*", self._note_manager)
+        for kind in (SAY, HEARD):
+            self._link.hear(crossing_key(MANAGER, kind, self.name, "*"), self._take)
+
+    def _note_manager(self, key: str, is_alive: bool) -> None:
+        """Called by threads of the link, as `_take` is."""
+        (self._managers.add if is_alive else self._managers.discard)(key)
+
+    def _take(self, key: str, head: bytes, payload: bytes) -> None:
+        """Called by threads of the link."""
+        self._arrived.append((key, head, payload))
+        self._backend.wake()
+
+    def _step(self) -> None:
+        events = self._backend.wait(self._patience_s())
+        for event in events:
+            self._tell(event)
+        for message in self._backend.heard_from_relay():
+            self._say(message)
+        while self._arrived:
+            self._hear(*self._arrived.popleft())
+        while not self._ending and (self._owes_welcome or self._orders):
+            if self._owes_welcome:
+                self._owes_welcome = False
+                self._say(Welcome(str(self._backend.run_folder.path)))
+            else:
+                self._obey(self._orders.popleft())
+        now_s = time.monotonic()
+        if now_s >= self._usage_due_s:
+            self._usage_due_s = now_s + USAGE_PERIOD_S
+            self._tell_usage(self._units)
+        if self._relay_due_s is not None and now_s >= self._relay_due_s:
+            self._start_relay()
+        if self._talk is not None:
+            self._talk.pump(now_s)
+
+    def _patience_s(self) -> float:
+        due_s = self._usage_due_s
+        if self._relay_due_s is not None:
+            due_s = min(due_s, self._relay_due_s)
+        if self._talk is not None:
+            due_s = min(due_s, self._talk.due_s())
+        return max(0.0, due_s - time.monotonic())
+
+    def _say(self, message: FromAgent) -> None:
+        if self._talk is not None and not self._ending:
+            self._talk.say(message, time.monotonic())
+
+    def _hear(self, key: str, head: bytes, payload: bytes) -> None:
+        *_, kind, _, name = key.split("/")
+        session = read_session(name)
+        if session is None:
+            return
+        talk = self._talk
+        if talk is None or session != talk.session:
+            if kind == HEARD:
+                return
+            if talk is not None and not _supersedes(session, talk.session):
+                refuse = self._link.publisher(crossing_key(self.name, REFUSE, MANAGER, name), "orders")
+                is_obeyed = f"{alive_key(MANAGER)}/{talk.session.manager}" in self._managers
+                refuse(b"", f"{talk.session.term} {int(is_obeyed)}".encode())
+                return
+            talk = self._talk = Talk(self._link, self.name, MANAGER, session, Order)
+            self._orders.clear()
+        self._orders += talk.hear(kind, head, payload, time.monotonic())
+
+    def _obey(self, order: Order) -> None:
+        backend = self._backend
+        match order:
+            case GreetOrder() | LeaveOrder():
+                self._end_everything()
+                self._owes_welcome = isinstance(order, GreetOrder)
+            case StartOrder():
+                self._start(order)
+            case StopOrder(unit):
+                backend.stop(unit)
+            case KillOrder(unit, dump):
+                backend.kill(unit, dump=dump)
+            case ConnectOrder(wire, stream, inlet, queue, blocks):
+                backend.connect(wire, stream, inlet, queue=queue, blocks=blocks)
+            case CutOrder(wire, inlet):
+                backend.disconnect(wire, inlet)
+            case EndWireOrder(wire, stream, inlet):
+                backend.end_wire(wire, stream, inlet)
+            case SwitchOrder(inlet):
+                backend.switch_now(inlet)
+            case OpenTopicOrder(topic):
+                self._topics.add(topic)
+                backend.open_outlet(topic, None)
+            case CloseTopicOrder(topic) if topic in self._topics:
+                self._topics.discard(topic)
+                backend.close_outlet(topic)
+            case RenewOrder(helper):
+                backend.renew(helper)
+            case Export() | Import():
+                self._crossings.add(order.crossing)
+                backend.tell_relay(order)
+            case Release(crossing):
+                self._crossings.discard(crossing)
+                backend.tell_relay(order)
+
+    def _end_everything(self) -> None:
+        self._ending = set(self._units)
+        for unit in self._units:
+            self._backend.kill(unit)
+        for topic in self._topics:
+            self._backend.close_outlet(topic)
+        for crossing in self._crossings:
+            self._backend.tell_relay(Release(crossing))
+        self._topics.clear()
+        self._crossings.clear()
+
+    def _start(self, start: StartOrder) -> None:
+        unit, source = start.order.unit, start.order.source
+        file = source_file(source, self._backend.code_folder)
+        if start.digest is not None and file is not None and digest_of(file) != start.digest:
+            is_there = "another version than the manager's" if file.exists() else "not there"
+            self._say(told(UnitDied(unit, f"can't be started on {self.name}: {file} is {is_there}")))
+            return
+        self._units.add(unit)
+        self._backend.start_unit(start.order)
+
+    def _tell(self, event: Event) -> None:
+        match event:
+            case UnitDied(unit, cause) if unit == RELAY:
+                self._lose_relay(cause)
+            case UnitPrinted(unit, line) if unit == RELAY:
+                self._tell_user(f"relay: {line}")
+            case UnitReady(unit) | InputLost(unit) | UnitStopped(unit) if unit == RELAY:
+                pass
+            case WireSwitched(wire) if wire < 0:
+                pass  # a wire of the relay's
+            case UnitDied(unit) | UnitStopped(unit) if unit in self._ending:
+                self._ending.discard(unit)
+                self._units.discard(unit)
+            case UnitDied(unit) | UnitStopped(unit):
+                self._units.discard(unit)
+                self._say(told(event))
+            case UnitReady(unit):
+                self._tell_usage([unit])
+                self._say(told(event))
+            case _:
+                self._say(told(event))
+
+    def _tell_usage(self, units: Iterable[str]) -> None:
+        usage = {unit: used for unit in units if (used := self._backend.usage(unit)) is not None}
+        if usage:
+            self._say(UsageTold(usage))
+
+    def _start_relay(self) -> None:
+        self._relay_due_s, self._relay_since_s = None, time.monotonic()
+        self._backend.start_relay(self._relay_order)
+
+    def _lose_relay(self, cause: str) -> None:
+        now_s = time.monotonic()
+        self._relays_lost = 1 if now_s - self._relay_since_s >= _GOOD_RELAY_S else self._relays_lost + 1
+        self._relay_due_s = now_s + doubling_s(self._relays_lost, _RELAY_AGAIN_S, _MOST_RELAY_AGAIN_S)
+        self._crossings.clear()
+        self._tell_user(f"the relay was lost: {cause}")
+        self._say(RelayLost(cause))
+
+
+def _supersedes(session: Session, other: Session) -> bool:
+    """Whether an agent in the `other` session goes over to this one."""
+    if session.manager == other.manager and session.term == other.term:
+        return session.greeting > other.greeting
+    return session.term > other.term

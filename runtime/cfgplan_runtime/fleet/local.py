@@ -1,0 +1,74 @@
+"""A fleet on one computer: an agent for each host, connected by sockets in a folder that only its user can enter."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+
+_AGENT_CODE = "from cfgplan_runtime.fleet.local import main; main()"
+_AGENT_CLOSE_S = 5.0
+
+
+class LocalAgents:
+    """Agents of hosts on this computer; they end with the thread that made them. A context manager.
+
+    `run` is the folder of the run, where their sockets are; `folder` is what `units.py:Class` is relative to.
+    """
+
+    def __init__(self, hosts: Sequence[str], run: Path, *, folder: Path, preload: Sequence[str] = ()) -> None:
+        self.endpoints = [f"unixsock-stream/{run}/a{number}" for number in range(len(hosts))]
+        self.processes: dict[str, subprocess.Popen[bytes]] = {}
+        for number, host in enumerate(hosts):
+            runs = run / f"{number}"
+            runs.mkdir(mode=0o700)
+            arguments = [str(os.getpid()), host, str(folder), str(runs), self.endpoints[number]]
+            links = [",".join(self.endpoints[:number]), ",".join(preload)]
+            # A group of its own: Ctrl-C is for the command, which has to be able to stop units in order.
+            self.processes[host] = subprocess.Popen(
+                [sys.executable, "-c", _AGENT_CODE, *arguments, *links],
+                stdin=subprocess.DEVNULL,
+                start_new_session=True,
+            )
+
+    def close(self) -> None:
+        """End all agents and what runs there."""
+        for process in self.processes.values():
+            process.terminate()
+        for process in self.processes.values():
+            try:
+                process.wait(_AGENT_CLOSE_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+    def __enter__(self) -> LocalAgents:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def main() -> None:
+    """Run as an agent that ends with the process which has started it."""
+    from cfgplan_runtime.fleet.agent import Agent
+    from cfgplan_runtime.processes.nursery import die_with_parent
+
+    parent, host, folder, base, listen, connect, preload = sys.argv[1:]
+    die_with_parent(int(parent))
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit())
+    agent = Agent(
+        host,
+        listen=[listen],
+        connect=connect.split(",") if connect else [],
+        folder=Path(folder),
+        preload=preload.split(",") if preload else [],
+        base=Path(base),
+    )
+    agent.run()

@@ -1,0 +1,39 @@
+"""Unit code for the tests of fleets."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+
+def count() -> Iterator[int]:
+    """0, 1, 2, ..."""
+    number = 0
+    while True:
+        yield number
+        number += 1
+
+
+def count_until(note: str) -> Iterator[int]:
+    """0, 1, 2, ... until there is a file `note`; the last number is written there."""
+    number = 0
+    while not Path(note).exists():
+        yield number
+        number += 1
+    Path(note).write_text(str(number - 1))
+
+
+def same(x: Any) -> Any:
+    return x
+
+
+def slow(x: Any) -> Any:
+    time.sleep(0.002)
+    return x
+
+
+class Broken:
+    def __init__(self) -> None:
+        raise ValueError("no such device")

@@ -1,0 +1,170 @@
+"""A fleet on this computer: agents r1, r2, ..., a runtime that uses them, and what comes out on its topic."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import psutil
+from cfgplan_runtime import Received, Runtime, subscribe
+from cfgplan_runtime.fleet.fleet_backend import FleetBackend
+from cfgplan_runtime.fleet.local import LocalAgents
+from cfgplan_runtime.streams.run_folder import RunFolder
+from cfgplan_runtime.supervision.events import Event
+
+from cfgplan.domain import (
+    ChangeSet,
+    ComputationUnit,
+    Host,
+    InputPort,
+    OutputPort,
+    Publication,
+    RunOptions,
+    Stream,
+    Subscription,
+    Target,
+    Transformation,
+)
+
+PATIENCE_S = 60.0
+"""Far longer than anything takes on the slowest machine."""
+FOLDER = Path(__file__).parent
+RESULT = Target("result", "Y", "/result", host="r1")
+
+
+def source(
+    label: str = "count", code: str = "count", *, rate_hz: float | None = 200, **params: object
+) -> Transformation:
+    run = RunOptions(rate_hz=rate_hz)
+    return Transformation(
+        label, outputs=(OutputPort("n", "N"),), source=f"fleet_units.py:{code}", params=params, run=run
+    )
+
+
+def worker(label: str = "work", code: str = "same", *, run: RunOptions | None = None) -> Transformation:
+    ports = (InputPort("x", "N"),), (OutputPort("y", "Y"),)
+    return Transformation(label, *ports, source=f"fleet_units.py:{code}", run=run or RunOptions())
+
+
+def unit(unit_id: str, host: str | None, *, topic: str | None = None, x: str | None = None) -> ComputationUnit:
+    """A unit `label.N`; `x="count.1/n"` feeds its input."""
+    feeds = () if x is None else fed_by(x)
+    published = () if topic is None else (Publication("n" if x is None else "y", topic),)
+    return ComputationUnit(unit_id, unit_id.rpartition(".")[0], feeds, published, host)
+
+
+def fed_by(stream: str) -> tuple[Subscription, ...]:
+    """The subscriptions of a worker."""
+    return (Subscription("x", Stream.parse(stream)),)
+
+
+def swap(old: ComputationUnit, new: ComputationUnit, *rewired: ComputationUnit) -> ChangeSet:
+    return ChangeSet(started=(new,), rewired=rewired, stopped=(old.id,))
+
+
+class SmallFleet:
+    """Agents of this computer and a runtime of theirs."""
+
+    def __init__(self, agents: LocalAgents, run: RunFolder) -> None:
+        self.agents = agents
+        self.run = run
+
+    @contextmanager
+    def runtime(
+        self, *library: Transformation, hosts: Sequence[str] = (), wait_s: float = PATIENCE_S
+    ) -> Iterator[Runtime]:
+        named = tuple(hosts or self.agents.processes)
+        with Runtime(backend=lambda: self.backend(named, wait_s)) as runtime:
+            everywhere = tuple(Host(name) for name in named)
+            runtime.apply(ChangeSet(added_transformations=library, added_targets=(RESULT,), added_hosts=everywhere))
+            yield runtime
+
+    def backend(
+        self, hosts: Sequence[str], wait_s: float = PATIENCE_S, *, folder: Path = FOLDER, takes_over: bool = False
+    ) -> FleetBackend:
+        connect = self.agents.endpoints
+        return FleetBackend(hosts, connect=connect, folder=folder, wait_s=wait_s, takes_over=takes_over)
+
+    def units(self) -> list[str]:
+        """The units that really run, on all hosts."""
+        found = []
+        for agent in self.agents.processes.values():
+            if agent.poll() is not None:
+                continue
+            for child in psutil.Process(agent.pid).children(recursive=True):
+                words = " ".join(child.cmdline()).split()
+                if len(words) == 3 and words[2] not in ("nursery", "outlets", "relay"):
+                    found.append(words[2])
+        return found
+
+
+@contextmanager
+def small_fleet(*hosts: str) -> Iterator[SmallFleet]:
+    run = RunFolder()
+    try:
+        with LocalAgents(hosts, run.path, folder=FOLDER) as agents:
+            yield SmallFleet(agents, run)
+    finally:
+        run.close()
+
+
+class Listener:
+    """Collects what comes on a topic of a run, in a thread, and when."""
+
+    def __init__(self, runtime: Runtime, topic: str = "/result") -> None:
+        self.received: list[Received] = []
+        self.at_s: list[float] = []
+        self.subscription = subscribe(topic, run=runtime.id, wait_s=PATIENCE_S)
+        self._thread = threading.Thread(target=self._collect, daemon=True)
+        self._thread.start()
+
+    @property
+    def values(self) -> list[Any]:
+        return [received.value for received in self.received]
+
+    def await_more(self, count: int) -> None:
+        """Wait for so many more elements."""
+        wanted = len(self.received) + count
+        eventually(lambda: len(self.received) >= wanted)
+
+    def longest_silence_s(self, since_s: float) -> float:
+        times = [at_s for at_s in self.at_s if at_s >= since_s]
+        return max((b - a for a, b in pairwise(times)), default=0.0)
+
+    def close(self) -> None:
+        self.subscription.close()
+
+    def _collect(self) -> None:
+        for received in self.subscription:
+            self.received.append(received)
+            self.at_s.append(time.monotonic())
+
+
+def eventually(is_so: Callable[[], bool]) -> None:
+    """Wait until something is so; fails if it never is."""
+    deadline = time.monotonic() + PATIENCE_S
+    while not is_so():
+        assert time.monotonic() < deadline, "it never came to be"
+        time.sleep(0.01)
+
+
+def seen(runtime: Runtime, kind: type[Event]) -> list[Any]:
+    """The events of a kind that a runtime has reported so far; they stay to be seen."""
+    return [event for event in list(runtime.events.queue) if isinstance(event, kind)]
+
+
+def kill_unit(runtime: Runtime, name: str) -> None:
+    """Kill a unit's process as something else would."""
+    eventually(lambda: runtime.pid(name) is not None)
+    os.kill(runtime.pid(name) or 0, 9)
+
+
+def moved(one: ComputationUnit, unit_id: str, host: str) -> ComputationUnit:
+    return replace(one, id=unit_id, host=host)

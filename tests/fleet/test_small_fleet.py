@@ -1,0 +1,221 @@
+"""Units on several hosts: agents, wires between hosts, and what happens when hosts go and come."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import psutil
+import pytest
+from cfgplan_runtime.errors import ApplyError
+from cfgplan_runtime.streams.run_folder import address, base_folder, topics_of
+from cfgplan_runtime.supervision.events import HostJoined, HostLost, InputLost, SourceExhausted, UnitDied
+from cfgplan_runtime.testing import Bench, check_middleware
+from small_fleet import (
+    Listener,
+    eventually,
+    fed_by,
+    kill_unit,
+    moved,
+    seen,
+    small_fleet,
+    source,
+    swap,
+    unit,
+    worker,
+)
+
+from cfgplan.domain import ChangeSet, ComputationUnit, RunOptions, Transformation
+from cfgplan.errors import InputError
+
+COUNT = unit("count.1", "r1")
+WORK = unit("work.1", "r2", topic="/result", x="count.1/n")
+
+
+class BenchOfTwoHosts(Bench):
+    """Sources run on r1, all else on r2."""
+
+    def unit(self, number: int, transformation: Transformation, *, topic: str | None = None) -> ComputationUnit:
+        made = super().unit(number, transformation, topic=topic)
+        return replace(made, host="r1" if transformation is self.source else "r2")
+
+
+def test_a_fleet_keeps_what_a_middleware_promises() -> None:
+    with small_fleet("r1", "r2") as fleet:
+
+        @contextmanager
+        def bench() -> Iterator[Bench]:
+            with fleet.runtime() as runtime:
+
+                def topics() -> list[str]:
+                    run = base_folder() / runtime.id
+                    return [topic for topic in topics_of(run) if address(run, topic).exists()]
+
+                yield BenchOfTwoHosts(
+                    runtime,
+                    source(rate_hz=100),
+                    worker(),
+                    worker("broken", "Broken"),
+                    lambda name: kill_unit(runtime, name),
+                    fleet.units,
+                    topics,
+                )
+
+        check_middleware(bench)
+
+
+def test_swaps_across_hosts_lose_repeat_and_reorder_nothing() -> None:
+    with small_fleet("r1", "r2", "r3") as fleet, fleet.runtime(source(), worker()) as runtime:
+        runtime.apply(ChangeSet(started=(COUNT, WORK)))
+        listener = Listener(runtime)
+        listener.await_more(20)
+        old = WORK
+        for number in range(20):
+            new = moved(WORK, f"work.{number + 2}", ("r3", "r2", "r1")[number % 3])
+            assert runtime.apply(swap(old, new)).unswitched == 0
+            old = new
+        listener.await_more(20)
+        assert listener.values == list(range(listener.values[0], listener.values[0] + len(listener.values)))
+        assert listener.subscription.dropped == 0
+
+
+def test_a_source_that_ends_is_heard_to_its_last_element_on_another_host(tmp_path: Path) -> None:
+    ending = source("ending", "count_until", note=str(tmp_path / "end"))
+    with small_fleet("r1", "r2") as fleet, fleet.runtime(ending, worker()) as runtime:
+        runtime.apply(ChangeSet(started=(unit("ending.1", "r1"), replace(WORK, subscriptions=fed_by("ending.1/n")))))
+        listener = Listener(runtime)
+        listener.await_more(20)
+        (tmp_path / "end").touch()
+        eventually(lambda: bool(seen(runtime, SourceExhausted)))
+        last = int((tmp_path / "end").read_text())
+        eventually(lambda: listener.values[-1] == last)
+        assert listener.values == list(range(listener.values[0], last + 1))
+
+
+def test_a_dead_agent_is_noticed_and_its_units_are_replaced_elsewhere() -> None:
+    with small_fleet("r1", "r2", "r3") as fleet, fleet.runtime(source(), worker()) as runtime:
+        runtime.apply(ChangeSet(started=(COUNT, WORK)))
+        listener = Listener(runtime)
+        listener.await_more(10)
+        began_s = time.monotonic()
+        fleet.agents.processes["r2"].kill()
+        eventually(lambda: bool(seen(runtime, HostLost)))
+        assert set(runtime.environment.unit) == {"count.1"}
+        runtime.apply(ChangeSet(started=(moved(WORK, "work.2", "r3"),)))
+        listener.await_more(10)
+        assert listener.values == sorted(set(listener.values))
+        assert listener.longest_silence_s(began_s) < 2.0, "as long as a lease, at which a silent host is lost"
+
+
+def test_the_end_of_a_wire_from_a_dead_host_is_told_to_units_elsewhere() -> None:
+    from_r2 = replace(COUNT, host="r2")
+    at_r1 = replace(WORK, host="r1")
+    with small_fleet("r1", "r2", "r3") as fleet, fleet.runtime(source(), worker()) as runtime:
+        runtime.apply(ChangeSet(started=(from_r2, at_r1)))
+        listener = Listener(runtime)
+        listener.await_more(10)
+        fleet.agents.processes["r2"].kill()
+        eventually(lambda: bool(seen(runtime, HostLost)))
+        count = len(listener.values)
+        fed = replace(at_r1, subscriptions=fed_by("count.2/n"))
+        runtime.apply(ChangeSet(started=(unit("count.2", "r3"),), rewired=(fed,)))
+        eventually(lambda: len(listener.values) > count)
+
+
+def test_a_host_that_returns_is_cleared_and_used_again() -> None:
+    with small_fleet("r1", "r2") as fleet, fleet.runtime(source(), worker()) as runtime:
+        runtime.apply(ChangeSet(started=(COUNT, WORK)))
+        Listener(runtime).await_more(10)
+        agent = fleet.agents.processes["r2"]
+        agent.send_signal(signal.SIGSTOP)
+        eventually(lambda: bool(seen(runtime, HostLost)))
+        agent.send_signal(signal.SIGCONT)
+        eventually(lambda: bool(seen(runtime, HostJoined)))
+        assert fleet.units() == ["count.1"], "its stale unit is gone"
+        listener = Listener(runtime)
+        runtime.apply(ChangeSet(started=(moved(WORK, "work.2", "r2"),)))
+        listener.await_more(10)
+
+
+def test_a_dead_unit_on_another_host_is_told_with_its_cause() -> None:
+    with small_fleet("r1", "r2") as fleet, fleet.runtime(source(), worker()) as runtime:
+        runtime.apply(ChangeSet(started=(COUNT, WORK)))
+        kill_unit(runtime, "work.1")
+        eventually(lambda: bool(seen(runtime, UnitDied)))
+        (died,) = seen(runtime, UnitDied)
+        assert died.unit == "work.1"
+        assert "killed by SIGKILL" in died.cause
+
+
+def test_other_code_on_a_host_is_a_failed_start_that_names_it(tmp_path: Path) -> None:
+    with small_fleet("r1", "r2") as fleet:
+        (tmp_path / "fleet_units.py").write_text("def count(): yield 1")
+        backend = fleet.backend(("r1", "r2"), folder=tmp_path)
+        try:
+            backend.start("count.1", source(), None, "r2")
+            died = None
+            while died is None:
+                died = next((event for event in backend.wait(1.0) if isinstance(event, UnitDied)), None)
+            assert "on r2" in died.cause
+            assert "another version than the manager's" in died.cause
+        finally:
+            backend.close()
+
+
+def test_hosts_without_an_agent_are_lost_from_the_beginning() -> None:
+    with small_fleet("r1") as fleet:
+        with fleet.runtime():
+            pass  # r1 is there
+        with fleet.runtime(hosts=("r1", "r2"), wait_s=1.0) as runtime:
+            (lost,) = seen(runtime, HostLost)
+            assert lost.host == "r2"
+
+
+def test_what_another_run_has_is_not_taken_from_it() -> None:
+    with small_fleet("r1") as fleet, fleet.runtime(source(), worker()) as runtime:
+        with pytest.raises(InputError, match="another run has host 'r1'"):
+            fleet.backend(("r1",))
+        runtime.apply(ChangeSet(started=(COUNT, replace(WORK, host="r1"))))
+        Listener(runtime).await_more(10)
+
+
+def test_who_takes_over_is_obeyed_and_the_other_is_refused() -> None:
+    with small_fleet("r1") as fleet, fleet.runtime(source(), worker()) as runtime:
+        runtime.apply(ChangeSet(started=(COUNT, replace(WORK, host="r1"))))
+        later = fleet.backend(("r1",), takes_over=True)
+        try:
+            assert fleet.units() == []
+            with pytest.raises(ApplyError):
+                runtime.apply(ChangeSet(started=(unit("count.2", "r1"),)))
+            (lost,) = seen(runtime, HostLost)
+            assert lost.cause == "it obeys a later manager"
+            assert fleet.units() == []
+        finally:
+            later.close()
+
+
+def test_a_full_input_that_blocks_makes_a_source_on_another_host_wait() -> None:
+    run = RunOptions(queue=4, blocks=True)
+    slow = worker(code="slow", run=run)
+    with small_fleet("r1", "r2") as fleet, fleet.runtime(source(rate_hz=2000), slow) as runtime:
+        runtime.apply(ChangeSet(started=(COUNT, WORK)))
+        listener = Listener(runtime)
+        listener.await_more(100)
+        assert listener.values == list(range(listener.values[0], listener.values[0] + len(listener.values)))
+
+
+def test_a_dead_relay_is_replaced_and_what_it_carried_is_told_as_lost() -> None:
+    with small_fleet("r1", "r2") as fleet, fleet.runtime(source(), worker()) as runtime:
+        runtime.apply(ChangeSet(started=(COUNT, WORK)))
+        Listener(runtime).await_more(10)
+        for child in psutil.Process(fleet.agents.processes["r2"].pid).children(recursive=True):
+            if " ".join(child.cmdline()).split()[-1] == "relay":
+                child.kill()
+        eventually(lambda: {lost.port for lost in seen(runtime, InputLost)} == {"x", "/result"})
+        listener = Listener(runtime)
+        runtime.apply(ChangeSet(rewired=(WORK,)))
+        listener.await_more(10)
