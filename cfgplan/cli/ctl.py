@@ -269,14 +269,18 @@ def _from(target: Mapping[str, Any]) -> Text:
 def _units(units: list[Mapping[str, Any]]) -> RenderableType:
     if not units:
         return Text("No units run.")
-    table = Table("unit", "pid", "cpu", "memory", "steps/s", "dropped", "errors", "fed by", box=None)
+    on_hosts = ["host"] if any(unit["host"] for unit in units) else []
+    table = Table("unit", *on_hosts, "pid", "cpu", "memory", "steps/s", "dropped", "errors", "fed by", box=None)
     for unit in units:
+        host = [unit["host"] or ""] * len(on_hosts)
         upkeep = unit.get("upkeep_us")
         memory = f"{unit['memory_bytes'] >> 20} MB" if "memory_bytes" in unit else ""
         counts = [str(unit.get(key, "")) for key in ("steps_per_s", "dropped", "errors")]
         feeds = ", ".join(f"{port} <- {stream}" for port, stream in unit["inputs"].items())
         pid = "" if unit.get("pid") is None else str(unit["pid"])
-        table.add_row(unit["id"], pid, "" if upkeep is None else f"{upkeep / 1e4:.1f} %", memory, *counts, feeds)
+        if unit.get("standby"):
+            feeds = "a cold spare"
+        table.add_row(unit["id"], *host, pid, "" if upkeep is None else f"{upkeep / 1e4:.1f} %", memory, *counts, feeds)
     return table
 
 

@@ -144,16 +144,19 @@ class RunPicture:
 
     def _gaps(self, unit: ComputationUnit) -> list[str]:
         transformation = self.snapshot.environment.transformation.get(unit.transformation)
-        return sorted(set(transformation.input) - set(unit.feeds)) if transformation else []
+        return sorted(set(transformation.input) - set(unit.feeds)) if transformation and not unit.standby else []
 
     def _is_odd(self, view: UnitView) -> bool:
         seen = view.observation
-        return seen is None or bool(seen.errors or seen.dropped or self._gaps(view.unit))
+        if seen is None:
+            return not view.unit.standby
+        return bool(seen.errors or seen.dropped or self._gaps(view.unit))
 
     def _unit(self, view: UnitView) -> list[Text]:
         unit, seen, gaps = view.unit, view.observation, self._gaps(view.unit)
         host = "" if view.host is None else f" on {view.host}"
-        state = Text().append(f"running{host}" if seen else f"new{host}", style="green" if seen else "cyan")
+        does = "running" if seen else "a cold spare" if unit.standby else "new"
+        state = Text().append(f"{does}{host}", style="green" if seen else "cyan")
         if gaps:
             state = Text(f"nothing feeds {', '.join(gaps)}", style="red")
         elif seen and seen.errors and seen.last_error:

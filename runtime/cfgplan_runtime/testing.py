@@ -23,6 +23,7 @@ from cfgplan.domain import (
     ChangeSet,
     ComputationUnit,
     Environment,
+    Host,
     Publication,
     Stream,
     Subscription,
@@ -38,13 +39,24 @@ FIRST, LAST = "!broken", "~broken"
 """Ids of units that can't be started, before and after all others."""
 
 
+@dataclass(frozen=True)
+class Hosts:
+    """Two hosts, how to cut one off with all that runs there, and how to let it come back with nothing on it."""
+
+    near: str
+    far: str
+    lose: Callable[[str], object]
+    join: Callable[[str], object]
+
+
 @dataclass
 class Bench:
     """A middleware on which nothing runs yet, with what is needed to check it.
 
     `source` has one output and no input, `worker` one input and one output; a unit of `broken`, which has the worker's
     ports, can't be started. `crash` lets a unit end by itself; `units` and `topics` tell what really runs and what can
-    really be subscribed to, whatever the middleware believes. `wait` lets so many seconds pass.
+    really be subscribed to, whatever the middleware believes. `wait` lets so many seconds pass. Without `hosts` it is
+    not checked that a lost one is.
     """
 
     middleware: Middleware
@@ -55,6 +67,7 @@ class Bench:
     units: Callable[[], Collection[str]]
     topics: Callable[[], Collection[str]]
     wait: Callable[[float], object] = time.sleep
+    hosts: Hosts | None = None
     told: list[events.Event] = field(default_factory=list)
 
     def unit(self, number: int, transformation: Transformation, *, topic: str | None = None) -> ComputationUnit:
@@ -73,11 +86,11 @@ class Bench:
         self.middleware.apply(ChangeSet(started, added_transformations=library, added_targets=(target,)))
         return self.middleware.environment
 
-    def await_death(self, unit: str) -> None:
-        """Wait until a unit's death is told."""
+    def await_event(self, kind: type[events.UnitDied | events.HostLost | events.HostJoined], name: str) -> None:
+        """Wait until an event of a unit or a host is told."""
         waited_s = 0.0
-        while not any(isinstance(event, events.UnitDied) and event.unit == unit for event in self.told):
-            assert waited_s < PATIENCE_S, f"UnitDied of {unit} is never told"
+        while not any(isinstance(event, kind) and name == _who(event) for event in self.told):
+            assert waited_s < PATIENCE_S, f"{kind.__name__} of {name} is never told"
             self.wait(0.01)
             waited_s += 0.01
 
@@ -88,6 +101,10 @@ class Bench:
         assert set(self.units()) == set(believed), f"{what}: other units run than the environment has"
         published = {publication.topic for unit in environment.units for publication in unit.publications}
         assert published <= set(self.topics()), f"{what}: a topic that a unit publishes on is not there"
+
+
+def _who(event: events.UnitDied | events.HostLost | events.HostJoined) -> str:
+    return event.unit if isinstance(event, events.UnitDied) else event.host
 
 
 def check_middleware(make: Callable[[], AbstractContextManager[Bench]]) -> None:
@@ -164,7 +181,7 @@ def _tells_of_deaths(bench: Bench) -> None:
         source, worker = f"{bench.source.label}.1", f"{bench.worker.label}.1"
         bench.told.clear()
         end(source)
-        bench.await_death(source)
+        bench.await_event(events.UnitDied, source)
         (left,) = bench.middleware.environment.units
         assert (left.id, left.subscriptions) == (worker, ()), "a dead unit leaves no gap where it fed another"
         assert set(bench.units()) == {worker}, "a dead unit still runs"
@@ -178,6 +195,28 @@ def _goes_on_where_nothing_is_waited_for(bench: Bench) -> None:
     environment = bench.begin()
     bench.middleware.abandon()
     bench.expect(environment, "after abandon() without an update")
+
+
+def _buries_what_a_lost_host_ran(bench: Bench) -> None:
+    hosts = bench.hosts
+    if hosts is None:
+        return
+    bench.middleware.listen(bench.told.append)
+    source, worker = replace(bench.unit(1, bench.source), host=hosts.near), bench.unit(1, bench.worker, topic=TOPIC)
+    again = replace(worker, host=hosts.far)
+    declared = (Host(hosts.near), Host(hosts.far))
+    library = (bench.source, bench.worker)
+    bench.middleware.apply(ChangeSet((source, again), added_transformations=library, added_hosts=declared))
+    before = bench.middleware.environment
+    bench.expect(before, "after an update on two hosts")
+    hosts.lose(hosts.far)
+    bench.await_event(events.HostLost, hosts.far)
+    bench.expect(replace(before, units=(source,)), "after a host was lost")
+    assert not any(isinstance(event, events.UnitDied) for event in bench.told), "a lost unit's end is told by itself"
+    hosts.join(hosts.far)
+    bench.await_event(events.HostJoined, hosts.far)
+    bench.middleware.apply(ChangeSet((again,)))
+    bench.expect(before, "after a host has come back")
 
 
 def _stops(bench: Bench) -> None:
@@ -195,5 +234,6 @@ CHECKS: tuple[Callable[[Bench], None], ...] = (
     _unpublishes,
     _tells_of_deaths,
     _goes_on_where_nothing_is_waited_for,
+    _buries_what_a_lost_host_ran,
     _stops,
 )

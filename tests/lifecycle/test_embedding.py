@@ -18,7 +18,7 @@ from cfgplan_runtime.lifecycle.changes import AddTargets, KillUnit
 from cfgplan_runtime.lifecycle.reports import Decision, Ended, Report
 from cfgplan_runtime.streams.run_folder import base_folder, topics_of
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
-from cfgplan_runtime.testing import FIRST, LAST, Bench, check_middleware
+from cfgplan_runtime.testing import FIRST, LAST, Bench, Hosts, check_middleware
 from living import RESULT, source, worker
 from real_run import UNITS
 
@@ -216,6 +216,7 @@ def simulated_bench() -> Iterator[Bench]:
         lambda: [unit.id for unit in runtime.environment.units if unit.id in runtime.backend.units],
         lambda: runtime.backend.topics,
         wait,
+        Hosts("near", "far", runtime.backend.lose_host, runtime.backend.join_host),
     )
 
 

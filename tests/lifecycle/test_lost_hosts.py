@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from cfgplan_runtime import Policy
-from cfgplan_runtime.lifecycle.changes import LoseHost, RegainHost, ReplaceWorld, ReviewNow
+from cfgplan_runtime.lifecycle.changes import KillUnit, LoseHost, RegainHost, ReplaceWorld, ReviewNow
 from cfgplan_runtime.lifecycle.perturbations import HostBack, HostGone, SubscriptionLost, UnitGone
 from cfgplan_runtime.lifecycle.reports import Decision
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
@@ -172,6 +172,8 @@ def test_cold_spares_are_started_when_they_are_needed() -> None:
     spares = {unit.id for unit in life.runtime.environment.units if unit.standby}
     assert spares == {"camera(r1).1", "localiser(r1).1", "obstacle_finder(r1).1", "small_detector(r1).1"}
     assert spares.isdisjoint(life.runtime.backend.units)
+    with pytest.raises(InputError, match="is a cold spare, and does not run"):
+        life.ask(KillUnit("camera(r1).1"))
     lose(life, "r2")
     assert life.met == {"obstacles"}
     assert "what is there does not survive every failure" in life.reviews[-1].warnings

@@ -23,7 +23,7 @@ from operated_world import PATIENCE_S, command, write_world
 from rich.console import Console
 
 from cfgplan.cli.run_picture import LogLine, RunPicture
-from cfgplan.domain import ComputationUnit, Environment, InputPort, Stream, Transformation
+from cfgplan.domain import ComputationUnit, Environment, Host, InputPort, Stream, Transformation
 from cfgplan.errors import Fault
 
 FLOWS = {"/result": Flow(29.97, 12.4, 300, 0, 0.01)}
@@ -95,6 +95,15 @@ def test_a_gap_and_a_silent_stream_stand_out() -> None:
     assert "nothing feeds pose" in text
     assert "silent for 75 s" in text
     assert "nothing came yet" in "\n".join(drawn(flows={}))
+
+
+def test_a_cold_spare_is_told_from_what_runs() -> None:
+    spare = replace(DETECTOR, id="detector.2", subscriptions=(), publications=(), host="nao2", standby=True)
+    units = (*SNAPSHOT.environment.units, spare)
+    snapshot = replace(SNAPSHOT, environment=replace(SNAPSHOT.environment, units=units, hosts=(Host("nao2"),)))
+    text = "\n".join(drawn(replace(snapshot, units=(*SNAPSHOT.units, UnitView(spare, "nao2")))))
+    assert "a cold spare on nao2" in text
+    assert "nothing feeds" not in text
 
 
 def test_what_is_lost_by_a_death_is_not_told_as_another_reason() -> None:

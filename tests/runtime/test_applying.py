@@ -56,8 +56,8 @@ class Scene:
         self.alive = set(self.environment.unit)
         self.ready = set(self.environment.unit)
         self.lost_hosts: set[str] = set()
-        opened = wanted_topics(self.environment) if self.environment.units else ()
-        self.topics: dict[str, str | None] = dict.fromkeys(opened)
+        opened = wanted_topics(self.environment) if self.environment.units else {}
+        self.topics = dict(opened)
         wanted = wanted_feeds(self.environment)
         self.feeds = {inlet: Wire(0, stream, inlet, has_switched=True) for inlet, stream in wanted.items()}
         self.said: list[str] = []

@@ -550,3 +550,16 @@ def test_a_new_unit_that_an_undone_update_leaves_is_known_with_its_host() -> Non
         simulation.apply(ChangeSet(new, added_hosts=HOSTS), keeps_new=True)
     assert {unit.id: unit.host for unit in simulation.supervisor.environment.units} == {"count.1": "r1", "work.1": "r2"}
     simulation.check()
+
+
+def test_a_topic_moves_to_the_host_that_its_target_moves_to() -> None:
+    simulation = fleet()
+    simulation.apply(ChangeSet(added_targets=(replace(RESULT, host="r1"),)))
+    assert simulation.backend.topics == {"/result": "r1"}
+    assert simulation.backend.feeding(TOPIC) == Stream("work.1", "y")
+    simulation.check()
+    simulation.backend.behaviours["work"] = Behaviour(dies_at_start="no")
+    with pytest.raises(ApplyError):
+        simulation.apply(ChangeSet((at("r1", unit("work.2", x="count.1/n")),), added_targets=(AT_R3,)))
+    assert not simulation.supervisor.environment.unit["work.1"].publications
+    simulation.check()

@@ -260,6 +260,8 @@ def _killed(turn: Turn, unit: str, request: Asked) -> Turn:
     if unit not in running:
         known = ", ".join(running)
         raise InputError.of(f"no unit {unit!r} runs", mend=f"these run: {known}" if known else None)
+    if running[unit].standby:
+        raise InputError.of(f"unit {unit!r} is a cold spare, and does not run")
     waiting = {**state.waiting, unit: (*state.waiting.get(unit, ()), request.outcome)}
     turn = turn.to(replace(state, waiting=waiting))
     return turn.situated(replace(situation, killed=situation.killed | {unit})).also(Terminate(unit))

@@ -45,7 +45,10 @@ class Middleware(Protocol):
         """End a unit at once; the event UnitDied follows."""
 
     def listen(self, listener: Callable[[Event], None]) -> None:
-        """Call `listener` with every event, in order, from any thread; it returns at once."""
+        """Call `listener` with every event, in order, from any thread; it returns at once.
+
+        When HostLost is told, what was on that host is gone from `environment`, and no end of a unit there is told.
+        """
 
     def stop(self) -> None:
         """Stop every unit once it has given what it has taken in."""

@@ -34,7 +34,8 @@ def code_watch(
 
     def tell_of(changed: frozenset[Path]) -> None:
         for path, labels in sorted(labels_of_files().items()):
-            units = [unit.id for unit in running() if unit.transformation in labels] if path in changed else []
+            known = [unit for unit in running() if unit.transformation in labels] if path in changed else []
+            units = [unit.id for unit in known if not unit.standby]
             if units:
                 tell(_sentence(path, units))
 

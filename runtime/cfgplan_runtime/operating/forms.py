@@ -25,7 +25,14 @@ _TEXT: Record = {"type": "string"}
 _TEXTS: Record = {"type": "array", "items": _TEXT}
 _WIRED: Record = {
     "type": "object",
-    "properties": {"id": _TEXT, "transformation": _TEXT, "inputs": {"type": "object"}, "topics": {"type": "object"}},
+    "properties": {
+        "id": _TEXT,
+        "transformation": _TEXT,
+        "inputs": {"type": "object"},
+        "topics": {"type": "object"},
+        "host": _TEXT,
+        "standby": {"type": "boolean"},
+    },
 }
 _CHANGES: Record = {
     "type": "object",

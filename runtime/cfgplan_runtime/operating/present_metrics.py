@@ -33,7 +33,9 @@ class Present(Collector):
 
 def _configuration(now: Snapshot) -> Iterable[Metric]:
     for name, help_text, value in (
-        ("units", "Units that run.", len(now.units)),
+        ("units", "Units that run.", sum(not view.unit.standby for view in now.units)),
+        ("spares", "Cold spares, which can run but do not.", sum(view.unit.standby for view in now.units)),
+        ("lost_hosts", "Hosts that nothing is planned on.", len(now.lost_hosts)),
         ("transformations", "Transformations in the library.", len(now.environment.library)),
         ("pending_perturbations", "Perturbations that wait for a review.", len(now.pending)),
         ("horizon_seconds", "Length of the horizon.", now.horizon_s),

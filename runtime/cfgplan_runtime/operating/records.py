@@ -153,7 +153,8 @@ def _wired(unit: ComputationUnit) -> Record:
     topics: dict[str, list[str]] = {}
     for publication in unit.publications:
         topics.setdefault(publication.port, []).append(publication.topic)
-    return {**record, "topics": topics}
+    placed = {} if unit.host is None else {"host": unit.host}
+    return {**record, "topics": topics, **placed, **({"standby": True} if unit.standby else {})}
 
 
 def logging_to(log: RunLog) -> Callable[[Report], None]:

@@ -196,7 +196,7 @@ def carry_out(
     unswitched = len(update.switching())
     yield from _timed("stop", update.stop(), actual, seconds)
     yield WaitUntil(lambda: not update.switching(), patience.stop_s)
-    yield from update.close_topics(actual.topics.keys() - wanted_topics(after))
+    yield from update.close_topics(actual.topics.keys() - wanted_topics(after).keys())
     return CarriedOut(_as_it_lives(after, actual), seconds, unswitched)
 
 
@@ -254,10 +254,12 @@ class _Update:
 
     def start(self) -> Commands:
         actual = self.actual
-        host = {target.topic: target.host for target in self.after.targets}
-        for topic in sorted(wanted_topics(self.after) - actual.topics.keys()):
-            self.opened.append(topic)
-            yield OpenTopic(topic, host.get(topic))
+        for topic, host in sorted(wanted_topics(self.after).items()):
+            if topic in actual.topics and actual.topics[topic] != host:
+                yield from self.close_topic_elsewhere(topic)
+            if topic not in actual.topics:
+                self.opened.append(topic)
+                yield OpenTopic(topic, host)
         for unit in self.change_set.started:
             if not unit.standby:
                 yield StartUnit(unit, self.after.transformation[unit.transformation])
@@ -339,6 +341,14 @@ class _Update:
         for unit in sorted(actual.alive & set(stopped)):
             yield EndUnit(unit)
         yield WaitUntil(lambda: actual.alive.isdisjoint(stopped), self.patience.kill_s)
+
+    def close_topic_elsewhere(self, topic: str) -> Commands:
+        """Close a topic that is to be on another host. It has no source then, whatever becomes of the update."""
+        outlet = Inlet("", topic)
+        if outlet in self.actual.feeds:
+            yield Disconnect(outlet)
+            yield Believe(without_feed(self.actual.environment, outlet))
+        yield CloseTopic(topic)
 
     def close_topics(self, topics: Iterable[str]) -> Commands:
         for topic in sorted(topics):

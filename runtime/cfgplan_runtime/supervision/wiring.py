@@ -101,10 +101,10 @@ def wanted_feeds(environment: Environment) -> Mapping[Inlet, Stream]:
     return feeds
 
 
-def wanted_topics(environment: Environment) -> frozenset[str]:
-    """The topics that need an address: those of targets, and any other that a unit publishes on."""
-    published = {publication.topic for unit in environment.units for publication in unit.publications}
-    return frozenset(published | {target.topic for target in environment.targets})
+def wanted_topics(environment: Environment) -> Mapping[str, str | None]:
+    """The topics that need an address: those of targets, on their hosts, and any other that a unit publishes on."""
+    published = {publication.topic: None for unit in environment.units for publication in unit.publications}
+    return {**published, **{target.topic: target.host for target in environment.targets}}
 
 
 def starved_units(environment: Environment) -> set[str]:
