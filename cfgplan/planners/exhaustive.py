@@ -1,25 +1,66 @@
-"""The oracle: every set of units, every wiring of it, judged by the definitions alone.
+"""The oracle: every set of placed units, every wiring of it, and the judge's word on each.
 
-It shares nothing with the other planners but the domain, and is slow on purpose. It refuses problems that are too large
-for it.
+It shares nothing with the other planners, and is slow on purpose. It refuses problems that are too large for it.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
-from itertools import combinations
+from itertools import chain, combinations, combinations_with_replacement, product
+from math import comb, inf, prod
+from typing import NamedTuple
 
-from cfgplan.domain import ComputationUnit, Environment, Publication, Stream, Subscription
+from cfgplan.domain import ComputationUnit, Environment, Publication, Stream, Subscription, Transformation
 from cfgplan.errors import InputError
-from cfgplan.planners import exhaustive_fleet
-from cfgplan.planners.exhaustive_judging import OracleKey, Steps
-from cfgplan.planning import Plan, Problem, Progress, Status, fresh_unit_ids
+from cfgplan.planning import Plan, Problem, Progress, Status, fresh_units
+from cfgplan.validity.environments import instance_violations, violations
+from cfgplan.validity.hosts import carried_us, placing_violations
+from cfgplan.validity.plans import cost_us, unused_required
+from cfgplan.validity.quality import priced_us
+from cfgplan.validity.startable import givers_by_tag, startable
+from cfgplan.validity.survival import survival_violations
 
-MOST_UNITS = 16
-"""More candidate units (running ones and one new one per transformation) are refused."""
+MOST_SETS = 300_000
+"""More sets of units are refused."""
+MOST_STEPS = 100_000
+"""More steps, each of which feeds one input or topic of one set of units, are refused."""
+Units = tuple[ComputationUnit, ...]
+
+
+class OracleRank(NamedTuple):
+    """How good a configuration is: the least is best."""
+
+    unused: int
+    cost_us: int
+    rewired: int
+    started: int
+
+
+class _TimeIsOverError(Exception):
+    """The time limit is over."""
+
+
+class _Steps:
+    """Counts steps. Raises InputError after `MOST_STEPS`, and _TimeIsOverError after the time limit."""
+
+    def __init__(self, time_limit_s: float | None) -> None:
+        self.began = time.monotonic()
+        self._until = self.began + (inf if time_limit_s is None else time_limit_s)
+        self._number = 0
+        self.wirings = 0
+
+    def take(self) -> None:
+        self._number += 1
+        if self._number > MOST_STEPS:
+            raise InputError.of(
+                f"the exhaustive planner tries every wiring and {MOST_STEPS:,} steps were too few for it",
+                mend="use the planner cpsat",
+            )
+        if time.monotonic() >= self._until:
+            raise _TimeIsOverError
 
 
 def plan(
@@ -30,67 +71,72 @@ def plan(
 ) -> Plan:
     """The optimal plan by enumeration.
 
-    Raises InputError for more than `MOST_UNITS` candidate units, and after `MOST_STEPS`.
+    Raises InputError for more than `MOST_SETS` sets of units, and after `MOST_STEPS`.
     """
-    if problem.notions:
-        return exhaustive_fleet.plan(problem, time_limit_s=time_limit_s, report=report)
-    began = time.monotonic()
-    candidates = _candidates(problem.environment)
-    if len(candidates) > MOST_UNITS:
-        raise InputError.of(
-            f"the exhaustive planner tries every set of units and {len(candidates)} are too many for it",
-            mend=f"use the planner cpsat, or at most {MOST_UNITS} running units and transformations",
-        )
-    runnable = _runnable(problem, problem.environment.transformation)
-    kept = {unit.id for unit in candidates if _is_pinned(problem, unit) and unit.transformation in runnable}
-    best: tuple[OracleKey, list[ComputationUnit]] | None = None
-    tried, steps = 0, Steps()
-    for least, chosen in _sets_by_promise(problem, candidates):
-        if best is not None and least >= best[0]:
-            break
-        if not kept.issubset(unit.id for unit in chosen):
+    steps = _Steps(time_limit_s)
+    best: tuple[OracleRank, Environment] | None = None
+    stopped = False
+
+    def is_better(rank: OracleRank) -> bool:
+        return best is None or rank < best[0]
+
+    try:
+        for rank, after in _configurations(problem, steps, is_better):
+            best = rank, after
+            if report is not None:
+                report(Progress(time.monotonic() - steps.began, rank.cost_us, 0))
+    except _TimeIsOverError:
+        stopped = True
+    return _answer(problem, best, steps, stopped=stopped)
+
+
+def configurations(problem: Problem) -> Iterator[tuple[OracleRank, Environment]]:
+    """Every valid configuration with its rank. Raises InputError as `plan` does."""
+    return _configurations(problem, _Steps(None), lambda _: True)
+
+
+def _configurations(
+    problem: Problem, steps: _Steps, may_do: Callable[[OracleRank], bool]
+) -> Iterator[tuple[OracleRank, Environment]]:
+    """The valid configurations with a rank that `may_do`; where a rank does not, no greater one does."""
+    environment, similarity = problem.environment, problem.similarity
+    pinned = _pinned(problem)
+    for least, units in sorted(_sets(problem), key=lambda entry: (entry[0], len(entry[1]), [u.id for u in entry[1]])):
+        if not may_do(least):
+            return
+        after = replace(environment, units=units)
+        if not pinned.issubset(after.unit) or any(survival_violations(after, similarity, problem.survive)):
             continue
-        for units in _wirings(problem, chosen, steps, partial(_is_worth_it, best, least)):
-            if time_limit_s is not None and time.monotonic() - began > time_limit_s:
-                return _answer(problem, best, began, tried, stopped=True)
-            tried += 1
-            key = _key(problem, units)
-            if key is not None and (best is None or key < best[0]):
-                best = (key, units)
-                if report is not None:
-                    report(Progress(time.monotonic() - began, key[1], 0))
-                if key == least:
-                    break
-    return _answer(problem, best, began, tried, stopped=False)
+        for rewired, wired in _wirings(problem, units, steps, partial(_may_rewire, may_do, least)):
+            steps.wirings += 1
+            after = replace(environment, units=wired)
+            more_us = carried_us(after, problem.horizon_s) + priced_us(after)
+            rank = OracleRank(len(unused_required(after)), least.cost_us + more_us, rewired, least.started)
+            if may_do(rank) and not violations(after, similarity, problem.survive):
+                yield rank, after
 
 
-def _answer(
-    problem: Problem, best: tuple[OracleKey, list[ComputationUnit]] | None, began: float, tried: int, *, stopped: bool
-) -> Plan:
-    seconds, counts = {"search": time.monotonic() - began}, {"wirings": tried}
+def _may_rewire(may_do: Callable[[OracleRank], bool], least: OracleRank, rewired: int) -> bool:
+    return may_do(least._replace(rewired=rewired))
+
+
+def _answer(problem: Problem, best: tuple[OracleRank, Environment] | None, steps: _Steps, *, stopped: bool) -> Plan:
+    seconds, counts = {"search": time.monotonic() - steps.began}, {"wirings": steps.wirings}
     if best is None:
         if stopped:
             return Plan("exhaustive", Status.UNKNOWN, seconds=seconds, counts=counts)
-        runnable = _runnable(problem, problem.environment.transformation)
-        reasons = {
-            target.label: "no wiring of any set of units meets it"
-            for target in problem.environment.targets
-            if not _gives(problem, runnable, target.tag)
-        }
-        return Plan("exhaustive", Status.INFEASIBLE, reasons=reasons, seconds=seconds, counts=counts)
-    (_, cost_us, _, _), units = best
-    bound_us = 0 if stopped else cost_us
-    if problem.max_cost_us is not None and cost_us > problem.max_cost_us:
-        status = Status.UNKNOWN if stopped else Status.TOO_EXPENSIVE
-        known = None if stopped else cost_us
+        return Plan("exhaustive", Status.INFEASIBLE, reasons=_reasons(problem), seconds=seconds, counts=counts)
+    rank, after = best
+    bound_us = 0 if stopped else rank.cost_us
+    if problem.max_cost_us is not None and rank.cost_us > problem.max_cost_us:
+        status, known = (Status.UNKNOWN, None) if stopped else (Status.TOO_EXPENSIVE, rank.cost_us)
         return Plan("exhaustive", status, None, known, bound_us, seconds=seconds, counts=counts)
-    used = _used(units)
-    unused = tuple(label for label in problem.environment.required if label not in used)
+    unused = unused_required(after)
     return Plan(
         "exhaustive",
-        Status.of_plan(cost_us, bound_us),
-        problem.environment.change_to(units),
-        cost_us,
+        Status.of_plan(rank.cost_us, bound_us),
+        problem.environment.change_to(after.units),
+        rank.cost_us,
         bound_us,
         unused_required=unused,
         ties_proven=not stopped,
@@ -100,52 +146,87 @@ def _answer(
     )
 
 
-def _is_worth_it(best: tuple[OracleKey, list[ComputationUnit]] | None, least: OracleKey, rewired: int) -> bool:
-    return best is None or (least[0], least[1], rewired, least[3]) < best[0]
+def _reasons(problem: Problem) -> dict[str, str]:
+    possible, givers = startable(problem.environment, problem.similarity), _givers(problem)
+    targets = problem.environment.targets
+    alone = [target.label for target in targets if possible.isdisjoint(givers.get(target.tag, ()))]
+    if alone:
+        return dict.fromkeys(alone, "no wiring of any set of units meets it")
+    return {target.label: "no configuration meets all that is asked" for target in targets}
 
 
-def _candidates(environment: Environment) -> list[ComputationUnit]:
-    """The running units whose transformation is known, then one new unit of each transformation."""
-    running = [unit for unit in environment.units if unit.transformation in environment.transformation]
-    fresh = fresh_unit_ids(environment, sorted(environment.transformation))
-    return running + [ComputationUnit(unit_id, label) for label, unit_id in fresh.items()]
+def _givers(problem: Problem) -> dict[str, set[str]]:
+    return givers_by_tag(problem.environment, problem.similarity)
 
 
-def _is_pinned(problem: Problem, unit: ComputationUnit) -> bool:
-    running = unit.id in problem.environment.unit
-    return running and problem.environment.transformation[unit.transformation].pinned
-
-
-def _sets_by_promise(
-    problem: Problem, candidates: list[ComputationUnit]
-) -> Iterator[tuple[OracleKey, tuple[ComputationUnit, ...]]]:
-    """Every set of candidate units with the best key that a wiring of it could have, the best first."""
+def _pinned(problem: Problem) -> set[str]:
+    """The running units that have to be kept: of pinned transformations that can be fed."""
     environment = problem.environment
-    required = {t.label for t in environment.library if t.required}
-    sets = []
-    for size in range(len(candidates) + 1):
-        for chosen in combinations(candidates, size):
-            unused = len(required - {unit.transformation for unit in chosen})
-            started = sum(unit.id not in environment.unit for unit in chosen)
-            key = (unused, _cost_us(problem, chosen), 0, started)
-            sets.append((key, size, [unit.id for unit in chosen], chosen))
-    for key, _, _, chosen in sorted(sets, key=lambda entry: entry[:3]):
-        yield key, chosen
+    pinned = [u for u in environment.units if _may_stay(problem, u) and not u.standby]
+    pinned = [u for u in pinned if environment.transformation[u.transformation].pinned]
+    possible = startable(environment, problem.similarity) if pinned else set()
+    return {unit.id for unit in pinned if unit.transformation in possible}
 
 
-def _cost_us(problem: Problem, units: Iterable[ComputationUnit]) -> int:
-    cost = 0
-    for unit in units:
-        transformation = problem.environment.transformation[unit.transformation]
-        cost += transformation.upkeep_us * problem.horizon_s
-        if unit.id not in problem.environment.unit:
-            cost += transformation.labor_us
-    return cost
+def _sets(problem: Problem) -> list[tuple[OracleRank, Units]]:
+    """Every set of units that is allowed where it is, not wired yet, with the best rank that it could have."""
+    environment = problem.environment
+    running = [_wired(unit, ()) for unit in environment.units if _may_stay(problem, unit)]
+    places = [list(_places(problem, t)) for t in environment.library]
+    most = [problem.most_new(t) for t in environment.library]
+    count = 2 ** len(running) * prod(comb(len(k) + n, n) for k, n in zip(places, most, strict=True))
+    if count > MOST_SETS:
+        raise InputError.of(
+            f"the exhaustive planner tries every set of units and {count:,} are too many for it",
+            mend="use the planner cpsat",
+        )
+    ids = fresh_units(environment, {t.label: n for t, n in zip(environment.library, most, strict=True)})
+    new = [
+        [
+            tuple(
+                ComputationUnit(unit_id, t.label, host=host, standby=is_cold)
+                for unit_id, (host, is_cold) in zip(ids[t.label], chosen, strict=False)
+            )
+            for size in range(n + 1)
+            for chosen in combinations_with_replacement(where, size)
+        ]
+        for t, where, n in zip(environment.library, places, most, strict=True)
+    ]
+    kept = chain.from_iterable(combinations(running, size) for size in range(len(running) + 1))
+    sets = ((*one, *chain.from_iterable(others)) for one, others in product(list(kept), list(product(*new))))
+    afters = (replace(environment, units=units) for units in sets)
+    return [(_least(problem, after), after.units) for after in afters if _is_allowed(after)]
+
+
+def _may_stay(problem: Problem, unit: ComputationUnit) -> bool:
+    transformation = problem.environment.transformation.get(unit.transformation)
+    if transformation is None or (unit.standby and (problem.survive is None or transformation.standby_us is None)):
+        return False
+    return not problem.environment.hosts or unit.host in problem.environment.hosts_for(transformation)
+
+
+def _places(problem: Problem, transformation: Transformation) -> Iterator[tuple[str | None, bool]]:
+    """Where a new unit may be, and whether it is a cold spare."""
+    for host in problem.environment.hosts_for(transformation):
+        yield host, False
+        if problem.survive is not None and transformation.standby_us is not None:
+            yield host, True
+
+
+def _is_allowed(after: Environment) -> bool:
+    return not any(instance_violations(after)) and not any(placing_violations(after))
+
+
+def _least(problem: Problem, after: Environment) -> OracleRank:
+    there = {unit.transformation for unit in after.units if not unit.standby}
+    unused = sum(t.required and t.label not in there for t in after.library)
+    started = sum(unit.id not in problem.environment.unit for unit in after.units)
+    return OracleRank(unused, cost_us(problem, after), 0, started)
 
 
 @dataclass(frozen=True)
 class _Demand:
-    """An input port of a unit, or (without a unit) the topic of a target, and the streams that match."""
+    """An input of a unit, or (without a unit) the topic of a target, and the streams that match."""
 
     unit: str | None
     name: str
@@ -154,35 +235,38 @@ class _Demand:
     feedback: bool = False
 
 
-def _demands(problem: Problem, chosen: tuple[ComputationUnit, ...]) -> list[_Demand]:
-    environment = problem.environment
+def _demands(problem: Problem, units: Units) -> list[_Demand]:
+    """Targets first."""
+    library = problem.environment.transformation
 
     def streams(tag: str) -> tuple[Stream, ...]:
         return tuple(
             Stream(unit.id, port.name)
-            for unit in chosen
-            for port in environment.transformation[unit.transformation].outputs
+            for unit in units
+            for port in library[unit.transformation].outputs
             if problem.similarity.holds(port.tag, tag)
         )
 
-    ports = [
+    return [_Demand(None, target.topic, streams(target.tag)) for target in problem.environment.targets] + [
         _Demand(unit.id, port.name, streams(port.tag), port.distinct, port.feedback)
-        for unit in chosen
-        for port in environment.transformation[unit.transformation].inputs
+        for unit in units
+        for port in library[unit.transformation].inputs
     ]
-    return [_Demand(None, target.topic, streams(target.tag)) for target in environment.targets] + ports
 
 
 def _wirings(
-    problem: Problem, chosen: tuple[ComputationUnit, ...], steps: Steps, worth_it: Callable[[int], bool]
-) -> Iterator[list[ComputationUnit]]:
-    """Every wiring of the chosen units that meets the targets, is grounded and distinct; not all are lean.
+    problem: Problem, units: Units, steps: _Steps, may_rewire: Callable[[int], bool]
+) -> Iterator[tuple[int, Units]]:
+    """Every wiring of the units that meets the targets, is grounded and distinct, and how many units it rewires.
 
-    Wirings are skipped that rewire so many units that they are not `worth_it`.
+    Those that rewire more than they `may_rewire` are left out; not all are lean.
     """
-    demands = _demands(problem, chosen)
-    label_of = {unit.id: unit.transformation for unit in chosen}
+    hot = tuple(unit for unit in units if not unit.standby)
+    demands = _demands(problem, hot)
+    label_of = {unit.id: unit.transformation for unit in hot}
     running = problem.environment.unit
+    kept = [unit for unit in units if unit.id in running]
+    waiting = [{demand.unit for demand in demands[done:]} for done in range(len(demands) + 1)]
     choice: list[tuple[_Demand, Stream]] = []
 
     def may_feed(stream: Stream, demand: _Demand) -> bool:
@@ -195,15 +279,15 @@ def _wirings(
         edges = [(s.unit, d.unit) for d, s in choice if d.unit is not None and not d.feedback]
         return demand.feedback or not _leads_to(edges, demand.unit, stream.unit)
 
-    def extend() -> Iterator[list[ComputationUnit]]:
+    def extend() -> Iterator[tuple[int, Units]]:
         steps.take()
-        wired = _wired(chosen, choice)
-        unfinished = {demand.unit for demand in demands[len(choice) :]}
-        rewired = [u for u in wired if u.id in running and u.id not in unfinished and u != running[u.id]]
-        if None not in unfinished and not worth_it(len(rewired)):
+        unfinished = waiting[len(choice)]
+        finished = [unit for unit in kept if unit.id not in unfinished] if None not in unfinished else []
+        rewired = sum(_wired(unit, choice) != running[unit.id] for unit in finished)
+        if not may_rewire(rewired):
             return
         if len(choice) == len(demands):
-            yield wired
+            yield rewired, tuple(_wired(unit, choice) for unit in units)
             return
         demand = demands[len(choice)]
         for stream in demand.streams:
@@ -213,100 +297,22 @@ def _wirings(
                 choice.pop()
 
     labels = set(label_of.values())
-    if all(demand.streams for demand in demands) and _runnable(problem, labels) == labels:
+    library = tuple(t for t in problem.environment.library if t.label in labels)
+    if all(demand.streams for demand in demands) and startable(Environment((), library), problem.similarity) == labels:
         yield from extend()
 
 
-def _wired(chosen: tuple[ComputationUnit, ...], choice: list[tuple[_Demand, Stream]]) -> list[ComputationUnit]:
-    return [
-        ComputationUnit(
-            unit.id,
-            unit.transformation,
-            tuple(Subscription(d.name, stream) for d, stream in choice if d.unit == unit.id),
-            tuple(Publication(s.port, d.name) for d, s in choice if d.unit is None and s.unit == unit.id),
-        )
-        for unit in chosen
-    ]
-
-
-def _key(problem: Problem, units: list[ComputationUnit]) -> OracleKey | None:
-    """The key of a wiring, or None if it runs a unit that nothing needs."""
-    environment = problem.environment
-    pinned = {unit.id for unit in units if _is_pinned(problem, unit)}
-    publishing = {unit.id for unit in units if unit.publications}
-    if _needed(units, pinned | publishing) != {unit.id for unit in units}:
-        return None
-    used = _used(units)
-    unused = sum(t.required and t.label not in used for t in environment.library)
-    changes = environment.change_to(units)
-    return unused, _cost_us(problem, units), len(changes.rewired), len(changes.started)
-
-
-def _used(units: list[ComputationUnit]) -> set[str]:
-    """The labels of the transformations with a unit that serves a target."""
-    needed = _needed(units, {unit.id for unit in units if unit.publications})
-    return {unit.transformation for unit in units if unit.id in needed}
-
-
-def _needed(units: list[ComputationUnit], roots: set[str]) -> set[str]:
-    edges = [(unit.id, s.stream.unit) for unit in units for s in unit.subscriptions]
-    return {unit.id for unit in units if any(_leads_to(edges, root, unit.id) for root in roots)}
-
-
-def _runnable(problem: Problem, labels: Iterable[str]) -> set[str]:
-    """The largest part of `labels` with a grounded wiring: found by removing what can't be fed."""
-    alive = set(labels)
-    while True:
-        order: list[str] = []
-        grew = True
-        while grew:
-            grew = False
-            for label in sorted(alive - set(order)):
-                if _feeds_exist(problem, label, order, alive):
-                    order.append(label)
-                    grew = True
-        if alive == set(order):
-            return alive
-        alive = set(order)
-
-
-def _feeds_exist(problem: Problem, label: str, before: list[str], alive: set[str]) -> bool:
-    """Whether the inputs of `label` can be fed, by trying every choice of feeders."""
-    inputs = problem.environment.transformation[label].inputs
-
-    def extend(feeders: tuple[str, ...]) -> bool:
-        if len(feeders) == len(inputs):
-            return True
-        port = inputs[len(feeders)]
-        return any(
-            extend((*feeders, feeder))
-            for feeder in (sorted(alive) if port.feedback else before)
-            if _gives(problem, [feeder], port.tag)
-            and not any(
-                port.distinct is not None and other.distinct == port.distinct and taken == feeder
-                for other, taken in zip(inputs, feeders, strict=False)
-            )
-        )
-
-    return extend(())
-
-
-def _gives(problem: Problem, labels: Iterable[str], tag: str) -> bool:
-    return any(
-        problem.similarity.holds(port.tag, tag)
-        for label in labels
-        for port in problem.environment.transformation[label].outputs
-    )
+def _wired(unit: ComputationUnit, choice: Sequence[tuple[_Demand, Stream]]) -> ComputationUnit:
+    subscriptions = tuple([Subscription(d.name, stream) for d, stream in choice if d.unit == unit.id])
+    published = tuple([Publication(s.port, d.name) for d, s in choice if d.unit is None and s.unit == unit.id])
+    return ComputationUnit(unit.id, unit.transformation, subscriptions, published, unit.host, unit.standby)
 
 
 def _leads_to(edges: list[tuple[str, str]], start: str, end: str) -> bool:
     """Whether `end` is `start` or is reached from it along the edges."""
     seen, ahead = {start}, [start]
-    while ahead:
-        here = ahead.pop()
-        if here == end:
-            return True
+    for here in ahead:
         new = [to for source, to in edges if source == here and to not in seen]
         seen.update(new)
         ahead += new
-    return False
+    return end in seen

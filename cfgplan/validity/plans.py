@@ -114,14 +114,15 @@ def _dropped_pinned_units(problem: Problem, plan: Plan, after: Environment) -> I
             yield Violation(Rule.PINNED, f"unit {unit.id} is pinned and can be fed, but is stopped", unit.id)
 
 
-def _unused_required(environment: Environment) -> tuple[str, ...]:
+def unused_required(environment: Environment) -> tuple[str, ...]:
+    """The labels of the required transformations without a unit that serves a target."""
     needed = needed_by(environment, publishers(environment))
     used = {environment.unit[unit_id].transformation for unit_id in needed}
     return tuple(t.label for t in environment.library if t.required and t.label not in used)
 
 
 def _misreported_required(plan: Plan, after: Environment) -> Iterator[Violation]:
-    unused = _unused_required(after)
+    unused = unused_required(after)
     if unused != plan.unused_required:
         text = (
             f"the unused required transformations are {list(unused)}, but the plan names {list(plan.unused_required)}"
@@ -134,7 +135,7 @@ def _refuted_by_what_runs(problem: Problem, plan: Plan) -> Iterator[Violation]:
     before, changes = problem.environment, plan.change_set
     if not changes or violations(before, problem.similarity, problem.survive):
         return
-    cost, more_unused = _cost_us(problem, before), len(_unused_required(before)) - len(plan.unused_required)
+    cost, more_unused = cost_us(problem, before), len(unused_required(before)) - len(plan.unused_required)
     if plan.required_proven and more_unused < 0:
         text = "the plan says that no valid configuration uses more required transformations, but what runs does"
         yield Violation(Rule.REQUIRED, text)
@@ -153,7 +154,7 @@ def kept_us(environment: Environment, horizon_s: int) -> int:
     return cost
 
 
-def _cost_us(problem: Problem, after: Environment) -> int:
+def cost_us(problem: Problem, after: Environment) -> int:
     """What the update to an environment costs, in microseconds."""
     before = problem.environment.unit
     new = [known for known in known_units(after) if known[0].id not in before and not known[0].standby]
@@ -164,7 +165,7 @@ def _bad_cost(problem: Problem, plan: Plan, after: Environment) -> Iterator[Viol
     for unit, transformation in known_units(after):
         if unit.standby and transformation.standby_us is None:
             yield Violation(Rule.COST, f"unit {unit.id} is in standby, which its transformation does not know")
-    cost = _cost_us(problem, after)
+    cost = cost_us(problem, after)
     if plan.cost_us != cost:
         yield Violation(Rule.COST, f"the update costs {cost} us, but the plan says {plan.cost_us} us")
     if problem.max_cost_us is not None and cost > problem.max_cost_us:

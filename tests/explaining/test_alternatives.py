@@ -15,8 +15,7 @@ from worlds import problems
 from cfgplan.domain import ComputationUnit, Environment, InputPort, OutputPort, Similarity, Target, Transformation
 from cfgplan.errors import InputError
 from cfgplan.explaining import alternatives
-from cfgplan.planners import PLANNERS, exhaustive_fleet
-from cfgplan.planners.exhaustive_judging import Steps, key_of
+from cfgplan.planners import PLANNERS, exhaustive
 from cfgplan.planning import Failures, Notion, Plan, Problem
 from cfgplan.validity import plan_violations
 
@@ -44,13 +43,10 @@ def runs(problem: Problem, plan: Plan) -> frozenset[str]:
 def every_configuration(problem: Problem) -> dict[frozenset[str], tuple[int, int, int, int]]:
     """For each set of transformations the best valid configuration that runs just these, of all that there are."""
     found: dict[frozenset[str], tuple[int, int, int, int]] = {}
-    steps = Steps()
-    for _, units in exhaustive_fleet._sets(problem):
-        for wired in exhaustive_fleet._wirings(problem, units, steps):
-            best = key_of(problem, wired)
-            if best is not None and (problem.max_cost_us is None or best[1] <= problem.max_cost_us):
-                which = frozenset(unit.transformation for unit in wired)
-                found[which] = min(best, found.get(which, best))
+    for rank, after in exhaustive.configurations(problem):
+        if problem.max_cost_us is None or rank.cost_us <= problem.max_cost_us:
+            which = frozenset(unit.transformation for unit in after.units)
+            found[which] = min(rank, found.get(which, rank))
     return found
 
 

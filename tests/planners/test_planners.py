@@ -21,7 +21,7 @@ from cfgplan.domain import (
     Transformation,
 )
 from cfgplan.errors import InputError
-from cfgplan.planners import PLANNERS, exhaustive_judging
+from cfgplan.planners import PLANNERS, exhaustive
 from cfgplan.planners.cpsat import plan as cpsat_plan
 from cfgplan.planning import Planner, Problem, Progress, Status
 from cfgplan.validity import plan_violations
@@ -232,8 +232,8 @@ def test_branch_and_bound_says_unknown_instead_of_giving_out_an_invalid_plan() -
 
 def test_the_oracle_refuses_what_it_cannot_try(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match="too many"):
-        PLANNERS["exhaustive"](world("A", *(make(f"t{i}", gives="A") for i in range(17))))
-    monkeypatch.setattr(exhaustive_judging, "MOST_STEPS", 1000)
+        PLANNERS["exhaustive"](world("A", *(make(f"t{i}", gives="A") for i in range(19))))
+    monkeypatch.setattr(exhaustive, "MOST_STEPS", 1000)
     wide = [make(f"f{i}", "A" * 3, "A") for i in range(5)]
     with pytest.raises(InputError, match="steps were too few"):
         PLANNERS["exhaustive"](world("A", make("s", gives="A"), make("r", gives="D", required=True), *wide))
