@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from cfgplan_runtime.reasoning.monitor import Monitor
 from cfgplan_runtime.reasoning.parser import parse
-from cfgplan_runtime.reasoning.vocabulary import Vocabulary
+from cfgplan_runtime.reasoning.reader import Vocabulary
 from formulas import SECOND, ticks
 from speed import rtamt_monitor
 

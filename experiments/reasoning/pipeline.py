@@ -10,9 +10,9 @@ from cfgplan_runtime.reasoning.evaluator import Evaluator
 from cfgplan_runtime.reasoning.monitor import Monitor
 from cfgplan_runtime.reasoning.parser import parse
 from cfgplan_runtime.reasoning.program import compiled
+from cfgplan_runtime.reasoning.reader import Vocabulary
 from cfgplan_runtime.reasoning.regions import region_from
 from cfgplan_runtime.reasoning.states import Synchroniser, Timing
-from cfgplan_runtime.reasoning.vocabulary import Vocabulary
 
 REGIONS = {
     "opponent_half": region_from({"box": [0, -3, 4.5, 3]}),

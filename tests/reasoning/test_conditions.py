@@ -10,9 +10,9 @@ from cfgplan_runtime.reasoning.evaluator import Evaluator
 from cfgplan_runtime.reasoning.monitor import Monitor
 from cfgplan_runtime.reasoning.parser import parse
 from cfgplan_runtime.reasoning.program import compiled
+from cfgplan_runtime.reasoning.reader import Vocabulary
 from cfgplan_runtime.reasoning.regions import region_from
 from cfgplan_runtime.reasoning.truth import Verdict
-from cfgplan_runtime.reasoning.vocabulary import Vocabulary
 
 REGIONS = {"goal": region_from({"circle": [4, 0], "radius": 1}), "field": region_from({"box": [-4, -3, 5, 3]})}
 KNOWN = Vocabulary({"ball", "robot"}, REGIONS)

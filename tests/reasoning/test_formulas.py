@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from cfgplan_runtime.reasoning.conditions import Comparison, Field, Flag, Literal, Membership, RegionName
 from cfgplan_runtime.reasoning.parser import parse
+from cfgplan_runtime.reasoning.reader import Vocabulary
 from cfgplan_runtime.reasoning.regions import region_from
 from cfgplan_runtime.reasoning.syntax import (
     Always,
@@ -18,7 +19,6 @@ from cfgplan_runtime.reasoning.syntax import (
     Or,
     Until,
 )
-from cfgplan_runtime.reasoning.vocabulary import Vocabulary
 from hypothesis import given
 from hypothesis import strategies as st
 from random_formulas import ATOMS, formulas_over

@@ -21,13 +21,13 @@ if TYPE_CHECKING:
     from cfgplan_runtime.reasoning.parser import parse as parse
     from cfgplan_runtime.reasoning.queries import Query as Query
     from cfgplan_runtime.reasoning.queries import query as query
+    from cfgplan_runtime.reasoning.reader import Vocabulary as Vocabulary
     from cfgplan_runtime.reasoning.regions import Region as Region
     from cfgplan_runtime.reasoning.regions import rcc8 as rcc8
     from cfgplan_runtime.reasoning.regions import region_from as region_from
     from cfgplan_runtime.reasoning.states import Synchroniser as Synchroniser
     from cfgplan_runtime.reasoning.states import Timing as Timing
     from cfgplan_runtime.reasoning.truth import Verdict as Verdict
-    from cfgplan_runtime.reasoning.vocabulary import Vocabulary as Vocabulary
 
 _HOMES = {
     "answers": "Answer UnmetTargetsError",
@@ -38,7 +38,7 @@ _HOMES = {
     "monitor": "Monitor",
     "parser": "parse",
     "queries": "Query query",
-    "vocabulary": "Vocabulary",
+    "reader": "Vocabulary",
     "regions": "Region rcc8 region_from",
     "states": "Synchroniser Timing",
     "truth": "Verdict",

@@ -10,14 +10,66 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from cfgplan.errors import Fault, InputError
-from cfgplan_runtime.reasoning.grammar import GRAMMAR, SPELLED
-from cfgplan_runtime.reasoning.reader import Reader
+from cfgplan_runtime.reasoning.reader import SPELLED, Reader, Vocabulary
 from cfgplan_runtime.reasoning.syntax import Formula
-from cfgplan_runtime.reasoning.vocabulary import Vocabulary
 
 if TYPE_CHECKING:
     from lark import Lark
 
+# Operators bind in the order not, always, eventually; until; and; or; ->.
+GRAMMAR = r"""
+?start: implication
+?implication: disjunction (IMPLIES implication)?
+?disjunction: conjunction (OR conjunction)*
+?conjunction: strife (AND strife)*
+?strife: prefixed (UNTIL interval? strife)?
+?prefixed: NOT prefixed             -> negation
+         | ALWAYS interval? prefixed     -> always
+         | EVENTUALLY interval? prefixed -> eventually
+         | comparison
+?comparison: sum (COMPARE sum)*
+?sum: product ((PLUS | MINUS) product)*
+?product: factor ((TIMES | OVER) factor)*
+?factor: MINUS factor -> minus
+       | primary
+?primary: NUMBER      -> number
+        | TEXT        -> text
+        | TRUE        -> true
+        | FALSE       -> false
+        | field
+        | call
+        | "(" implication ")"
+field: NAME (DOT_NAME | "[" INDEX "]")*
+call: (NAME | IN) "(" implication ("," implication)* ")"
+interval: "[" bound "," bound (RSQB | RPAR)
+bound: NUMBER UNIT? | INFINITE
+
+IMPLIES.2: "->" | "→" | "=>" | "⇒"
+OR.2: /or\b|∨/
+AND.2: /and\b|∧/
+UNTIL.2: /until\b|𝒰/
+NOT.2: /not\b|¬/
+ALWAYS.2: /always\b|□/
+EVENTUALLY.2: /eventually\b|◇/
+IN.2: /in\b/
+TRUE.2: /true\b/
+FALSE.2: /false\b/
+COMPARE: "<=" | ">=" | "==" | "!=" | "≤" | "≥" | "≠" | "<" | ">" | "="
+PLUS: "+"
+MINUS: "-"
+TIMES: "*"
+OVER: "/"
+RSQB: "]"
+RPAR: ")"
+INFINITE.2: /inf\b|∞/
+UNIT.2: /(ns|us|µs|ms|min|s|m|h)\b/
+NUMBER: /(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?/
+INDEX: /\d+/
+NAME: /[^\W\d]\w*/
+DOT_NAME: /\.[^\W\d]\w*/
+TEXT: /"[^"\n]*"|'[^'\n]*'/
+%ignore /\s+/
+"""
 LONGEST_FORMULA = 10_000
 FILE = "formula"
 """What stands for a file's name in the faults of a formula."""

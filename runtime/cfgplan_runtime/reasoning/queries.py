@@ -9,9 +9,9 @@ from cfgplan_runtime.reasoning.conditions import Field
 from cfgplan_runtime.reasoning.features import DeclaredFeatures, Feature
 from cfgplan_runtime.reasoning.parser import parse
 from cfgplan_runtime.reasoning.program import Program, compiled
+from cfgplan_runtime.reasoning.reader import Vocabulary
 from cfgplan_runtime.reasoning.states import Timing
 from cfgplan_runtime.reasoning.syntax import Formula
-from cfgplan_runtime.reasoning.vocabulary import Vocabulary
 
 _SHORTEST_BEAT_NS = 10_000_000
 

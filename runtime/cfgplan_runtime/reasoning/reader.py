@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass, field
+from decimal import Decimal
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from cfgplan.errors import Fault
+from cfgplan.errors import Fault, did_you_mean
 from cfgplan_runtime.reasoning.conditions import (
     RCC8,
     Absolute,
     Arithmetic,
     Comparison,
     Distance,
+    Field,
     Flag,
     Literal,
     Membership,
+    RegionName,
     Relation,
     Value,
 )
+from cfgplan_runtime.reasoning.regions import Region
 from cfgplan_runtime.reasoning.syntax import (
+    ALL_TIME,
     Always,
     And,
     Atom,
@@ -27,33 +33,53 @@ from cfgplan_runtime.reasoning.syntax import (
     Eventually,
     Formula,
     Implies,
+    Interval,
     Not,
     Or,
     Until,
 )
-from cfgplan_runtime.reasoning.vocabulary import FUNCTIONS, Names, Vocabulary
 
 if TYPE_CHECKING:
     from lark import Token, Tree
 
     Node: TypeAlias = Tree[Token] | Token
 
+SPELLED: Mapping[str, str] = {"G": "`always p`", "F": "`eventually p`", "U": "`p until q`"}
+"""How other notations of temporal logic are written here."""
+FUNCTIONS = ("in", "distance", "abs", *RCC8)
+SECOND_NS = 1_000_000_000
+_UNIT_NS = {
+    "ns": 1,
+    "us": 1_000,
+    "µs": 1_000,
+    "ms": 1_000_000,
+    "s": SECOND_NS,
+    "min": 60 * SECOND_NS,
+    "m": 60 * SECOND_NS,
+    "h": 3600 * SECOND_NS,
+}
+_LONGEST_NS = 100 * 366 * 24 * 3600 * SECOND_NS
 DEEPEST_FORMULA = 60
 _PLAIN_SIGN = {"≤": "<=", "≥": ">=", "≠": "!=", "=": "=="}
 _NOTHING = Constant(True)
 
 
+@dataclass(frozen=True)
+class Vocabulary:
+    """The names that a formula may use."""
+
+    features: Collection[str] = ()
+    regions: Mapping[str, Region] = field(default_factory=dict)
+
+
 class Reader:
-    """Reads one tree; goes on after a mistake, so that all are found."""
+    """Reads one tree. A mistake is noted in `faults`, and something harmless given, so that reading goes on."""
 
     def __init__(self, vocabulary: Vocabulary, file: str) -> None:
-        self._names = Names(vocabulary, file)
+        self.faults: list[Fault] = []
+        self._vocabulary = vocabulary
+        self._file = file
         self._depth = 0
-
-    @property
-    def faults(self) -> list[Fault]:
-        """What is wrong, in the order in which it was found."""
-        return self._names.faults
 
     def formula(self, node: Node) -> Formula:
         """The formula that a node is."""
@@ -64,7 +90,7 @@ class Reader:
     def _deeper(self, node: Node) -> Iterator[bool]:
         self._depth += 1
         if self._depth > DEEPEST_FORMULA:
-            self._names.wrong(
+            self._wrong(
                 node, f"the formula is nested more than {DEEPEST_FORMULA} deep", "split it into several queries"
             )
         yield self._depth <= DEEPEST_FORMULA
@@ -85,20 +111,20 @@ class Reader:
                 return Not(self.formula(parts[1]))
             case "always" | "eventually":
                 kind = Always if node.data == "always" else Eventually
-                return kind(self.formula(parts[-1]), self._names.interval(parts[1:-1]))
+                return kind(self.formula(parts[-1]), self._interval(parts[1:-1]))
             case "strife":
-                return Until(self.formula(parts[0]), self.formula(parts[-1]), self._names.interval(parts[2:-1]))
+                return Until(self.formula(parts[0]), self.formula(parts[-1]), self._interval(parts[2:-1]))
             case "comparison":
                 return self._comparison(node)
             case "call":
                 return self._call(node)
             case "field":
-                found = self._names.field(node)
+                found = self._field(node)
                 return _NOTHING if found is None else Atom(Flag(found))
             case "true" | "false":
                 return Constant(node.data == "true")
             case _:
-                self._names.wrong(node, "this is a value, no formula", "compare it with another: `ball.x > 0`")
+                self._wrong(node, "this is a value, no formula", "compare it with another: `ball.x > 0`")
                 return _NOTHING
 
     def _comparison(self, node: Any) -> Formula:
@@ -111,11 +137,9 @@ class Reader:
             kinds = {type(one.value) for one in (left, right) if isinstance(one, Literal)}
             kinds |= {float for one in (left, right) if isinstance(one, (Arithmetic, Absolute, Distance))}
             if len(kinds) > 1:
-                self._names.wrong(
-                    node, "a number and a text can't be compared", "write both as numbers, or both in quotes"
-                )
+                self._wrong(node, "a number and a text can't be compared", "write both as numbers, or both in quotes")
             elif bool in kinds and sign not in ("==", "!="):
-                self._names.wrong(node, "true and false have no order", "compare them by == or !=")
+                self._wrong(node, "true and false have no order", "compare them by == or !=")
             atom = Atom(Comparison(sign, left, right))
             joined = atom if joined is None else And(joined, atom)
         return joined or _NOTHING
@@ -123,16 +147,16 @@ class Reader:
     def _call(self, node: Any) -> Formula:
         name, arguments = str(node.children[0]), node.children[1:]
         plain = name.lower() if name.lower() in RCC8 else name
-        if plain == "in" and self._names.has_two(node, "a point and a region: in(ball, goal)"):
-            point, region = self._names.field_of(arguments[0], "a point"), self._names.region(arguments[1])
+        if plain == "in" and self._has_two(node, "a point and a region: in(ball, goal)"):
+            point, region = self._field_of(arguments[0], "a point"), self._region(arguments[1])
             return Atom(Membership(point, region)) if point and region else _NOTHING
-        if plain in RCC8 and self._names.has_two(node, f"two regions: {name}(hull, goal)"):
-            left, right = self._names.region(arguments[0]), self._names.region(arguments[1])
+        if plain in RCC8 and self._has_two(node, f"two regions: {name}(hull, goal)"):
+            left, right = self._region(arguments[0]), self._region(arguments[1])
             return Atom(Relation(plain, left, right)) if left and right else _NOTHING
         if plain in ("distance", "abs"):
-            self._names.wrong(node, f"{name}(...) is a number, no formula", f"compare it: `{name}(...) < 1`")
+            self._wrong(node, f"{name}(...) is a number, no formula", f"compare it: `{name}(...) < 1`")
         elif plain not in FUNCTIONS:
-            self._names.unknown_function(node)
+            self._unknown_function(node)
         return _NOTHING
 
     def _value(self, node: Any) -> Value | None:
@@ -149,7 +173,7 @@ class Reader:
             case "true" | "false":
                 return Literal(node.data == "true")
             case "field":
-                return self._names.field(node)
+                return self._field(node)
             case "minus":
                 return self._arithmetic(node, [(None, Literal(0.0)), ("-", self._value(parts[1]))])
             case "sum" | "product":
@@ -160,9 +184,7 @@ class Reader:
             case "call":
                 return self._function(node)
             case _:
-                self._names.wrong(
-                    node, "this is a formula, but a value is compared", "put the comparison in parentheses"
-                )
+                self._wrong(node, "this is a formula, but a value is compared", "put the comparison in parentheses")
                 return None
 
     def _arithmetic(self, node: Any, steps: list[tuple[str | None, Value | None]]) -> Value | None:
@@ -171,7 +193,7 @@ class Reader:
             if value is None:
                 return None
             if isinstance(value, Literal) and not isinstance(value.value, float):
-                self._names.wrong(node, "only numbers can be calculated with")
+                self._wrong(node, "only numbers can be calculated with")
                 return None
             if total is None or sign is None:
                 total = value
@@ -186,15 +208,99 @@ class Reader:
         if name == "abs":
             part = self._value(arguments[0])
             if len(arguments) != 1:
-                self._names.wrong(node, "abs takes one number")
+                self._wrong(node, "abs takes one number")
             return None if part is None else Absolute(part)
         if name == "distance":
-            if not self._names.has_two(node, "two points: distance(ball, robot)"):
+            if not self._has_two(node, "two points: distance(ball, robot)"):
                 return None
-            left, right = (self._names.field_of(one, "a point") for one in arguments)
+            left, right = (self._field_of(one, "a point") for one in arguments)
             return Distance(left, right) if left and right else None
         if name in ("in", *RCC8):
-            self._names.wrong(node, f"{name}(...) is a formula, no value", "put `and`, `or`, `not` before or after it")
+            self._wrong(node, f"{name}(...) is a formula, no value", "put `and`, `or`, `not` before or after it")
         else:
-            self._names.unknown_function(node)
+            self._unknown_function(node)
         return None
+
+    def _field(self, node: Any) -> Field | None:
+        name = str(node.children[0])
+        keys = tuple(str(key)[1:] if key.type == "DOT_NAME" else int(key) for key in node.children[1:])
+        if name in self._vocabulary.features:
+            return Field(name, keys)
+        if name in self._vocabulary.regions:
+            self._wrong(node, f"{name} is a region", f"say what is in it: `in(ball, {name})`")
+            return None
+        known = sorted(self._vocabulary.features)
+        listed = f"there is {', '.join(known)}; declare" if known else "declare"
+        otherwise = f"{listed} it with --feature {name}='TAG' or in a features file"
+        self._wrong(node, f"unknown feature `{name}`", did_you_mean(name, known, otherwise))
+        return None
+
+    def _field_of(self, node: Any, what: str) -> Field | None:
+        if node.data == "field":
+            return self._field(node)
+        self._wrong(node, f"this is not {what} of a feature", "write a feature's name, or one of its fields")
+        return None
+
+    def _region(self, node: Any) -> RegionName | Field | None:
+        if node.data == "field" and len(node.children) == 1:
+            name = str(node.children[0])
+            if name in self._vocabulary.regions:
+                return RegionName(name)
+            if name not in self._vocabulary.features:
+                known = sorted([*self._vocabulary.regions, *self._vocabulary.features])
+                listed = f"there is {', '.join(known)}; declare" if known else "declare"
+                otherwise = f"{listed} it with --region {name}='{{box: [x, y, x, y]}}' or in a features file"
+                self._wrong(node, f"unknown region `{name}`", did_you_mean(name, known, otherwise))
+                return None
+        return self._field_of(node, "a region")
+
+    def _has_two(self, node: Any, what: str) -> bool:
+        if len(node.children) == 3:
+            return True
+        self._wrong(node, f"{node.children[0]} takes {what}")
+        return False
+
+    def _unknown_function(self, node: Any) -> None:
+        name = str(node.children[0])
+        otherwise = f"there is {', '.join(FUNCTIONS)}"
+        mend = f"`{name}` is written {SPELLED[name]} here" if name in SPELLED else None
+        self._wrong(node, f"unknown function `{name}`", mend or did_you_mean(name, FUNCTIONS, otherwise))
+
+    def _interval(self, nodes: list[Any]) -> Interval:
+        if not nodes:
+            return ALL_TIME
+        node = nodes[0]
+        first, last, bracket = node.children
+        units = [str(bound.children[1]) for bound in (first, last) if len(bound.children) == 2]
+        begin = self._bound(first, units[0] if units else "s")
+        end = self._bound(last, units[-1] if units else "s")
+        if begin is None:
+            self._wrong(first, "an interval can't begin at infinity")
+            return ALL_TIME
+        if end is None:
+            return Interval(begin)
+        end -= bracket.type == "RPAR"
+        if end < begin:
+            is_empty = end + 1 == begin and bracket.type == "RPAR"
+            what = "is empty" if is_empty else "ends before it starts"
+            self._wrong(node, f"the interval {what}", "write the earlier bound first: [0, 10s]")
+            return ALL_TIME
+        return Interval(begin, end)
+
+    def _bound(self, node: Any, unit: str) -> int | None:
+        number = node.children[0]
+        if number.type == "INFINITE":
+            return None
+        if len(node.children) == 2:
+            unit = str(node.children[1])
+        span = Decimal(str(number)) * _UNIT_NS[unit]
+        if span > _LONGEST_NS:
+            self._wrong(node, "the interval is longer than a century", "write inf for an interval without an end")
+            return 0
+        return round(span)
+
+    def _wrong(self, node: Any, message: str, mend: str | None = None) -> None:
+        meta = getattr(node, "meta", node)
+        fault = Fault(message, self._file, meta.line, meta.column, mend=mend)
+        if fault not in self.faults:
+            self.faults.append(fault)

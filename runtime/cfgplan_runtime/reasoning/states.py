@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from cfgplan.errors import InvalidValueError
-from cfgplan_runtime.reasoning.vocabulary import SECOND_NS
+from cfgplan_runtime.reasoning.reader import SECOND_NS
 
 
 @dataclass(frozen=True, slots=True)
