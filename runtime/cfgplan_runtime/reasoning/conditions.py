@@ -1,12 +1,52 @@
-"""What a formula can say of one state: comparisons, membership in a region, relations between regions."""
+"""What a formula can say of one state, and whether it holds: comparisons, regions, and relations between regions.
+
+A value that is missing makes a condition unknown; so does one that is unsuitable, and that is also told.
+"""
 
 from __future__ import annotations
 
+import math
+import operator
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, Final, NamedTuple, TypeAlias
+
+from cfgplan.errors import CfgplanError
+from cfgplan_runtime.reasoning.regions import NotAPointError, NotARegionError, Region, point_from, rcc8, region_from
 
 RCC8 = ("dc", "ec", "po", "tpp", "ntpp", "tppi", "ntppi", "eq")
 """Disconnected, externally connected, partially overlapping, (non-)tangential proper part and its inverse, equal."""
+
+_COMPARE: Final[Mapping[str, Callable[[Any, Any], bool]]] = {
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+    "==": operator.eq,
+    "!=": operator.ne,
+}
+_CALCULATE: Final[Mapping[str, Callable[[float, float], float]]] = {
+    "+": operator.add,
+    "-": operator.sub,
+    "*": operator.mul,
+    "/": operator.truediv,
+}
+_MOST_LISTED = 12
+
+
+class NoValueError(CfgplanError):
+    """A feature that has no value in a state."""
+
+
+class UnsuitableValueError(CfgplanError):
+    """A value that a condition can't be decided by, such as one without the field."""
+
+
+class FeatureValues(NamedTuple):
+    """The value of each feature in a state, where it is not missing, and the regions that have names."""
+
+    features: Mapping[str, Any]
+    regions: Mapping[str, Region]
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,17 +59,59 @@ class Field:
     def __str__(self) -> str:
         return self.feature + "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in self.keys)
 
+    def value(self, values: FeatureValues) -> Any:
+        """What stands there. Raises NoValueError, UnsuitableValueError."""
+        value = values.features.get(self.feature)
+        for position, key in enumerate(self.keys):
+            if value is None:
+                break
+            whole = Field(self.feature, self.keys[:position])
+            if isinstance(key, int):
+                if isinstance(value, (str, bytes, Mapping)) or not hasattr(value, "__getitem__"):
+                    raise UnsuitableValueError(f"{whole} is {_shown(value)}, no list")
+                if key >= len(value):
+                    raise UnsuitableValueError(f"{whole} has only {len(value)} members")
+            elif not isinstance(value, Mapping):
+                raise UnsuitableValueError(f"{whole} is {_shown(value)} and has no field `{key}`")
+            elif key not in value:
+                names = ", ".join(sorted(map(str, value))[:_MOST_LISTED]) or "none"
+                raise UnsuitableValueError(f"{whole} has no field `{key}`; it has {names}")
+            value = value[key]
+        if value is None:
+            raise NoValueError
+        return value
+
+    def point(self, values: FeatureValues) -> tuple[float, float]:
+        """The point that stands there. Raises NoValueError, UnsuitableValueError."""
+        try:
+            point = point_from(self.value(values))
+        except NotAPointError as error:
+            raise UnsuitableValueError(f"{self} is {error}") from None
+        if any(map(math.isnan, point)):
+            raise NoValueError
+        return point
+
+    def region(self, values: FeatureValues) -> Region:
+        """The region that stands there. Raises NoValueError, UnsuitableValueError."""
+        try:
+            return region_from(self.value(values))
+        except NotARegionError as error:
+            raise UnsuitableValueError(f"{self} is no region: {error}") from None
+
 
 @dataclass(frozen=True, slots=True)
 class Literal:
     """A number, a text or a truth value."""
 
-    value: float | str | bool
+    written: float | str | bool
 
     def __str__(self) -> str:
-        if isinstance(self.value, float):
-            return f"{self.value:.15g}"
-        return f'"{self.value}"' if isinstance(self.value, str) else str(self.value).lower()
+        if isinstance(self.written, float):
+            return f"{self.written:.15g}"
+        return f'"{self.written}"' if isinstance(self.written, str) else str(self.written).lower()
+
+    def value(self, _: FeatureValues) -> float | str | bool:
+        return self.written
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +125,12 @@ class Arithmetic:
     def __str__(self) -> str:
         return f"({self.left} {self.sign} {self.right})"
 
+    def value(self, values: FeatureValues) -> float:
+        left, right = _number(self.left, values), _number(self.right, values)
+        if self.sign == "/" and right == 0:
+            raise UnsuitableValueError(f"{self.right} is 0")
+        return _CALCULATE[self.sign](left, right)
+
 
 @dataclass(frozen=True, slots=True)
 class Absolute:
@@ -52,6 +140,9 @@ class Absolute:
 
     def __str__(self) -> str:
         return f"abs({self.part})"
+
+    def value(self, values: FeatureValues) -> float:
+        return abs(_number(self.part, values))
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +154,9 @@ class Distance:
 
     def __str__(self) -> str:
         return f"distance({self.left}, {self.right})"
+
+    def value(self, values: FeatureValues) -> float:
+        return math.dist(self.left.point(values), self.right.point(values))
 
 
 Value: TypeAlias = Field | Literal | Arithmetic | Absolute | Distance
@@ -79,6 +173,19 @@ class Comparison:
     def __str__(self) -> str:
         return f"{self.left} {self.sign} {self.right}"
 
+    def holds(self, values: FeatureValues) -> bool:
+        left, right = self.left.value(values), self.right.value(values)
+        if isinstance(left, str) and isinstance(right, str):
+            return _COMPARE[self.sign](left, right)
+        if _is_truth_value(left) and _is_truth_value(right) and self.sign in ("==", "!="):
+            return _COMPARE[self.sign](bool(left), bool(right))
+        numbers = _float(left), _float(right)
+        if numbers[0] is None or numbers[1] is None:
+            raise UnsuitableValueError(f"{_shown(left)} and {_shown(right)} are compared by {self.sign}")
+        if math.isnan(numbers[0]) or math.isnan(numbers[1]):
+            raise NoValueError
+        return _COMPARE[self.sign](*numbers)
+
 
 @dataclass(frozen=True, slots=True)
 class Flag:
@@ -88,6 +195,12 @@ class Flag:
 
     def __str__(self) -> str:
         return str(self.field)
+
+    def holds(self, values: FeatureValues) -> bool:
+        value = self.field.value(values)
+        if not _is_truth_value(value):
+            raise UnsuitableValueError(f"{self.field} is {_shown(value)}, not true or false")
+        return bool(value)
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,16 +212,22 @@ class RegionName:
     def __str__(self) -> str:
         return self.name
 
+    def region(self, values: FeatureValues) -> Region:
+        return values.regions[self.name]
+
 
 @dataclass(frozen=True, slots=True)
 class Membership:
     """A point in a region or on its edge."""
 
     point: Field
-    region: RegionName | Field
+    area: RegionName | Field
 
     def __str__(self) -> str:
-        return f"in({self.point}, {self.region})"
+        return f"in({self.point}, {self.area})"
+
+    def holds(self, values: FeatureValues) -> bool:
+        return self.area.region(values).has(self.point.point(values))
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,5 +241,38 @@ class Relation:
     def __str__(self) -> str:
         return f"{self.name}({self.left}, {self.right})"
 
+    def holds(self, values: FeatureValues) -> bool:
+        return rcc8(self.left.region(values), self.right.region(values)) == self.name
+
 
 Condition: TypeAlias = Comparison | Flag | Membership | Relation
+
+
+def _number(part: Value, values: FeatureValues) -> float:
+    found = part.value(values)
+    number = _float(found)
+    if number is None:
+        raise UnsuitableValueError(f"{part} is {_shown(found)}, no number")
+    return number
+
+
+def _float(value: Any) -> float | None:
+    """A value as a number; None for a text, a truth value and anything else that is none."""
+    if _is_truth_value(value) or isinstance(value, (str, bytes)):
+        return None
+    try:
+        return float(value)
+    except (TypeError, ValueError, OverflowError):
+        return None
+
+
+def _is_truth_value(value: Any) -> bool:
+    return isinstance(value, bool) or (getattr(value, "ndim", 1) == 0 and str(value.dtype) == "bool")
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, str):
+        return f'"{value[:20]}"'
+    if isinstance(value, (bool, int, float)):
+        return str(value)
+    return f"a {type(value).__name__}"

@@ -134,7 +134,7 @@ class Reader:
         for sign, left, right in zip(signs, values, values[1:], strict=False):
             if left is None or right is None:
                 continue
-            kinds = {type(one.value) for one in (left, right) if isinstance(one, Literal)}
+            kinds = {type(one.written) for one in (left, right) if isinstance(one, Literal)}
             kinds |= {float for one in (left, right) if isinstance(one, (Arithmetic, Absolute, Distance))}
             if len(kinds) > 1:
                 self._wrong(node, "a number and a text can't be compared", "write both as numbers, or both in quotes")
@@ -192,13 +192,13 @@ class Reader:
         for sign, value in steps:
             if value is None:
                 return None
-            if isinstance(value, Literal) and not isinstance(value.value, float):
+            if isinstance(value, Literal) and not isinstance(value.written, float):
                 self._wrong(node, "only numbers can be calculated with")
                 return None
             if total is None or sign is None:
                 total = value
             elif total == Literal(0.0) and sign == "-" and isinstance(value, Literal):
-                total = Literal(-float(value.value))
+                total = Literal(-float(value.written))
             else:
                 total = Arithmetic(sign, total, value)
         return total
