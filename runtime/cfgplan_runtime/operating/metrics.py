@@ -3,19 +3,157 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, Generic, TypeVar
 from wsgiref.simple_server import WSGIServer
 
 from prometheus_client import CollectorRegistry, Counter, Histogram, start_http_server
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client.registry import Collector
 
-from cfgplan_runtime.children.messages import Flow
+from cfgplan_runtime.children.messages import Flow, PortCounts
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.lifecycle.perturbations import UnitGone
-from cfgplan_runtime.lifecycle.reports import Perturbed, Report, Review, Reviewed, Snapshot, UnitEvent
-from cfgplan_runtime.operating.present_metrics import Present
+from cfgplan_runtime.lifecycle.reports import (
+    BackingOff,
+    Perturbed,
+    Report,
+    Review,
+    Reviewed,
+    Snapshot,
+    TargetView,
+    UnitEvent,
+)
+from cfgplan_runtime.supervision.observation import Observation
 
 LOOPBACK = "127.0.0.1"
 _BUCKETS_S = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 30)
+
+
+_US_PER_S: Final = 1_000_000
+_TARGET: Final = ("target", "topic")
+_UNIT: Final = ("unit", "transformation", "host")
+_PORT: Final = (*_UNIT, "port")
+
+Measured = TypeVar("Measured")
+
+
+@dataclass(frozen=True, slots=True)
+class _Measure(Generic[Measured]):
+    """A metric that is read at a scrape, as a gauge unless its value only rises. It is left out where it is None."""
+
+    name: str
+    help_text: str
+    read: Callable[[Measured], float | None]
+    rises: bool = False
+
+    def family(self, names: tuple[str, ...], seen: Iterable[tuple[tuple[str, ...], Measured]]) -> Metric:
+        """The metric of all that is seen, each with the values of the labels `names`."""
+        kind = CounterMetricFamily if self.rises else GaugeMetricFamily
+        family = kind(f"cfgplan_{self.name}", self.help_text, labels=names)
+        for labels, one in seen:
+            value = self.read(one)
+            if value is not None:
+                family.add_metric(labels, value)
+        return family
+
+
+_OF_ALL: Final[Sequence[_Measure[Snapshot]]] = (
+    _Measure("units", "Units that run.", lambda now: sum(not view.unit.standby for view in now.units)),
+    _Measure(
+        "spares",
+        "Cold spares, which can run but do not.",
+        lambda now: sum(view.unit.standby for view in now.units),
+    ),
+    _Measure("lost_hosts", "Hosts that nothing is planned on.", lambda now: len(now.lost_hosts)),
+    _Measure("transformations", "Transformations in the library.", lambda now: len(now.environment.library)),
+    _Measure("pending_perturbations", "Perturbations that wait for a review.", lambda now: len(now.pending)),
+    _Measure("horizon_seconds", "Length of the horizon.", lambda now: now.horizon_s),
+    _Measure("horizon_left_seconds", "Time until the horizon is reached.", lambda now: now.horizon_left_s),
+    _Measure(
+        "cost_cpu_seconds",
+        "Expected CPU time of what runs, over the horizon.",
+        lambda now: now.cost_us / _US_PER_S,
+    ),
+    _Measure(
+        "deferred_saving_cpu_seconds",
+        "What is put off until the horizon would save.",
+        lambda now: now.saving_us / _US_PER_S,
+    ),
+)
+_OF_HELD_OUT: Final[_Measure[BackingOff]] = _Measure(
+    "transformation_held_out_seconds",
+    "For how long a transformation that keeps failing is not started.",
+    lambda one: one.left_s,
+)
+_OF_TARGETS: Final[_Measure[TargetView]] = _Measure(
+    "target_met", "Whether a stream meets the target, and is not silent for too long.", lambda one: float(one.is_met)
+)
+_OF_FLOWS: Final[Sequence[_Measure[Flow]]] = (
+    _Measure(
+        "target_rate_hertz", "Elements per second on the topic, over the last seconds.", lambda flow: flow.rate_hz
+    ),
+    _Measure(
+        "target_latency_seconds",
+        "Median age of the elements when they come out.",
+        lambda one: None if one.latency_ms is None else one.latency_ms / 1e3,
+    ),
+    _Measure("target_silent_seconds", "Time since the last element on the topic.", lambda one: one.silent_s),
+    _Measure("target_elements", "Elements that came out on the topic.", lambda one: one.elements, rises=True),
+)
+_OF_UNITS: Final[Sequence[_Measure[Observation]]] = (
+    _Measure("unit_cpu_seconds", "CPU time since the start.", lambda one: one.cpu_us / _US_PER_S, rises=True),
+    _Measure("unit_steps", "Steps since the start.", lambda one: one.steps, rises=True),
+    _Measure("unit_step_errors", "Steps that failed.", lambda one: one.errors, rises=True),
+    _Measure("unit_memory_bytes", "Resident memory.", lambda one: one.memory_bytes),
+    _Measure("unit_labor_cpu_seconds", "CPU time of the start.", lambda one: one.labor_us / _US_PER_S),
+    _Measure(
+        "unit_upkeep_cpu_ratio",
+        "CPU time per second over the last observation.",
+        lambda one: None if one.upkeep_us is None else one.upkeep_us / _US_PER_S,
+    ),
+)
+_OF_INPUTS: Final[Sequence[_Measure[PortCounts]]] = (
+    _Measure("unit_input_elements", "Elements taken in.", lambda one: one.elements, rises=True),
+    _Measure(
+        "unit_input_dropped_elements",
+        "Elements dropped because there was no room.",
+        lambda one: one.dropped,
+        rises=True,
+    ),
+    _Measure("unit_input_waiting_elements", "Elements that wait at the input.", lambda one: one.waiting),
+)
+_OF_OUTPUTS: Final[_Measure[PortCounts]] = _Measure(
+    "unit_output_elements", "Elements given.", lambda one: one.elements, rises=True
+)
+
+
+class Present(Collector):
+    """Reads a snapshot and the flows at each scrape, in the scraper's thread."""
+
+    def __init__(self, snapshot: Callable[[], Snapshot], flows: Callable[[], Mapping[str, Flow]]) -> None:
+        self._snapshot = snapshot
+        self._flows = flows
+
+    def collect(self) -> Iterable[Metric]:
+        now, flows = self._snapshot(), self._flows()
+        yield from (measure.family((), [((), now)]) for measure in _OF_ALL)
+        yield _OF_HELD_OUT.family(("transformation",), [((one.transformation,), one) for one in now.backing_off])
+        targets = [((one.label, one.topic), one) for one in now.targets]
+        yield _OF_TARGETS.family(_TARGET, targets)
+        known = [(labels, flows[one.topic]) for labels, one in targets if one.topic in flows]
+        yield from (measure.family(_TARGET, known) for measure in _OF_FLOWS)
+        seen = [
+            ((view.unit.id, view.unit.transformation, view.host or ""), view.observation)
+            for view in now.units
+            if view.observation is not None
+        ]
+        yield from (measure.family(_UNIT, seen) for measure in _OF_UNITS)
+        inputs = [((*labels, port), counts) for labels, one in seen for port, counts in sorted(one.inputs.items())]
+        outputs = [((*labels, port), counts) for labels, one in seen for port, counts in sorted(one.outputs.items())]
+        yield from (measure.family(_PORT, inputs) for measure in _OF_INPUTS)
+        yield _OF_OUTPUTS.family(_PORT, outputs)
 
 
 class Metrics:

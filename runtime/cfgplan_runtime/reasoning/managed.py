@@ -8,10 +8,11 @@ from concurrent.futures import TimeoutError as FutureTimeoutError
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Protocol
 
-from cfgplan.domain import ChangeSet, Target
+from cfgplan.domain import Target
 from cfgplan.errors import Fault, InputError
 from cfgplan_runtime.lifecycle.changes import AddTargets, Change, RemoveTargets
 from cfgplan_runtime.lifecycle.reports import Decision, Report, Review, Reviewed, Snapshot, UnitEvent
+from cfgplan_runtime.operating.sentences import decision, milliseconds, sentence
 from cfgplan_runtime.reasoning.features import DeclaredFeatures, Feature
 from cfgplan_runtime.streams.subscription import SubscriptionToTopic, subscribe
 from cfgplan_runtime.supervision.events import UnitDied, UnitFailed, UnitHung
@@ -116,29 +117,12 @@ class RemoteSubscriptions:
 
 
 def _told(report: Report) -> str | None:
+    """What a query's user is told of a report."""
     match report:
-        case UnitEvent(UnitDied(unit, cause)):
-            return f"{unit} died: {cause}"
-        case UnitEvent(UnitHung(unit)):
-            return f"{unit} hangs"
-        case UnitEvent(UnitFailed(unit, kind, _, text)):
-            return f"{unit} failed ({kind}): {text.strip().splitlines()[-1] if text.strip() else ''}"
-        case Reviewed(review) if review.decision is Decision.APPLIED and review.change_set is not None:
-            return _update_text(review.change_set, sum(review.seconds.values())) or None
+        case UnitEvent(UnitDied() | UnitHung() | UnitFailed()):
+            return sentence(report)
+        case Reviewed(review) if review.decision is Decision.APPLIED and review.change_set:
+            return f"{decision(review)} ({milliseconds(sum(review.seconds.values()))})"
         case Reviewed(review) if review.decision is Decision.FAILED:
-            return f"an update failed: {review.cause}"
-        case _:
-            return None
-
-
-def _update_text(change_set: ChangeSet, seconds: float) -> str:
-    parts = [
-        f"{verb} {', '.join(names)}"
-        for verb, names in (
-            ("started", [unit.id for unit in change_set.started]),
-            ("rewired", [unit.id for unit in change_set.rewired]),
-            ("stopped", list(change_set.stopped)),
-        )
-        if names
-    ]
-    return f"{'; '.join(parts)} ({1000 * seconds:.0f} ms)" if parts else ""
+            return decision(review)
+    return None
