@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from importlib.util import find_spec
 from pathlib import Path
@@ -34,15 +36,26 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("envs", metavar="ENV", nargs="*", help="environment files to plan for")
     parser.add_argument("--suite", choices=SUITES, help="generated instances to plan for")
     parser.add_argument(
-        "--instance", action="append", default=[], metavar="NAME", help="one generated instance, named as in the tables"
+        "--instance",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="a generated instance, such as 'nao(robots=2)#0' (repeat)",
     )
     parser.add_argument("--wsc", metavar="DIR", help="folder with sets of the Web Service Challenge 2008 to plan for")
     parser.add_argument(
-        "--planner", action="append", metavar="NAME", help="only this planner (repeat); yours: module:function"
+        "--planner",
+        action="append",
+        metavar="NAME",
+        help="only this planner; one of your own as module:function (repeat)",
     )
     parser.add_argument("--timeout", type=shared.positive, default=10.0, metavar="S", help="seconds for each run (10)")
-    parser.add_argument("--memory", type=shared.whole_seconds, metavar="MB", help="largest address space of a run")
-    parser.add_argument("--results", metavar="FILE", help="keep every run as a JSON line; runs already there stay")
+    parser.add_argument(
+        "--memory", type=shared.whole_seconds, metavar="MB", help="largest address space of a run, in megabytes"
+    )
+    parser.add_argument(
+        "--results", metavar="FILE", help="keep every run as a JSON line; what is there already is not run again"
+    )
     parser.add_argument("--report", metavar="DIR", help="write tables and plots to DIR (needs matplotlib)")
     shared.add_matching(parser)
     shared.add_json(parser)
@@ -130,20 +143,25 @@ def _require_report(folder: Path) -> None:
     """Check before the runs that a report can be written to the folder. Raises InputError."""
     if find_spec("matplotlib") is None:
         raise InputError.of("the report can't be drawn without matplotlib", mend="pip install 'cfgplan[plots]'")
-    try:
+    with _writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         with TemporaryFile(dir=folder):
             pass
-    except OSError as error:
-        mend = "name a folder that may be written to"
-        raise InputError.of(f"can't write the report: {error.strerror}", file=str(folder), mend=mend) from None
 
 
 def _write_report(rows: list[Row], folder: Path, screen: Screen) -> None:
     from cfgplan.comparing.report import write_report
 
-    try:
+    with _writing(folder):
         files = write_report(rows, folder)
-    except OSError as error:
-        raise InputError.of(f"can't write the report: {error.strerror}", file=str(folder)) from None
     screen.note(f"Wrote {', '.join(map(str, files))}.")
+
+
+@contextmanager
+def _writing(folder: Path) -> Iterator[None]:
+    """Raises InputError where the report can't be written to the folder."""
+    try:
+        yield
+    except OSError as error:
+        mend = "name a folder that may be written to"
+        raise InputError.of(f"the report can't be written: {error.strerror}", file=str(folder), mend=mend) from None

@@ -89,10 +89,14 @@ def add_to(parser: argparse.ArgumentParser) -> None:
             kind = str if command.name == "add" else normal
             each.add_argument("operand", type=kind, metavar=command.operand, help=command.means)
         if command.name == "add":
-            each.add_argument("--name", type=normal, metavar="NAME", help="under another name than the file's")
+            each.add_argument("--name", type=normal, metavar="NAME", help="the name to add it under (the file's)")
         if command.method or command.name == "add":
             each.add_argument(
-                "--wait", type=shared.duration, default=60.0, metavar="TIME", help="wait so long for the review (60s)"
+                "--wait",
+                type=shared.duration,
+                default=60.0,
+                metavar="TIME",
+                help="how long to wait for the review (60s)",
             )
 
 

@@ -63,7 +63,7 @@ def _export(options: argparse.Namespace, screen: Screen) -> Exit:
         text = api.schema_text()
     else:
         if options.env is None:
-            raise InputError.of(f"name the environment file to export as {options.what}")
+            raise InputError.of("no environment file is named", mend=f"write `cfgplan export {options.what} ENV`")
         text = api.converted(Path(options.env), options.what)
     shared.put(text, options.out, screen)
     return Exit.OK

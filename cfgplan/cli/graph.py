@@ -38,7 +38,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
     kind = options.format or _kind_of(options.out)
     if kind == "png" and options.out is None and sys.stdout.isatty():
-        raise InputError.of("a PNG picture is nothing for a terminal", mend="name a file by --out, or pipe it on")
+        raise InputError.of("a PNG picture can't be shown in a terminal", mend="name a file by --out, or pipe it on")
     world = shared.load(options, screen)
     code, change_set = Exit.OK, None
     if not options.running:

@@ -23,7 +23,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--count", type=shared.count, metavar="N", help="end after N elements")
     parser.add_argument("--for", dest="span", type=shared.duration, metavar="TIME", help="end after 30s, 5m, 1h")
     parser.add_argument(
-        "--wait", type=shared.duration, default=0.0, metavar="TIME", help="wait so long for the topic to be there"
+        "--wait", type=shared.duration, default=0.0, metavar="TIME", help="how long to wait for the topic (0)"
     )
     shared.add_json(parser)
     parser.set_defaults(run=run)

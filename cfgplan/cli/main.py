@@ -233,7 +233,9 @@ def refuse_overwriting(options: argparse.Namespace) -> None:
     read = list(_files(options, _READ))
     for written in _files(options, _WRITTEN):
         if any(_is_same(written, each) for each in read):
-            raise InputError.of("this is the file to read: it is not written over", file=written, mend="name another")
+            raise InputError.of(
+                "this file is read, so it can't be written too", file=written, mend="name another file to write"
+            )
 
 
 def _files(options: argparse.Namespace, names: tuple[str, ...]) -> Iterator[str]:

@@ -29,7 +29,9 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     shared.add_environment(parser)
     parser.add_argument("output", nargs="?", type=normal, help="an output as transformation/port")
     parser.add_argument("input", nargs="?", type=normal, help="an input as transformation/port, or a target's label")
-    parser.add_argument("--decide", action="store_true", help="have all pairs decided, however many are open")
+    parser.add_argument(
+        "--decide", action="store_true", help="let the reasoner decide all pairs, however many are open"
+    )
     shared.add_matching(parser)
     shared.add_json(parser)
     parser.set_defaults(run=run)
@@ -44,7 +46,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         _show_matrix(world.environment, matches.similarity, screen)
         if matches.similarity.open and not options.decide:
             screen.note(
-                f"More than {FEW_PAIRS} pairs are open: --decide has them all decided; plans ask what they need."
+                f"More than {FEW_PAIRS} pairs are open: a plan decides those that it needs, --decide decides all."
             )
         return Exit.OK
     if options.input is None:

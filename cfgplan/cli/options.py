@@ -38,13 +38,15 @@ def add_matching(parser: argparse.ArgumentParser) -> None:
     """Options of every verb that matches tags."""
     from cfgplan.api import REASONER_NAMES
 
-    parser.add_argument("--reasoner", choices=REASONER_NAMES, default="auto", help="who decides what matches (auto)")
+    parser.add_argument(
+        "--reasoner", choices=REASONER_NAMES, default="auto", help="the reasoner that decides which tags match (auto)"
+    )
     parser.add_argument(
         "--reasoner-timeout",
         type=positive,
         default=60.0,
         metavar="S",
-        help="what HermiT can't decide in S seconds is called undecided (60)",
+        help="seconds for HermiT; what it has not decided by then stays undecided (60)",
     )
     parser.add_argument("--no-cache", action="store_true", help="neither read nor write the cache of matches")
 
@@ -55,7 +57,7 @@ def add_planning(parser: argparse.ArgumentParser, what_if: str | None = None) ->
     """
     from cfgplan.api import PLANNER_NAMES
 
-    parser.add_argument("--planner", choices=PLANNER_NAMES, default="cpsat", help="who plans (cpsat)")
+    parser.add_argument("--planner", choices=PLANNER_NAMES, default="cpsat", help="the planner (cpsat)")
     parser.add_argument(
         "--horizon", type=whole_seconds, metavar="S", help="plan for S seconds instead of the file's horizon"
     )

@@ -42,7 +42,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         "env",
         metavar="ENV",
         nargs="?",
-        help="environment file: what can be started; without it, or with --run, a run is asked",
+        help="environment file with what can be started; without it, or with --run, a run answers",
     )
     parser.add_argument(
         "formula",
@@ -57,7 +57,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME=TAG",
-        help="a name for a semantic subscription",
+        help="name the stream that a tag describes (repeat)",
     )
     parser.add_argument(
         "--region",
@@ -65,34 +65,38 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME=REGION",
-        help="such as goal='{circle: [4, 0], radius: 1}'",
+        help="name a region, such as goal='{circle: [4, 0], radius: 1}' (repeat)",
     )
     parser.add_argument("--run", dest="run_id", metavar="ID", help="ask this run instead of starting units here")
     parser.add_argument("--for", dest="span", type=shared.duration, metavar="TIME", help="stop after 30s, 5m, 1h")
-    parser.add_argument("--rate", type=shared.positive, metavar="HZ", help="states a second (one at each sample)")
+    parser.add_argument("--rate", type=shared.positive, metavar="HZ", help="states per second (one for each sample)")
     parser.add_argument(
         "--delay",
         type=shared.duration,
         default=0.2,
         metavar="TIME",
-        help="wait so long for samples of a state's time (200ms)",
+        help="how long a state waits for its samples (200ms)",
     )
     parser.add_argument(
         "--hold",
         type=shared.duration,
         default=1.0,
         metavar="TIME",
-        help="a value counts so long, then it is missing (1s)",
+        help="how long a value holds; then it counts as missing (1s)",
     )
     parser.add_argument(
-        "--tolerance", type=shared.duration, default=0.0, metavar="TIME", help="samples this near make one state (0)"
+        "--tolerance",
+        type=shared.duration,
+        default=0.0,
+        metavar="TIME",
+        help="samples that are at most so far apart make one state (0)",
     )
     parser.add_argument(
         "--wait",
         type=shared.duration,
         default=0.0,
         metavar="TIME",
-        help="wait so long for features that can't be had yet (0)",
+        help="how long to wait for features that nothing gives yet (0)",
     )
     parser.add_argument("--verbose", action="store_true", help="say what happens to the units")
     shared.add_json(parser)

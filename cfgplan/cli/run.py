@@ -47,20 +47,20 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--for", dest="span", type=shared.duration, metavar="TIME", help="stop after 30s, 5m, 1h")
     parser.add_argument("--dry-run", action="store_true", help="say what would be started, and start nothing")
     parser.add_argument("--strict", action="store_true", help="start nothing unless every target can be met")
-    parser.add_argument("--plain", action="store_true", help="lines instead of the live view, as when piped")
+    parser.add_argument("--plain", action="store_true", help="print lines instead of the live view, as when piped")
     parser.add_argument("--log", metavar="FILE", help="add every event to FILE, one JSON line each")
     parser.add_argument("--record", metavar="FILE", help="record the targets' streams and all events to FILE (MCAP)")
     parser.add_argument(
         "--metrics-port", type=port, metavar="N", help="serve metrics for Prometheus on 127.0.0.1:N (0: any port)"
     )
     parser.add_argument(
-        "--estimator", choices=_ESTIMATORS, default="trend", help="how costs are forecast from what is seen (trend)"
+        "--estimator", choices=_ESTIMATORS, default="trend", help="how costs are forecast from observations (trend)"
     )
     parser.add_argument(
         "--guess",
         choices=_GUESSES,
         default="declared",
-        help="the cost of what was never seen: as declared, or so that it is tried, or not (declared)",
+        help="the cost of what never ran: as declared, low so that it is tried, or high so that it is not (declared)",
     )
     kept = parser.add_mutually_exclusive_group()
     kept.add_argument("--estimates", metavar="FILE", help="where estimates are kept between runs (the state folder)")
@@ -70,9 +70,15 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         type=shared.duration,
         default=3.0,
         metavar="TIME",
-        help="how long at most what keeps failing waits for its next start where nothing can take its place (3s)",
+        help="longest wait until a failing transformation that nothing can replace is started again (3s)",
     )
-    parser.add_argument("--preload", action="append", default=[], metavar="MODULE", help="import it before units start")
+    parser.add_argument(
+        "--preload",
+        action="append",
+        default=[],
+        metavar="MODULE",
+        help="import this module before units start (repeat)",
+    )
     shared.add_planning(parser, "with --dry-run only; a run is changed by editing the file, or by `cfgplan ctl`")
     shared.add_matching(parser)
     shared.add_json(parser)
@@ -191,7 +197,7 @@ def _estimates_file(options: argparse.Namespace) -> Path:
     path = Path(options.estimates)
     if path.suffix != ".json":
         mend = f"name a file of its own, such as {path.stem or 'estimates'}.json"
-        raise InputError.of("estimates are kept as JSON", file=str(path), mend=mend)
+        raise InputError.of("the name of a file of estimates must end in .json", file=str(path), mend=mend)
     return path
 
 

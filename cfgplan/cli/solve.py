@@ -99,7 +99,7 @@ def _solve(options: argparse.Namespace, screen: Screen, task: shared.Task) -> Ex
         document = api.plan_text(world, problem, plan) if screen.json or options.out else ""
         shown = None if screen.json else update_text(problem, plan, given_up)
     except Exception as error:
-        raise PlannerFaultError(f"it can't be told: {type(error).__name__}: {error}", plan) from error
+        raise PlannerFaultError(f"it can't be shown: {type(error).__name__}: {error}", plan) from error
     if shown is None:
         screen.write(document)
     else:
@@ -147,7 +147,7 @@ def _show_unjudged(screen: Screen, task: shared.Task, error: PlannerFaultError) 
     else:
         screen.show(shown)
     if not screen.json:
-        screen.note(f"This plan is unjudged, do not rely on it: {error}", style="bold red")
+        screen.note(f"Do not rely on this plan: {error}", style="bold red")
         screen.note("This is a bug in cfgplan: CFGPLAN_TRACEBACK=1 shows where; please report it.")
     return Exit.INTERNAL
 

@@ -136,9 +136,9 @@ def _row(path: Path, number: int, line: str) -> Row:
     try:
         data: dict[str, Any] = json.loads(line)
     except ValueError:
-        raise InputError([Fault("this line is no JSON", str(path), number)]) from None
+        raise InputError([Fault("this line is no JSON", str(path), number, mend="use another results file")]) from None
     if not isinstance(data, dict) or not _REQUIRED <= data.keys() <= _FIELDS:
-        raise InputError([Fault("this line is no result row", str(path), number, mend="use another results file")])
+        raise InputError([Fault("this line is no result of a run", str(path), number, mend="use another results file")])
     trace = tuple((point[0], point[1], point[2]) for point in data["trace"])
     violations = None if data["violations"] is None else tuple(data["violations"])
     return Row(**{**data, "trace": trace, "violations": violations})

@@ -163,7 +163,7 @@ def require(entrant: Entrant, limits: Limits) -> None:
     answer = answer or _failure(code, err)
     if answer["outcome"] != "ready":
         why = answer.get("message") or answer["outcome"]
-        raise InputError.of(f"the planner {entrant.name!r} can't be had: {why}", mend="name it as module:function")
+        raise InputError.of(f"the planner {entrant.name!r} can't be used: {why}", mend="name it as module:function")
 
 
 @cache

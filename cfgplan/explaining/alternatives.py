@@ -46,7 +46,7 @@ def alternatives(problem: Problem, planner: Planner, count: int, *, time_limit_s
     """
     if Notion.SURVIVAL in problem.notions:
         raise InputError.of(
-            "alternatives are told apart by what serves targets, and spares for the survival of failures serve none",
+            "alternatives differ in what serves targets, and the spares of a plan that survives failures serve none",
             mend="solve with --without NAME for what else there is, or with --survive 0",
         )
     end_s = None if time_limit_s is None else time.monotonic() + time_limit_s

@@ -94,7 +94,7 @@ def _cost_us(value: str) -> int:
 def _whole(value: str, *, signed: bool = False) -> int:
     number = _number(value)
     if number != number.to_integral_value() or (number < 0 and not signed):
-        raise InputError.of(f"{value!r} is not a whole number" + ("" if signed else " of at least 0"))
+        raise InputError.of(f"{value!r} is not a whole number" + ("" if signed else " of at least 0"), mend="write one")
     return int(number)
 
 
@@ -104,13 +104,13 @@ def _number(value: str) -> Decimal:
     except InvalidOperation:
         number = Decimal("nan")
     if not number.is_finite():
-        raise InputError.of(f"{value!r} is not a number")
+        raise InputError.of(f"{value!r} is not a number", mend="write a number, such as 0.5")
     return number
 
 
 def _flag(value: str) -> bool:
     if value.lower() not in _TRUTH:
-        raise InputError.of(f"{value!r} is neither true nor false")
+        raise InputError.of(f"{value!r} is neither true nor false", mend="write true or false")
     return _TRUTH[value.lower()]
 
 

@@ -184,7 +184,7 @@ def _is_well_numbered(entry: Passage, part: TransformationPart) -> bool:
     said = {CPU} if part.memory is None else {CPU, MEMORY}
     twice = sorted(said.intersection(part.needs or ()))
     for resource in twice if fits else ():
-        message = f"the {resource} that a unit takes is said by `{'upkeep' if resource == CPU else resource}`"
+        message = f"how much {resource} a unit takes is written under `{'upkeep' if resource == CPU else resource}`"
         entry.at("needs", resource).note(message, "remove it here", at_key=True)
     return fits and not twice
 

@@ -45,7 +45,9 @@ def read_bytes(path: Path) -> bytes:
     except IsADirectoryError:
         raise InputError.of("this is a folder, not a file", file=name, mend="name the file in it") from None
     except PermissionError:
-        raise InputError.of("the file may not be read", file=name, mend="give yourself the right to read it") from None
+        raise InputError.of(
+            "the file may not be read", file=name, mend="make it readable for you, such as by `chmod u+r`"
+        ) from None
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or error
         raise InputError.of(f"the file can't be read: {why}", file=name, mend="check the path") from None

@@ -120,7 +120,7 @@ class FleetReader:
             entry.at(wrong).note(message, f"write `{right}`", at_key=True)
             return False
         if getattr(wish, right) is None and wish.weight == 0:
-            entry.note(f"nothing is asked of {attribute.name}", f"write `{right}`, a `weight`, or both")
+            entry.note(f"the target asks nothing of {attribute.name}", f"write `{right}`, a `weight`, or both")
             return False
         return True
 

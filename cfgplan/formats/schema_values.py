@@ -80,7 +80,7 @@ def _span(value: object) -> int:
         raise PydanticCustomError("span", "{text}", {"text": "this is no span of time", "mend": mend})
     span_us = _microseconds(value)
     if not span_us:
-        raise PydanticCustomError("span", "{text}", {"text": "a span of time is longer than 0", "mend": mend})
+        raise PydanticCustomError("span", "{text}", {"text": "the span of time is 0", "mend": mend})
     return span_us
 
 

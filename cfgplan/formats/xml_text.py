@@ -149,7 +149,7 @@ class _XmlReading:
         for tagged, tag in tags.items():
             if tagged is not None:
                 mend = did_you_mean(tagged, known, "add it to <ports>")
-                self._note(tag, f"a tag is for the port `{tagged}`, which is not there", mend)
+                self._note(tag, f"the tag is for the port `{tagged}`, but there is no such port", mend)
         return {key: value for key, value in ports.items() if value}
 
     def _port(self, port: XmlElement, path: Path, tag: XmlElement | None) -> object:

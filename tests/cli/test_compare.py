@@ -94,7 +94,7 @@ def test_a_report_that_can_not_be_written_is_refused_before_any_run(
     for report in (path, path / "report"):
         result = run("compare", path, *PAIR, "--results", kept, "--report", report)
         assert (result.code, result.out) == (30, "")
-        assert f"error: {report}: can't write the report" in result.err
+        assert f"error: {report}: the report can't be written" in result.err
         assert not kept.exists()
 
 

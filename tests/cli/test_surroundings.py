@@ -256,7 +256,7 @@ def test_what_is_read_is_not_written_over(command: tuple[object, ...], run: Run,
     env.write_text(text := "format: cfgplan/1\ntransformations:\n  - {label: a, outputs: {o: A}}\n")
     result = run(*(env if word == "ENV" else word for word in command))
     assert result.code == 30
-    assert "not written over" in result.err
+    assert "this file is read" in result.err
     assert env.read_text() == text
 
 

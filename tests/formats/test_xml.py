@@ -155,7 +155,7 @@ def test_other_encodings_are_read_as_they_declare_themselves(tmp_path: Path) -> 
         ('upkeep="0.000001"', 'upkeep="-1"', (5, 3), "-1 is negative", "at least 0"),
         ('pinned="true"', 'pinned="yes"', (5, 3), "true or false, but is the text 'yes'", "write true or false"),
         ('<tag port="left">Position</tag>', "", (16, 7), "the port `left` has no tag", 'add <tag port="left">'),
-        ('<tag port="left">', '<tag port="lft">', (21, 7), "a tag is for the port `lft`", "did you mean `left`?"),
+        ('<tag port="left">', '<tag port="lft">', (21, 7), "the tag is for the port `lft`", "did you mean `left`?"),
         ('<tag port="left">', "<tag>", (21, 7), "<tag> has no attribute `port`", 'add port="..."'),
         ('<tag port="left">', '<tag port="right">', (22, 7), "the port `right` has two tags", "join them"),
         ('<port type="out">', "<port>", (18, 7), "the port `out` has no direction", 'type="in"'),
