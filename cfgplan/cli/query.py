@@ -20,11 +20,9 @@ from cfgplan.cli.screen import OUTPUT_VERSION, Screen, counted
 from cfgplan.errors import Fault, InputError, InvalidValueError
 
 if TYPE_CHECKING:
-    from cfgplan_runtime.reasoning.answers import Answer, Progressed, QueryReport
     from cfgplan_runtime.reasoning.features import DeclaredFeatures
     from cfgplan_runtime.reasoning.monitor import Waiting
-    from cfgplan_runtime.reasoning.queries import Query
-    from cfgplan_runtime.reasoning.subscriptions import Subscriptions
+    from cfgplan_runtime.reasoning.queries import Answer, Progressed, Query, QueryReport, Subscriptions
 
     from cfgplan.api import World
 
@@ -195,8 +193,8 @@ def _check_tags(asked: Query, world: World) -> None:
 
 
 def _answered(options: argparse.Namespace, screen: Screen, asked: Query, subscriptions: Subscriptions) -> Exit:
-    from cfgplan_runtime.reasoning.answers import UnmetTargetsError
     from cfgplan_runtime.reasoning.engine import Engine
+    from cfgplan_runtime.reasoning.queries import UnmetTargetsError
 
     show = as_json(screen) if screen.json else as_text(screen, options.formula, verbose=options.verbose)
     try:
@@ -231,23 +229,23 @@ def as_json(screen: Screen) -> Callable[[QueryReport], None]:
 
 
 def as_text(screen: Screen, formula: str, *, verbose: bool) -> Callable[[QueryReport], None]:
-    from cfgplan_runtime.reasoning import answers
+    from cfgplan_runtime.reasoning import queries
 
     last: list[object] = [None]
 
     def show(report: QueryReport) -> None:
         match report:
-            case answers.SetUp(topics, seconds):
+            case queries.SetUp(topics, seconds):
                 streams = ", ".join(f"{name} on {topic}" for name, topic in topics.items())
                 screen.note(f"Set up in {seconds:.2f} s: {streams or 'no streams are needed'}.")
-            case answers.Noted(text):
+            case queries.Noted(text):
                 screen.note(text, style="yellow" if verbose or "unknown" in text else "dim")
-            case answers.Progressed():
+            case queries.Progressed():
                 situation = (report.waiting, report.possible, report.missing)
                 if situation != last[0]:
                     last[0] = situation
                     screen.show(f"{_clock(report.time_ns)}  open   {_open_text(report)}")
-            case answers.Answer():
+            case queries.Answer():
                 screen.show(_answer_text(report, formula))
         screen.flush()
 

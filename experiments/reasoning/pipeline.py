@@ -6,7 +6,7 @@ import argparse
 import math
 import time
 
-from cfgplan_runtime.reasoning.evaluator import Evaluator
+from cfgplan_runtime.reasoning.conditions import Evaluator
 from cfgplan_runtime.reasoning.monitor import Monitor
 from cfgplan_runtime.reasoning.parser import parse
 from cfgplan_runtime.reasoning.program import compiled

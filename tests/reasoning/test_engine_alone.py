@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 import pytest
-from cfgplan_runtime.reasoning.answers import Answer, Noted, QueryReport, SetUp, UnmetTargetsError
 from cfgplan_runtime.reasoning.engine import Engine
 from cfgplan_runtime.reasoning.features import DeclaredFeatures, Feature, of_options
-from cfgplan_runtime.reasoning.queries import query
+from cfgplan_runtime.reasoning.queries import Answer, Noted, QueryReport, SetUp, UnmetTargetsError, query
 from cfgplan_runtime.reasoning.states import Timing
 from cfgplan_runtime.reasoning.truth import Verdict
 from fake_subscriptions import FakeSubscriptions, Given, stream

@@ -20,11 +20,10 @@ from cfgplan_runtime.lifecycle.manager import Manager
 from cfgplan_runtime.operating.control_client import connect
 from cfgplan_runtime.operating.control_server import ControlServer
 from cfgplan_runtime.operating.methods import Methods
-from cfgplan_runtime.reasoning.answers import Answer, Noted, QueryReport
 from cfgplan_runtime.reasoning.engine import Engine
 from cfgplan_runtime.reasoning.features import of_file, of_targets
 from cfgplan_runtime.reasoning.managed import ManagedSubscriptions, RemoteSubscriptions
-from cfgplan_runtime.reasoning.queries import query
+from cfgplan_runtime.reasoning.queries import Answer, Noted, QueryReport, query
 from cfgplan_runtime.reasoning.truth import Verdict
 
 import cfgplan

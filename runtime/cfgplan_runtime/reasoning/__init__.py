@@ -9,17 +9,17 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from cfgplan_runtime.reasoning.answers import Answer as Answer
-    from cfgplan_runtime.reasoning.answers import UnmetTargetsError as UnmetTargetsError
+    from cfgplan_runtime.reasoning.conditions import Evaluator as Evaluator
     from cfgplan_runtime.reasoning.engine import Engine as Engine
-    from cfgplan_runtime.reasoning.evaluator import Evaluator as Evaluator
     from cfgplan_runtime.reasoning.features import DeclaredFeatures as DeclaredFeatures
     from cfgplan_runtime.reasoning.features import Feature as Feature
     from cfgplan_runtime.reasoning.managed import ManagedSubscriptions as ManagedSubscriptions
     from cfgplan_runtime.reasoning.managed import RemoteSubscriptions as RemoteSubscriptions
     from cfgplan_runtime.reasoning.monitor import Monitor as Monitor
     from cfgplan_runtime.reasoning.parser import parse as parse
+    from cfgplan_runtime.reasoning.queries import Answer as Answer
     from cfgplan_runtime.reasoning.queries import Query as Query
+    from cfgplan_runtime.reasoning.queries import UnmetTargetsError as UnmetTargetsError
     from cfgplan_runtime.reasoning.queries import query as query
     from cfgplan_runtime.reasoning.reader import Vocabulary as Vocabulary
     from cfgplan_runtime.reasoning.regions import Region as Region
@@ -30,14 +30,13 @@ if TYPE_CHECKING:
     from cfgplan_runtime.reasoning.truth import Verdict as Verdict
 
 _HOMES = {
-    "answers": "Answer UnmetTargetsError",
     "engine": "Engine",
-    "evaluator": "Evaluator",
+    "conditions": "Evaluator",
     "features": "DeclaredFeatures Feature",
     "managed": "ManagedSubscriptions RemoteSubscriptions",
     "monitor": "Monitor",
     "parser": "parse",
-    "queries": "Query query",
+    "queries": "Answer Query UnmetTargetsError query",
     "reader": "Vocabulary",
     "regions": "Region rcc8 region_from",
     "states": "Synchroniser Timing",

@@ -1,23 +1,159 @@
-"""The automaton of a formula: its situations, and the transitions between them, made as they are met."""
+"""The automaton of a formula, made as it is met: situations, and the transitions between them.
+
+A situation is what is left of the formula, with the times at which its operators began as registers.
+"""
 
 from __future__ import annotations
 
 from bisect import bisect_right
-from typing import Final
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Final, NamedTuple, TypeAlias
 
 from cfgplan_runtime.reasoning.obligations import Kind, Obligation, Store, TooManyObligationsError
 from cfgplan_runtime.reasoning.program import Program
 from cfgplan_runtime.reasoning.progression import NOW, Progression
-from cfgplan_runtime.reasoning.situations import (
-    QUEUES,
-    AutomatonState,
-    Queue,
-    Registers,
-    Transition,
-    moves_between,
-    queues_in,
-    registers_of,
-)
+from cfgplan_runtime.reasoning.truth import VERDICT_OF, Verdict
+
+QUEUES: Final = {Kind.ALL: -2, Kind.ANY: -3}
+"""In place of a moment: all the moments that are not in use by themselves, of which no interval has begun, joined."""
+
+
+class Registers(NamedTuple):
+    """An operator's moments in a situation: `size` of them are used one by one, and of the first `begun` of these the
+    interval has begun. With `has_queue`, two or more follow whose intervals have not begun.
+    """
+
+    operator: int
+    size: int
+    begun: int
+    has_queue: bool
+
+
+class Move(NamedTuple):
+    """How one list of moments is made from those before: a slice (`first` to `end`) or a choice of the list `source`,
+    then what stands in it from `queue_from` on (-1: nothing), then perhaps the present.
+    """
+
+    source: int
+    first: int
+    end: int
+    chosen: tuple[int, ...] | None
+    queue_from: int
+    with_now: bool
+
+
+class Queue(NamedTuple):
+    """An operator's moments from `first` on, joined by a conjunction or disjunction; `with_now` if the present is one."""
+
+    kind: Kind
+    first: int
+    with_now: bool
+
+
+Transition: TypeAlias = "tuple[AutomatonState, tuple[Move, ...] | None]"
+
+
+class AutomatonState:
+    __slots__ = ("begins", "crossing", "obligation", "quiet", "registers", "verdict")
+
+    def __init__(self, obligation: Obligation | None, registers: tuple[Registers, ...]) -> None:
+        self.obligation = obligation
+        self.registers = registers
+        self.quiet: dict[int, Transition] = {}
+        self.crossing: dict[tuple[int, ...], Transition] = {}
+        is_value = obligation is not None and obligation.kind is Kind.VALUE
+        self.verdict = VERDICT_OF[obligation.value] if obligation is not None and is_value else Verdict.OPEN
+
+
+def registers_of(obligation: Obligation) -> Iterable[tuple[int, int, bool]]:
+    """Operator, moment and whether its interval has begun, of each pending obligation that has a moment."""
+    seen: set[Obligation] = set()
+    ahead = [obligation]
+    while ahead:
+        one = ahead.pop()
+        if one not in seen:
+            seen.add(one)
+            ahead += one.parts
+            if one.kind is Kind.PENDING and one.moment >= 0:
+                yield one.operator, one.moment, one.is_begun
+
+
+def pending_of(obligation: Obligation | None) -> set[tuple[int, int]]:
+    if obligation is None:
+        return set()
+    if obligation.kind is Kind.PENDING:
+        return {(obligation.operator, obligation.moment)}
+    return {found for part in obligation.parts for found in pending_of(part)}
+
+
+def queues_in(obligation: Obligation, lengths: Mapping[int, int], is_endless: Sequence[bool]) -> dict[int, Queue]:
+    """Find the operators whose intervals ahead are all members of one conjunction or disjunction.
+
+    Their moments are the last of the operator's `lengths` moments, and perhaps the present. Progression does the same
+    to a queue however long it is, so a situation does not store its length.
+    """
+    parents: dict[int, set[Obligation]] = {}
+    members: dict[int, set[int]] = {}
+    seen: set[Obligation] = set()
+    ahead = [obligation]
+    while ahead:
+        one = ahead.pop()
+        if one in seen:
+            continue
+        seen.add(one)
+        for part in one.parts:
+            if part.kind is Kind.PENDING and not part.is_begun and not is_endless[part.operator]:
+                parents.setdefault(part.operator, set()).add(one)
+                members.setdefault(part.operator, set()).add(part.moment)
+            else:
+                ahead.append(part)
+    found = {}
+    for operator, moments in members.items():
+        old = moments - {NOW}
+        if len(parents[operator]) == 1 and len(moments) > 1 and old == set(range(min(old), lengths[operator])):
+            found[operator] = Queue(next(iter(parents[operator])).kind, min(old), NOW in moments)
+    return found
+
+
+def moves_between(
+    before: tuple[Registers, ...], chosen: Mapping[int, list[int]], queues: Mapping[int, Queue]
+) -> tuple[Move, ...] | None:
+    """How to make the moments that are still used from those before; None if they are the same."""
+    position = {registers.operator: place for place, registers in enumerate(before)}
+    moves = []
+    for operator, found in chosen.items():
+        queue = queues.get(operator)
+        old = [moment for moment in found if moment != NOW]
+        first, end = (old[0], old[-1] + 1) if old else (0, 0)
+        picked = None if end - first == len(old) else tuple(old)
+        with_now = len(old) < len(found) or (queue is not None and queue.with_now)
+        moves.append(
+            Move(position.get(operator, -1), first, end, picked, -1 if queue is None else queue.first, with_now)
+        )
+    same = [
+        Move(place, 0, each.size, None, each.size if each.has_queue else -1, False) for place, each in enumerate(before)
+    ]
+    return None if moves == same else tuple(moves)
+
+
+def moved(moments: list[list[int]], moves: tuple[Move, ...], time_ns: int) -> list[list[int]]:
+    """The moments that a transition's moves make of those before."""
+    after = []
+    for source, first, end, chosen, queue_from, with_now in moves:
+        if chosen is not None:
+            found = [moments[source][number] for number in chosen]
+        elif end == queue_from:
+            found = moments[source][first:]
+            queue_from = -1
+        else:
+            found = moments[source][first:end] if end else []
+        if queue_from >= 0:
+            found += moments[source][queue_from:]
+        if with_now:
+            found.append(time_ns)
+        after.append(found)
+    return after
+
 
 MOST_REMEMBERED: Final = 200_000
 """How many obligations and transitions are remembered before all but the present situation are forgotten."""
@@ -27,7 +163,9 @@ NEVER_DUE: Final = 1 << 62
 
 
 class Automaton:
-    """What is known of a program's progression. A situation goes with a list of moments for each of its registers."""
+    """The situations and transitions of a program that are known so far. A situation is used together with one list of
+    moments for each of its registers.
+    """
 
     def __init__(self, program: Program) -> None:
         self.program = program
@@ -45,15 +183,16 @@ class Automaton:
 
     @property
     def is_full(self) -> bool:
-        """Whether it is time to forget."""
+        """Whether so much is remembered that `forget` must be called."""
         return self._remembered > MOST_REMEMBERED
 
     def learnt(
         self, situation: AutomatonState, moments: list[list[int]], time_ns: int, code: int
     ) -> tuple[Transition, bool]:
-        """Progress through a state, and whether every state like this one leads to the same.
+        """Progress from a situation through a state. Returns the transition, and whether all states like this one take
+        it.
 
-        What becomes of a queue of moments is tried out on its first few.
+        Of a queue only the first few moments are progressed; the others become what these become.
         """
         few = []
         for registers, found in zip(situation.registers, moments, strict=True):
@@ -69,7 +208,9 @@ class Automaton:
     def _progressed(
         self, situation: AutomatonState, moments: list[list[int]], time_ns: int, code: int, *, is_exact: bool = False
     ) -> Transition | None:
-        """The transition from a situation; None if it depends on how long a queue is, and is not asked to be exact."""
+        """The transition from a situation. None if it depends on the length of a queue; `is_exact` progresses all
+        moments.
+        """
         truths = []
         for _ in self.program.propositions:
             code, truth = divmod(code, 3)
@@ -105,7 +246,7 @@ class Automaton:
         return self._situated(after, chosen, queues, used), moves_between(situation.registers, chosen, queues)
 
     def _unqueued(self, situation: AutomatonState, moments: list[list[int]]) -> Obligation | None:
-        """A situation's obligation with every moment of its queues by itself."""
+        """A situation's obligation, in which each moment of a queue stands by itself."""
         if situation.obligation is None or not any(registers.has_queue for registers in situation.registers):
             return situation.obligation
         ranges = {
@@ -128,7 +269,7 @@ class Automaton:
         queues: dict[int, Queue],
         used: dict[int, dict[int, bool]],
     ) -> AutomatonState:
-        """The situation that an obligation is, with its moments numbered anew, or in a queue."""
+        """The situation of an obligation: its moments get new numbers, or become a queue."""
         number = {operator: {moment: at for at, moment in enumerate(found)} for operator, found in chosen.items()}
 
         def named(one: Obligation) -> Obligation:
@@ -153,8 +294,10 @@ class Automaton:
         return found
 
     def crossed(self, situation: AutomatonState, moments: list[list[int]], time_ns: int, code: int) -> tuple[int, ...]:
-        """What makes two steps from a situation the same: how many intervals of each operator have begun and ended,
-        and whether none, one or more are left in its queue.
+        """The key of a step. Steps from one situation with the same key have the same transition.
+
+        For each operator it tells how many intervals have begun and how many have ended, and whether none, one or more
+        moments are left in its queue.
         """
         key = [code]
         for registers, found in zip(situation.registers, moments, strict=True):
@@ -169,7 +312,7 @@ class Automaton:
         return tuple(key)
 
     def next_crossing(self, situation: AutomatonState, moments: list[list[int]]) -> int:
-        """The least time at which an interval begins or ends."""
+        """The earliest time at which an interval begins or ends."""
         least = NEVER_DUE
         for registers, found in zip(situation.registers, moments, strict=True):
             interval, begun = self._intervals[registers.operator], registers.begun

@@ -17,13 +17,20 @@ from typing import Any, NamedTuple
 
 from cfgplan.domain import Target
 from cfgplan_runtime.errors import RuntimeFaultError
-from cfgplan_runtime.reasoning.answers import Answer, Noted, Progressed, QueryReport, SetUp, UnmetTargetsError
-from cfgplan_runtime.reasoning.evaluator import Evaluator
+from cfgplan_runtime.reasoning.conditions import Evaluator
 from cfgplan_runtime.reasoning.features import Feature
 from cfgplan_runtime.reasoning.monitor import Monitor
-from cfgplan_runtime.reasoning.queries import Query
+from cfgplan_runtime.reasoning.queries import (
+    Answer,
+    Noted,
+    Progressed,
+    Query,
+    QueryReport,
+    SetUp,
+    Subscriptions,
+    UnmetTargetsError,
+)
 from cfgplan_runtime.reasoning.states import Synchroniser
-from cfgplan_runtime.reasoning.subscriptions import Subscriptions
 from cfgplan_runtime.reasoning.truth import VERDICT_OF, Verdict
 
 _ENGINE_LOOK_S = 0.1
@@ -39,7 +46,9 @@ class _Ended(NamedTuple):
 
 
 class Engine:
-    """Answers one query. `report` is called from the thread that calls `run`; `name` tells its targets from others'."""
+    """Answers one query. It calls `report` from the thread that calls `run`; `name` makes the labels of its targets its
+    own.
+    """
 
     def __init__(
         self,
@@ -68,10 +77,10 @@ class Engine:
         self._dropped: dict[str, int] = {}
 
     def run(self, *, for_s: float | None = None, wait_s: float = 0.0, every_s: float = 1.0) -> Answer:
-        """Answer the query, within a time if one is given, or until its streams end; reports progress every `every_s`.
+        """Answer the query: until the answer is final, for at most `for_s`, or until all its streams have ended.
 
-        A target that can't be met now is waited for for `wait_s`, then UnmetTargetsError is raised. Targets are
-        taken down in any case.
+        Reports progress every `every_s`. Waits up to `wait_s` for targets that can't be met yet, then raises
+        UnmetTargetsError. Takes its targets down in any case.
         """
         topics = {each.name: each.topic or f"/query/{self._name}/{each.name}" for each in self._query.features}
         added = [self._target(each, topics[each.name]) for each in self._query.features if each.topic is None]
@@ -165,13 +174,13 @@ class Engine:
         return self._answer()
 
     def _pause_s(self) -> float:
-        """Seconds for which there is nothing to do unless a sample comes."""
+        """The seconds until a state is due even if no sample comes."""
         if self._streams is None:
             return _ENGINE_LOOK_S
         return max(0.0, (self._streams.due_ns() - self._now_ns()) / 1e9)
 
     def _take(self, timeout_s: float, begin_ns: int) -> None:
-        """Take the samples that are there, waiting for the first."""
+        """Take the samples that have come. Wait up to `timeout_s` for the first."""
         try:
             found = self._inbox.get(timeout=timeout_s)
             for _ in range(_MOST_AT_ONCE):
@@ -194,7 +203,7 @@ class Engine:
                 self._begin(begin_ns, self._clock_ns())
 
     def _begin(self, begin_ns: int, time_ns: int) -> None:
-        """The first sample tells which clock the streams go by."""
+        """Begin to make states. The time of the first sample tells which clock the streams have."""
         apart = time_ns - self._clock_ns()
         self._skew_ns = apart if abs(apart) > _OWN_CLOCK_NS else 0
         holds = {each.name: each.hold_ns for each in self._query.features}

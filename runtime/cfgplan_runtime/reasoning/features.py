@@ -38,8 +38,8 @@ _FEATURE_KEYS = ("tag", "hold")
 class Feature:
     """A name for a semantic subscription.
 
-    `topic` is that of a target which the environment has already. `hold_ns` is how long a value counts, if it is
-    not the same for all features.
+    `topic` is the topic of a target that the environment already has; without one, the engine sets a target up.
+    `hold_ns` is how long a sample counts as the value; None for the time that all features have.
     """
 
     name: str
@@ -58,7 +58,7 @@ class DeclaredFeatures:
     regions: Mapping[str, Region] = field(default_factory=dict)
 
     def with_more(self, other: DeclaredFeatures) -> DeclaredFeatures:
-        """These and those of `other`, which win."""
+        """These features and regions and those of `other`; of one name, that of `other`."""
         return DeclaredFeatures({**self.features, **other.features}, {**self.regions, **other.regions})
 
 

@@ -13,10 +13,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from cfgplan.errors import InvalidValueError
-from cfgplan_runtime.reasoning.automaton import NEVER_DUE, Automaton
+from cfgplan_runtime.reasoning.automaton import NEVER_DUE, Automaton, AutomatonState, moved, pending_of
 from cfgplan_runtime.reasoning.obligations import Kind, Obligation, bound
 from cfgplan_runtime.reasoning.program import Program, compiled
-from cfgplan_runtime.reasoning.situations import AutomatonState, moved, pending_of
 from cfgplan_runtime.reasoning.syntax import Formula
 from cfgplan_runtime.reasoning.truth import FALSE, TRUE, UNKNOWN, VERDICT_OF, Truth, Verdict
 
@@ -29,7 +28,7 @@ _MOST_PACKED: Final = 39
 
 @dataclass(frozen=True, slots=True)
 class Waiting:
-    """An operator that is not decided yet. `since_ns` and `until_ns` are missing where they make no difference."""
+    """An operator that is not decided yet. `since_ns` and `until_ns` are None where they make no difference."""
 
     text: str
     since_ns: int | None
@@ -121,9 +120,10 @@ class Monitor:
         return self._follow(np.asarray(times_ns, np.int64).tolist(), codes)
 
     def ended(self) -> Verdict:
-        """The verdict if no state comes any more: what had to happen did not, and nothing went wrong any more.
+        """The verdict if the stream ends here: what had to happen has not happened, and what must not happen never
+        will.
 
-        A formula of which no state was seen is open.
+        OPEN if no state was seen.
         """
         if self._situation.obligation is None:
             return Verdict.OPEN

@@ -38,10 +38,10 @@ class Kind(IntEnum):
 
 
 class Obligation:
-    """One node; equal ones of one store are the same object.
+    """One node. Equal nodes of one store are the same object.
 
-    A pending one has the number of its operator, and which of the moments at which that operator began and still
-    matters is its own (the earliest is 0; -1 if it makes no difference). `is_begun` says whether its interval has
+    A pending node has the number of its operator. The moments at which that operator began and that still matter are
+    numbered from the earliest, 0; `moment` is -1 where it makes no difference. `is_begun` says whether its interval has
     begun.
     """
 
@@ -69,7 +69,9 @@ class Obligation:
 
 
 class _Context(NamedTuple):
-    """The members of a conjunction or disjunction, and of each operator the one that the others follow from."""
+    """The members of a conjunction or disjunction; `chains` has the pending one of each operator that decides the
+    others.
+    """
 
     kind: Kind
     simple: dict[Obligation, None]
@@ -79,9 +81,8 @@ class _Context(NamedTuple):
 
 
 class Store:
-    """Makes obligations of one program.
-
-    Of each operator, `is_until` says whether it is an until or a release, `is_endless` whether its interval has no end.
+    """Makes obligations of one program. `is_until` and `is_endless` tell of each operator whether it is an until or a
+    release, and whether its interval has no end.
     """
 
     def __init__(self, is_until: Sequence[bool], is_endless: Sequence[bool]) -> None:
@@ -95,7 +96,7 @@ class Store:
         self.values = tuple(Obligation(value, Kind.VALUE, value=value) for value in (FALSE, UNKNOWN, TRUE))
 
     def __len__(self) -> int:
-        """How many obligations are held, counting remembered comparisons."""
+        """The number of obligations and comparisons that are remembered."""
         return len(self._pending) + len(self._joined) + len(self._implied)
 
     def pending(self, operator: int, moment: int, is_begun: bool) -> Obligation:
@@ -117,7 +118,9 @@ class Store:
         return self._join(Kind.ANY, parts)
 
     def renamed(self, obligation: Obligation, name: Callable[[Obligation], Obligation]) -> Obligation:
-        """The same obligation with other pending ones in place of its own; those that become one are put once."""
+        """An obligation with `name` of each pending one in its place. Equal members become one; nothing else is
+        simplified.
+        """
         if obligation.kind is Kind.VALUE:
             return self.values[obligation.value]
         if obligation.kind is Kind.PENDING:
@@ -126,7 +129,7 @@ class Store:
         return parts[0] if len(parts) == 1 else self._node(obligation.kind, parts)
 
     def replaced(self, obligation: Obligation, other: Callable[[Obligation], Obligation]) -> Obligation:
-        """An obligation with any others in place of its pending ones, simplified."""
+        """An obligation with `other` of each pending one in its place, simplified."""
         if obligation.kind is Kind.VALUE:
             return obligation
         if obligation.kind is Kind.PENDING:
@@ -180,7 +183,7 @@ class Store:
         return found
 
     def _thinned(self, kind: Kind, simple: dict[Obligation, None]) -> dict[int, Obligation]:
-        """Keep one pending obligation of those that imply each other; gives it for each operator."""
+        """Remove the pending obligations that another one decides. Returns the one that is kept of each operator."""
         kept: dict[int, Obligation] = {}
         for part in list(simple):
             if self._is_comparable(part):
@@ -196,9 +199,7 @@ class Store:
         return kept
 
     def _reduced(self, context: _Context, part: Obligation) -> Obligation:
-        """A member simplified: parts are removed that the other members imply (conjunction) or are implied by
-        (disjunction).
-        """
+        """A member without the parts that other members imply (conjunction) or are implied by (disjunction)."""
         parts = [self._within(context, each) for each in part.parts]
         same = all(new is old for new, old in zip(parts, part.parts, strict=True))
         return part if same else self._join(part.kind, parts)
@@ -226,7 +227,7 @@ class Store:
         return part.kind is Kind.PENDING and (part.is_begun or self._is_endless[part.operator])
 
     def _absorbed(self, kind: Kind, nested: list[Obligation]) -> dict[Obligation, None]:
-        """Members without those that another makes needless; among many, only near ones are compared."""
+        """The members that no other makes needless. Of many, only near ones are compared."""
         kept: dict[Obligation, None] = {}
         for position, part in enumerate(nested):
             others = nested if len(nested) <= _MOST_PARTS_COMPARED else nested[max(0, position - 2) : position + 3]
@@ -241,7 +242,7 @@ class Store:
         return other.serial < part.serial or not self.implies(high, low)
 
     def implies(self, low: Obligation, high: Obligation) -> bool:
-        """Whether `low` is known to be at most as true as `high`, whatever comes."""
+        """Whether `low` is at most as true as `high`, whatever states come. False if that is not known."""
         if low is high:
             return True
         if low.kind is Kind.VALUE and low.value != UNKNOWN:
@@ -268,7 +269,9 @@ class Store:
 
 
 def bound(obligation: Obligation, pending: Truth) -> Truth:
-    """Its truth if all pending obligations had this truth: with FALSE the least possible, with TRUE the greatest."""
+    """The truth of an obligation if all pending ones had the truth `pending`: the least possible with FALSE, the
+    greatest with TRUE.
+    """
     match obligation.kind:
         case Kind.VALUE:
             return obligation.value

@@ -52,7 +52,7 @@ class Joined:
 
 @dataclass(frozen=True, slots=True)
 class Operated:
-    """What the temporal operator of this number says of a state and those after it."""
+    """The temporal operator of this number, beginning in the present state."""
 
     number: int
 
@@ -62,7 +62,9 @@ ProgramStep: TypeAlias = Fixed | Proposition | Joined | Operated
 
 @dataclass(frozen=True, slots=True)
 class Operator:
-    """`left until right` in an interval; or `left release right`: `right` in each of it, up to one with `left`."""
+    """`left until right` in an interval; or `left release right`: `right` holds throughout it, or until `left` holds
+    too.
+    """
 
     is_until: bool
     left: ProgramStep
@@ -75,7 +77,7 @@ class Operator:
 class Program:
     """A compiled formula.
 
-    `propositions` are the parts that concern a single state: a progression is told the truth of each in that state.
+    `propositions` are its largest parts about a single state; a progression is told the truth of each in that state.
     """
 
     text: str
@@ -92,7 +94,7 @@ def compiled(formula: Formula) -> Program:
 
 
 def truth_of(proposition: Formula, atom: Callable[[object], Truth]) -> Truth:
-    """The truth of a proposition, which has no temporal operator, from that of its atoms' conditions."""
+    """The truth of a proposition in a state. `atom` gives the truth of an atom's condition."""
     match proposition:
         case Constant(value):
             return TRUE if value else FALSE

@@ -18,7 +18,7 @@ NOW: Final = 1 << 62
 
 
 class Progression:
-    """One state of a program's progression: the truth of each proposition, and the time since each moment."""
+    """Progresses obligations through one state, by the truth of each proposition and the time since each moment."""
 
     def __init__(
         self, program: Program, store: Store, truths: Sequence[Truth], elapsed_ns: Callable[[int, int], int]
@@ -31,7 +31,7 @@ class Progression:
         self._progressed: dict[Obligation, Obligation] = {}
 
     def of_root(self) -> Obligation:
-        """What is left of the whole formula, of which this is the first state."""
+        """What is left of the whole formula if this is its first state."""
         return self._of_step(self._program.root)
 
     def of(self, obligation: Obligation) -> Obligation:
@@ -67,7 +67,7 @@ class Progression:
                 return self._begun_now[step.number]
 
     def _of_operator(self, number: int, moment: int, elapsed_ns: int | None) -> Obligation:
-        """What is left of an operator; without an elapsed time its interval has begun, and never ends."""
+        """What is left of an operator that began `elapsed_ns` ago; None if its interval has begun and never ends."""
         operator, store = self._program.operators[number], self._store
         begin, end = operator.interval.begin_ns, operator.interval.end_ns
         if elapsed_ns is not None and end is not None and elapsed_ns > end:

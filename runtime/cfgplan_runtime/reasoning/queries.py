@@ -1,17 +1,25 @@
-"""A query: a formula, the features that it needs, and how their streams become states."""
+"""A query: a formula, the features that it needs and how their streams become states; the subscriptions it is
+answered over, and what is reported of it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, fields, is_dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from typing import Any, Protocol, TypeAlias
 
+from cfgplan.domain import Target
+from cfgplan.errors import CfgplanError
 from cfgplan_runtime.reasoning.conditions import Field
 from cfgplan_runtime.reasoning.features import DeclaredFeatures, Feature
+from cfgplan_runtime.reasoning.monitor import Waiting
 from cfgplan_runtime.reasoning.parser import parse
 from cfgplan_runtime.reasoning.program import Program, compiled
 from cfgplan_runtime.reasoning.reader import Vocabulary
 from cfgplan_runtime.reasoning.states import Timing
 from cfgplan_runtime.reasoning.syntax import Formula
+from cfgplan_runtime.reasoning.truth import Verdict
 
 _SHORTEST_BEAT_NS = 10_000_000
 
@@ -33,13 +41,13 @@ def query(text: str, declared: DeclaredFeatures, timing: Timing | None = None) -
     program = compiled(formula)
     used = sorted({found.feature for found in _fields_of(formula)})
     timing = timing or Timing()
-    beat = min(timing.beat_ns, *(max(_SHORTEST_BEAT_NS, width) for width in _widths(program)), timing.beat_ns)
+    beat = min([timing.beat_ns, *(max(_SHORTEST_BEAT_NS, width) for width in _widths(program))])
     features = tuple(declared.features[name] for name in used)
     return Query(formula, program, features, declared, replace(timing, beat_ns=beat))
 
 
 def _widths(program: Program) -> list[int]:
-    """The lengths of bounded intervals: silence must be seen in each."""
+    """The lengths of the bounded intervals, ns. Each needs a state, so that silence is seen."""
     intervals = [operator.interval for operator in program.operators]
     return [each.end_ns - each.begin_ns for each in intervals if each.end_ns is not None]
 
@@ -50,3 +58,105 @@ def _fields_of(part: object) -> Iterator[Field]:
     elif is_dataclass(part):
         for each in fields(part):
             yield from _fields_of(getattr(part, each.name))
+
+
+class Sample(Protocol):
+    """An element of a stream."""
+
+    @property
+    def value(self) -> Any: ...
+
+    @property
+    def time_ns(self) -> int:
+        """When it was made, in nanoseconds since 1970."""
+
+
+class Samples(Protocol):
+    """A topic's elements, until the stream ends.
+
+    Iterating raises TimeoutError where none has come for a while, and may go on after that.
+    """
+
+    def __iter__(self) -> Iterator[Sample]: ...
+
+
+class Subscriptions(Protocol):
+    """Sets targets up, keeps them up, and takes them down."""
+
+    def add(self, targets: Sequence[Target]) -> None:
+        """Set targets up. Returns when that was tried. Raises InputError for a tag that can't be used."""
+
+    def unmet(self, labels: Sequence[str]) -> Mapping[str, str]:
+        """The reason for each of these targets that is not met now."""
+
+    def remove(self, labels: Sequence[str]) -> None:
+        """Take targets down. Units that only they needed are stopped."""
+
+    def samples(self, topic: str, wait_s: float) -> AbstractContextManager[Samples]:
+        """Subscribe to a topic, waiting for it to be there. Raises NoSuchTopicError."""
+
+    def listen(self, tell: Callable[[str], None]) -> None:
+        """Call `tell`, from any thread, with a sentence on what happens to the subscriptions."""
+
+
+class UnmetTargetsError(CfgplanError):
+    """Features whose targets can't be met, with the reason for each by name."""
+
+    def __init__(self, reasons: Mapping[str, str]) -> None:
+        self.reasons = dict(reasons)
+        super().__init__("; ".join(reasons.values()))
+
+
+@dataclass(frozen=True, slots=True)
+class SetUp:
+    """The subscriptions are there; `topics` by feature."""
+
+    topics: Mapping[str, str]
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Noted:
+    """Something that concerns the answer, such as a unit that died, or a value without the field that is asked for."""
+
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Progressed:
+    """Where the query is: the time of the last state, what it waits for, and which answers are still possible."""
+
+    time_ns: int
+    states: int
+    waiting: Sequence[Waiting]
+    possible: frozenset[Verdict]
+    missing: Sequence[str]
+    """The features without a value in the last state."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The answer, or that it is open still.
+
+    `time_ns` is the time of the state that decided, or of the last one; `first_ns` of the first. `delay_s` is from
+    that time to the answer on the clock. `missing` says in how many states each feature had no value; `late` how
+    many samples came too late.
+    """
+
+    verdict: Verdict
+    states: int
+    first_ns: int | None = None
+    time_ns: int | None = None
+    delay_s: float | None = None
+    waiting: Sequence[Waiting] = ()
+    possible: frozenset[Verdict] = frozenset()
+    expired: Sequence[Waiting] = ()
+    """The operators whose intervals ended with the state that decided."""
+    last: Mapping[str, Verdict] = field(default_factory=dict)
+    """What was true, false or unknown in the last state."""
+    missing: Mapping[str, int] = field(default_factory=dict)
+    late: int = 0
+    dropped: int = 0
+
+
+QueryReport: TypeAlias = SetUp | Noted | Progressed | Answer

@@ -59,7 +59,7 @@ class _Feature:
 
 
 class Synchroniser:
-    """Takes samples, gives states. `now_ns` is the clock that the samples' times are of."""
+    """Makes states of samples. Every `now_ns` is a time on the clock of the samples."""
 
     def __init__(self, holds_ns: Mapping[str, int | None], timing: Timing, *, begin_ns: int) -> None:
         self.late = 0
@@ -102,13 +102,13 @@ class Synchroniser:
             yield self._state(self._grouped(time_ns), is_forced=complete_ns > passed_ns)
 
     def due_ns(self) -> int:
-        """When `ready` will give the next state even if no sample comes."""
+        """When `ready` gives the next state even if no sample comes."""
         if self._start_ns is None:
             return self._begin_ns + self._timing.patience_ns
         return self._next() + self._waits_ns() + self._timing.delay_ns
 
     def _start(self, now_ns: int) -> None:
-        """States begin when each feature has a sample, or the patience is at its end."""
+        """Begin to give states once each feature has a sample, or the patience is over."""
         if self._start_ns is not None:
             return
         if all(each.samples for each in self._features.values()):
@@ -117,7 +117,7 @@ class Synchroniser:
             self._start_ns = self._begin_ns + self._timing.patience_ns
 
     def _next(self) -> int:
-        """The time of the next state; of the first sample in it, if there may be several."""
+        """The time of the next state; with a tolerance, that of the first sample in it."""
         start = self._begin_ns if self._start_ns is None else self._start_ns
         if self._last_ns is None:
             return start
