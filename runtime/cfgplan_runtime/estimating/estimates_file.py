@@ -41,7 +41,9 @@ def default_file(environment_file: Path) -> Path:
 
 
 def save(estimator: LearningEstimator, path: Path, now_s: float) -> None:
-    """Write what was learned, as a whole or not at all, through to the disk. Raises EstimatesError."""
+    """Write what was learned. The file is replaced as a whole or not at all, and is on the disk then. Raises
+    EstimatesError.
+    """
     on_hosts = {host: _moved(there, -now_s) for host, there in sorted(estimator.on_hosts.items())}
     kept = _Kept(ESTIMATES_FORMAT, _moved(estimator, -now_s), on_hosts)
     data = msgspec.json.format(msgspec.json.encode(kept), indent=1)
@@ -64,8 +66,8 @@ def save(estimator: LearningEstimator, path: Path, now_s: float) -> None:
 def load(estimator: LearningEstimator, path: Path, now_s: float) -> None:
     """Go on with what a file holds, if there is one.
 
-    Raises EstimatesError if it can't be used; a damaged one has then been renamed to `….damaged`, and a new one can
-    be saved.
+    Raises EstimatesError if it can't be used. A damaged file is renamed to `….damaged` first, so that a new one can be
+    saved.
     """
     _refuse_what_is_no_file(path)
     try:

@@ -63,7 +63,7 @@ class _Family:
     _observed_changes: int = -1
 
     def observed(self) -> tuple[Evidence, ...]:
-        """Those that something was observed of."""
+        """The members of which something was observed."""
         if self._observed_changes != self.changes:
             self._observed = tuple(one for one in self.members.values() if not one.is_empty)
             self._observed_changes = self.changes
@@ -159,7 +159,7 @@ class LearningEstimator:
     def estimate(self, transformation: Transformation, horizon_s: int) -> Estimate:
         """What a unit of a transformation, given with its declared costs, is expected to cost.
 
-        It stays the same until it has really moved, so that nothing is planned anew for noise.
+        The estimate changes only when the costs have really moved, so that noise leads to no new plan.
         """
         own = self._declare(transformation)
         label = transformation.label
@@ -292,12 +292,12 @@ def _given(seen: Observation) -> int | None:
 
 
 def _is_same_process(last: Observation, seen: Observation) -> bool:
-    """Whether a unit is still the one that had this name before."""
+    """Whether two observations are of one process, not of two units of one name."""
     return (last.transformation, last.labor_us) == (seen.transformation, seen.labor_us) and seen.cpu_us >= last.cpu_us
 
 
 def _with_costs(transformation: Transformation, estimate: Estimate) -> Transformation:
-    """The very same value if its costs are as declared."""
+    """The transformation with the estimated costs; the same object if those are the declared ones."""
     if (transformation.labor_us, transformation.upkeep_us) == (estimate.labor_us, estimate.upkeep_us):
         return transformation
     return replace(transformation, labor_us=estimate.labor_us, upkeep_us=estimate.upkeep_us)

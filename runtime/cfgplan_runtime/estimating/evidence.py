@@ -12,7 +12,8 @@ from cfgplan_runtime.estimating.history import CostSample, FailureHistory, Histo
 
 
 class Evidence(msgspec.Struct):
-    """What was observed under one label, and what was declared then: it counts only as long as that is declared.
+    """What was observed of one transformation, and what was declared then; if something else is declared, it counts no
+    more.
 
     Labor has one sample per start, at 1, 2, 3, ...; upkeep is over time on the estimator's clock.
     """
@@ -46,7 +47,7 @@ class Evidence(msgspec.Struct):
 
     @property
     def is_in_order(self) -> bool:
-        """Whether it can have come from observations; that of a file may not have."""
+        """Whether the samples can have come from observations; those of a file may not."""
         starts_fit = not self.labor.samples or self.labor.samples[-1].until <= self.starts
         times_fit = not self.upkeep.samples or self.upkeep.samples[-1].until <= self.seen_s + 1e-3
         return starts_fit and times_fit and self.labor.is_in_order and self.upkeep.is_in_order
@@ -79,13 +80,13 @@ class Evidence(msgspec.Struct):
 
 
 def family(label: str) -> str:
-    """What stands before the bracket: the transformations of one template, such as `segmenter(piff)`, are a family."""
+    """The name before the bracket: the transformations of one template, such as `segmenter(piff)`, are a family."""
     name, bracket, _ = label.partition("(")
     return name.strip() if bracket and name.strip() else label
 
 
 def declaration(transformation: Transformation) -> str:
-    """A digest of what makes two transformations cost the same; with another one, evidence counts no more."""
+    """A digest of what a transformation's costs depend on. Evidence counts only while it stays the same."""
     params = {name: transformation.params[name] for name in sorted(transformation.params)}
     parts = (
         transformation.source,

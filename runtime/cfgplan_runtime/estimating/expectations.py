@@ -29,7 +29,9 @@ class Expectation:
 
 
 class Expectations:
-    """Reads evidence. `forecaster` makes the forecaster of upkeep from its memory; None lets nothing observed count."""
+    """Makes expectations of evidence. `forecaster` makes the forecaster of upkeep from its memory; with None, observed
+    costs don't count.
+    """
 
     def __init__(self, forecaster: Callable[[float], Forecaster] | None, guess: Guess, settings: Learning) -> None:
         self._learns = forecaster is not None
@@ -61,7 +63,9 @@ class Expectations:
         return level
 
     def _observed(self, kind: CostKind, own: Evidence, dearest: Costs, now_s: float) -> Forecast:
-        """What was observed goes on; while nothing more is, trust in it fades towards the guess, and a trend ends."""
+        """The forecast from what was observed. While nothing more is observed, it moves towards the guess, and its
+        trend ends.
+        """
         forecast = self._forecasters[kind](own.samples(kind))
         idle_s = max(0.0, now_s - own.seen_s)
         guess = self._guess(own.declared_costs, dearest).of(kind)
@@ -74,7 +78,7 @@ class Expectations:
         )
 
     def _familiar(self, kind: CostKind, own: Evidence, known: Sequence[Evidence]) -> float:
-        """The mean of what relatives cost, scaled by the declared costs if all declare some."""
+        """The mean of what relatives cost. If all declare costs, it is scaled by the declared ones."""
         levels = [self._level(kind, one) for one in known]
         declared = [one.declared_costs.of(kind) for one in known]
         mean = sum(levels) / len(levels)

@@ -13,10 +13,10 @@ from cfgplan_runtime.estimating.history import CostSample
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
-    """What a quantity is expected to be: `level` now, going on with `slope` per second.
+    """What a quantity is expected to be: `level` now, changing by `slope` per second.
 
-    The slope fades: after `reach_s` seconds about two thirds of `slope * reach_s` has been gone, and it never comes to
-    more. The forecast stays within `low` and `high`. `error` is the standard error of the level.
+    The slope fades: the change is `slope * reach_s` in the end, about two thirds of it after `reach_s` seconds. The
+    forecast stays within `low` and `high`. `error` is the standard error of the level.
     """
 
     level: float
@@ -42,7 +42,7 @@ class Forecast:
         return (total + (horizon_s - free_s) * self.value(horizon_s)) / horizon_s
 
     def _free_s(self, horizon_s: int) -> int:
-        """For how many seconds the forecast stays off the bound that it goes towards."""
+        """The number of seconds before the forecast reaches the bound that it moves towards."""
         way = (self.low if self.slope < 0 else self.high) - self.level
         share = way / (self.slope * self.reach_s)
         if share >= 1:
@@ -51,14 +51,14 @@ class Forecast:
 
 
 class Forecaster(Protocol):
-    """Reads a history, which is not empty; the coordinate of time is the samples' own."""
+    """Makes a forecast from samples, of which there is at least one. Times are the samples' own."""
 
     def __call__(self, samples: Sequence[CostSample]) -> Forecast: ...
 
 
 @dataclass(frozen=True, slots=True)
 class Latest:
-    """What was observed last goes on: no memory, and no protection from noise."""
+    """The last sample: no memory, and no protection from noise."""
 
     def __call__(self, samples: Sequence[CostSample]) -> Forecast:
         return Forecast(samples[-1].value, 0.0)
@@ -66,7 +66,7 @@ class Latest:
 
 @dataclass(frozen=True, slots=True)
 class Average:
-    """The mean of what was observed, in which what is `memory` old counts half as much as what is new."""
+    """The weighted mean of the samples. A sample that is `memory` old counts half as much as a new one."""
 
     memory: float
 
@@ -78,10 +78,10 @@ class Average:
 
 @dataclass(frozen=True, slots=True)
 class Trend:
-    """A line through what was observed (weighted least squares, weights as in `Average`).
+    """A line through the samples (weighted least squares, weights as in `Average`).
 
-    The slope counts as far as noise can't explain it: all of it when it is many standard errors, nothing below two. A
-    trend is believed to go on for about `memory`, and at most as far again as the observations reach.
+    The slope counts as far as noise can't explain it: all of it when it is many standard errors, nothing of it below
+    two. A trend goes on for about `memory`, and leaves the samples' range by at most the width of that range.
     """
 
     memory: float
@@ -152,7 +152,7 @@ def _weighted_mean(values: Sequence[float], weights: Sequence[float]) -> float:
 
 
 def _standard_error(misses: Sequence[float], weights: Sequence[float], level: float) -> float:
-    """Of the weighted mean; of one sample nothing is known, so that it is the level itself."""
+    """The standard error of a weighted mean. Of one sample nothing is known: then it is the level itself."""
     number = math.fsum(weights) ** 2 / math.fsum(weight * weight for weight in weights)
     if number < 1.5:
         return abs(level)
@@ -175,7 +175,7 @@ _SHIFT = 0.25
 
 @dataclass(frozen=True, slots=True)
 class Damped:
-    """What a forecaster makes of a history without outliers, since the last step.
+    """Forecasts from the samples since the last step, without outliers.
 
     Each sample is drawn in to three standard deviations from the median of the `width` samples around it. The deviation
     is 1.4826 times the median absolute deviation (Hampel's filter, but drawing in instead of replacing). A step is
@@ -190,7 +190,7 @@ class Damped:
 
 
 def damped(samples: Sequence[CostSample], width: int) -> list[CostSample]:
-    """The samples with outliers drawn in; the window of those at an end is all on the other side."""
+    """The samples with outliers drawn in. At either end the window lies to one side."""
     spreads = _spreads([one.value for one in samples], width)
     drawn = []
     for place, one in enumerate(samples):
@@ -213,7 +213,7 @@ def since_step(samples: Sequence[CostSample], width: int) -> Sequence[CostSample
 
 
 def _spreads(values: Sequence[float], width: int) -> list[tuple[float, float]]:
-    """Of each window, the median, and the standard deviation as the median absolute deviation tells it."""
+    """The median of each window, and its standard deviation by the median absolute deviation."""
     found = []
     for start in range(max(1, len(values) - width + 1)):
         window = values[start : start + width]
@@ -223,6 +223,6 @@ def _spreads(values: Sequence[float], width: int) -> list[tuple[float, float]]:
 
 
 def _median(values: Sequence[float]) -> float:
-    """The same as that of `statistics`, several times as fast for a few values."""
+    """The median: as `statistics.median`, several times as fast for a few values."""
     ordered, half = sorted(values), len(values) // 2
     return ordered[half] if len(ordered) % 2 else (ordered[half - 1] + ordered[half]) / 2

@@ -22,23 +22,23 @@ class Costs:
 
 
 class Guess(Protocol):
-    """From what is declared, and the dearest labor and upkeep known so far, to what is expected."""
+    """Guesses costs from the declared ones, and from the dearest labor and upkeep that are known."""
 
     def __call__(self, declared: Costs, dearest: Costs) -> Costs: ...
 
 
 def declared(declared: Costs, dearest: Costs) -> Costs:  # noqa: ARG001
-    """What the environment file says."""
+    """The costs that the environment file declares."""
     return declared
 
 
 def optimistic(declared: Costs, dearest: Costs) -> Costs:  # noqa: ARG001
-    """Free: so everything is tried once."""
+    """No costs: so everything is tried once."""
     return Costs(0, 0)
 
 
 def pessimistic(declared: Costs, dearest: Costs) -> Costs:
-    """Twice as dear as the dearest: only what can't be done without is tried."""
+    """Twice the dearest costs: so only what is necessary is tried."""
     labor_us = 2 * max(declared.labor_us, dearest.labor_us)
     return Costs(labor_us, 2 * max(declared.upkeep_us, dearest.upkeep_us))
 

@@ -34,9 +34,9 @@ class History(msgspec.Struct):
     samples: list[CostSample] = msgspec.field(default_factory=list)
 
     def add(self, since: float, until: float, value: float, weight: float) -> bool:
-        """Add a mean over an interval; whether it makes a new sample.
+        """Add a mean over an interval. Returns whether it makes a new sample.
 
-        Intervals come in order of their ends, those of several units side by side.
+        Intervals come in order of their ends; those of several units lie side by side.
         """
         last = self.samples[-1] if self.samples else None
         if last is not None and until - last.since <= self.grain:
@@ -70,10 +70,10 @@ PRIOR_S = 60.0
 
 
 class FailureHistory(msgspec.Struct):
-    """Failures and the time that units ran, both fading with half-life `forget_s`.
+    """Failures, and the time that units ran; both fade with half-life `forget_s`.
 
-    The rate is that of a Poisson process, and the prior is `PRIOR_S` seconds without a failure: it is 0 before the
-    first failure, one per minute after one at the start, and what runs on without failing becomes trusted again.
+    The rate is that of a Poisson process with a prior of `PRIOR_S` seconds without a failure: 0 before the first
+    failure, one per minute after a failure at the start. A unit that runs on without failing becomes trusted again.
     """
 
     forget_s: float

@@ -16,10 +16,10 @@ _MOST_STARTS = 20
 class Learning:
     """How an estimator learns. Times in seconds.
 
-    `memory_s`: what is so old counts half as much as what is new; `memory_starts`: the same for labor, in starts.
-    `forget_s`: half-life of the trust in what was observed while nothing more is, and of failures. A failure costs a
-    start and `failure_us` for the interruption. An estimate is changed only by more than `least_change` of it,
-    `least_change_us`, and `errors` standard errors.
+    `memory_s`: the age at which an upkeep counts half as much as a new one; `memory_starts`: the same for labor, in
+    starts. `forget_s`: the half-life of failures, and of the trust in observations while there are no new ones. A
+    failure costs a start, and `failure_us` for the interruption. An estimate changes only by more than `least_change`
+    of it, `least_change_us`, and `errors` standard errors.
     """
 
     memory_s: float = 60.0
@@ -40,7 +40,7 @@ class Learning:
         return FailureHistory(self.forget_s)
 
     def settled(self, last_us: int | None, new_us: float, error_us: float) -> int:
-        """The estimate to hand out after `last_us`: the same, or the new one, rounded half up."""
+        """The estimate to hand out after `last_us`: that one again, or the new one, rounded half up."""
         if last_us is not None:
             band = max(self.least_change * last_us, self.least_change_us, self.errors * error_us)
             if abs(new_us - last_us) <= band:

@@ -43,7 +43,9 @@ class Move(NamedTuple):
 
 
 class Queue(NamedTuple):
-    """An operator's moments from `first` on, joined by a conjunction or disjunction; `with_now` if the present is one."""
+    """An operator's moments from `first` on, joined by a conjunction or disjunction; `with_now` if the present is in
+    it.
+    """
 
     kind: Kind
     first: int
