@@ -1,7 +1,7 @@
 """A fleet's own authority, a certificate for each of its hosts, and what a link makes of them.
 
 Made once, on one computer: a folder with the authority, and in it a folder for each host, which is copied there. The
-authority's key stays where it was made. Links are by QUIC with certificates on both sides; a host is who its
+authority's key stays where it was made. Links are by TLS with certificates on both sides; a host is who its
 certificate says, and may write nothing but keys of its own.
 """
 
@@ -87,7 +87,7 @@ def keys_of(host: str) -> str:
 
 
 def tls(folder: Path) -> dict[str, Any]:
-    """Zenoh's `transport/link/tls`, which QUIC takes too, of the host whose folder it is. Raises InputError."""
+    """Zenoh's `transport/link/tls` of the host whose folder it is. Raises InputError."""
     files = {name: folder / name for name in (_AUTHORITY_CERTIFICATE, _CERTIFICATE, _KEY)}
     if missing := sorted(name for name, path in files.items() if not path.is_file()):
         mend = "copy the host's folder that `cfgplan certificates` has made"

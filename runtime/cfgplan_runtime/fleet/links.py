@@ -27,7 +27,7 @@ def config(
 
     In mode "peer" all have to be linked with all. A "router" also passes on between those that are not, but when others
     come and go within 0.1 s, Zenoh's routers overlook some for good. With `certificates`, a host's folder, all links to
-    other computers are written `quic/192.168.1.5:7447`. Raises InputError for an endpoint that strangers could reach
+    other computers are written `tls/192.168.1.5:7447`. Raises InputError for an endpoint that strangers could reach
     without certificates.
     """
     for endpoint in listen if certificates is None else ():
@@ -35,9 +35,7 @@ def config(
     secured = {} if certificates is None else {"access_control": access_control(certificates, _PRIVATE)}
     link: Config = {"tx": {"lease": round(LEASE_S * 1000), "keep_alive": _SIGNS_PER_LEASE}}
     if certificates is not None:
-        # Zenoh closes a TLS link that is silently cut only after all that waits in its socket, perhaps never: nobody is
-        # told of the loss (a TCP link does notice, and stops all other streams until it is mended).
-        link |= {"protocols": ["quic", _PRIVATE], "tls": tls(certificates)}
+        link |= {"protocols": ["tls", _PRIVATE], "tls": tls(certificates)}
     return {
         "mode": mode,
         "listen": {"endpoints": list(listen)},
@@ -45,7 +43,7 @@ def config(
             "endpoints": list(connect),
             "timeout_ms": -1,
             "exit_on_failure": False,
-            "retry": {"period_init_ms": 100, "period_max_ms": 400, "period_increase_factor": 1.5},
+            "retry": {"period_init_ms": 100, "period_max_ms": 200, "period_increase_factor": 1.5},
         },
         "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
         "transport": {

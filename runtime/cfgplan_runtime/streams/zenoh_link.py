@@ -6,8 +6,14 @@ What is put may be lost on the way: `crossing` sends it again.
 from __future__ import annotations
 
 import json
+import os
+import re
+import socket
+import stat
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
@@ -20,6 +26,8 @@ if TYPE_CHECKING:
 Lane: TypeAlias = Literal["orders", "small", "large"]
 """What is put on an earlier lane overtakes what waits on a later one."""
 
+_GIVE_UP: int | None = getattr(socket, "TCP_USER_TIMEOUT", None)
+"""Linux has it; without it a link that is silently cut while data waits in it may be noticed late, or never."""
 _LINK_CLOSE_S = 2.0
 """Zenoh may wait long for a peer that is gone when a session is closed."""
 
@@ -45,6 +53,22 @@ class ZenohLink:
         except zenoh.ZError as error:
             endpoints = ", ".join(config["listen"]["endpoints"]) or "nothing"
             raise InputError.of(f"can't listen on {endpoints}: {_first_line(error)}") from None
+        self._is_closed = threading.Event()
+        ports = _ports([*config["listen"]["endpoints"], *config["connect"]["endpoints"]])
+        if ports and _GIVE_UP is not None:
+            lease_ms = config["transport"]["link"]["tx"]["lease"]
+            threading.Thread(target=self._keep_bounded, args=(ports, lease_ms, _GIVE_UP), daemon=True).start()
+
+    def _keep_bounded(self, ports: frozenset[int], lease_ms: int, option: int) -> None:
+        """Have the kernel give up connections to or from these ports of which nobody takes the data for a lease.
+
+        Zenoh closes a link only after what it has put into its socket. Of one that is silently cut, TLS would never be
+        closed, and so nobody be told, and TCP would stop all other streams until it is mended.
+        """
+        while not self._is_closed.wait(lease_ms / 4000):
+            for connection in _connections(ports):
+                with suppress(OSError):
+                    connection.setsockopt(socket.IPPROTO_TCP, option, lease_ms)
 
     def hear(self, keys: str, take: Callable[[str, bytes, bytes], None]) -> None:
         """Have everything that is put below `keys` told: its key, head and payload."""
@@ -100,9 +124,28 @@ class ZenohLink:
 
     def close(self) -> None:
         """Close the session; it is left to itself if it does not close in time."""
+        self._is_closed.set()
         thread = threading.Thread(target=self._session.close, daemon=True)
         thread.start()
         thread.join(_LINK_CLOSE_S)
+
+
+def _ports(endpoints: Iterable[str]) -> frozenset[int]:
+    """The TCP ports of endpoints such as tcp/192.168.1.5:7447."""
+    found = (re.fullmatch(r"(?:tcp|tls)/.*:(\d+)", endpoint) for endpoint in endpoints)
+    return frozenset(int(one[1]) for one in found if one is not None)
+
+
+def _connections(ports: Collection[int]) -> Iterator[socket.socket]:
+    """The TCP connections of this process to or from ports, each as a copy that is closed afterwards."""
+    for entry in Path("/proc/self/fd").iterdir():
+        with suppress(OSError):
+            number = int(entry.name)
+            if stat.S_ISSOCK(os.fstat(number).st_mode):
+                with socket.socket(fileno=os.dup(number)) as one:
+                    is_tcp = one.family in (socket.AF_INET, socket.AF_INET6) and one.type == socket.SOCK_STREAM
+                    if is_tcp and (one.getsockname()[1] in ports or one.getpeername()[1] in ports):
+                        yield one
 
 
 def _first_line(error: Exception) -> str:
