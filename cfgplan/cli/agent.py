@@ -9,10 +9,10 @@ from cfgplan.cli.exits import Exit
 from cfgplan.cli.screen import Screen
 
 _EXAMPLE = """\
-example, on the robot r1 and on the base station, and then on either:
-  cfgplan agent --name r1 --connect tcp/127.0.0.1:7447
-  cfgplan agent --name base
-  cfgplan run env.yaml --connect tcp/127.0.0.1:7447
+example, on the base station, on the robot r1, and then on either:
+  cfgplan agent --name base --certificates /etc/cfgplan/base
+  cfgplan agent --name r1 --certificates /etc/cfgplan/r1 --connect quic/10.0.0.3:7447
+  cfgplan run env.yaml --certificates /etc/cfgplan/manager --connect quic/10.0.0.3:7447 --connect quic/10.0.0.1:7447
 
 Without certificates an agent listens on loopback only. Units run on while no run's command is there."""
 
@@ -26,7 +26,10 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="ENDPOINT",
-        help="where others reach this agent (tcp/127.0.0.1:7447)",
+        help="where others reach this agent (tcp/127.0.0.1:7447; with certificates quic/0.0.0.0:7447)",
+    )
+    parser.add_argument(
+        "--pass-on", action="store_true", help="let hosts that are not linked reach each other through this one"
     )
     parser.add_argument("--folder", default=".", metavar="DIR", help="what `source: units.py:Class` is relative to (.)")
     parser.add_argument("--preload", action="append", default=[], metavar="MODULE", help="import it before units start")
@@ -48,16 +51,19 @@ def add_links(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan_runtime.fleet.agent import Agent
 
-    listen = options.listen or ["tcp/127.0.0.1:7447"]
+    certificates = None if options.certificates is None else Path(options.certificates)
+    listen = options.listen or ["tcp/127.0.0.1:7447" if certificates is None else "quic/0.0.0.0:7447"]
     agent = Agent(
         options.name,
         listen=listen,
         connect=options.connect,
-        certificates=None if options.certificates is None else Path(options.certificates),
+        certificates=certificates,
         folder=Path(options.folder),
         preload=options.preload,
+        passes_on=options.pass_on,
         say=screen.note,
     )
-    screen.note(f"agent {options.name} listens on {', '.join(listen)}")
+    safety = "; without certificates on loopback only" if certificates is None else ""
+    screen.note(f"agent {options.name} listens on {', '.join(listen)}{safety}")
     agent.run()
     return Exit.OK

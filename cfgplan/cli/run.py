@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cfgplan.cli import options as shared
+from cfgplan.cli.agent import add_links
 from cfgplan.cli.exits import OF_STATUS, Exit
 from cfgplan.cli.interrupts import Interrupts
 from cfgplan.cli.run_output import RunOutput, output_for
@@ -20,6 +21,7 @@ from cfgplan.errors import InputError
 from cfgplan.planning import Decider, Problem
 
 if TYPE_CHECKING:
+    from cfgplan_runtime.fleet.fleet_runtime import Fleet
     from cfgplan_runtime.operating.operation import Operation, Settings
 
     from cfgplan.api import World
@@ -79,6 +81,8 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         metavar="MODULE",
         help="import this module before units start (repeat)",
     )
+    parser.add_argument("--local", action="store_true", help="run all of the file's hosts on this computer")
+    add_links(parser)
     shared.add_planning(parser, "with --dry-run only; a run is changed by editing the file, or by `cfgplan ctl`")
     shared.add_matching(parser)
     shared.add_json(parser)
@@ -103,8 +107,11 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         mend = "add --dry-run; or edit the file, or use `cfgplan ctl` while it runs"
         raise InputError.of("--without, --with and --set are for trying out what would be planned", mend=mend)
     loaded = shared.load(options, screen)
-    if not options.dry_run:
+    if not options.dry_run and _fleet(options) is None:
         refuse_hosts(loaded)
+    elif not options.dry_run and not loaded.environment.hosts:
+        mend = "name them under `hosts:`, or leave out --local and --connect"
+        raise InputError.of("the file has no hosts", file=options.env, mend=mend)
     _check_can_start(loaded)
     if loaded.environment.units:
         count = counted(len(loaded.environment.units), "running unit")
@@ -216,15 +223,26 @@ def _settings(options: argparse.Namespace) -> Settings:
             time_limit_s=options.timeout or Policy().time_limit_s,
             match_limit_s=options.reasoner_timeout,
             reasoner=options.reasoner,
-            refuses_hosts=True,
+            refuses_hosts=_fleet(options) is None,
             back_off=BackOffRules(alone_s=options.back_off),
         ),
         preload=options.preload,
         log=None if options.log is None else Path(options.log),
         record=None if options.record is None else Path(options.record),
         metrics_port=options.metrics_port,
+        fleet=_fleet(options),
         adjust=_adjusted(options),
     )
+
+
+def _fleet(options: argparse.Namespace) -> Fleet | None:
+    """How hosts are reached; None without an option for it."""
+    if not (options.local or options.connect):
+        return None
+    from cfgplan_runtime.fleet.fleet_runtime import Fleet
+
+    certificates = None if options.certificates is None else Path(options.certificates)
+    return Fleet(tuple(options.connect), certificates, options.local)
 
 
 def _planner(name: str) -> Planner:

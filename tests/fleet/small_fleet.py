@@ -81,16 +81,35 @@ class SmallFleet:
         self, *library: Transformation, hosts: Sequence[str] = (), wait_s: float = PATIENCE_S
     ) -> Iterator[Runtime]:
         named = tuple(hosts or self.agents.processes)
-        with Runtime(backend=lambda: self.backend(named, wait_s)) as runtime:
-            everywhere = tuple(Host(name) for name in named)
-            runtime.apply(ChangeSet(added_transformations=library, added_targets=(RESULT,), added_hosts=everywhere))
-            yield runtime
+        run, everywhere = RunFolder(), tuple(Host(name) for name in named)
+        try:
+            with Runtime(backend=lambda: self._backend(named, run, wait_s=wait_s)) as runtime:
+                runtime.apply(ChangeSet(added_transformations=library, added_targets=(RESULT,), added_hosts=everywhere))
+                yield runtime
+        finally:
+            run.close()
 
-    def backend(
-        self, hosts: Sequence[str], wait_s: float = PATIENCE_S, *, folder: Path = FOLDER, takes_over: bool = False
+    @contextmanager
+    def backend(self, *hosts: str, folder: Path = FOLDER, takes_over: bool = False) -> Iterator[FleetBackend]:
+        run = RunFolder()
+        try:
+            backend = self._backend(hosts, run, folder=folder, takes_over=takes_over)
+            yield backend
+            backend.close()
+        finally:
+            run.close()
+
+    def _backend(
+        self,
+        hosts: Sequence[str],
+        run: RunFolder,
+        *,
+        wait_s: float = PATIENCE_S,
+        folder: Path = FOLDER,
+        takes_over: bool = False,
     ) -> FleetBackend:
         connect = self.agents.endpoints
-        return FleetBackend(hosts, connect=connect, folder=folder, wait_s=wait_s, takes_over=takes_over)
+        return FleetBackend(hosts, run, connect=connect, folder=folder, wait_s=wait_s, takes_over=takes_over)
 
     def units(self) -> list[str]:
         """The units that really run, on all hosts."""

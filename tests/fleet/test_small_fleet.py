@@ -154,16 +154,13 @@ def test_a_dead_unit_on_another_host_is_told_with_its_cause() -> None:
 def test_other_code_on_a_host_is_a_failed_start_that_names_it(tmp_path: Path) -> None:
     with small_fleet("r1", "r2") as fleet:
         (tmp_path / "fleet_units.py").write_text("def count(): yield 1")
-        backend = fleet.backend(("r1", "r2"), folder=tmp_path)
-        try:
+        with fleet.backend("r1", "r2", folder=tmp_path) as backend:
             backend.start("count.1", source(), None, "r2")
             died = None
             while died is None:
                 died = next((event for event in backend.wait(1.0) if isinstance(event, UnitDied)), None)
             assert "on r2" in died.cause
             assert "another version than the manager's" in died.cause
-        finally:
-            backend.close()
 
 
 def test_hosts_without_an_agent_are_lost_from_the_beginning() -> None:
@@ -177,8 +174,8 @@ def test_hosts_without_an_agent_are_lost_from_the_beginning() -> None:
 
 def test_what_another_run_has_is_not_taken_from_it() -> None:
     with small_fleet("r1") as fleet, fleet.runtime(source(), worker()) as runtime:
-        with pytest.raises(InputError, match="another run has host 'r1'"):
-            fleet.backend(("r1",))
+        with pytest.raises(InputError, match="another run has host 'r1'"), fleet.backend("r1"):
+            pass
         runtime.apply(ChangeSet(started=(COUNT, replace(WORK, host="r1"))))
         Listener(runtime).await_more(10)
 
@@ -186,16 +183,13 @@ def test_what_another_run_has_is_not_taken_from_it() -> None:
 def test_who_takes_over_is_obeyed_and_the_other_is_refused() -> None:
     with small_fleet("r1") as fleet, fleet.runtime(source(), worker()) as runtime:
         runtime.apply(ChangeSet(started=(COUNT, replace(WORK, host="r1"))))
-        later = fleet.backend(("r1",), takes_over=True)
-        try:
+        with fleet.backend("r1", takes_over=True):
             assert fleet.units() == []
             with pytest.raises(ApplyError):
                 runtime.apply(ChangeSet(started=(unit("count.2", "r1"),)))
             (lost,) = seen(runtime, HostLost)
             assert lost.cause == "it obeys a later manager"
             assert fleet.units() == []
-        finally:
-            later.close()
 
 
 def test_a_full_input_that_blocks_makes_a_source_on_another_host_wait() -> None:

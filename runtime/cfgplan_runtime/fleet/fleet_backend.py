@@ -139,7 +139,7 @@ _Arrival: TypeAlias = "tuple[str, bytes, bytes] | tuple[str, bool] | _Measured |
 class FleetBackend:
     """The backend of a manager. Of `hosts`, those that are not there after `wait_s` are told as lost.
 
-    `connect` names agents' endpoints; the run folder is removed at the end. `folder` is what `units.py:Class` is
+    `connect` names agents' endpoints; `folder` is what `units.py:Class` is
     relative to here: files there are compared with each host's. A unit or topic whose host is None goes to the first
     host that is there. Raises InputError, also if another manager has a host, unless this one `takes_over`.
     """
@@ -147,11 +147,11 @@ class FleetBackend:
     def __init__(
         self,
         hosts: Sequence[str],
+        run_folder: RunFolder,
         *,
         connect: Sequence[str],
         certificates: Path | None = None,
         folder: Path | None = None,
-        run_folder: RunFolder | None = None,
         wait_s: float = WAIT_S,
         takes_over: bool = False,
     ) -> None:
@@ -174,7 +174,7 @@ class FleetBackend:
         self._rival = ""
         """A host that obeys another manager."""
         self._link = ZenohLink(config(connect=connect, certificates=certificates, mode="peer"))
-        self.run_folder = run_folder or RunFolder()
+        self.run_folder = run_folder
         for kind in (SAY, HEARD, REFUSE):
             self._link.hear(crossing_key("*", kind, MANAGER, "*"), lambda *came: self._inbox.put(came))
         self._link.watch(f"{alive_key('*')}/*", lambda *came: self._inbox.put(came))
@@ -289,7 +289,6 @@ class FleetBackend:
         while any(not host.talk.is_done for host in self._hosts.values()) and self.now() < end_s:
             self.wait(0.05)
         self._link.close()
-        self.run_folder.close()
 
     def _await(self, hosts: Sequence[str], wait_s: float) -> None:
         """Wait until all hosts are there, at most `wait_s`, and tell of those that are not."""

@@ -202,7 +202,8 @@ def refuse_hosts(world: World) -> None:
     hosts = ", ".join(world.environment.host)
     if hosts:
         message = f"this run is on one computer, and can't place units on hosts ({hosts})"
-        raise InputError.of(message, file=str(world.file.path) if world.file else None, mend="plan it with `solve`")
+        mend = "add --local to try all hosts on this computer, or --connect to reach their agents"
+        raise InputError.of(message, file=str(world.file.path) if world.file else None, mend=mend)
 
 
 def _told(old: Mapping[str, object], new: Mapping[str, object]) -> set[str]:

@@ -21,6 +21,7 @@ from cfgplan_runtime.children.messages import Flow
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.estimating.estimates_file import EstimatesError, load, save
 from cfgplan_runtime.estimating.estimator import make_estimator
+from cfgplan_runtime.fleet.fleet_runtime import Fleet, fleet_runtime
 from cfgplan_runtime.lifecycle.changes import ReplaceWorld
 from cfgplan_runtime.lifecycle.manager import Manager
 from cfgplan_runtime.lifecycle.policy import Policy
@@ -68,6 +69,8 @@ class Settings:
     log: Path | None = None
     record: Path | None = None
     metrics_port: int | None = None
+    fleet: Fleet | None = None
+    """How hosts are reached; None for a run on this computer alone."""
     adjust: Callable[[World], World] = lambda world: world
 
 
@@ -170,7 +173,11 @@ class Operation:
             self.log = _open_log(settings.log)
             stack.callback(self.log.close)
         folder = (self._path if self._path.is_dir() else self._path.parent).resolve()
-        self.runtime = stack.enter_context(Runtime(folder=folder, preload=settings.preload))
+        if settings.fleet is None:
+            self.runtime = stack.enter_context(Runtime(folder=folder, preload=settings.preload))
+        else:
+            hosts = tuple(world.environment.host)
+            self.runtime = stack.enter_context(fleet_runtime(settings.fleet, hosts, folder, settings.preload))
         if self.recorder is not None:
             facts = {"run": self.id, "environment": str(self._path.resolve()), "version": __version__}
             self.recorder.recording.describe(facts)

@@ -1,0 +1,70 @@
+"""`cfgplan run --local`: the warehouse on agents of this computer, and what it does when hosts go."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import psutil
+import pytest
+from cfgplan_runtime import subscribe
+from cfgplan_runtime.operating.control_client import connect
+from small_fleet import PATIENCE_S, eventually
+
+ROOT = Path(__file__).parents[2]
+CFGPLAN = (sys.executable, "-c", "import sys; from cfgplan.cli import main; sys.exit(main())")
+START = ROOT / "models" / "fleet" / "1-start.yaml"
+
+
+@contextmanager
+def local_run(path: Path) -> Iterator[subprocess.Popen[str]]:
+    command = [*CFGPLAN, "run", str(path), "--local", "--plain", "--no-estimates"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+        try:
+            yield process
+        finally:
+            process.send_signal(signal.SIGINT)
+            process.communicate(timeout=PATIENCE_S)
+
+
+def agent_of(process: subprocess.Popen[str], host: str) -> psutil.Process:
+    children = psutil.Process(process.pid).children()
+    (agent,) = (child for child in children if len(child.cmdline()) > 4 and child.cmdline()[4] == host)
+    return agent
+
+
+def test_the_map_goes_on_when_a_host_is_given_up_and_when_an_agent_is_killed() -> None:
+    with local_run(START) as process, subscribe("/obstacles", wait_s=PATIENCE_S, timeout_s=PATIENCE_S) as maps:
+        received = iter(maps)
+        assert next(received).value, "obstacles are seen"
+        with connect() as control:
+            control.call("lose_host", host="r2")
+            assert "r1" in {unit["host"] for unit in control.call("state")["units"]}
+            last = next(received).time_ns
+            control.call("regain_host", host="r2")
+            agent_of(process, "r1").send_signal(signal.SIGKILL)
+            eventually(lambda: {unit["host"] for unit in control.call("state")["units"]} == {"base", "r2"})
+            eventually(lambda: next(received).time_ns > time.time_ns() - 500_000_000)
+            assert next(received).time_ns > last
+
+
+def test_hosts_of_a_run_that_no_option_reaches_are_refused_with_the_mend() -> None:
+    command = [*CFGPLAN, "run", str(START)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 30
+    assert "--local" in done.stderr
+
+
+@pytest.mark.parametrize("arguments", [["--connect", "tcp/127.0.0.1:1"], ["--local"]])
+def test_a_file_without_hosts_runs_on_no_fleet(tmp_path: Path, arguments: list[str]) -> None:
+    path = tmp_path / "env.yaml"
+    path.write_text("format: cfgplan/1\ntransformations: [{label: a, source: units.py:a, outputs: {n: N}}]\n")
+    command = [*CFGPLAN, "run", str(path), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 30
+    assert "no hosts" in done.stderr
