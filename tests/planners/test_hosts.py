@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import pytest
 from fixed import Hubs, kind, runs, world
 from fleets import fleets
 from hypothesis import assume, given, settings
@@ -19,7 +20,7 @@ from cfgplan.planners.exact.kernels import left_by_bounds
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import Fleet, Tuning
-from cfgplan.planning import Notion, Problem, Status
+from cfgplan.planning import Failures, Notion, Problem, Status
 from cfgplan.reasons import unmet_reasons
 from cfgplan.validity import plan_violations
 
@@ -95,14 +96,35 @@ def test_what_nothing_grounds_on_any_host_is_cut_by_who_has_to_run() -> None:
     assert not fixed.allows(runs("t.1"), runs("u.1"), ~runs("s.1"))
 
 
-def test_a_unit_runs_on_the_faster_host_unless_its_streams_cost_more_to_carry() -> None:
+SOLVER_ONLY = Tuning(is_solver_only=True)
+
+
+@pytest.mark.parametrize("tuning", [IN_PARTS, SOLVER_ONLY], ids=["usual", "solver only"])
+@pytest.mark.parametrize(("transfer_us", "place", "cost_us"), [(59, "far", 89), (61, "near", 90)])
+def test_a_unit_runs_on_the_faster_host_unless_its_streams_cost_more_to_carry(
+    tuning: Tuning, transfer_us: int, place: str, cost_us: int
+) -> None:
     output = OutputPort("x", "", rate_uhz=1_000_000, size_bytes=1_000_000)
     library = (kind("t", gives="B", labor_us=90, output=output),)
     hosts = (Host("far", speed=3_000_000), Host("near"))
-    target = Target("B", "B", "/B", host="near")
-    for transfer_us, place, cost_us in ((59, "far", 89), (61, "near", 90)):
-        found = fleet.plan(world((target,), *library, hosts=hosts, transfer_us=transfer_us))
-        assert found.change_set is not None
-        assert [unit.host for unit in found.change_set.started] == [place]
-        assert (found.status, found.cost_us) == (Status.OPTIMAL, cost_us)
-        assert not plan_violations(world((target,), *library, hosts=hosts, transfer_us=transfer_us), found)
+    problem = world((Target("B", "B", "/B", host="near"),), *library, hosts=hosts, transfer_us=transfer_us)
+    found = fleet.plan(problem, tuning=tuning)
+    assert found.change_set is not None
+    assert [unit.host for unit in found.change_set.started] == [place]
+    assert (found.status, found.cost_us) == (Status.OPTIMAL, cost_us)
+    assert not plan_violations(problem, found)
+
+
+@pytest.mark.parametrize("tuning", [IN_PARTS, SOLVER_ONLY], ids=["usual", "solver only"])
+def test_a_spare_waits_where_that_is_cheapest(tuning: Tuning) -> None:
+    library = (
+        replace(kind("runs", gives="B", labor_us=1), host="a", max_instances=1),
+        replace(kind("waits", gives="B", labor_us=1000), standby_us=12),
+    )
+    hosts = (Host("a", speed=500_000), Host("b", speed=3_000_000), Host("c"))
+    problem = replace(world((Target("B", "B", "/B"),), *library, hosts=hosts), survive=Failures.UNITS)
+    found = fleet.plan(problem, tuning=tuning)
+    assert found.change_set is not None
+    assert {(unit.transformation, unit.host) for unit in found.change_set.started} == {("runs", "a"), ("waits", "b")}
+    assert (found.status, found.cost_us) == (Status.OPTIMAL, 2 + 4)
+    assert not plan_violations(problem, found)
