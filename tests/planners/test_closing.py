@@ -35,7 +35,7 @@ LONG = Tuning(close=Close(work=1e6))
 
 
 def closing(stage: Stage) -> Closing:
-    plan = first_plan(stage.network, stage.cost, 0, lambda: False)
+    plan = first_plan(stage.network, stage.cost, 0, Clock())
     assert plan is not None
     bound = Bound(stage.network.core, stage.cost)
     short = Tuning(close=Close(work=1e3))
@@ -60,7 +60,7 @@ def test_bounds_that_are_cut_short_at_any_round_are_no_worse_than_before() -> No
     problem = random_library(2, transformations=60)
     network = Structure.of(problem, None, Clock()).network
     cost = np.array([start_cost_us(t, problem.horizon_s) for t in network.transformations], np.int64)
-    plan = np.array(sorted(first_plan(network, cost, 0, lambda: False) or ()), np.int64)
+    plan = np.array(sorted(first_plan(network, cost, 0, Clock()) or ()), np.int64)
     solve, values = LandmarkProgram.solve, []
     for rounds in range(12):
         left = iter(range(rounds))
@@ -78,7 +78,7 @@ def test_long_landmarks_are_not_lost_but_demanded_where_the_fractions_miss_them(
     problem = random_library(seed, transformations=60, targets=3)
     network = Structure.of(problem, None, Clock()).network
     cost = np.array([start_cost_us(t, problem.horizon_s) for t in network.transformations], np.int64)
-    plan = np.array(sorted(first_plan(network, cost, 0, lambda: False) or ()), np.int64)
+    plan = np.array(sorted(first_plan(network, cost, 0, Clock()) or ()), np.int64)
 
     def value(again: int, *, are_short: bool) -> int:
         bound = Bound(network.core, cost)
@@ -108,7 +108,7 @@ def test_labels_miss_a_landmark_exactly_if_they_are_no_plan(problem: Problem) ->
             missed = separator.missed(fractions, np.random.default_rng(0))
             assert all(set(chosen).isdisjoint(one.members.tolist()) for one in missed)
             assert all(used & set(one.members.tolist()) for one in missed)
-            within = first_plan(stage.network, np.where(fractions > 0, 1, 10**6), 0, lambda: False)
+            within = first_plan(stage.network, np.where(fractions > 0, 1, 10**6), 0, Clock())
             assert bool(missed) == (within is None or not within <= set(chosen))
 
 
@@ -116,7 +116,7 @@ def test_labels_miss_a_landmark_exactly_if_they_are_no_plan(problem: Problem) ->
 @given(problems(special=False))
 def test_repairs_give_plans_that_are_never_dearer(problem: Problem) -> None:
     stage = Stage(problem)
-    plan = first_plan(stage.network, stage.cost, 0, lambda: False)
+    plan = first_plan(stage.network, stage.cost, 0, Clock())
     assert plan is not None
     repairs = Repairs(stage.network, stage.cost, plan)
     repairs.attempt(30, stage.cost + 1.0, lambda: False)

@@ -103,7 +103,7 @@ def test_bounds_by_them_do_not_exceed_the_optimum_and_fixing_keeps_cheap_plans(p
 @given(fusions())
 def test_the_first_plan_feeds_distinct_inputs_and_closing_keeps_both_sides(problem: Problem) -> None:
     stage = Stage(problem)
-    plan = first_plan(stage.network, stage.cost, 5, lambda: False)
+    plan = first_plan(stage.network, stage.cost, 5, Clock())
     assert plan is not None
     assert plan in list(plans(stage, problem))
     both = closing(stage)

@@ -30,6 +30,7 @@ from cfgplan.planners.cpsat import plan
 from cfgplan.planners.exact import wiring
 from cfgplan.planners.networks.greedy import first_plan, plan_at
 from cfgplan.planners.networks.network import Network
+from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Problem, Status
 from cfgplan.qualities import Better, Contribution, QualityAttribute, QualityRule, Wish
 from cfgplan.reasons import Givers, forward_closure, startable
@@ -173,7 +174,7 @@ def test_a_deep_row_of_pairs_has_a_first_plan() -> None:
     problem = pairs(1_200)
     library = problem.environment.library
     network = Network(library, ["T1199"], [], Givers(library, problem.similarity))
-    found = first_plan(network, np.full(len(library), 5, np.int64), 0, lambda: False)
+    found = first_plan(network, np.full(len(library), 5, np.int64), 0, Clock())
     assert found is not None
     assert {network.labels[i] for i in found} == {t.label for t in library} - {"s1199_1"}
 

@@ -66,7 +66,7 @@ def test_an_optimal_plan_is_one_of_the_network_and_demands_are_merged(problem: P
 @given(problems(special=False))
 def test_the_first_plan_is_a_plan_and_not_cheaper_than_the_optimum(problem: Problem) -> None:
     stage = Stage(problem)
-    plan = first_plan(stage.network, stage.cost, 5, lambda: False)
+    plan = first_plan(stage.network, stage.cost, 5, Clock())
     assert plan is not None
     assert is_plan(stage.network, plan)
     assert int(stage.cost[sorted(plan)].sum()) >= (stage.plan.cost_us or 0)

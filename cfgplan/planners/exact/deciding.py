@@ -41,7 +41,7 @@ def decide(standing: Standing, structure: Structure, among: Collection[str] | No
     if standing.best is not None:
         plans.append({network.number[unit.transformation] for unit in standing.best.units}.union(network.pinned))
     if among is None:
-        first = first_plan(network, weighing.weight, 0, standing.clock.is_over)
+        first = first_plan(network, weighing.weight, 0, standing.clock)
         plans += [] if first is None else [first]
     if not plans:
         return None

@@ -50,7 +50,7 @@ class QualityStart:
         network, cost = candidates.network, candidates.least_us
         if len(network.targets) < len(candidates.environment.targets):
             return
-        cheapest = first_plan(network, cost, clock.tuning.begin.attempts, clock.is_over)
+        cheapest = first_plan(network, cost, clock.tuning.begin.attempts, clock)
         planner = None
         if can_be_planned(candidates):
             planner = QualityPlanner(candidates, candidates.environment.quality[self._asked[0]], clock)

@@ -7,6 +7,7 @@ finds without bounds how many can be used.
 from __future__ import annotations
 
 import heapq
+from collections.abc import Collection
 
 import numpy as np
 
@@ -27,10 +28,16 @@ from cfgplan.planning import Problem
 def offer_any_plan(standing: Standing, structure: Structure) -> None:
     """Offer a greedy plan, if one is found, whatever required transformations it uses."""
     network, problem = structure.network, standing.problem
-    plan = first_plan(network, costs(problem, network, structure.pinned)[1], 0, standing.clock.is_over)
-    labels = [network.labels[i] for i in sorted(plan or ())]
-    candidates = structure.candidates(problem, labels)
-    units = None if plan is None else wire(candidates, candidates.first_of_each(labels))
+    plan = first_plan(network, costs(problem, network, structure.pinned)[1], 0, standing.clock)
+    if plan is not None:
+        offer(plan, standing, structure)
+
+
+def offer(plan: Collection[int], standing: Standing, structure: Structure) -> None:
+    """Offer a plan of labels, by their numbers. Raises OutOfTimeError."""
+    labels = [structure.network.labels[i] for i in sorted(plan)]
+    candidates = structure.candidates(standing.problem, labels, standing.clock)
+    units = wire(candidates, candidates.first_of_each(labels))
     if units is not None:
         standing.offer(units)
 
@@ -82,7 +89,7 @@ def _few(
     shunned |= {label for way in ways for label in way}
     wanted = required.union(network.labels[i] for way in ways for i in way)
     wider = structure.network_with(problem, wanted, clock)
-    plan = first_plan(wider, costs(problem, wider, structure.pinned)[1], clock.tuning.begin.attempts, clock.is_over)
+    plan = first_plan(wider, costs(problem, wider, structure.pinned)[1], clock.tuning.begin.attempts, clock)
     return None if plan is None else [wider.labels[i] for i in sorted(plan)]
 
 

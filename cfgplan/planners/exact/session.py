@@ -22,14 +22,14 @@ from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.deciding import decide
 from cfgplan.planners.exact.prepared import Prepared
 from cfgplan.planners.exact.preparing import Preparation
-from cfgplan.planners.exact.required import offer_any_plan, prepared_with_all
+from cfgplan.planners.exact.required import offer, offer_any_plan, prepared_with_all
 from cfgplan.planners.exact.rest import Left, Rest
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.exact.structure import Structure
 from cfgplan.planners.exact.wiring import what_runs
 from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.greedy import cost_of, first_plan, improved, is_plan, with_less
-from cfgplan.planners.networks.network import costs
+from cfgplan.planners.networks.network import Network, costs
 from cfgplan.planners.networks.weighing import Weighing
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import USUAL, Tuning
@@ -118,8 +118,8 @@ class PlannerSession:
     def _bring_forward(self, standing: Standing) -> None:
         """Go through the stages of a plan until nothing is left to be proven."""
         course = _Course(standing)
-        for stage in (
-            self._offer_what_runs,
+        self._offer_what_runs(course)
+        stages = (
             self._close,
             self._use_all_required,
             self._decide_all,
@@ -127,7 +127,8 @@ class PlannerSession:
             self._decide_what_is_left,
             self._close_gap,
             self._solve,
-        ):
+        )
+        for stage in standing.clock.each(stages, 1):
             if not course.has_ended:
                 stage(course)
 
@@ -188,9 +189,7 @@ class PlannerSession:
         """Find a plan and a bound, and leave out labels by reduced costs."""
         standing, is_first = course.standing, not self._last
         self._remember(standing)
-        if standing.best is None:
-            offer_any_plan(standing, course.structure)
-        course.preparation = self._prepare(course.problem, course.structure, course.clock, is_first=is_first)
+        course.preparation = self._prepare(standing, course.structure, is_first=is_first)
         course.take(course.preparation.prepared(course.clock))
 
     def _decide_what_is_left(self, course: _Course) -> None:
@@ -218,48 +217,49 @@ class PlannerSession:
         if standing.best is not None:
             self._last = frozenset(unit.transformation for unit in standing.best.units)
 
-    def _prepare(self, problem: Problem, structure: Structure, clock: Clock, *, is_first: bool) -> Preparation:
-        """A plan and a bound, and the labels that reduced costs leave between them."""
-        network = structure.network
+    def _prepare(self, standing: Standing, structure: Structure, *, is_first: bool) -> Preparation:
+        """A plan and a bound, and the labels that reduced costs leave between them.
+
+        The plan is that at rest or the last one, mended where units died. It is a new one if that no longer is a plan,
+        or in a session's first call, where the last plan is what runs; then ways to do without members are tried too,
+        unless a quick bound says that nothing is cheaper.
+        """
+        problem, clock, network = standing.problem, standing.clock, structure.network
         weighing = Weighing.of(problem, network, structure.pinned)
+        plan = self._mended(problem, network, weighing.weight, clock)
+        is_new = plan is None or is_first
+        if is_new:
+            found = (plan, first_plan(network, weighing.weight, 0, clock))
+            plan = min((one for one in found if one is not None), key=partial(cost_of, weighing.weight), default=None)
+        if plan is not None and standing.best is None:
+            offer(plan, standing, structure)
         quick = 0
         if weighing.counts_starts:
             quick = weighing.least(chained_bound(network.core, weighing.weight, network.pinned, clock.is_over))
-        plan = self._first_plan(problem, structure, weighing, quick, clock, is_first=is_first)
+        if is_new and plan is not None and cost_of(weighing.weight, plan) > quick:
+            plan = with_less(network, weighing.weight, plan, clock.tuning.begin.attempts, clock)
+        labels = None if plan is None else np.array(sorted(plan), np.int64)
         left = None
-        if plan is not None and weighing.counts_starts and weighing.of_plan(plan) == quick:
-            left = Left(plan, quick)
-        elif plan is not None and self._rest is not None and not weighing.counts_starts:
-            left = self._rest.left(weighing.weight, weighing.step, plan, clock)
-        preparation = Preparation(structure, weighing, plan, left, quick, clock.tuning.close)
+        if labels is not None and weighing.counts_starts and weighing.of_plan(labels) == quick:
+            left = Left(labels, quick)
+        elif labels is not None and self._rest is not None and not weighing.counts_starts:
+            left = self._rest.left(weighing.weight, weighing.step, labels, clock)
+        preparation = Preparation(structure, weighing, labels, left, quick, clock.tuning.close)
         if left is None:
             preparation.begin(_known_bound(structure, weighing.weight, weighing.scale), clock)
         return preparation
 
-    def _first_plan(
-        self, problem: Problem, structure: Structure, weighing: Weighing, quick: int, clock: Clock, *, is_first: bool
-    ) -> Ints | None:
-        """The plan at rest or the last one, mended where units died; a new one if that no longer is a plan.
-
-        In a session's first call the last plan is what runs: then a new one is tried too, and ways to do without
-        members, unless the bound `quick` says that nothing is cheaper. None if there is no plan.
-        """
-        network, cost = structure.network, weighing.weight
+    def _mended(self, problem: Problem, network: Network, cost: Ints, clock: Clock) -> set[int] | None:
+        """The plan at rest or the last one, less what is not worth it any more; None if it no longer is a plan."""
         known = set(network.pinned)
         if self._rest is not None:
             known |= set(self._rest.plan.tolist())
         else:
             known |= {network.number[label] for label in self._last if label in network.number}
-        plan: set[int] | None = None
-        if is_plan(network, known):
-            running = {unit.transformation for unit in problem.environment.units}
-            plan = improved(network, cost, known, {i for i in known if network.labels[i] not in running}, clock.is_over)
-        if plan is None or is_first:
-            new = first_plan(network, cost, 0, clock.is_over)
-            plan = min((one for one in (plan, new) if one is not None), key=partial(cost_of, cost), default=None)
-            if plan is not None and cost_of(cost, plan) > quick:
-                plan = with_less(network, cost, plan, clock.tuning.begin.attempts, clock.is_over)
-        return None if plan is None else np.array(sorted(plan), np.int64)
+        if not is_plan(network, known):
+            return None
+        running = {unit.transformation for unit in problem.environment.units}
+        return improved(network, cost, known, {i for i in known if network.labels[i] not in running}, clock)
 
     def _settle(self, problem: Problem, structure: Structure, clock: Clock) -> None:
         """After a proven plan that changes nothing, prepare for the next one: remember its `Rest`."""

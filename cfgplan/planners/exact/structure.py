@@ -45,9 +45,9 @@ class Structure:
         """Whether each target by itself can be met."""
         return len(self.network.targets) == len(self.environment.targets)
 
-    def candidates(self, problem: Problem, labels: Iterable[str]) -> Candidates:
+    def candidates(self, problem: Problem, labels: Iterable[str], clock: Clock | None = None) -> Candidates:
         """The units that a plan may have of some labels; the problem must be one that this serves."""
-        return Candidates(problem, self.closure, frozenset(labels))
+        return Candidates(problem, self.closure, frozenset(labels), clock)
 
     def counts(self) -> dict[str, int]:
         """How many transformations and demands are left, step by step."""

@@ -24,7 +24,7 @@ from cfgplan.reasons import Givers, assign_different, distinct_groups, startable
 def wire(candidates: Candidates, chosen: Collection[int]) -> list[ComputationUnit] | None:
     """The chosen candidates wired, less those that nothing needs; None if they do not ground each other.
 
-    For problems that ask nothing beyond the paper.
+    For problems that ask nothing beyond the paper. Raises OutOfTimeError by the candidates' clock.
     """
     ordering = _Ordering(candidates, chosen)
     is_grounded = ordering.run()
@@ -127,12 +127,14 @@ class _Ordering:
         self._changing: list[int] = []
         self._others: list[int] = []
         self._ready: set[int] = set()
-        for i in sorted(self._chosen):
+        for i in candidates.clock.each(sorted(self._chosen)):
             self._wait(i)
 
     def run(self) -> bool:
         """Place all; False if some of them can't be."""
-        while len(self.placed) < len(self._chosen):
+        for _ in self._candidates.clock.each(self._chosen):
+            if len(self.placed) == len(self._chosen):
+                break
             if self._staying:
                 ready = {
                     i: {s.port: self._candidates.index_of[s.stream.unit] for s in self._old(i)} for i in self._staying
@@ -145,7 +147,7 @@ class _Ordering:
             self.placed |= ready
             for i in ready:
                 self._tell(i)
-        return True
+        return len(self.placed) == len(self._chosen)
 
     def _old(self, unit: int) -> tuple[Subscription, ...]:
         running = self._candidates.all[unit].running

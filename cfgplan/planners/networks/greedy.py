@@ -5,14 +5,15 @@ A plan here is a set of labels with a grounded wiring that meets the goal.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from heapq import nsmallest
 
 import numpy as np
 
 from cfgplan.planners.networks.core import MOST_PASSES, Floats, Ints
 from cfgplan.planners.networks.network import Graph
-from cfgplan.reasons import assign_different, distinct_groups
+from cfgplan.planners.solving.clock import Clock
+from cfgplan.reasons import Each, assign_different, distinct_groups
 
 DEAREST = 1e200
 """The cost of a support is capped at this, so that sums stay finite."""
@@ -20,16 +21,19 @@ FREE = 1e-3
 """The price of a label that is there already: of two such supports the smaller one is better."""
 
 
-def first_plan(network: Graph, cost: Ints, attempts: int, is_over: Callable[[], bool]) -> set[int] | None:
-    """A plan, after up to `attempts` attempts to do without one of its members; None if none was found."""
-    plan = _supported(network, cost, set())
-    return None if plan is None else with_less(network, cost, plan, attempts, is_over)
+def first_plan(network: Graph, cost: Ints, attempts: int, clock: Clock) -> set[int] | None:
+    """A plan, after up to `attempts` attempts to do without one of its members; None if none was found.
+
+    Raises OutOfTimeError if there is no time for a first one.
+    """
+    plan = plan_at(network, cost, cost.astype(np.float64) + 1.0, clock.each)
+    return None if plan is None else with_less(network, cost, plan, attempts, clock)
 
 
-def with_less(network: Graph, cost: Ints, plan: set[int], attempts: int, is_over: Callable[[], bool]) -> set[int]:
+def with_less(network: Graph, cost: Ints, plan: set[int], attempts: int, clock: Clock) -> set[int]:
     """The plan, or a cheaper one after up to `attempts` attempts to do without one of its members."""
     tried: set[int] = set()
-    while len(tried) < attempts and not is_over():
+    while len(tried) < attempts and not clock.is_over():
         ahead = sorted(
             (label for label in plan.difference(tried, network.pinned) if cost[label]),
             key=lambda label: (-cost[label], label),
@@ -41,17 +45,20 @@ def with_less(network: Graph, cost: Ints, plan: set[int], attempts: int, is_over
     return plan
 
 
-def improved(network: Graph, cost: Ints, plan: set[int], doubtful: set[int], is_over: Callable[[], bool]) -> set[int]:
+def improved(network: Graph, cost: Ints, plan: set[int], doubtful: set[int], clock: Clock) -> set[int]:
     """The plan, or a cheaper one without some of its doubtful members."""
     for label in sorted(doubtful.difference(network.pinned)):
-        if label in plan and not is_over():
+        if label in plan and not clock.is_over():
             plan = _without(network, cost, plan, label)
     return plan
 
 
 def _without(network: Graph, cost: Ints, plan: set[int], label: int) -> set[int]:
     """The plan, or a cheaper one that avoids `label` and has the other members for nothing."""
-    other = _supported(network, cost, plan - {label}, avoid=label)
+    price = cost.astype(np.float64) + 1.0
+    price[list(plan)] = FREE
+    price[label] = np.inf
+    other = plan_at(network, cost, price)
     return other if other is not None and cost_of(cost, other) < cost_of(cost, plan) else plan
 
 
@@ -60,22 +67,13 @@ def cost_of(cost: Ints, labels: Iterable[int]) -> int:
     return int(cost[list(labels)].sum())
 
 
-def _supported(network: Graph, cost: Ints, free: set[int], avoid: int | None = None) -> set[int] | None:
-    """The cheapest support of the goal by h_add: `free` labels cost nothing, `avoid` is forbidden; or None."""
-    price = cost.astype(np.float64) + 1.0
-    price[list(free)] = FREE
-    if avoid is not None:
-        price[avoid] = np.inf
-    return plan_at(network, cost, price)
-
-
-def plan_at(network: Graph, cost: Ints, price: Floats) -> set[int] | None:
+def plan_at(network: Graph, cost: Ints, price: Floats, each: Each = iter) -> set[int] | None:
     """A cheapest support of the goal by h_add at these prices, without redundant labels; None if it is no plan."""
     total = _total(network, price)
     if total is None:
         return None
-    chosen = _below(network, [network.core.goal, *network.pinned], total)
-    return without_redundant(network, cost, chosen) if is_plan(network, chosen) else None
+    chosen = _below(network, [network.core.goal, *network.pinned], total, each)
+    return without_redundant(network, cost, chosen) if is_plan(network, chosen, each) else None
 
 
 def support_of(network: Graph, cost: Ints, label: int) -> set[int]:
@@ -105,12 +103,12 @@ def _added(values: list[float]) -> float:
     return min(sum(values), DEAREST) if max(values) < np.inf else np.inf
 
 
-def _below(network: Graph, labels: list[int], total: list[float]) -> set[int]:
+def _below(network: Graph, labels: list[int], total: list[float], each: Each = iter) -> set[int]:
     """These labels but the goal, and the cheapest givers of all facts needed, directly or through others."""
     chosen = set(labels)
     fed: set[int] = set()
     ahead = list(labels)
-    for label in ahead:
+    for label in each(ahead):
         for giver in _feeders(network, label, total, fed):
             if giver not in chosen:
                 chosen.add(giver)
@@ -166,7 +164,7 @@ def without_redundant(network: Graph, cost: Ints, chosen: set[int]) -> set[int]:
     return chosen
 
 
-def is_plan(network: Graph, chosen: set[int]) -> bool:
+def is_plan(network: Graph, chosen: set[int], each: Each = iter) -> bool:
     """Whether the labels have a grounded wiring among themselves that meets the goal."""
     waiting: dict[int, list[int]] = {}
     missing: dict[int, int] = {}
@@ -180,7 +178,7 @@ def is_plan(network: Graph, chosen: set[int]) -> bool:
         if not needs:
             ahead.append(label)
     before: set[int] = set()
-    for label in ahead:
+    for label in each(ahead):
         if label in network.special and not _special_inputs_are_fed(network, label, before, chosen):
             return False
         before.add(label)
