@@ -34,7 +34,7 @@ class DisjointExpressions:
 
 @dataclass(frozen=True, slots=True)
 class Subrole:
-    """What a role, or a chain of roles, links is linked by the role `sup`."""
+    """What the role `sub`, or a chain of roles, links, the role `sup` links too."""
 
     sub: Tree
     sup: Tree

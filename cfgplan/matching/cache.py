@@ -9,10 +9,12 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
+
+import msgspec
 
 from cfgplan.domain import Similarity
 from cfgplan.matching.ontology import Ontology
@@ -25,6 +27,16 @@ MOST_FILES: Final = 64
 """The number of answers that are kept; the oldest are dropped first."""
 
 
+class _KeptMatching(msgspec.Struct):
+    """The content of a file. `rows` has for each demanded tag the numbers of the offered ones, both in order."""
+
+    format: str
+    key: str
+    rows: list[list[int]]
+    warnings: tuple[str, ...]
+    answered_by: dict[str, int]
+
+
 def key_of(ontology: Ontology, reasoner: str, offered: Collection[str], demanded: Collection[str]) -> str:
     """The name under which the answer for these tags is kept."""
     texts = [_FORMAT, ontology.digest, json.dumps(sorted(ontology.prefixes.items())), reasoner]
@@ -34,11 +46,16 @@ def key_of(ontology: Ontology, reasoner: str, offered: Collection[str], demanded
 
 def load(folder: Path, key: str, offered: Collection[str], demanded: Collection[str]) -> Matching | None:
     """The answer kept under a key; None if there is none or it is damaged."""
+    offers, demands = sorted(set(offered)), sorted(set(demanded))
     try:
-        kept = json.loads((folder / _FOLDER / f"{key}.json").read_text("utf-8"))
-        return _matching_of(kept, key, sorted(set(offered)), sorted(set(demanded)))
-    except (OSError, ValueError, TypeError, KeyError, IndexError, AttributeError):
+        kept = msgspec.json.decode((folder / _FOLDER / f"{key}.json").read_bytes(), type=_KeptMatching)
+    except (OSError, ValueError):
         return None
+    is_ours = (kept.format, kept.key, len(kept.rows)) == (_FORMAT, key, len(demands))
+    if not is_ours or any(not 0 <= number < len(offers) for row in kept.rows for number in row):
+        return None
+    rows = (frozenset(offers[number] for number in row) for row in kept.rows)
+    return Matching(Similarity(dict(zip(demands, rows, strict=True))), kept.warnings, kept.answered_by)
 
 
 def store(folder: Path, key: str, offered: Collection[str], demanded: Collection[str], matching: Matching) -> None:
@@ -47,39 +64,15 @@ def store(folder: Path, key: str, offered: Collection[str], demanded: Collection
         return
     number = {tag: index for index, tag in enumerate(sorted(set(offered)))}
     rows = [sorted(number[tag] for tag in matching.similarity.offers[wanted]) for wanted in sorted(set(demanded))]
-    kept = {
-        "format": _FORMAT,
-        "key": key,
-        "rows": rows,
-        "warnings": matching.warnings,
-        "answered_by": dict(matching.answered_by),
-    }
+    kept = _KeptMatching(_FORMAT, key, rows, matching.warnings, dict(matching.answered_by))
     own = folder / _FOLDER
     temporary = own / f"{key}.{os.getpid()}.tmp"
     try:
         own.mkdir(parents=True, exist_ok=True)
-        temporary.write_text(json.dumps(kept, separators=(",", ":")), "utf-8")
+        temporary.write_bytes(msgspec.json.encode(kept))
         temporary.replace(own / f"{key}.json")
-        _drop_oldest(own)
+        for path in sorted(own.glob("*.json"), key=lambda path: path.stat().st_mtime, reverse=True)[MOST_FILES:]:
+            path.unlink(missing_ok=True)
     except OSError:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
-
-
-def _matching_of(kept: Mapping[str, Any], key: str, offered: list[str], demanded: list[str]) -> Matching:
-    if kept["format"] != _FORMAT or kept["key"] != key:
-        raise ValueError("the file holds another answer")
-    rows = kept["rows"]
-    if len(rows) != len(demanded) or any(not 0 <= number < len(offered) for row in rows for number in row):
-        raise ValueError("the rows don't fit the tags")
-    offers = {wanted: frozenset(offered[number] for number in row) for wanted, row in zip(demanded, rows, strict=True)}
-    if not all(isinstance(warning, str) for warning in kept["warnings"]):
-        raise ValueError("warnings are texts")
-    answered_by = {str(name): int(pairs) for name, pairs in kept["answered_by"].items()}
-    return Matching(Similarity(offers), tuple(kept["warnings"]), answered_by)
-
-
-def _drop_oldest(folder: Path) -> None:
-    files = sorted(folder.glob("*.json"), key=lambda path: path.stat().st_mtime, reverse=True)
-    for path in files[MOST_FILES:]:
-        path.unlink(missing_ok=True)

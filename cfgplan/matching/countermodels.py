@@ -53,7 +53,9 @@ class _OutOfTimeError(Exception):
 
 @dataclass
 class _Rule:
-    """What is on the left of the statement is to be on its right; looked at last when the clock said `seen`."""
+    """What is on the left of the statement is to be on its right, too. `seen` is the clock when that was last looked
+    at.
+    """
 
     statement: Subclass | Subrole | Subvalue
     seen: int = -1
@@ -71,7 +73,7 @@ class _Program:
 
 
 def _rules_of(statement: Statement) -> Iterator[Subclass | Subrole | Subvalue]:
-    """What can be built to make a statement hold."""
+    """The parts of a statement that building can make hold."""
     match statement:
         case Subrole() | Subvalue():
             yield statement
@@ -240,7 +242,7 @@ class _Model:
         return False
 
     def _mark(self, things: Set[int], tree: Tree) -> bool:
-        """Delay a requirement by a marker class with a rule, until it is known what else these things have."""
+        """Put things into a marker class whose rule brings a requirement later, when more is known of them."""
         marker = self._markers.get(tree)
         if marker is None:
             marker = self._markers[tree] = f"\0marker {len(self._markers)}"
@@ -254,7 +256,7 @@ class _Model:
         return self.structure.link(role, thing, self._target(thing, role, filler, number))
 
     def _target(self, thing: int, role: Tree, filler: Tree, number: int) -> int:
-        """The thing that a restriction links to. Things of one level share it."""
+        """The thing that a restriction links a thing to. Things of one level share it."""
         level = self._levels[thing] % LEVELS + 1
         key = (role, filler, number, level)
         known = self._needed.get(key)
@@ -316,9 +318,7 @@ class _Batch:
     rows: dict[Concept, frozenset[Concept]] = field(default_factory=dict)
 
     def refuted(self, demanded: Concept) -> frozenset[Concept]:
-        """The offered concepts whose things are not members of the demanded concept: the model refutes that they
-        match.
-        """
+        """The offered concepts whose things are no members of the demanded concept: so they don't match it."""
         known = self.rows.get(demanded)
         if known is None:
             try:
@@ -380,8 +380,8 @@ class Countermodels:
                 return
 
     def _exclude(self, offered: Iterable[Concept], demanded: list[Concept], deadline: float | None) -> None:
-        """Build models with things that have offered concepts but none of the demanded ones; if there is none for
-        all demands together, split them in halves.
+        """Build models in which things have offered concepts and none of the demanded ones. If there is no model for
+        all demands together, try each half of them.
         """
         waiting = [demanded] if demanded else []
         while waiting:
@@ -394,10 +394,11 @@ class Countermodels:
                 waiting += [some[: len(some) // 2], some[len(some) // 2 :]]
 
     def _build(self, group: list[Concept], turn: int, deadline: float | None, besides: Collection[Tree] = ()) -> bool:
-        """Build a model, or one for each half of the group if there is none for all. Returns whether it had choices.
+        """Build a model with a thing for each concept of a group, or one for each half if there is none. Returns
+        whether a union gave a choice.
 
-        The thing of each concept in the group is in all expressions of `besides`, too. For an empty group the model is
-        one of the ontology alone. Raises _OutOfTimeError.
+        Each of these things is in all expressions of `besides`, too. For an empty group the model is one of the
+        ontology alone. Raises _OutOfTimeError.
         """
         if not self._builds_left:
             raise _OutOfTimeError

@@ -62,7 +62,7 @@ class _Trace:
         return None
 
     def clash(self) -> tuple[str, ...]:
-        """The steps to something that exists though it can't; () if there is none."""
+        """The steps to something that must exist and can't; () if there is none."""
         for fact in list(self._reasons):
             if fact[0].exists and fact[1:] == (BOTTOM_ATOM,):
                 return self._told(fact)

@@ -104,7 +104,7 @@ class FastEngine:
         return self._saturation.let_individuals_come(newcomers) and not self.is_inconsistent
 
     def rows(self, offered: Collection[Concept], demanded: Iterable[Concept]) -> MatchedRows:
-        """Match offered concepts with demanded ones. What was found out about a concept before is not derived again."""
+        """Match offered concepts with demanded ones. What is known of a concept is not derived again."""
         demands = {concept: self._demand(concept) for concept in demanded}
         concept_of = {atom: concept for concept, atom in demands.items() if atom is not None}
         self._saturation.learn()

@@ -76,7 +76,7 @@ def is_left_hand(concept: Concept) -> bool:
 
 
 def right_hand_parts(concept: Concept, reasons: list[str]) -> Iterator[Concept]:
-    """Conjuncts inside the fragment that the concept implies; `reasons` gets what they leave out."""
+    """The conjuncts inside the fragment that an implied concept has; `reasons` gets why others are outside."""
     match concept:
         case Intersection(parts):
             for part in parts:

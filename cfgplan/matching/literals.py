@@ -144,7 +144,9 @@ class _Usage:
         return [axiom for axiom, others in self._names.items() if not others.isdisjoint(names)]
 
     def is_missed(self, axiom: str, untold: Mapping[str, frozenset[str]]) -> bool:
-        """Whether leaving a restriction out loses something: all do but a sole range that all its literals are of."""
+        """Whether leaving a restriction out loses something. Only a range loses nothing, if no other axiom restricts
+        the property and all its literals are of that datatype.
+        """
         tree, kinds = self._restricting[axiom], untold[axiom]
         if tree[0] == "DatatypeDefinition":
             return False

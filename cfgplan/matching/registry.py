@@ -13,7 +13,7 @@ from cfgplan.matching.syntax import parse_tag
 
 
 class TagRegistry:
-    """Texts of tags, each as often as it was added, by what they mean."""
+    """Texts of tags by what they mean, and how often each was added."""
 
     def __init__(self) -> None:
         self._counts: Counter[str] = Counter()

@@ -22,10 +22,10 @@ Reason: TypeAlias = "tuple[tuple[object, ...], tuple[DerivedFact, ...]]"
 
 
 class Context:
-    """The atoms and links of a kind of thing: of all things that have the atoms `seeds` and the links it was made with.
+    """The atoms and links of a kind of thing: of all things with the atoms `seeds` and the links that it was made with.
 
-    `exists`: there is such a thing in every model. `conditional`: if there is one, then an individual gets atoms that
-    it doesn't have otherwise, so that the context may miss something; what it has is right all the same.
+    `exists`: every model has such a thing. `conditional`: if there is such a thing, an individual gets atoms that it
+    does not have otherwise. So the context may miss something; what it has is right all the same.
     """
 
     __slots__ = ("atoms", "conditional", "exists", "finished", "individual", "links", "preds", "seeds")
@@ -90,7 +90,9 @@ class Saturation:
         return known
 
     def _more_of_individuals(self, key: _ContextKey, individuals: Iterable[int]) -> Context:
-        """The context of things that are some individuals, and more: conditional, unless one individual is all that."""
+        """The context of things that are some individuals and more. It is conditional, unless it adds nothing to one
+        individual: then it is that one's own.
+        """
         own = [self.context((atom,)) for atom in individuals]
         found = self._context(*key)
         for one in own:
@@ -121,7 +123,7 @@ class Saturation:
         return not self._disturbed
 
     def let_individuals_go(self, atoms: Iterable[int]) -> bool:
-        """Whether nothing else rests on the existence of these individuals; they stay known, but out of reach."""
+        """Whether nothing else depends on these individuals. They stay known, but nothing leads to them."""
         seen: set[Context] = set()
         waiting = [self._context(frozenset((atom,))) for atom in atoms]
         while waiting:
@@ -137,7 +139,7 @@ class Saturation:
         return True
 
     def _is_conditional_link(self, role: int, target: Context) -> bool:
-        """Whether a link that need not exist tells something new about an individual, or leads to what does."""
+        """Whether a link, if it exists, tells something new about an individual, or leads to a context that does."""
         return target.conditional or (target.individual and not self.rules.ranges[role] <= target.atoms)
 
     def _context(self, seeds: frozenset[int], links: frozenset[Edge] = frozenset()) -> Context:
@@ -243,7 +245,7 @@ class Saturation:
             self._let_exist(target)
 
     def _finish(self) -> None:
-        """Give the contexts that are new their edges, and find out which of them are conditional."""
+        """Mark new contexts as finished, and find those that are conditional."""
         fresh, self._fresh = self._fresh, []
         for context in fresh:
             context.finished = True

@@ -65,9 +65,9 @@ class Range:
 
 @dataclass
 class Translation:
-    """The statements, the axioms outside the fragment with the reason, and roles that inverses replaced.
+    """The statements, the axioms outside the fragment with the reason, and the roles that inverses replaced.
 
-    What is said of an axiom as far as it is inside is said even if the axiom is outside.
+    Of an axiom that is partly outside, the statements say what is inside.
     """
 
     inclusions: list[Inclusion] = field(default_factory=list)
@@ -173,7 +173,7 @@ def _translate_literals(trees: Mapping[str, Tree], result: Translation) -> None:
 
 
 def replaceable_inverses(trees: Collection[Tree], roles_of_tags: Collection[str]) -> dict[str, str]:
-    """Roles that only name the inverse of another: declared, with domain, range and assertions, nothing else."""
+    """Roles that only name the inverse of another: nothing but a declaration, domain, range or assertion uses them."""
     uses: Counter[str] = Counter()
     pairs: list[tuple[str, str]] = []
     for tree in trees:

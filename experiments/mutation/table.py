@@ -404,6 +404,9 @@ SATURATION = _room(
         "return self._context(fillers or frozenset((TOP_ATOM,)))",
     ),
     ("subclasses imply nothing", "saturation.py", "for implied in rules.sub.get(atom, ()):", "for implied in ():"),
+    ("a later rule is not applied to what is known", "saturation.py", "if self.rules.new_premises:", "if False:"),
+    ("what is an individual has nothing of it", "saturation.py", "for one in own:", "for one in ():"),
+    ("what is more than an individual is certain", "saturation.py", "found.conditional = True", "pass"),
 )
 
 SUPERVISION = _room(
