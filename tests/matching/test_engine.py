@@ -46,6 +46,7 @@ def holds(axioms: list[str], offered: str, demanded: str, reasoner: str = "auto"
         (["DataPropertyAssertion(<w#p> <w#a> \"5\")", "DataPropertyDomain(<w#p> <w#C>)"], "{a}", "C"),
         ([A_HAS_B, "SubObjectPropertyOf(<w#r> <w#s>)", "ObjectPropertyDomain(<w#s> <w#C>)"], "A", "C"),
         ([A_HAS_B, "ObjectPropertyRange(<w#r> <w#D>)", HAS_D_IS_C], "A", "C"),
+        (["ObjectPropertyRange(<w#r> <w#B>)", "ObjectPropertyAssertion(<w#r> <w#b> <w#a>)"], "{a} ⊓ A", "B"),
         (["InverseObjectProperties(<w#r> <w#s>)", "ObjectPropertyRange(<w#s> <w#B>)"], "∃r.A", "B"),
         (["InverseObjectProperties(<w#r> <w#s>)", "ObjectPropertyAssertion(<w#s> <w#a> <w#b>)"], "{b}", "∃r.{a}"),
     ],
