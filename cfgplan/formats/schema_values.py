@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from decimal import Decimal, DecimalException
 from functools import lru_cache
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, BaseModel, Field, PlainValidator, WithJsonSchema
 from pydantic_core import PydanticCustomError
@@ -34,39 +34,47 @@ FULL_FORM = "(full)"
 """How errors name the form of a port that is a mapping, or of a list that is a list."""
 
 
-@lru_cache(maxsize=65536)
-def _microseconds(value: Decimal | int) -> int:
+T = TypeVar("T")
+
+
+def _refusal(text: str, mend: str) -> PydanticCustomError:
+    return PydanticCustomError("value", "{text}", {"text": text, "mend": mend})
+
+
+def _taken(convert: Callable[[Any], T], value: object) -> T:
+    """What the domain makes of a value; its refusal, in words, is pydantic's."""
     try:
-        return microseconds(value)
+        return convert(value)
     except InvalidValueError as error:
         message, _, mend = str(error).partition(": ")
-        raise PydanticCustomError("cost", "{text}", {"text": message, "mend": mend or "write a number"}) from None
+        raise _refusal(message, mend or "write a number") from None
     except DecimalException:
-        raise PydanticCustomError(
-            "cost", "{text}", {"text": "the number is too large", "mend": "write CPU seconds"}
-        ) from None
+        raise _refusal("the number is too large", "write a smaller one") from None
+
+
+@lru_cache(maxsize=65536)
+def _microseconds(value: Decimal | int) -> int:
+    return _taken(microseconds, value)
+
+
+def _number(value: object, is_what: str, error: str = "number_type") -> Decimal | int:
+    if type(value) is int or type(value) is Decimal:
+        return value
+    raise PydanticCustomError(error, is_what)
 
 
 def _cost(value: object) -> int:
-    if type(value) is int or type(value) is Decimal:
-        return _microseconds(value)
-    raise PydanticCustomError("cost_type", "a cost is a number of CPU seconds")
+    return _microseconds(_number(value, "a cost is a number of CPU seconds", "cost_type"))
 
 
 def _seconds(value: object) -> int:
-    if type(value) is int or type(value) is Decimal:
-        return _microseconds(value)
-    raise PydanticCustomError("number_type", "a time is a number of seconds")
+    return _microseconds(_number(value, "a time is a number of seconds"))
 
 
 def _silence(value: object) -> int:
     """How long a unit may give no sign of life, in microseconds; 0 for ever."""
     silence_us = _seconds(value)
-    try:
-        RunOptions(hang_us=silence_us)
-    except InvalidValueError as error:
-        message, _, mend = str(error).partition(": ")
-        raise PydanticCustomError("silence", "{text}", {"text": message, "mend": mend}) from None
+    _taken(lambda hang_us: RunOptions(hang_us=hang_us), silence_us)
     return silence_us
 
 
@@ -77,40 +85,28 @@ def _span(value: object) -> int:
     if found is not None:
         value = Decimal(found[1]) * _SECONDS_OF[found[2]]
     if type(value) is not int and type(value) is not Decimal:
-        raise PydanticCustomError("span", "{text}", {"text": "this is no span of time", "mend": mend})
+        raise _refusal("this is no span of time", mend)
     span_us = _microseconds(value)
     if not span_us:
-        raise PydanticCustomError("span", "{text}", {"text": "the span of time is 0", "mend": mend})
+        raise _refusal("the span of time is 0", mend)
     return span_us
 
 
 def _rate(value: object) -> float:
-    if type(value) is not int and type(value) is not Decimal:
-        raise PydanticCustomError("number_type", "a rate is a number")
-    number = _finite_number(value)
+    number = _finite_number(_number(value, "a rate is a number"))
     if number is None or not 0 < number <= LARGEST_RATE_HZ:
-        mend = f"write a number above 0 and up to {LARGEST_RATE_HZ:,}"
-        raise PydanticCustomError("rate", "{text}", {"text": f"a rate of {value} is out of range", "mend": mend})
+        raise _refusal(f"a rate of {value} is out of range", f"write a number above 0 and up to {LARGEST_RATE_HZ:,}")
     return float(number)
 
 
 def _micro(value: object) -> int:
-    if type(value) is not int and type(value) is not Decimal:
-        raise PydanticCustomError("number_type", "a quality is a number")
-    try:
-        return micro_units(value)
-    except (InvalidValueError, DecimalException) as error:
-        message, _, mend = str(error).partition(": ")
-        text = message if isinstance(error, InvalidValueError) else "the number is too large"
-        raise PydanticCustomError("quality", "{text}", {"text": text, "mend": mend or "write a number"}) from None
+    return _taken(micro_units, _number(value, "a quality is a number"))
 
 
 def _positive_micro(value: object) -> int:
     micro = _micro(value)
     if micro < 0:
-        raise PydanticCustomError(
-            "quality", "{text}", {"text": f"{value} is negative", "mend": "write a number of 0 or more"}
-        )
+        raise _refusal(f"{value} is negative", "write a number of 0 or more")
     return micro
 
 
@@ -119,9 +115,7 @@ def _finite(value: object) -> object:
     if type(value) is Decimal:
         number = float(value)
         if number - number != 0:
-            raise PydanticCustomError(
-                "params", "{text}", {"text": f"{value} is not a finite number", "mend": "quote it"}
-            )
+            raise _refusal(f"{value} is not a finite number", "quote it")
         return number
     if type(value) is dict:
         return {key: _finite(item) for key, item in value.items()}
@@ -148,9 +142,8 @@ def _finite_number(value: object) -> Decimal | int | None:
 def _amount(value: object) -> Decimal | int:
     number = _finite_number(value)
     if number is None or not 0 <= number <= LARGEST_AMOUNT:
-        text = f"{value!r} is no amount" if type(value) is str else f"{value} is no amount"
-        mend = f"write a whole number from 0 to {LARGEST_AMOUNT:,}"
-        raise PydanticCustomError("amount", "{text}", {"text": f"{text} of a resource", "mend": mend})
+        shown = repr(value) if type(value) is str else str(value)
+        raise _refusal(f"{shown} is no amount of a resource", f"write a whole number from 0 to {LARGEST_AMOUNT:,}")
     return number
 
 
@@ -159,7 +152,7 @@ def _speed(value: object) -> int:
     micro = _positive_micro(value)
     if not SPEEDS[0] * MICRO <= micro <= SPEEDS[1] * MICRO:
         mend = f"write a number from {SPEEDS[0]} to {SPEEDS[1]}; 1 is where costs were measured"
-        raise PydanticCustomError("speed", "{text}", {"text": f"{value} is no speed of a host", "mend": mend})
+        raise _refusal(f"{value} is no speed of a host", mend)
     return micro
 
 
@@ -168,8 +161,7 @@ def _resources(amounts: dict[str, Decimal | int]) -> dict[str, int]:
     found = {name: _microseconds(amount) if name == CPU else amount for name, amount in amounts.items()}
     parts = next((f"{amount} of `{name}`" for name, amount in found.items() if type(amount) is not int), None)
     if parts is not None:
-        mend = "write a whole number; only cpu has parts"
-        raise PydanticCustomError("amount", "{text}", {"text": f"there can't be {parts}", "mend": mend})
+        raise _refusal(f"there can't be {parts}", "write a whole number; only cpu has parts")
     return {name: int(amount) for name, amount in found.items()}
 
 
