@@ -156,6 +156,8 @@ class Similarity:
     offers: Mapping[str, frozenset[str]] = field(hash=False)
     open: Mapping[str, frozenset[str]] = field(default_factory=dict, hash=False)
 
+    __getstate__ = fields_of
+
     def holds(self, offered: str, demanded: str) -> bool:
         """Whether an output tagged `offered` may feed an input or a target tagged `demanded`."""
         return offered in self.offers.get(demanded, ())

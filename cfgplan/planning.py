@@ -8,7 +8,7 @@ from enum import StrEnum
 from functools import cached_property
 from typing import Any, Final, Protocol
 
-from cfgplan.canonical import store_whole
+from cfgplan.canonical import fields_of, store_whole
 from cfgplan.costs import LARGEST_COST_US, standby_cost_us, start_cost_us, transfer_cost_us
 from cfgplan.domain import ChangeSet, Environment, Similarity, Transformation
 from cfgplan.errors import CfgplanError, InputError, InvalidValueError
@@ -49,6 +49,8 @@ class Problem:
     horizon_s: int
     max_cost_us: int | None = None
     survive: Failures | None = None
+
+    __getstate__ = fields_of
 
     def __post_init__(self) -> None:
         store_whole(self, "horizon_s")

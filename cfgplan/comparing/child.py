@@ -16,8 +16,10 @@ from __future__ import annotations
 import gc
 import json
 import os
+import pickle
 import resource
 import sys
+from base64 import b64decode
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -28,10 +30,9 @@ from typing import Any, TextIO
 from cfgplan.comparing.entrants import Entrant
 from cfgplan.comparing.families import FAMILIES
 from cfgplan.comparing.rows import Point, RunFailure
-from cfgplan.comparing.transport import restored
 from cfgplan.domain import Similarity
 from cfgplan.errors import CfgplanError
-from cfgplan.planning import Plan, Planner, Progress
+from cfgplan.planning import Plan, Planner, Problem, Progress
 from cfgplan.validity import plan_violations
 
 WARM_UP_S = 1.0
@@ -53,7 +54,7 @@ def main() -> None:
             entrant.planner()
             answer: dict[str, Any] = {"outcome": "ready"}
         else:
-            answer = _run(entrant, task["problem"], task["time_limit_s"], out)
+            answer = _run(entrant, b64decode(task["problem"]), task["time_limit_s"], out)
     except ImportError as error:
         answer = {"outcome": RunFailure.UNAVAILABLE, "message": str(error)}
     except MemoryError:
@@ -63,7 +64,7 @@ def main() -> None:
     print(json.dumps(answer, ensure_ascii=False), file=out, flush=True)
 
 
-def _run(entrant: Entrant, problem: dict[str, Any], time_limit_s: float, out: TextIO) -> dict[str, Any]:
+def _run(entrant: Entrant, problem: bytes, time_limit_s: float, out: TextIO) -> dict[str, Any]:
     planner = entrant.planner()
     _warm_up(planner)
     gc.collect()
@@ -88,7 +89,7 @@ def _run(entrant: Entrant, problem: dict[str, Any], time_limit_s: float, out: Te
         "peak_mb": round(peak_mb, 1),
         "counts": dict(plan.counts),
         "seconds": {phase: round(seconds, 6) for phase, seconds in plan.seconds.items()},
-        "violations": [str(violation) for violation in plan_violations(restored(problem), plan)],
+        "violations": [str(violation) for violation in plan_violations(pickle.loads(problem), plan)],
         "message": "; ".join(sorted(set(plan.reasons.values())))[:300],
     }
 
@@ -100,9 +101,9 @@ class _Run:
     trace: list[Point]
 
 
-def _timed(planner: Planner, document: dict[str, Any], time_limit_s: float, tell: Callable[[Point], None]) -> _Run:
+def _timed(planner: Planner, pickled: bytes, time_limit_s: float, tell: Callable[[Point], None]) -> _Run:
     """A run on the problem made anew; each step of its progress is told."""
-    problem = restored(document)
+    problem: Problem = pickle.loads(pickled)
     trace: list[Point] = []
     began = perf_counter()
 

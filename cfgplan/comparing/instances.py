@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import hashlib
 import json
+import pickle
 import re
+from base64 import b64encode
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from inspect import signature
+from typing import Any
 
 from cfgplan.comparing.families import FAMILIES
-from cfgplan.comparing.transport import document
+from cfgplan.domain import Similarity
 from cfgplan.errors import InputError, InvalidValueError
-from cfgplan.planning import Problem
+from cfgplan.planning import Problem, refuse_notions
 
 
 @dataclass(frozen=True)
@@ -33,7 +36,13 @@ class Instance:
     @cached_property
     def text(self) -> str:
         """The problem as one line of JSON, the same for equal problems."""
-        return json.dumps(document(self.problem), ensure_ascii=False, sort_keys=True, separators=(",", ":"))
+        return json.dumps(_document(self.problem), ensure_ascii=False, sort_keys=True, separators=(",", ":"))
+
+    @property
+    def pickled(self) -> str:
+        """The problem on its way into another process, in base 64, without open pairs of tags."""
+        decided = Similarity(dict(self.problem.similarity.offers))
+        return b64encode(pickle.dumps(replace(self.problem, similarity=decided))).decode()
 
     @cached_property
     def digest(self) -> str:
@@ -85,3 +94,45 @@ def _value(text: str) -> object:
 def given(name: str, problem: Problem, *, family: str = "own") -> Instance:
     """An instance of a problem that is there already, such as a user's own file."""
     return Instance(name, family, {}, None, lambda: problem)
+
+
+def _document(problem: Problem) -> dict[str, Any]:
+    """The problem as plain data, without what only running needs. Raises InputError if it asks more than the paper."""
+    from cfgplan.formats.environment_file import later_fields
+    from cfgplan.formats.fields import OutputPart, TargetPart, TransformationPart
+
+    refuse_notions(problem, "a comparison with other planners")
+    environment = problem.environment
+    return {
+        "units": [
+            {
+                "id": unit.id,
+                "transformation": unit.transformation,
+                "feeds": {s.port: [s.stream.unit, s.stream.port] for s in unit.subscriptions},
+                "topics": [[p.port, p.topic] for p in unit.publications],
+            }
+            for unit in environment.units
+        ],
+        "library": [
+            {
+                "label": t.label,
+                "inputs": [asdict(port) for port in t.inputs],
+                "outputs": [
+                    {"name": port.name, "tag": port.tag} | later_fields(OutputPart, port) for port in t.outputs
+                ],
+                "labor_us": t.labor_us,
+                "upkeep_us": t.upkeep_us,
+                "pinned": t.pinned,
+                "required": t.required,
+            }
+            | later_fields(TransformationPart, t)
+            for t in environment.library
+        ],
+        "targets": [
+            {"label": t.label, "tag": t.tag, "topic": t.topic, "priority": t.priority} | later_fields(TargetPart, t)
+            for t in environment.targets
+        ],
+        "offers": {tag: sorted(offered) for tag, offered in sorted(problem.similarity.offers.items())},
+        "horizon_s": problem.horizon_s,
+        "max_cost_us": problem.max_cost_us,
+    }

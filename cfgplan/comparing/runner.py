@@ -113,7 +113,7 @@ def progress_bar(console: Console) -> Iterator[Callable[[Advance], None]]:
 def run_one(instance: Instance, entrant: Entrant, limits: Limits) -> Row:
     """Run one planner on one instance in a new process and make a row of however it ends."""
     task = {
-        "problem": json.loads(instance.text),
+        "problem": instance.pickled,
         "entrant": asdict(entrant),
         "time_limit_s": limits.time_limit_s,
         "memory_mb": limits.memory_mb,
