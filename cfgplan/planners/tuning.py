@@ -118,7 +118,7 @@ class Solve:
 
 
 @dataclass(frozen=True)
-class Fleet:
+class Fleets:
     """Fleets: quality, hosts, conflicts, numbers, spares."""
 
     round: Annotated[float, Said("the engine's s", "for the first round for quality", FLEETS)] = 2.0
@@ -163,7 +163,7 @@ class Tuning:
     rest: Replan = Replan()
     close: Close = Close()
     solve: Solve = Solve()
-    fleet: Fleet = Fleet()
+    fleet: Fleets = Fleets()
     quality: Quality = Quality()
     seconds_per_step: Annotated[float, Said("s/step", "where work is set against a time limit", TIMED)] = 1e-6
     is_solver_only: bool = False

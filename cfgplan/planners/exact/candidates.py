@@ -24,7 +24,7 @@ HostName = str | None
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class OnHost:
     """What a unit costs on a host if it runs there or waits, and what it takes of it."""
 
     cost_us: int
@@ -42,7 +42,7 @@ class Candidate:
     id: str
     transformation: Transformation
     running: ComputationUnit | None
-    places: Mapping[HostName, Place]
+    places: Mapping[HostName, OnHost]
     may_run: bool = True
     may_wait: bool = False
 
@@ -317,9 +317,9 @@ def _places(
     hosts: Iterable[Host | None],
     horizon_s: int,
     cost_us: Callable[[Transformation, int, Host | None], int],
-) -> Mapping[HostName, Place]:
+) -> Mapping[HostName, OnHost]:
     return {
-        None if host is None else host.name: Place(
+        None if host is None else host.name: OnHost(
             cost_us(transformation, horizon_s, host),
             standby_cost_us(transformation, horizon_s, host),
             taken(transformation, host),
