@@ -11,8 +11,8 @@ from cfgplan.cli.screen import Screen
 _EXAMPLE = """\
 example, on the base station, on the robot r1, and then on either:
   cfgplan agent --name base --certificates /etc/cfgplan/base
-  cfgplan agent --name r1 --certificates /etc/cfgplan/r1 --connect quic/10.0.0.3:7447
-  cfgplan run env.yaml --certificates /etc/cfgplan/manager --connect quic/10.0.0.3:7447 --connect quic/10.0.0.1:7447
+  cfgplan agent --name r1 --certificates /etc/cfgplan/r1 --connect tls/10.0.0.3:7447
+  cfgplan run env.yaml --certificates /etc/cfgplan/manager --connect tls/10.0.0.3:7447 --connect tls/10.0.0.1:7447
 
 Without certificates an agent listens on loopback only. Units run on while no run's command is there."""
 
@@ -26,7 +26,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="ENDPOINT",
-        help="where others reach this agent (tcp/127.0.0.1:7447; with certificates quic/0.0.0.0:7447)",
+        help="where others reach this agent (tcp/127.0.0.1:7447; with certificates tls/0.0.0.0:7447)",
     )
     parser.add_argument(
         "--pass-on", action="store_true", help="let hosts that are not linked reach each other through this one"
@@ -52,7 +52,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan_runtime.fleet.agent import Agent
 
     certificates = None if options.certificates is None else Path(options.certificates)
-    listen = options.listen or ["tcp/127.0.0.1:7447" if certificates is None else "quic/0.0.0.0:7447"]
+    listen = options.listen or ["tcp/127.0.0.1:7447" if certificates is None else "tls/0.0.0.0:7447"]
     agent = Agent(
         options.name,
         listen=listen,

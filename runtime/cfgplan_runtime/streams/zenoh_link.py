@@ -99,8 +99,12 @@ class ZenohLink:
         self._session.declare_queryable(key, lambda query: query.reply(key, give()))
 
     def ask(self, keys: str, timeout_s: float) -> Iterator[tuple[str, bytes]]:
-        """What is answered at keys, until all have answered or the time is over."""
-        for reply in self._session.get(keys, timeout=timeout_s):
+        """What is answered at keys, until all have answered, the time is over, or the link is closed."""
+        try:
+            replies = self._session.get(keys, timeout=timeout_s)
+        except self._zenoh.ZError:
+            return
+        for reply in replies:
             if reply.ok is not None:
                 yield str(reply.ok.key_expr), reply.ok.payload.to_bytes()
 
