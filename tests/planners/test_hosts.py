@@ -19,7 +19,7 @@ from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.kernels import left_by_bounds
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.solving.clock import Clock
-from cfgplan.planners.tuning import Fleet, Tuning
+from cfgplan.planners.tuning import Fleets, Tuning
 from cfgplan.planning import Failures, Notion, Problem, Status
 from cfgplan.reasons import unmet_reasons
 from cfgplan.validity import plan_violations
@@ -27,7 +27,7 @@ from cfgplan.validity import plan_violations
 on_hosts = fleets(frozenset({Notion.HOSTS, Notion.CONFLICTS, Notion.INSTANCES}), most=9)
 
 
-IN_PARTS = Tuning(fleet=Fleet(sizes=(1, 2, 4)))
+IN_PARTS = Tuning(fleet=Fleets(sizes=(1, 2, 4)))
 """Even few units are looked at in parts."""
 
 
