@@ -7,12 +7,14 @@ where they were timed, so that a plan can be repeated on any machine; only a tim
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, is_dataclass, replace
-from typing import Annotated, NamedTuple, get_type_hints
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from typing import NamedTuple, TypeVar
+
+Number = TypeVar("Number")
 
 
 class Said(NamedTuple):
-    """What is said of a number: its unit, what it does, and what it was chosen on."""
+    """What is said of a number: its unit, what it does in a sentence, and what it was chosen on."""
 
     unit: str
     what: str
@@ -25,132 +27,147 @@ AT_REST = "`benchmark.py replan`"
 FLEETS = "`fleets.py`"
 
 
+def said(value: Number, unit: str, what: str, origin: str) -> Number:
+    """The field of a number, with what is said of it."""
+    found: Number = field(default=value, metadata={"said": Said(unit, what, origin)})
+    return found
+
+
 @dataclass(frozen=True)
 class Decide:
     """The planner's own search of small problems."""
 
-    labels: Annotated[int, Said("labels", "so many a network may have that is searched before all else", LIBRARIES)] = (
-        600
+    labels: int = said(600, "labels", "Networks of up to this size are searched before all else.", LIBRARIES)
+    left: int = said(200, "labels", "What bounds leave of a larger network is searched up to this size.", LIBRARIES)
+    filtered: int = said(120, "labels", "Above this size, labels too dear by themselves are dropped first.", LIBRARIES)
+    chained: int = said(
+        16, "labels", "Above this size, dearest chains are charged before the search.", "NAO, 20 robots"
     )
-    left: Annotated[int, Said("labels", "so many bounds may leave of one that is searched then", LIBRARIES)] = 200
-    filtered: Annotated[int, Said("labels", "of more, those too dear by themselves are left out first", LIBRARIES)] = (
-        120
-    )
-    chained: Annotated[int, Said("labels", "of more, chains are charged first", "NAO, 20 robots")] = 16
-    first: Annotated[int, Said("landmarks and nodes", "at first", LIBRARIES)] = 300
-    steps: Annotated[int, Said("landmarks and nodes", "in all; 0: nothing is searched", LIBRARIES)] = 1500
-    soon: Annotated[float, Said("share", "so much must be done at first to go on", LIBRARIES)] = 0.01
+    first: int = said(300, "landmarks and nodes", "The first part of the search may take this many.", LIBRARIES)
+    steps: int = said(1500, "landmarks and nodes", "The whole search may take this many; 0: there is none.", LIBRARIES)
+    soon: float = said(0.01, "share", "The search goes on if its first part did this much of it.", LIBRARIES)
 
 
 @dataclass(frozen=True)
 class Begin:
     """First plans."""
 
-    attempts: Annotated[int, Said("members", "of a plan that are tried to be done without", LIBRARIES)] = 30
-    ways: Annotated[int, Said("plans", "that are tried if transformations are required", LIBRARIES)] = 4
-    shares: Annotated[
-        tuple[float, ...], Said("of the usual cost", "for what bounds are on, until a plan keeps them", FLEETS)
-    ] = (0.0, 0.5, 2.0, 8.0, 32.0)
+    attempts: int = said(30, "members", "This many members of a first plan are tried to be left out.", LIBRARIES)
+    ways: int = said(4, "plans", "This many first plans are tried where transformations are required.", LIBRARIES)
+    shares: tuple[float, ...] = said(
+        (0.0, 0.5, 2.0, 8.0, 32.0),
+        "of the usual cost",
+        "What a bounded resource or quality is priced at, in turn, until a plan keeps its bounds.",
+        FLEETS,
+    )
 
 
 @dataclass(frozen=True)
 class Rise:
     """Bounds by landmarks."""
 
-    landmarks: Annotated[int, Said("landmarks", "after so many the network is restricted", LIBRARIES)] = 20
-    patience: Annotated[float, Said("steps/label^1.5", "landmarks may take where closing follows", LIBRARIES)] = 2.0
-    last_patience: Annotated[float, Said("steps/label^1.5", "and where the solver follows", LIBRARIES)] = 20.0
-    landmark: Annotated[float, Said("steps", "for a landmark", TIMED)] = 150.0
-    need: Annotated[float, Said("steps/need", "for a landmark", TIMED)] = 0.04
-    link: Annotated[float, Said("steps/link", "for a landmark or a repair where the way is deep", TIMED)] = 5.0
-    building: Annotated[float, Said("steps/member", "until a linear program begins", TIMED)] = 3.0
+    landmarks: int = said(20, "landmarks", "After this many new ones reduced costs restrict the network.", LIBRARIES)
+    patience: float = said(2.0, "steps/label^1.5", "The gap must close in so much work, if closing follows.", LIBRARIES)
+    last_patience: float = said(20.0, "steps/label^1.5", "The same, if the solver follows at once.", LIBRARIES)
+    landmark: float = said(150.0, "steps", "The work for a landmark: a fixed part.", TIMED)
+    need: float = said(0.04, "steps/need", "The work for a landmark: for each need in the network.", TIMED)
+    link: float = said(
+        5.0, "steps/link", "The work for a landmark or a repair in a deep network: for each link.", TIMED
+    )
+    building: float = said(3.0, "steps/member", "The work to build a linear program: for each entry.", TIMED)
 
 
 @dataclass(frozen=True)
 class Replan:
     """Looking ahead where nothing is to be changed, and replanning from there."""
 
-    cases: Annotated[int, Said("labels", "if more changed their costs all plans are looked at together", AT_REST)] = 4
-    room: Annotated[float, Said("times", "what the dearest failure costs is bounded", AT_REST)] = 1.05
-    rival: Annotated[float, Said("s", "the solver may look for a plan as cheap", AT_REST)] = 1.0
+    cases: int = said(4, "labels", "If more of them changed their cost, all plans are bounded together.", AT_REST)
+    room: float = said(
+        1.05, "times", "Plans up to this multiple of the cost after the dearest failure are bounded.", AT_REST
+    )
+    rival: float = said(1.0, "s", "The solver may look so long for another plan at the same cost.", AT_REST)
 
 
 @dataclass(frozen=True)
 class Close:
     """Bound and plan brought together."""
 
-    work: Annotated[float, Said("steps/label^1.5", "in all", LIBRARIES)] = 5.0
-    rounds: Annotated[int, Said("linear programs", "before the network is restricted", LIBRARIES)] = 25
-    fewest_rounds: Annotated[int, Said("linear programs", "with many labels", LIBRARIES)] = 3
-    round_labels: Annotated[int, Said("labels", "of all rounds before the network is restricted", LIBRARIES)] = 50_000
-    pace: Annotated[float, Said("share of the gap", "so many rounds must close to go on", LIBRARIES)] = 0.04
-    far: Annotated[float, Said("share of the plan", "of a gap that leaves the solver little hope", LIBRARIES)] = 0.3
-    patience: Annotated[int, Said("times", "as much work then", LIBRARIES)] = 100
-    again: Annotated[int, Said("landmarks", "charged greedily that a round adds again", LIBRARIES)] = 40
-    many: Annotated[int, Said("transformations", "with which a linear program takes long", LIBRARIES)] = 3000
-    times: Annotated[int, Said("times", "needs are taken then, to miss more landmarks", LIBRARIES)] = 4
-    entries: Annotated[int, Said("entries/link", "the first linear program has", TIMED)] = 3
-    inward: Annotated[float, Said("share", "of the way to what hits all landmarks", LIBRARIES)] = 0.5
-    trust: Annotated[float, Said("share", "by which repairs think cheaper what fractions use", LIBRARIES)] = 0.8
-    need: Annotated[float, Said("steps/need", "for a round", TIMED)] = 16.0
-    member: Annotated[float, Said("steps/member and landmark", "for a round", TIMED)] = 1.4e-3
-    label: Annotated[float, Said("steps/label^2", "for a round", TIMED)] = 1.2e-2
-    repair: Annotated[float, Said("steps", "for a repair", TIMED)] = 200.0
-    repair_need: Annotated[float, Said("steps/need", "for a repair", TIMED)] = 0.15
-    repairs: Annotated[float, Said("share", "of the work that repairs get", LIBRARIES)] = 0.4
-    first_repairs: Annotated[int, Said("repairs", "at first", LIBRARIES)] = 300
-    torn: Annotated[int, Said("members", "torn out of a plan at a time", LIBRARIES)] = 3
-    noise: Annotated[float, Said("", "standard deviation of the logarithm of a price", LIBRARIES)] = 0.3
-    in_vain: Annotated[int, Said("repairs", "in vain before a new plan is torn", LIBRARIES)] = 150
-    missed: Annotated[float, Said("labels", "by which a landmark is hit too little", LIBRARIES)] = 1e-3
-    need_noise: Annotated[float, Said("labels", "on needs that are taken again", LIBRARIES)] = 1.0
-    goals: Annotated[int, Said("facts", "for which cuts are made", LIBRARIES)] = 8
-    nested: Annotated[int, Said("cuts", "one behind the other", LIBRARIES)] = 6
-    followed: Annotated[int, Said("rounds", "in which the support of facts is followed", LIBRARIES)] = 60
+    work: float = said(5.0, "steps/label^1.5", "Closing may take this much work.", LIBRARIES)
+    rounds: int = said(
+        25, "linear programs", "At most this many are solved before the network is restricted.", LIBRARIES
+    )
+    fewest_rounds: int = said(3, "linear programs", "At least this many are, with however many labels.", LIBRARIES)
+    round_labels: int = said(
+        50_000, "labels", "The rounds before a restriction have this many labels in all.", LIBRARIES
+    )
+    pace: float = said(0.04, "share of the gap", "Closing goes on if `rounds` rounds close this much.", LIBRARIES)
+    far: float = said(
+        0.3, "share of the cost", "With a larger gap the solver has little hope: closing goes on.", LIBRARIES
+    )
+    patience: int = said(100, "times", "Closing may take this much more work if the gap is that large.", LIBRARIES)
+    again: int = said(40, "landmarks", "A round takes at most this many from those charged greedily before.", LIBRARIES)
+    many: int = said(3000, "labels", "From here on a linear program takes long: its rounds get more cuts.", LIBRARIES)
+    times: int = said(4, "times", "A round then chooses needs this often, each time for other cuts.", LIBRARIES)
+    entries: int = said(3, "entries/link", "The first linear program has about this many.", TIMED)
+    inward: float = said(0.5, "share", "Cuts are looked for this far from the fractions to an inner point.", LIBRARIES)
+    trust: float = said(0.8, "share", "Repairs reckon labels cheaper by this part of their fraction.", LIBRARIES)
+    need: float = said(16.0, "steps/need", "The work for a round: for each need.", TIMED)
+    member: float = said(1.4e-3, "steps/member and landmark", "The work for a round: for each pair of these.", TIMED)
+    label: float = said(1.2e-2, "steps/label^2", "The work for a round: for each pair of labels.", TIMED)
+    repair: float = said(200.0, "steps", "The work for a repair: a fixed part.", TIMED)
+    repair_need: float = said(0.15, "steps/need", "The work for a repair: for each need.", TIMED)
+    repairs: float = said(0.4, "share", "Repairs get this part of the work that rounds take.", LIBRARIES)
+    first_repairs: int = said(300, "repairs", "At most this many follow the first linear program.", LIBRARIES)
+    torn: int = said(3, "members", "A repair tears out at most this many.", LIBRARIES)
+    noise: float = said(0.3, "", "The standard deviation of the logarithm of a price in a repair.", LIBRARIES)
+    in_vain: int = said(150, "repairs", "After this many in vain a new plan is begun.", LIBRARIES)
+    missed: float = said(1e-3, "labels", "A landmark is a cut if fractions hit it by this much too little.", LIBRARIES)
+    need_noise: float = said(1.0, "labels", "The noise on support where needs are chosen again.", LIBRARIES)
+    goals: int = said(8, "facts", "Each choice of needs gives cuts for this many wanted facts.", LIBRARIES)
+    nested: int = said(6, "cuts", "Each wanted fact gives at most this many, one behind the other.", LIBRARIES)
+    followed: int = said(60, "rounds", "The support of facts is followed this far.", LIBRARIES)
 
 
 @dataclass(frozen=True)
 class Solve:
     """The solver."""
 
-    small: Annotated[int, Said("booleans", "of a model that probing takes longer for than it saves", LIBRARIES)] = 1000
-    tiny: Annotated[int, Said("booleans", "of one that a second presolving does", LIBRARIES)] = 400
+    small: int = said(1000, "booleans", "Below this size of a model, probing takes longer than it saves.", LIBRARIES)
+    tiny: int = said(400, "booleans", "Below this size, a second presolving takes longer than it saves.", LIBRARIES)
 
 
 @dataclass(frozen=True)
 class Fleets:
     """Fleets: quality, hosts, conflicts, numbers, spares."""
 
-    round: Annotated[float, Said("the engine's s", "for the first round for quality", FLEETS)] = 2.0
-    growth: Annotated[float, Said("times", "as long is each next round", FLEETS)] = 4.0
-    many: Annotated[int, Said("kinds of unit", "of bounded quality, of which few are first", FLEETS)] = 400
-    sizes: Annotated[tuple[int, ...], Said("kinds of unit", "looked among, of twice as many", FLEETS)] = (
-        50,
-        100,
-        200,
+    round: float = said(2.0, "the engine's s", "The first round of the solver takes so long, for quality.", FLEETS)
+    growth: float = said(4.0, "times", "Each next round takes this much longer.", FLEETS)
+    many: int = said(400, "labels", "From here on, bounded quality is first looked for among few.", FLEETS)
+    sizes: tuple[int, ...] = said(
+        (50, 100, 200), "labels", "These many are the few, of at least twice as many.", FLEETS
     )
-    look: Annotated[float, Said("the engine's s", "for each of these looks", FLEETS)] = 0.5
-    small: Annotated[int, Said("booleans", "of a fleet's model that probing takes too long for", FLEETS)] = 20_000
+    look: float = said(0.5, "the engine's s", "Each look among few takes so long.", FLEETS)
+    small: int = said(20_000, "booleans", "Below this size of a fleet's model, probing takes too long.", FLEETS)
 
 
 @dataclass(frozen=True)
 class Quality:
     """Quality of streams: first plans and linear cuts."""
 
-    badness_steps: Annotated[int, Said("steps of badness", "from the best to the worst", FLEETS)] = 48
-    reach: Annotated[int, Said("times the best badness", "up to which steps go without a bound", FLEETS)] = 3
-    attempts: Annotated[int, Said("members", "of a plan that are tried to be done without", FLEETS)] = 40
-    rounds: Annotated[int, Said("linear programs", "for cuts", FLEETS)] = 40
-    guesses: Annotated[int, Said("potentials", "for each target in a round", FLEETS)] = 4
-    enough: Annotated[float, Said("share", "by which a cut is violated that is good enough", FLEETS)] = 0.02
-    passes: Annotated[int, Said("times", "potentials are made to follow from each other", FLEETS)] = 4
-    least: Annotated[float, Said("share", "by which a cut is violated at least", FLEETS)] = 1e-3
-    wait: Annotated[int, Said("rounds", "that must raise the bound", FLEETS)] = 4
-    rise: Annotated[float, Said("share", "by which they must", FLEETS)] = 5e-4
-    largest: Annotated[int, Said("coefficients", "of the largest linear program", FLEETS)] = 300_000
-    gains: Annotated[int, Said("units", "in a row that amplify", FLEETS)] = 12
-    few: Annotated[float, Said("share", "of an input in deciding that counts for nothing", FLEETS)] = 0.03
-    lifts: Annotated[int, Said("times", "potentials are raised for nothing", FLEETS)] = 6
+    badness_steps: int = said(48, "steps of badness", "First plans tell this many apart.", FLEETS)
+    reach: int = said(3, "times", "Without a bound these steps end at this multiple of the best badness.", FLEETS)
+    attempts: int = said(40, "members", "This many members of such a plan are tried to be left out.", FLEETS)
+    rounds: int = said(40, "linear programs", "At most this many are solved for cuts.", FLEETS)
+    guesses: int = said(4, "potentials", "Each round tries this many for each target.", FLEETS)
+    enough: float = said(0.02, "share", "A cut violated by this much is good enough: no other is tried.", FLEETS)
+    passes: int = said(4, "times", "Potentials are made to follow from each other this often.", FLEETS)
+    least: float = said(1e-3, "share", "A cut is violated by this much at least.", FLEETS)
+    wait: int = said(4, "rounds", "Cuts go on if so many rounds raise the bound by `rise`.", FLEETS)
+    rise: float = said(5e-4, "share", "The rise of the bound with which cuts go on.", FLEETS)
+    largest: int = said(300_000, "coefficients", "A larger linear program is not built.", FLEETS)
+    gains: int = said(12, "units", "Potentials count this many amplifying units in a row.", FLEETS)
+    few: float = said(0.03, "share", "An input that decides less than this counts for nothing.", FLEETS)
+    lifts: int = said(6, "times", "Potentials are raised this often where that costs nothing.", FLEETS)
 
 
 @dataclass(frozen=True)
@@ -165,7 +182,7 @@ class Tuning:
     solve: Solve = Solve()
     fleet: Fleets = Fleets()
     quality: Quality = Quality()
-    seconds_per_step: Annotated[float, Said("s/step", "where work is set against a time limit", TIMED)] = 1e-6
+    seconds_per_step: float = said(1e-6, "s/step", "Work counts so long where it is set against a time limit.", TIMED)
     is_solver_only: bool = False
 
     @classmethod
@@ -187,10 +204,9 @@ USUAL = Tuning()
 
 def _rows(value: object, before: str) -> Iterator[tuple[str, object, Said]]:
     assert is_dataclass(value)
-    hints = get_type_hints(type(value), include_extras=True)
-    for field in fields(value):
-        mine = getattr(value, field.name)
+    for one in fields(value):
+        mine = getattr(value, one.name)
         if is_dataclass(mine):
-            yield from _rows(mine, f"{before}{field.name}.")
-        for said in getattr(hints[field.name], "__metadata__", ()):
-            yield f"{before}{field.name}", mine, said
+            yield from _rows(mine, f"{before}{one.name}.")
+        elif "said" in one.metadata:
+            yield f"{before}{one.name}", mine, one.metadata["said"]
