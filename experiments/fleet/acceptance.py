@@ -1,0 +1,545 @@
+"""What a fleet of three computers has to stand: swaps, cut and overloaded links, agents and units that are killed.
+
+python experiments/fleet/acceptance.py [--case NAME ...] [--short]
+
+The computers are network namespaces (`network.py`) whose agents have certificates; the manager runs on `base`. Each
+case prints what was seen, and its limit. The exit code is 1 if one does not hold (with --short: limits of time, which
+a busy computer misses, do not count), 77 where there are no namespaces.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from network import Network, NotAllowedError
+
+if TYPE_CHECKING:
+    from cfgplan_runtime import Subscription
+
+HOSTS = ("base", "r1", "r2")
+UNITS = Path(__file__).parents[1] / "runtime"
+RATE_HZ = 200
+PATIENCE_S = 30.0
+SKIPPED = 77
+
+_AGENT = """
+import sys, time
+from cfgplan_runtime.fleet import links
+from cfgplan_runtime.processes.nursery import die_with_parent
+links.LEASE_S = float(sys.argv.pop(1))
+die_with_parent(int(sys.argv.pop(1)))
+ahead_ns, real = int(sys.argv.pop(1)), time.time_ns
+time.time_ns = lambda: real() + ahead_ns
+from cfgplan.cli import main
+sys.exit(main())
+"""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a case came to: figures as text, whether they are right, and whether they keep the limits of time."""
+
+    text: str
+    is_right: bool
+    is_in_time: bool = True
+
+
+class Fleet:
+    """Agents on all hosts of a network, as commands; `secrets` has their certificates. A context manager."""
+
+    def __init__(self, network: Network, secrets: Path, *, lease_s: float = 2.0) -> None:
+        from cfgplan_runtime.fleet import links
+
+        links.LEASE_S = lease_s
+        self.network = network
+        self.lease_s = lease_s
+        self._secrets = secrets
+        self.endpoints = {host: f"tls/{network.address[host]}:7447" for host in HOSTS}
+        self.agents: dict[str, subprocess.Popen[str]] = {}
+        for host in HOSTS:
+            self.start_agent(host)
+
+    def start_agent(self, host: str, *, ahead_ns: int = 0) -> None:
+        """Start a host's agent, with its clock ahead; it reaches all others by itself."""
+        others = [f"--connect={endpoint}" for other, endpoint in self.endpoints.items() if other != host]
+        listen = f"--listen={self.endpoints[host]}"
+        command = [
+            sys.executable,
+            "-c",
+            _AGENT,
+            str(self.lease_s),
+            str(os.getpid()),
+            str(ahead_ns),
+            "agent",
+            f"--name={host}",
+            listen,
+            *others,
+        ]
+        base = self._secrets / f"runs-{host}"
+        base.mkdir(exist_ok=True)
+        self.agents[host] = self.network.start(
+            host,
+            [*command, f"--certificates={self._secrets / host}", f"--folder={UNITS}"],
+            env={**os.environ, "XDG_RUNTIME_DIR": str(base)},
+            stderr=subprocess.DEVNULL,
+        )
+
+    def restart(self, host: str | None = None, *, ahead_ns: int = 0) -> None:
+        """Start a host's agent anew, by default all that have ended."""
+        for name in HOSTS if host is None else (host,):
+            if host is not None:
+                self.kill_agent(name)
+            if self.agents[name].poll() is not None:
+                self.start_agent(name, ahead_ns=ahead_ns)
+
+    def kill_agent(self, host: str) -> None:
+        """Kill an agent as a crash does."""
+        agent = self.agents[host]
+        agent.kill()
+        agent.wait()
+
+    @contextlib.contextmanager
+    def runtime(self, *, is_empty: bool = False) -> Iterator[Any]:
+        """A runtime of this fleet that knows the library, the targets and the hosts, or nothing yet."""
+        from cfgplan_runtime.fleet import fleet_runtime
+
+        from cfgplan.domain import ChangeSet, Host
+
+        endpoints = tuple(self.endpoints.values())
+        reached = fleet_runtime.Fleet(endpoints, self._secrets / "manager", takes_over=True)
+        with fleet_runtime.fleet_runtime(reached, HOSTS, UNITS) as runtime:
+            eventually(lambda: not runtime.supervisor.lost_hosts)
+            hosts = tuple(Host(name) for name in HOSTS)
+            if not is_empty:
+                runtime.apply(ChangeSet(added_transformations=library(), added_targets=targets(), added_hosts=hosts))
+            yield runtime
+
+    def __enter__(self) -> Fleet:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for agent in self.agents.values():
+            agent.terminate()
+        for agent in self.agents.values():
+            try:
+                agent.wait(PATIENCE_S)
+            except subprocess.TimeoutExpired:
+                agent.kill()
+                agent.wait()
+
+
+def library() -> tuple[Any, ...]:
+    """Numbers at 200 Hz, images of 460 kB at 40 Hz, and a unit that gives on what it gets."""
+    from cfgplan.domain import InputPort, OutputPort, RunOptions, Transformation
+
+    def source(label: str, rate_hz: float) -> Transformation:
+        run = RunOptions(rate_hz=rate_hz)
+        return Transformation(label, outputs=(OutputPort("n", "N"),), source=f"measured_units.py:{label}", run=run)
+
+    ports = (InputPort("x", "N"),), (OutputPort("n", "Y"),)
+    return (
+        source("count", RATE_HZ),
+        source("images", 40),
+        Transformation("same", *ports, source="measured_units.py:same"),
+    )
+
+
+def targets() -> tuple[Any, ...]:
+    """Two topics at the base."""
+    from cfgplan.domain import Target
+
+    return Target("result", "Y", "/result", host="base"), Target("images", "Y", "/images", host="base")
+
+
+def unit(name: str, host: str, *, x: str | None = None, topic: str | None = None) -> Any:
+    """A unit `transformation.N` of a host."""
+    from cfgplan.domain import ComputationUnit, Publication, Stream, Subscription
+
+    feeds = () if x is None else (Subscription("x", Stream.parse(x)),)
+    published = () if topic is None else (Publication("n", topic),)
+    return ComputationUnit(name, name.partition(".")[0], feeds, published, host)
+
+
+class Listener:
+    """Collects what comes on a topic, and when, until the run ends."""
+
+    def __init__(self, run: str, topic: str = "/result") -> None:
+        from cfgplan_runtime import subscribe
+
+        self.values: list[Any] = []
+        self.times_ns: list[int] = []
+        self.at_s: list[float] = []
+        subscription = subscribe(topic, run=run, wait_s=PATIENCE_S)
+        threading.Thread(target=self._collect, args=(subscription,), daemon=True).start()
+
+    def _collect(self, subscription: Subscription) -> None:
+        for received in subscription:
+            self.values.append(received.value if isinstance(received.value, int) else int(received.value.flat[0]))
+            self.times_ns.append(received.time_ns)
+            self.at_s.append(time.monotonic())
+
+    def await_more(self, more: int = 20) -> None:
+        """Wait for so many more elements."""
+        wanted = len(self.values) + more
+        eventually(lambda: len(self.values) >= wanted)
+
+    def wrong(self) -> int:
+        """How many elements were lost, came again or out of order."""
+        values = list(self.values)
+        return sum(1 if after <= before else after - before - 1 for before, after in pairwise(values))
+
+    def silence_s(self, since_s: float = 0.0) -> float:
+        """The longest time between two elements since then."""
+        times = [since_s, *(at_s for at_s in list(self.at_s) if at_s > since_s)] if since_s else list(self.at_s)
+        return max((after - before for before, after in pairwise(times)), default=float("inf"))
+
+
+def eventually(is_so: Callable[[], bool], patience_s: float = PATIENCE_S) -> float:
+    """Wait until something is so; returns how long that took. Raises TimeoutError."""
+    start = time.monotonic()
+    while not is_so():
+        if time.monotonic() > start + patience_s:
+            raise TimeoutError("it never came to be")
+        time.sleep(0.002)
+    return time.monotonic() - start
+
+
+def events(runtime: Any, kind: str) -> list[Any]:
+    """The events of a kind that a runtime has told so far."""
+    return [event for event in list(runtime.events.queue) if type(event).__name__ == kind]
+
+
+@contextlib.contextmanager
+def stream(fleet: Fleet, *hosts: str) -> Iterator[tuple[Any, Listener]]:
+    """Numbers from the first host, through the second, to a topic at the base."""
+    from cfgplan.domain import ChangeSet
+
+    with fleet.runtime() as runtime:
+        units = unit("count.1", hosts[0]), unit("same.1", hosts[1], x="count.1/n", topic="/result")
+        runtime.apply(ChangeSet(started=units))
+        listener = Listener(runtime.id)
+        listener.await_more()
+        yield runtime, listener
+
+
+def swaps(fleet: Fleet, short: bool) -> Seen:
+    """200 swaps across hosts at 200 Hz: nothing lost, repeated, out of order; median under 60 ms."""
+    from cfgplan.domain import ChangeSet
+
+    number, took_s = 12 if short else 200, []
+    with stream(fleet, "r1", "r2") as (runtime, listener):
+        for index in range(2, number + 2):
+            new = unit(f"same.{index}", HOSTS[index % 3], x="count.1/n", topic="/result")
+            start = time.monotonic()
+            runtime.apply(ChangeSet(started=(new,), stopped=(f"same.{index - 1}",)))
+            took_s.append(time.monotonic() - start)
+        listener.await_more()
+    median_s = statistics.median(took_s)
+    text = f"{number} swaps, {len(listener.values)} elements, {listener.wrong()} wrong, median {ms(median_s)}"
+    text += f", longest silence {ms(listener.silence_s())}"
+    return Seen(text, listener.wrong() == 0, median_s < 0.06)
+
+
+def cut(fleet: Fleet, short: bool) -> Seen:
+    """Link cut for 0.3 s and 1 s (lease 2 s): nothing lost, no host taken for lost."""
+    texts, holds = [], True
+    for span_s in (0.3,) if short else (0.3, 1.0):
+        with stream(fleet, "r1", "r2") as (runtime, listener):
+            before = len(listener.values)
+            fleet.network.cut("r2")
+            time.sleep(span_s)
+            fleet.network.mend("r2")
+            listener.await_more(round(RATE_HZ * (span_s + 1)))
+            lost = events(runtime, "HostLost")
+            silence_s = max(b - a for a, b in pairwise(listener.at_s[before - 1 :]))
+            texts.append(f"{span_s} s: {listener.wrong()} wrong, {len(lost)} hosts lost, silence {ms(silence_s)}")
+            holds = holds and listener.wrong() == 0 and not lost
+    return Seen("; ".join(texts), holds)
+
+
+def swap_in_cut(fleet: Fleet, short: bool) -> Seen:
+    """A swap that begins as the old host is cut for 1 s: nothing lost, repeated, out of order."""
+    from cfgplan.domain import ChangeSet
+
+    span_s = 0.3 if short else 1.0
+    with stream(fleet, "r1", "r2") as (runtime, listener):
+        fleet.network.cut("r2")
+        threading.Timer(span_s, fleet.network.mend, ["r2"]).start()
+        start = time.monotonic()
+        new = unit("same.2", "base", x="count.1/n", topic="/result")
+        runtime.apply(ChangeSet(started=(new,), stopped=("same.1",)))
+        took_s = time.monotonic() - start
+        listener.await_more()
+    return Seen(f"{listener.wrong()} wrong, took {ms(took_s)}", listener.wrong() == 0)
+
+
+def old_term(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
+    """The order of an old term is refused."""
+    from cfgplan_runtime.errors import RuntimeFaultError
+
+    from cfgplan.domain import ChangeSet
+
+    with fleet.runtime() as old, fleet.runtime() as new:
+        refused = ""
+        try:
+            old.apply(ChangeSet(started=(unit("count.1", "r1"),)))
+        except RuntimeFaultError as error:
+            refused = str(error)
+        new.apply(ChangeSet(started=(unit("count.2", "r1"),)))
+        causes = sorted({event.cause for event in events(old, "HostLost")})
+        ran = [one.unit for one in new.observe()]
+    return Seen(f"{refused}; r1: {', '.join(causes)}", bool(refused) and causes != [] and ran == ["count.2"])
+
+
+def returning(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
+    """A host returns: what it still ran is gone within 1 s."""
+    with stream(fleet, "r2", "r1") as (runtime, _):
+        eventually(lambda: runtime.pid("count.1") is not None)
+        process = Path(f"/proc/{runtime.pid('count.1')}")
+        fleet.network.cut("r2")
+        noticed_s = eventually(lambda: bool(events(runtime, "HostLost")))
+        ran_on = process.exists()
+        fleet.network.mend("r2")
+        gone_s = eventually(lambda: not process.exists())
+        back_s = gone_s + eventually(lambda: bool(events(runtime, "HostJoined")))
+    text = f"lost after {ms(noticed_s)}; stale unit gone {ms(gone_s)} after the link was there again, host {ms(back_s)}"
+    return Seen(text, ran_on, gone_s < 1.0)
+
+
+@contextlib.contextmanager
+def managed(fleet: Fleet) -> Iterator[tuple[Any, Listener, Any]]:
+    """A manager of what gives numbers at the base, on r1 or r2, and the unit that runs on one of these."""
+    from dataclasses import replace
+
+    from cfgplan_runtime import Manager
+
+    import cfgplan
+    from cfgplan.domain import Environment, Host
+
+    numbers, _, same = library()
+    placed = replace(numbers, hosts=("base",)), replace(same, hosts=("r1", "r2"))
+    environment = Environment(library=placed, targets=targets()[:1], hosts=tuple(Host(name) for name in HOSTS))
+    with (
+        fleet.runtime(is_empty=True) as runtime,
+        Manager(cfgplan.world(environment, horizon_s=600), runtime) as manager,
+    ):
+        manager.settle()
+        listener = Listener(runtime.id)
+        listener.await_more(RATE_HZ)
+        yield runtime, listener, next(one for one in runtime.environment.units if one.transformation == "same")
+
+
+def agent_killed(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
+    """An agent is killed: the manager has its unit on another host, silence under 100 ms."""
+    with managed(fleet) as (runtime, listener, moving):
+        start = time.monotonic()
+        fleet.kill_agent(moving.host)
+        return after(runtime, listener, start, 0.1)
+
+
+def unit_killed(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
+    """A unit on another host is killed: silence under 60 ms."""
+    with managed(fleet) as (runtime, listener, moving):
+        eventually(lambda: runtime.pid(moving.id) is not None)
+        start = time.monotonic()
+        os.kill(runtime.pid(moving.id), 9)
+        return after(runtime, listener, start, 0.06)
+
+
+def cut_for_good(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
+    """A link is cut for good (lease 1 s): silence under 1.5 s."""
+    with managed(fleet) as (runtime, listener, moving):
+        start = time.monotonic()
+        fleet.network.cut(moving.host)
+        try:
+            return after(runtime, listener, start, 1.5)
+        finally:
+            fleet.network.mend(moving.host)
+
+
+def after(runtime: Any, listener: Listener, start_s: float, limit_s: float) -> Seen:
+    """What came of a failure at a moment, once results come again."""
+    known = len(listener.values)
+    eventually(lambda: listener.at_s[-1] > start_s + 0.02 and len(listener.values) > known + RATE_HZ)
+    silence_s, repeated = listener.silence_s(start_s), sum(b <= a for a, b in pairwise(list(listener.values)))
+    lost = [f"{event.host}: {event.cause}" for event in events(runtime, "HostLost")]
+    text = f"silence {ms(silence_s)}, {listener.wrong()} lost, {repeated} repeated; {', '.join(lost) or 'no host lost'}"
+    return Seen(text, not repeated, silence_s < limit_s)
+
+
+def overload(fleet: Fleet, short: bool) -> Seen:
+    """147 Mbit/s of images over a link of 80: drops are counted, no other stream of the host is silent for 100 ms."""
+    from cfgplan.domain import ChangeSet
+
+    span_s = 6.0 if short else 15.0
+    with stream(fleet, "r1", "base") as (runtime, listener):
+        runtime.apply(
+            ChangeSet(started=(unit("images.1", "r1"), unit("same.2", "base", x="images.1/n", topic="/images")))
+        )
+        images = Listener(runtime.id, "/images")
+        images.await_more(40 if short else 200)
+        undisturbed_s = listener.silence_s(images.at_s[0])
+        fleet.network.limit("r1", 80)
+        start, seen_before, wrong_before = time.monotonic(), len(images.values), images_lost(images.values)
+        time.sleep(span_s)
+        silence_s = listener.silence_s(start)
+        came, lost = len(images.values) - seen_before, images_lost(images.values) - wrong_before
+        eventually(lambda: dropped_by(runtime, "same.2") > 0, 5.0)
+        counted = dropped_by(runtime, "same.2")
+        fleet.network.unlimit("r1")
+    text = f"{came} images came, {lost} did not, {counted} told as dropped; "
+    text += f"numbers: {listener.wrong()} wrong, longest silence {ms(silence_s)} ({ms(undisturbed_s)} before)"
+    return Seen(text, lost > 0 and counted > 0 and not events(runtime, "HostLost"), silence_s < 0.1)
+
+
+def clocks(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
+    """A source moves between hosts whose clocks are 0.5 s ahead and behind: silence under 50 ms."""
+    from cfgplan.domain import ChangeSet
+
+    fleet.restart("r1", ahead_ns=500_000_000)
+    fleet.restart("r2", ahead_ns=-500_000_000)
+    silences = []
+    with stream(fleet, "r1", "base") as (runtime, listener):
+        for number, host in ((2, "r2"), (3, "r1")):
+            listener.await_more(RATE_HZ // 2)
+            start = time.monotonic()
+            same = unit("same.1", "base", x=f"count.{number}/n", topic="/result")
+            new = unit(f"count.{number}", host)
+            runtime.apply(ChangeSet(started=(new,), rewired=(same,), stopped=(f"count.{number - 1}",)))
+            listener.await_more(RATE_HZ // 2)
+            silences.append(listener.silence_s(start))
+        is_ordered = all(before < after for before, after in pairwise(list(listener.times_ns)))
+    fleet.restart("r1")
+    fleet.restart("r2")
+    text = f"silence {ms(silences[0])} and {ms(silences[1])}, {'in' if is_ordered else 'out of'} order"
+    return Seen(text, is_ordered, max(silences) < 0.05)
+
+
+def source_in_cut(fleet: Fleet, short: bool) -> Seen:
+    """A source is swapped in a cut of 2.5 s (lease 4 s): its last elements arrive, or are counted as lost."""
+    from cfgplan.domain import ChangeSet
+
+    span_s = 1.0 if short else 2.5
+    with stream(fleet, "r1", "base") as (runtime, listener):
+        fleet.network.cut("r1")
+        threading.Timer(span_s, fleet.network.mend, ["r1"]).start()
+        time.sleep(span_s / 2)
+        same = unit("same.1", "base", x="count.2/n", topic="/result")
+        runtime.apply(ChangeSet(started=(unit("count.2", "r2"),), rewired=(same,), stopped=("count.1",)))
+        eventually(lambda: any(after < before for before, after in pairwise(list(listener.values))))
+        listener.await_more()
+        values, times_ns = list(listener.values), list(listener.times_ns)
+        counted = dropped_by(runtime, "same.1")
+    # The second source begins anew with 0: what is lost between the two is seen by the times alone.
+    seam = next(index for index, (before, after) in enumerate(pairwise(values)) if after < before)
+    lost = listener.wrong() - 1 + round((times_ns[seam + 1] - times_ns[seam]) / 1e9 * RATE_HZ) - 1
+    return Seen(f"{lost} lost, {counted} counted", lost <= counted + 3)
+
+
+def load(fleet: Fleet, short: bool) -> Seen:
+    """5 minutes in which other processes want all cores: no host is taken for lost."""
+    span_s = 2.0 if short else 300.0
+    burn = [sys.executable, "-c", "while True: pass"]
+    with contextlib.ExitStack() as stack, stream(fleet, "r1", "r2") as (runtime, listener):
+        for _ in range(2 * (os.cpu_count() or 1)):
+            stack.callback(stack.enter_context(subprocess.Popen(burn)).kill)
+        time.sleep(span_s)
+        lost = events(runtime, "HostLost")
+        text = f"{span_s:.0f} s, {len(lost)} hosts lost, {listener.wrong()} of {len(listener.values)} elements wrong"
+        return Seen(f"{text}, longest silence {ms(listener.silence_s())}", not lost and listener.wrong() == 0)
+
+
+def images_lost(values: Sequence[int]) -> int:
+    """How many images are missing, by their numbers modulo 256."""
+    return sum((after - before) % 256 - 1 for before, after in pairwise(list(values)))
+
+
+def dropped_by(runtime: Any, name: str) -> int:
+    """The elements that were dropped on their way to a unit."""
+    return sum(one.dropped for one in runtime.observe() if one.unit == name)
+
+
+def ms(seconds: float) -> str:
+    return f"{1000 * seconds:.0f} ms"
+
+
+CASES: dict[str, tuple[Callable[[Fleet, bool], Seen], float]] = {
+    "swaps": (swaps, 2.0),
+    "cut": (cut, 2.0),
+    "swap in a cut": (swap_in_cut, 2.0),
+    "old term": (old_term, 2.0),
+    "unit killed": (unit_killed, 2.0),
+    "overload": (overload, 2.0),
+    "agent killed": (agent_killed, 2.0),
+    "clocks": (clocks, 2.0),
+    "load": (load, 2.0),
+    "host returns": (returning, 1.0),
+    "cut for good": (cut_for_good, 1.0),
+    "source swapped in a cut": (source_in_cut, 4.0),
+}
+"""Each case, and the lease it is played with."""
+
+
+def played(network: Network, names: Sequence[str], short: bool) -> bool:
+    """Play cases on a network, from within it. Returns whether all hold."""
+    from cfgplan_runtime.fleet.certificates import make
+
+    from cfgplan.errors import CfgplanError
+
+    all_hold = True
+    with tempfile.TemporaryDirectory(prefix="fleet") as folder, contextlib.ExitStack() as stack:
+        os.environ["XDG_RUNTIME_DIR"] = folder
+        secrets = Path(folder) / "secrets"
+        make(secrets, {host: [network.address[host]] for host in HOSTS}, days=1)
+        fleet: Fleet | None = None
+        for name in names:
+            case, lease_s = CASES[name]
+            if fleet is None or fleet.lease_s != lease_s:
+                stack.close()
+                fleet = stack.enter_context(Fleet(network, secrets, lease_s=lease_s))
+            try:
+                seen = case(fleet, short)
+            except (TimeoutError, CfgplanError) as error:
+                seen = Seen(str(error), is_right=False)
+            word = "FAILS" if not seen.is_right else "holds" if seen.is_in_time else "late "
+            all_hold = all_hold and seen.is_right and (short or seen.is_in_time)
+            print(f"{word}  {name}: {seen.text}", flush=True)
+            fleet.restart()
+    return all_hold
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--case", action="append", choices=CASES, help="this one only (several: once for each)")
+    parser.add_argument("--short", action="store_true", help="few swaps, short cuts")
+    parser.add_argument("--within", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.within is not None:
+        from cfgplan_runtime.processes.nursery import die_with_parent
+
+        die_with_parent(os.getppid())
+        return int(not played(Network.joined(options.within), options.case or list(CASES), options.short))
+    try:
+        network = Network(HOSTS)
+    except NotAllowedError as error:
+        print(f"no network namespaces: {error}")
+        return SKIPPED
+    with network:
+        return network.start("base", [sys.executable, *sys.argv, f"--within={network.token}"]).wait()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

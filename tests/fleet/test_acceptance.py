@@ -1,0 +1,22 @@
+"""What a fleet on three computers has to stand, in short; `experiments/fleet/acceptance.py` plays it at length."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import acceptance
+import pytest
+
+CASES = ("swaps", "cut", "swap in a cut", "old term", "unit killed", "agent killed", "clocks", "cut for good")
+
+
+def test_a_fleet_on_three_computers_stands_cuts_swaps_and_deaths(tmp_path: Path) -> None:
+    named = [f"--case={case}" for case in CASES]
+    command = [sys.executable, acceptance.__file__, "--short", *named]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
+    if done.returncode == acceptance.SKIPPED:
+        pytest.skip(done.stdout.strip())
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert len(done.stdout.splitlines()) == len(CASES)
