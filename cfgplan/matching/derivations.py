@@ -14,26 +14,20 @@ from cfgplan.matching.saturation import DerivedFact, Reason, Saturation
 from cfgplan.matching.translation import Inclusion, translate
 
 _OFFERED: Final = Named("tag:offered")
-_DEMANDED: Final = Named("tag:demanded")
 _OFFER: Final = "the offer"
 
 
 def derivation(offered: Concept, demanded: Concept, ontology: Ontology) -> tuple[str, ...] | None:
     """The steps that show offered ⊑ demanded, each with its axiom; None if the fast engine doesn't find any."""
-    parts, exact = disjuncts(demanded)
-    if not exact or not is_left_hand(demanded):
+    if not is_left_hand(demanded):
         return None
     steps: dict[str, None] = {}
     for part in disjuncts(offered)[0]:
         translation = translate(ontology.trees)
-        if isinstance(part, Nominal):
-            start: Concept = part
-        else:
-            start = _OFFERED
-            translation.inclusions.append(Inclusion(start, part, ""))
-        translation.inclusions.extend(Inclusion(demand, _DEMANDED, "") for demand in parts)
+        if not isinstance(part, Nominal):
+            translation.inclusions.append(Inclusion(_OFFERED, part, ""))
         trace = _Trace(Rules(translation), ontology)
-        shown = trace.steps(start, _DEMANDED)
+        shown = trace.steps(part if isinstance(part, Nominal) else _OFFERED, demanded)
         if shown is None:
             return None
         steps.update(dict.fromkeys(shown))
@@ -56,7 +50,9 @@ class _Trace:
     def steps(self, start: Concept, goal: Concept) -> tuple[str, ...] | None:
         """The steps from a concept to one that subsumes it; None if none are found."""
         context = self._saturation.context((self._rules.atom(start),))
-        for atom in (self._rules.atom(goal), BOTTOM_ATOM):
+        wanted = self._rules.recognise(goal)
+        self._saturation.learn()
+        for atom in (wanted, BOTTOM_ATOM):
             if atom in context.atoms:
                 return self._told((context, atom))
         return None

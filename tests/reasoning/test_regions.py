@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from cfgplan_runtime.reasoning.conditions import RCC8
 from cfgplan_runtime.reasoning.regions import NotARegionError, Region, point_from, rcc8, region_from
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 Box = tuple[int, int, int, int]
@@ -39,6 +39,7 @@ def relation_of_boxes(one: Box, other: Box) -> str:
     return "po"
 
 
+@settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])  # beside load shapely's import takes long
 @given(boxes, boxes)
 def test_the_relation_of_two_boxes_is_what_their_sides_say(one: Box, other: Box) -> None:
     found = rcc8(region(one), region(other))
