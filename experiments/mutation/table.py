@@ -161,7 +161,7 @@ MODEL = _room(
     (
         "what is met on a host is met on all",
         "model.py",
-        "return demand, host if is_carried else None",
+        "return demand, host if self.is_carried(demand) else None",
         "return demand, None",
     ),
     ("a pinned unit stops", "rules.py", "if model.candidates.is_pinned(i):", "if False:"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.exact.fleet import plan_fleet
 from cfgplan.planners.exact.model import ModelRule
 from cfgplan.planners.exact.rules import RULES
 from cfgplan.planners.exact.search import Search
@@ -30,3 +31,10 @@ def plan_apart(problem: Problem) -> Plan:
     search = search_alone(problem, is_apart=True)
     search.run()
     return search.standing.plan()
+
+
+def plan_as_fleet(problem: Problem) -> Plan:
+    """The optimal update by the stages of fleets, even if nothing is asked beyond the paper."""
+    standing = Standing(problem, Clock(), None)
+    plan_fleet(Candidates(problem), standing, ())
+    return standing.plan()

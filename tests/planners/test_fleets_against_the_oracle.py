@@ -9,7 +9,7 @@ import os
 from dataclasses import replace
 
 import pytest
-from alone import plan_alone, plan_apart
+from alone import plan_alone, plan_apart, plan_as_fleet
 from fleets import fleets, reordered
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
@@ -17,7 +17,7 @@ from worlds import oracle_of, problems
 
 from cfgplan.errors import InputError
 from cfgplan.planners import PLANNERS
-from cfgplan.planners.exact import fleet
+from cfgplan.planners.exact.session import PlannerSession
 from cfgplan.planners.tuning import USUAL, Tuning
 from cfgplan.planning import Notion, Plan, Problem, Status
 from cfgplan.qualities import Better, Wish
@@ -54,7 +54,7 @@ def agree(problem: Problem) -> None:
 def agree_with_the_explicit_model(problem: Problem, tuning: Tuning = USUAL) -> None:
     """The planner and the model in which every possible subscription has a boolean."""
     assume(not unmet_reasons(problem))
-    fast = fleet.plan(problem, tuning=tuning)
+    fast = PlannerSession(tuning).plan(problem)
     assert plan_violations(problem, fast) == []
     assert quality(fast) == quality(plan_apart(problem))
     assert fast.status not in (Status.FEASIBLE, Status.UNKNOWN)
@@ -134,7 +134,7 @@ def test_all_notions_together_equal_the_oracle(problem: Problem) -> None:
 @some
 @given(problems(most=4, special=False))
 def test_the_oracle_and_the_planner_for_fleets_agree_on_what_the_paper_asks(problem: Problem) -> None:
-    plans = [PLANNERS["exhaustive"](problem), fleet.plan(problem)]
+    plans = [PLANNERS["exhaustive"](problem), plan_as_fleet(problem)]
     assert len({quality(plan) for plan in plans}) == 1
 
 

@@ -14,9 +14,9 @@ from hypothesis import assume, given, settings
 from test_fleets_against_the_oracle import EXAMPLES, agree_with_the_explicit_model, some
 
 from cfgplan.domain import Environment, Host, InputPort, OutputPort, Similarity, Target, Transformation
-from cfgplan.planners.exact import fleet
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.kernels import left_by_bounds
+from cfgplan.planners.exact.session import PlannerSession
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import Fleets, Tuning
@@ -49,7 +49,7 @@ def test_with_hosts_forgotten_no_plan_costs_less_than_the_bound(problem: Problem
     assume(not unmet_reasons(problem))
     standing = Standing(problem, Clock(), None)
     left_by_bounds(Candidates(problem), standing)
-    found = fleet.plan(problem, tuning=IN_PARTS)
+    found = PlannerSession(IN_PARTS).plan(problem)
     assume(found.status is Status.OPTIMAL)
     assert found.cost_us is not None
     assert standing.bound_us <= found.cost_us
@@ -69,7 +69,7 @@ def test_a_dearer_unit_on_the_target_s_host_beats_a_cheap_one_and_a_transfer() -
         (), library, (Target("t", "b", "/t", host="h1"),), (Host("h0"), Host("h1")), transfer_us=20
     )
     problem = Problem(environment, Similarity({"a": frozenset("a"), "b": frozenset("b")}), 1)
-    found = fleet.plan(problem, tuning=IN_PARTS)
+    found = PlannerSession(IN_PARTS).plan(problem)
     assert found.status is Status.OPTIMAL
     assert found.cost_us == 30
     assert found.change_set is not None
@@ -108,7 +108,7 @@ def test_a_unit_runs_on_the_faster_host_unless_its_streams_cost_more_to_carry(
     library = (kind("t", gives="B", labor_us=90, output=output),)
     hosts = (Host("far", speed=3_000_000), Host("near"))
     problem = world((Target("B", "B", "/B", host="near"),), *library, hosts=hosts, transfer_us=transfer_us)
-    found = fleet.plan(problem, tuning=tuning)
+    found = PlannerSession(tuning).plan(problem)
     assert found.change_set is not None
     assert [unit.host for unit in found.change_set.started] == [place]
     assert (found.status, found.cost_us) == (Status.OPTIMAL, cost_us)
@@ -123,7 +123,7 @@ def test_a_spare_waits_where_that_is_cheapest(tuning: Tuning) -> None:
     )
     hosts = (Host("a", speed=500_000), Host("b", speed=3_000_000), Host("c"))
     problem = replace(world((Target("B", "B", "/B"),), *library, hosts=hosts), survive=Failures.UNITS)
-    found = fleet.plan(problem, tuning=tuning)
+    found = PlannerSession(tuning).plan(problem)
     assert found.change_set is not None
     assert {(unit.transformation, unit.host) for unit in found.change_set.started} == {("runs", "a"), ("waits", "b")}
     assert (found.status, found.cost_us) == (Status.OPTIMAL, 2 + 4)

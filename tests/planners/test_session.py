@@ -250,6 +250,16 @@ def test_a_session_plans_a_fleet_again_when_transformations_of_its_last_plan_hav
     assert not plan_violations(replace(whole, environment=replace(whole.environment, library=left)), again)
 
 
+def test_a_session_notices_that_a_unit_is_asked_for_that_no_target_needs() -> None:
+    source, idle = (Transformation(label, (), (OutputPort("o", tag),), labor_us=1) for label, tag in ("sA", "tB"))
+    environment = Environment((), (source, idle), (Target("q", "A", "/q"),))
+    problem = Problem(environment, Similarity({"A": frozenset("A")}), 1)
+    session = PlannerSession()
+    assert session.plan(problem).cost_us == 1
+    asking = replace(environment, library=(source, replace(idle, min_instances=1)))
+    assert session.plan(replace(problem, environment=asking)).cost_us == 2
+
+
 def fleet_model(stage: str) -> Problem:
     asked = api.load(Path(__file__).parents[2] / "models" / "fleet" / f"{stage}.yaml")
     return api.problem(asked, api.match(asked).similarity)

@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from cfgplan.domain import ComputationUnit, InputPort, Publication, Stream, Subscription, Target
 from cfgplan.planners.exact.candidates import Candidates, HostName
-from cfgplan.planners.exact.model import Model
 from cfgplan.planners.exact.survivors import can_do_without
 from cfgplan.planners.exact.wiring import published_stream
 from cfgplan.planning import Notion, Problem, fresh_units
+
+if TYPE_CHECKING:
+    from cfgplan.planners.exact.model import Model  # the solver takes long to import
 
 MAY_RUN_FOR_NOBODY = {Notion.SURVIVAL, Notion.INSTANCES}
 

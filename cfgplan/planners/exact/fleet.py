@@ -6,56 +6,22 @@ and leave out what is too dear; the solver proves the rest in the one model.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Collection, Iterable
 from math import inf
-from threading import Event
 
 from cfgplan.planners.exact.best_case import least_of_all, leave_out_what_is_too_bad
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.first_plans import FirstPlans
 from cfgplan.planners.exact.quality_chains import ChainCut
 from cfgplan.planners.exact.quality_start import QualityStart
-from cfgplan.planners.exact.running import offer_what_runs
 from cfgplan.planners.exact.standing import Standing
-from cfgplan.planners.solving.clock import Clock
-from cfgplan.planners.tuning import USUAL, Tuning
-from cfgplan.planning import Notion, Plan, Problem, Progress
-from cfgplan.reasons import unmet_reasons
-
-__all__ = ["plan"]
+from cfgplan.planning import Notion
 
 
-def plan(
-    problem: Problem,
-    last: Collection[str] = (),
-    *,
-    time_limit_s: float | None = None,
-    report: Callable[[Progress], None] | None = None,
-    stop: Event | None = None,
-    tuning: Tuning = USUAL,
-) -> Plan:
-    """The optimal update, see `planning.Planner`; `stop` ends it early with the best plan so far, as Ctrl-C does.
-
-    `last` are the transformations of the last plan: a first plan is made of them if possible.
-    """
-    clock = Clock(time_limit_s, stop, tuning)
-    standing = Standing(problem, clock, report)
-    clock.run(lambda: _bring_forward(standing, last), standing.plan)
-    clock.end("search")
-    return standing.plan()
-
-
-def _bring_forward(standing: Standing, last: Collection[str]) -> None:
-    """Go through the stages, from what runs to a proof."""
+def plan_fleet(candidates: Candidates, standing: Standing, last: Collection[str]) -> None:
+    """Bring a plan forward from first plans to a proof. A first plan is made of the transformations in `last`."""
     problem, clock = standing.problem, standing.clock
-    if not clock.tuning.is_solver_only:
-        offer_what_runs(standing)
-    candidates = Candidates(problem, clock=clock)
-    if reasons := unmet_reasons(problem, possible=candidates.possible):
-        standing.is_infeasible, standing.reasons = True, reasons
-        clock.end("closure")
-        return
-    standing.counts = {"candidates": len(candidates.all), "conflicts": 0}
+    standing.counts |= {"candidates": len(candidates.all), "conflicts": 0}
     standing.fewest_unused = sum(not candidates.of(label) for label in problem.environment.required)
     if clock.tuning.is_solver_only:
         _solve(candidates, standing)

@@ -19,6 +19,8 @@ from cfgplan.planning import Problem
 def offer_what_runs(standing: Standing) -> None:
     """Offer what runs, less what nothing needs, if that is valid."""
     problem = standing.problem
+    if standing.clock.tuning.is_solver_only:
+        return
     environment, library = problem.environment, running_library(problem.environment)
     if any(t.min_instances and t not in library for t in environment.library):
         return

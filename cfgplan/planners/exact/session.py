@@ -55,6 +55,7 @@ class _Course:
         self.is_new = True
         """Whether nothing is known of this structure yet."""
         self.has_ended = False
+        self.is_fleet = not self.problem.is_plain or self.clock.tuning.is_solver_only
 
     def take(self, prepared: Prepared) -> None:
         """Go on with what preprocessing found, and bring the standing forward by it."""
@@ -94,23 +95,13 @@ class PlannerSession:
         """The optimal update. Stopped by the clock, by `stop` or by Ctrl-C it is the best one so far."""
         if problem.similarity.open:
             return Deciding(partial(self.plan, stop=stop))(problem, time_limit_s=time_limit_s, report=report)
-        if problem.notions or self._tuning.is_solver_only:
-            from cfgplan.planners.exact import fleet
-
-            found = fleet.plan(
-                problem, self._last, time_limit_s=time_limit_s, report=report, stop=stop, tuning=self._tuning
-            )
-            if found.change_set is not None:
-                running = problem.environment.update(found.change_set).units
-                self._last = frozenset(unit.transformation for unit in running if not unit.standby)
-            return found
         clock = Clock(time_limit_s, stop, self._tuning)
         standing = Standing(problem, clock, report)
         clock.run(lambda: self._bring_forward(standing), standing.plan)
         clock.end("search")
         self._remember(standing)
         found, structure = standing.plan(), self._structure
-        is_at_rest = found.status is Status.OPTIMAL and not found.change_set
+        is_at_rest = problem.is_plain and found.status is Status.OPTIMAL and not found.change_set
         if is_at_rest and structure is not None and not structure.has_required and not clock.is_over():
             clock.run(lambda: self._settle(problem, structure, clock), lambda: found)
         return found
@@ -121,6 +112,7 @@ class PlannerSession:
         self._offer_what_runs(course)
         stages = (
             self._close,
+            self._plan_fleet,
             self._use_all_required,
             self._decide_all,
             self._raise_bound,
@@ -133,8 +125,11 @@ class PlannerSession:
                 stage(course)
 
     def _offer_what_runs(self, course: _Course) -> None:
-        units = what_runs(course.problem)
-        if units is not None:
+        if course.is_fleet:
+            from cfgplan.planners.exact.running import offer_what_runs
+
+            offer_what_runs(course.standing)
+        elif (units := what_runs(course.problem)) is not None:
             course.standing.offer(units)
 
     def _close(self, course: _Course) -> None:
@@ -161,6 +156,15 @@ class PlannerSession:
         self._aside = structure, self._last, self._rest
         if aside is not None and aside[0].similarity == similarity:
             self._structure, self._last, self._rest = aside
+
+    def _plan_fleet(self, course: _Course) -> None:
+        """Plan what asks for more than the paper in stages of its own."""
+        if course.is_fleet:
+            from cfgplan.planners.exact.fleet import plan_fleet
+
+            course.has_ended = True
+            candidates = Candidates(course.problem, course.structure.closure, clock=course.clock)
+            plan_fleet(candidates, course.standing, self._last)
 
     def _use_all_required(self, course: _Course) -> None:
         """Try to use all required transformations; only if that is impossible, see how many can be used."""
@@ -215,7 +219,7 @@ class PlannerSession:
 
     def _remember(self, standing: Standing) -> None:
         if standing.best is not None:
-            self._last = frozenset(unit.transformation for unit in standing.best.units)
+            self._last = frozenset(unit.transformation for unit in standing.best.units if not unit.standby)
 
     def _prepare(self, standing: Standing, structure: Structure, *, is_first: bool) -> Preparation:
         """A plan and a bound, and the labels that reduced costs leave between them.

@@ -140,4 +140,4 @@ def _alike(one: Environment, other: Environment) -> bool:
 
 def _ports(transformation: Transformation) -> tuple[object, ...]:
     t = transformation
-    return t.label, t.inputs, t.outputs, t.pinned, t.required
+    return t.label, t.inputs, t.outputs, t.pinned, t.required, t.min_instances
