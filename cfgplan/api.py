@@ -385,22 +385,14 @@ class _OntologyVocabulary:
         self._ontology = ontology
 
     def instances(self, class_name: str) -> tuple[str, ...]:
-        from cfgplan.formats import BadClassError
-        from cfgplan.matching import TagError, UnknownNameError, instances
+        from cfgplan.matching import instances
 
-        try:
-            return instances(self._ontology, class_name, time_limit_s=MEMBERSHIP_LIMIT_S)
-        except (TagError, UnknownNameError) as error:
-            raise BadClassError(error.message, error.mend) from None
+        return instances(self._ontology, class_name, time_limit_s=MEMBERSHIP_LIMIT_S)
 
     def check_tag(self, text: str) -> None:
-        from cfgplan.formats import BadTagError
-        from cfgplan.matching import TagError, check_tag
+        from cfgplan.matching import check_tag
 
-        try:
-            check_tag(text, self._ontology)
-        except TagError as error:
-            raise BadTagError(error.message, error.column, error.mend) from None
+        check_tag(text, self._ontology)
 
 
 def _as_ontology(ontology: object) -> Ontology:

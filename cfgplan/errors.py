@@ -17,6 +17,27 @@ class InvalidValueError(CfgplanError, ValueError):
     """A domain value that can't exist, such as an environment with two units of one id."""
 
 
+class MatchingError(CfgplanError):
+    """Something that can't be matched or looked up: what is wrong, and what to do about it."""
+
+    def __init__(self, message: str, mend: str | None = None) -> None:
+        self.message = message
+        self.mend = mend
+        super().__init__(f"{message} ({mend})" if mend else message)
+
+
+class TagError(MatchingError):
+    """A tag that can't be read; `column` counts its characters from 1."""
+
+    def __init__(self, message: str, column: int, mend: str | None = None) -> None:
+        super().__init__(message, mend)
+        self.column = column
+
+
+class UnknownNameError(MatchingError):
+    """A name that the ontology doesn't know, or knows as something else."""
+
+
 @dataclass(frozen=True, slots=True)
 class Fault:
     """One mistake in the user's input.

@@ -7,13 +7,11 @@ from cfgplan.formats.environment_file import EnvironmentFile
 from cfgplan.formats.fields import environment_schema
 from cfgplan.formats.places import Place
 from cfgplan.formats.plan_file import dump_plan, load_plan, plain_plan, plan_schema
-from cfgplan.formats.tags import BadClassError, BadTagError, TagVocabulary
+from cfgplan.formats.tags import TagVocabulary
 from cfgplan.formats.wsc import read_wsc, wsc_texts
 from cfgplan.formats.xml_dump import dump_xml
 
 __all__ = [
-    "BadClassError",
-    "BadTagError",
     "Document",
     "EnvironmentFile",
     "Place",

@@ -7,7 +7,7 @@ from math import prod
 from typing import Any
 
 from cfgplan.domain import CPU, MEMORY, START_MODES, InputPort, OutputPort, RunOptions, Transformation
-from cfgplan.errors import did_you_mean
+from cfgplan.errors import MatchingError, TagError, UnknownNameError, did_you_mean
 from cfgplan.formats.fields import (
     DEFAULT_LABOR_US,
     DEFAULT_UPKEEP_US,
@@ -19,7 +19,7 @@ from cfgplan.formats.fields import (
 from cfgplan.formats.fleet import FleetReader
 from cfgplan.formats.left_out import LeftOut
 from cfgplan.formats.places import Passage
-from cfgplan.formats.tags import BadClassError, TagChecker, TagVocabulary
+from cfgplan.formats.tags import TagChecker, TagVocabulary
 from cfgplan.formats.templates import (
     MOST_EXPANSIONS,
     BadTemplateError,
@@ -56,7 +56,7 @@ class Expander:
         self._tags = tags
         self._fleet = fleet
         self._left_out = left_out
-        self._instances: dict[str, tuple[str, ...] | BadClassError] = {}
+        self._instances: dict[str, tuple[str, ...] | MatchingError] = {}
 
     def expand(self, entry: Passage, part: TransformationPart) -> Iterator[Transformation]:
         """The transformations that one written transformation stands for; none if it has faults."""
@@ -85,7 +85,7 @@ class Expander:
         instances: dict[Variable, tuple[str, ...]] = {}
         for variable, (place, column) in found.items():
             individuals = self._individuals(variable[0])
-            if isinstance(individuals, BadClassError):
+            if isinstance(individuals, MatchingError):
                 place.note(individuals.message, individuals.mend, text_column=column)
             else:
                 instances[variable] = individuals
@@ -98,14 +98,14 @@ class Expander:
             return None
         return instances
 
-    def _individuals(self, class_name: str) -> tuple[str, ...] | BadClassError:
+    def _individuals(self, class_name: str) -> tuple[str, ...] | MatchingError:
         if class_name not in self._instances:
             try:
                 names = self._vocabulary.instances(class_name)
-            except BadClassError as error:
+            except (TagError, UnknownNameError) as error:
                 self._instances[class_name] = error
             else:
-                empty = BadClassError(
+                empty = UnknownNameError(
                     f"the class {class_name} has no individuals", "assert one in an ontology that `ontology:` names"
                 )
                 self._instances[class_name] = names or empty

@@ -5,38 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Protocol
 
-from cfgplan.errors import CfgplanError
+from cfgplan.errors import TagError
 from cfgplan.formats.places import Passage, Path
 from cfgplan.formats.templates import Variable, original_column
-
-
-class BadClassError(CfgplanError):
-    """A class that a template can't range over: it is unknown or has no individuals."""
-
-    def __init__(self, message: str, mend: str | None = None) -> None:
-        super().__init__(message)
-        self.message = message
-        self.mend = mend
-
-
-class BadTagError(CfgplanError):
-    """A tag that does not parse or has an unknown name; `column` counts from 1 inside the tag."""
-
-    def __init__(self, message: str, column: int = 1, mend: str | None = None) -> None:
-        super().__init__(message)
-        self.message = message
-        self.column = column
-        self.mend = mend
 
 
 class TagVocabulary(Protocol):
     """An ontology as the formats see it."""
 
     def instances(self, class_name: str) -> tuple[str, ...]:
-        """The names of the individuals of a class, asserted or inferred; raises BadClassError."""
+        """The names of the individuals of a class, asserted or inferred; raises TagError and UnknownNameError."""
 
     def check_tag(self, text: str) -> None:
-        """Return if `text` is a tag over known names; raises BadTagError."""
+        """Return if `text` is a tag over known names; raises TagError."""
 
 
 class TagChecker:
@@ -56,7 +37,7 @@ class TagChecker:
             return
         try:
             self._vocabulary.check_tag(tag)
-        except BadTagError as error:
+        except TagError as error:
             self._reported.add(place)
             column = original_column(template, values, error.column) if template and values else error.column
             message = f"{error.message}, in the expansion {tag!r}" if values else error.message

@@ -7,16 +7,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from cfgplan.errors import MatchingError, TagError, UnknownNameError
+
 if TYPE_CHECKING:
     from cfgplan.matching.explanation import MatchExplanation, Nearest, explain_match, nearest_offers
-    from cfgplan.matching.faults import (
-        InconsistentOntologyError,
-        MatchingError,
-        ReasonerError,
-        ReasonerTimeoutError,
-        TagError,
-        UnknownNameError,
-    )
+    from cfgplan.matching.faults import InconsistentOntologyError, ReasonerError, ReasonerTimeoutError
     from cfgplan.matching.matrix import Matches, check_tag, instances, match
     from cfgplan.matching.ontology import Ontology
     from cfgplan.matching.ontology_files import load_ontology, read_owlready
@@ -48,10 +43,7 @@ __all__ = [
 
 _MODULES = {
     "explanation": ("MatchExplanation", "Nearest", "explain_match", "nearest_offers"),
-    "faults": (
-        *("InconsistentOntologyError", "MatchingError", "ReasonerError", "ReasonerTimeoutError"),
-        *("TagError", "UnknownNameError"),
-    ),
+    "faults": ("InconsistentOntologyError", "ReasonerError", "ReasonerTimeoutError"),
     "ontology_files": ("load_ontology", "read_owlready"),
     "matrix": ("Matches", "check_tag", "instances", "match"),
     "ontology": ("Ontology",),

@@ -1,29 +1,8 @@
-"""The errors of semantic matching that are not about a file."""
+"""The errors of reasoners."""
 
 from __future__ import annotations
 
-from cfgplan.errors import CfgplanError
-
-
-class MatchingError(CfgplanError):
-    """Something that can't be matched or looked up: what is wrong, and what to do about it."""
-
-    def __init__(self, message: str, mend: str | None = None) -> None:
-        self.message = message
-        self.mend = mend
-        super().__init__(f"{message} ({mend})" if mend else message)
-
-
-class TagError(MatchingError):
-    """A tag that can't be read; `column` counts its characters from 1."""
-
-    def __init__(self, message: str, column: int, mend: str | None = None) -> None:
-        super().__init__(message, mend)
-        self.column = column
-
-
-class UnknownNameError(MatchingError):
-    """A name that the ontology doesn't know, or knows as something else."""
+from cfgplan.errors import MatchingError
 
 
 class ReasonerError(MatchingError):

@@ -14,8 +14,9 @@ from typing import TypeVar
 
 from cfgplan.canonical import normal
 from cfgplan.domain import Similarity
+from cfgplan.errors import UnknownNameError
 from cfgplan.matching.cache import key_of, load, store
-from cfgplan.matching.faults import ReasonerTimeoutError, UnknownNameError
+from cfgplan.matching.faults import ReasonerTimeoutError
 from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.session import Matcher, Matching
 from cfgplan.matching.syntax import parse_tag

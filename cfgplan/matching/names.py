@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 
 from cfgplan.canonical import normal
-from cfgplan.matching.faults import UnknownNameError
+from cfgplan.errors import UnknownNameError
 
 _LAST_PART = re.compile(r"[#/:]([^#/:]+)[#/]?$")
 

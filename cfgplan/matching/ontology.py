@@ -11,9 +11,8 @@ from types import MappingProxyType
 from typing import Final
 
 from cfgplan.canonical import normal
-from cfgplan.errors import did_you_mean
+from cfgplan.errors import UnknownNameError, did_you_mean
 from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI, Concept, in_description_logic
-from cfgplan.matching.faults import UnknownNameError
 from cfgplan.matching.functional import Signature, Tree, parse
 from cfgplan.matching.literals import told
 from cfgplan.matching.names import NameTable, expanded, short_name

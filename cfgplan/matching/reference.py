@@ -12,9 +12,8 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Final, Protocol
 
-from cfgplan.errors import did_you_mean
+from cfgplan.errors import UnknownNameError, did_you_mean
 from cfgplan.matching.concepts import NOTHING_IRI, THING_IRI, Concept, in_functional_syntax
-from cfgplan.matching.faults import UnknownNameError
 from cfgplan.matching.functional import Signature
 from cfgplan.matching.ontology import Ontology
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping
 
-from cfgplan.errors import Fault
+from cfgplan.errors import Fault, TagError
 from cfgplan.matching.concepts import Concept
-from cfgplan.matching.faults import TagError
 from cfgplan.matching.ontology import Ontology
 from cfgplan.matching.syntax import parse_tag
 

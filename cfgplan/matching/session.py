@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from cfgplan.domain import Similarity
-from cfgplan.errors import Fault, InputError
+from cfgplan.errors import Fault, InputError, MatchingError
 from cfgplan.matching.concepts import TOP, Concept
 from cfgplan.matching.countermodels import Countermodels
 from cfgplan.matching.derivations import contradiction
 from cfgplan.matching.engine import FastEngine, MatchedRows, roles_in
-from cfgplan.matching.faults import InconsistentOntologyError, MatchingError
+from cfgplan.matching.faults import InconsistentOntologyError
 from cfgplan.matching.functional import parse
 from cfgplan.matching.losses import Losses
 from cfgplan.matching.ontology import Ontology

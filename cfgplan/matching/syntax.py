@@ -12,7 +12,7 @@ import re
 from typing import Final
 from unicodedata import category
 
-from cfgplan.errors import did_you_mean
+from cfgplan.errors import TagError, UnknownNameError, did_you_mean
 from cfgplan.matching.concepts import (
     BOTTOM,
     TOP,
@@ -28,7 +28,6 @@ from cfgplan.matching.concepts import (
     negation,
     some,
 )
-from cfgplan.matching.faults import TagError, UnknownNameError
 from cfgplan.matching.ontology import Ontology
 
 DEEPEST_CONCEPT: Final = 100

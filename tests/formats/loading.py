@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cfgplan.errors import Fault, InputError
-from cfgplan.formats import BadClassError, BadTagError, EnvironmentFile, build, read_document
+from cfgplan.errors import Fault, InputError, TagError, UnknownNameError
+from cfgplan.formats import EnvironmentFile, build, read_document
 
 CLASSES = {"NAO": ("piff", "puff"), "Room": ("r1", "r2", "r3"), "Nothing": (), "Café": ("x",)}
 
@@ -15,12 +15,12 @@ class SmallVocabulary:
 
     def instances(self, class_name: str) -> tuple[str, ...]:
         if class_name not in CLASSES:
-            raise BadClassError(f"no class {class_name}", "did you mean `NAO`?")
+            raise UnknownNameError(f"no class {class_name}", "did you mean `NAO`?")
         return CLASSES[class_name]
 
     def check_tag(self, text: str) -> None:
         if "Bad" in text:
-            raise BadTagError("unknown name Bad", text.index("Bad") + 1, "did you mean `Bed`?")
+            raise TagError("unknown name Bad", text.index("Bad") + 1, "did you mean `Bed`?")
 
 
 def load(path: Path) -> EnvironmentFile:
