@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from cfgplan.planning import Plan, Planner, Problem
 
 _LIVE_LOOK_S = 0.1
+_HOSTS_S = 5.0
+"""Seconds until a fleet's backend, which has waited for its hosts, must have told of each."""
 _ESTIMATORS = ("declared", "latest", "average", "trend", "holt")
 _GUESSES = ("declared", "optimistic", "pessimistic")
 _RUN_EXAMPLE = """\
@@ -223,6 +225,7 @@ def _settings(options: argparse.Namespace) -> Settings:
             time_limit_s=options.timeout or Policy().time_limit_s,
             match_limit_s=options.reasoner_timeout,
             reasoner=options.reasoner,
+            hosts_s=None if _fleet(options) is None else _HOSTS_S,
             refuses_hosts=_fleet(options) is None,
             back_off=BackOffRules(alone_s=options.back_off),
         ),

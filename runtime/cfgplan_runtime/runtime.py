@@ -15,7 +15,7 @@ from cfgplan.domain import ChangeSet, Environment, Target, Transformation
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.supervision.applying import Patience
 from cfgplan_runtime.supervision.backend import Backend
-from cfgplan_runtime.supervision.events import SIGNS, Applied, Event, HostLost
+from cfgplan_runtime.supervision.events import SIGNS, Applied, Event
 from cfgplan_runtime.supervision.observation import Observation
 from cfgplan_runtime.supervision.run_log import RunLog
 from cfgplan_runtime.supervision.simulated_backend import Behaviour, SimulatedBackend
@@ -182,18 +182,15 @@ class Runtime:
     def listen(self, listener: Callable[[Event], None]) -> None:
         """Have every event told, signs of life too, in order, from the supervisor's thread; it returns at once.
 
-        It is told first which hosts are lost by now.
+        First it is told the last of each host that the backend has told of: whether it is there.
         """
 
         def begin() -> None:
-            for host in sorted(self.supervisor.lost_hosts):
-                listener(HostLost(host, "it is not there"))
+            for last in self.supervisor.hosts.values():
+                listener(last)
             self._listeners = (*self._listeners, listener)
 
-        if self.supervisor.lost_hosts:
-            self._executor.call(begin)
-        else:
-            self._listeners = (*self._listeners, listener)
+        self._executor.call(begin)
 
     def abandon(self) -> None:
         """Give up the update under way if it still waits for new units: it is undone. For any thread."""

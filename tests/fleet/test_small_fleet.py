@@ -131,10 +131,11 @@ def test_a_host_that_returns_is_cleared_and_used_again() -> None:
         runtime.apply(ChangeSet(started=(COUNT, WORK)))
         Listener(runtime).await_more(10)
         agent = fleet.agents.processes["r2"]
+        joined = len(seen(runtime, HostJoined))
         agent.send_signal(signal.SIGSTOP)
         eventually(lambda: bool(seen(runtime, HostLost)))
         agent.send_signal(signal.SIGCONT)
-        eventually(lambda: bool(seen(runtime, HostJoined)))
+        eventually(lambda: len(seen(runtime, HostJoined)) > joined)
         assert fleet.units() == ["count.1"], "its stale unit is gone"
         listener = Listener(runtime)
         runtime.apply(ChangeSet(started=(moved(WORK, "work.2", "r2"),)))

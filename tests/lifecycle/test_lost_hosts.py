@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from cfgplan_runtime import Policy
+from cfgplan_runtime import Policy, SimulatedRuntime
 from cfgplan_runtime.lifecycle.changes import KillUnit, LoseHost, RegainHost, ReplaceWorld, ReviewNow
 from cfgplan_runtime.lifecycle.perturbations import HostBack, HostGone, SubscriptionLost, UnitGone
 from cfgplan_runtime.lifecycle.reports import Decision
@@ -151,6 +151,29 @@ def test_the_first_review_waits_until_all_hosts_have_joined() -> None:
     assert life.now < 5.0
     assert life.met == {"result"}
     assert len(life.reviews) == 1
+
+
+def test_a_host_that_is_told_to_be_lost_at_the_start_is_not_waited_for() -> None:
+    runtime = SimulatedRuntime()
+    runtime.backend.join_host("r2")
+    runtime.backend.lose_host("r1")
+    runtime.supervisor.pump(0.01)  # before anybody listens
+    life = Life(world=world(), policy=Policy(hosts_s=5.0), runtime=runtime)
+    life.pass_time(1.0)
+    assert not life.reviews
+    join(life, "base")
+    assert life.now < 2.0
+    assert hosts(life) == {"count.1": "base", "work.1": "r2"}
+
+
+def test_a_host_that_the_file_names_later_is_used_when_it_joins() -> None:
+    life = Life(world=world(hosts=HOSTS[1:]), policy=Policy(hosts_s=5.0))
+    join(life, "r2", "base")
+    life.reviewed(ReplaceWorld(world(worker(hosts=("r1",)), source(host="base")), "file"))
+    assert life.manager.snapshot().lost_hosts == ("r1",)
+    assert not life.met
+    join(life, "r1")
+    assert life.met == {"result"}
 
 
 def test_hosts_that_do_not_come_are_planned_without_and_used_when_they_come() -> None:

@@ -297,10 +297,9 @@ class FleetBackend:
         events: list[Event] = []
         while not joined.issuperset(hosts) and self.now() < end_s:
             for event in self.wait(end_s - self.now()):
+                events.append(event)
                 if isinstance(event, HostJoined):
                     joined.add(event.host)
-                else:
-                    events.append(event)
             if self._rival:
                 mend = "stop the other run first"
                 raise InputError.of(f"another run has host {self._rival!r}", mend=mend)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from cfgplan.errors import Fault, InputError
@@ -10,7 +10,7 @@ from cfgplan_runtime.children.messages import Flow
 from cfgplan_runtime.lifecycle.changes import KillUnit, LoseHost, RegainHost, ReplaceWorld, ReviewNow, Stop
 from cfgplan_runtime.lifecycle.configuration import hosts_of
 from cfgplan_runtime.lifecycle.differing import difference
-from cfgplan_runtime.lifecycle.inbox import Asked
+from cfgplan_runtime.lifecycle.inbox import Asked, Outcome
 from cfgplan_runtime.lifecycle.perturbations import (
     HostBack,
     HostGone,
@@ -176,24 +176,29 @@ def _host_lost(turn: Turn, host: str, cause: str) -> Turn:
         turn = _unnoted(turn, unit).no_more_awaited(unit)
     turn = turn.situated(replace(situation.without(*gone), presence={**situation.presence, host: False}))
     is_ours = host in hosts_of(state.living.world.environment)
-    return turn.perturbed(HostGone(host, cause), outcomes) if is_ours else turn
+    return _told_of_host(turn, HostGone(host, cause), outcomes) if is_ours else turn
 
 
 def _host_joined(turn: Turn, host: str) -> Turn:
-    """A host is there. The first review waits for the last of all hosts, but not for ever."""
+    """A host is there."""
     situation, world = turn.state.situation, turn.state.living.world.environment
     was_lost = host in situation.lost_hosts(world)
     situation = replace(situation, presence={**situation.presence, host: True})
     turn = turn.situated(situation)
-    if not was_lost or situation.is_lost(host):
+    return _told_of_host(turn, HostBack(host)) if was_lost and not situation.is_lost(host) else turn
+
+
+def _told_of_host(turn: Turn, told: HostGone | HostBack, outcomes: Sequence[Outcome] = ()) -> Turn:
+    """A review is due. The first one of all waits until it is known of each host whether it is there."""
+    state = turn.state
+    if outcomes or not any(isinstance(entry.perturbation, Started) for entry in state.entries):
+        return turn.perturbed(told, outcomes)
+    if not state.situation.presence.keys() >= set(hosts_of(state.living.world.environment)):
         return turn
-    waiting = [entry for entry in turn.state.entries if isinstance(entry.perturbation, Started)]
-    if not waiting:
-        return turn.perturbed(HostBack(host))
-    if situation.lost_hosts(world):
-        return turn
-    entries = (entry if entry not in waiting else replace(entry, due_s=turn.at_s) for entry in turn.state.entries)
-    return turn.to(replace(turn.state, entries=tuple(entries)))
+    entries = (
+        replace(entry, due_s=turn.at_s) if isinstance(entry.perturbation, Started) else entry for entry in state.entries
+    )
+    return turn.to(replace(state, entries=tuple(entries)))
 
 
 def _lost(turn: Turn, lost: SubscriptionLost) -> Turn:

@@ -18,8 +18,9 @@ class Policy:
     after `failing_steps` errors over `failing_s` without a good step. Further perturbations make planning begin anew
     at most `interruptions` times. They also abandon an update that waits for new units, which begins again
     `postpone_s` later. A review that failed is repeated after `retry_s`, then twice that, up to `most_retry_s`.
-    With `hosts_s`, hosts are there once they have joined, and at the start all are waited for so long; None: they are
-    there until they are lost. With `refuses_hosts`, a world with hosts is bad: what runs units can't place them.
+    With `hosts_s`, hosts are there once they have joined, and the first review waits so long until it is told of each
+    whether it is there; None: they are there until they are lost. With `refuses_hosts`, a world with hosts is bad:
+    what runs units can't place them.
     """
 
     time_limit_s: float | None = 10.0

@@ -47,7 +47,8 @@ class Middleware(Protocol):
     def listen(self, listener: Callable[[Event], None]) -> None:
         """Call `listener` with every event, in order, from any thread; it returns at once.
 
-        When HostLost is told, what was on that host is gone from `environment`, and no end of a unit there is told.
+        A middleware that knows which hosts are there tells it of each at once, by HostJoined or HostLost. When HostLost
+        is told, what was on that host is gone from `environment`, and no end of a unit there is told.
         """
 
     def stop(self) -> None:

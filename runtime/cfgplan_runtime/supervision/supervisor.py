@@ -76,7 +76,8 @@ class Supervisor:
         self.alive: set[str] = set()
         self.ready: set[str] = set()
         self.topics: dict[str, str | None] = {}
-        self.lost_hosts: set[str] = set()
+        self.hosts: dict[str, HostJoined | HostLost] = {}
+        """The last that was heard of each host; nothing of hosts that the backend does not tell of."""
         self.cause_of_death: dict[str, str] = {}
         self.is_ending = False
         self.is_abandoned = False
@@ -167,6 +168,11 @@ class Supervisor:
         self.wiring.disconnect(inlet)
         self.environment = without_feed(self.environment, inlet)
         self._report(InputLost(unit, port, wire.id))
+
+    @property
+    def lost_hosts(self) -> set[str]:
+        """The hosts of which the backend has last told that they are gone."""
+        return {host for host, last in self.hosts.items() if isinstance(last, HostLost)}
 
     @property
     def feeds(self) -> Mapping[Inlet, Wire]:
@@ -273,9 +279,10 @@ class Supervisor:
             case OutletsOpened():
                 self._restore_outlets()
             case HostLost(host, cause):
+                self.hosts[host] = event
                 self._lose(host, cause)
             case HostJoined(host):
-                self.lost_hosts.discard(host)
+                self.hosts[host] = event
                 for topic in [topic for topic, at in self.topics.items() if at == host]:
                     self.backend.open_outlet(topic, host)
         return True
@@ -298,7 +305,6 @@ class Supervisor:
 
     def _lose(self, host: str, cause: str) -> None:
         """Bury the units on a host that is gone, cold spares too, and end what was led to its topics."""
-        self.lost_hosts.add(host)
         for unit in [unit for unit, record in self._records.items() if record.host == host]:
             self.cause_of_death[unit] = f"was on {host}, which is gone: {cause}"
             self._bury(unit)
