@@ -6,6 +6,7 @@ The best values assume that all that can run runs. A stream that misses every bo
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Mapping
 
 from cfgplan.domain import Stream
 from cfgplan.planners.exact.candidates import Candidate, Candidates
@@ -85,7 +86,7 @@ def best_values(candidates: Candidates, attribute: QualityAttribute) -> dict[Str
 
 
 def _best_values(candidates: Candidates, attribute: QualityAttribute) -> dict[Stream, int]:
-    """Each round allows chains of one more unit; no chain is longer than there are units."""
+    """Each round allows chains of one more unit; no chain is longer than there are units, none feeds itself at once."""
     best: dict[Stream, int] = {}
     at: dict[str, int] = {}
     demands = _demands(candidates)
@@ -99,7 +100,12 @@ def _best_values(candidates: Candidates, attribute: QualityAttribute) -> dict[St
         better: set[str] = set()
         for i in candidates.clock.each(ahead):
             candidate = candidates.all[i]
-            fed = [at[tag] for tag in ordinary[i] if tag in at]
+            own = {tag for port in candidate.transformation.outputs for tag in demands.get(port.tag, ())}
+            known = [
+                _best_of_others(candidates, i, tag, attribute, best) if tag in own else at.get(tag)
+                for tag in ordinary[i]
+            ]
+            fed = [value for value in known if value is not None]
             if len(fed) < len(ordinary[i]) or not candidate.may_run:
                 continue
             for port in candidate.transformation.outputs:
@@ -115,6 +121,14 @@ def _best_values(candidates: Candidates, attribute: QualityAttribute) -> dict[St
         if not ahead:
             break
     return best
+
+
+def _best_of_others(
+    candidates: Candidates, unit: int, tag: str, attribute: QualityAttribute, best: Mapping[Stream, int]
+) -> int | None:
+    """The best value known of a stream that meets a demand and is not the unit's own."""
+    id_, pick = candidates.all[unit].id, min if attribute.better is Better.LOWER else max
+    return pick((best[s] for s in candidates.streams(tag) if s in best and s.unit != id_), default=None)
 
 
 def _demands(candidates: Candidates) -> dict[str, list[str]]:

@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
-from collections.abc import Collection, Iterable, Mapping
+from collections import Counter
+from collections.abc import Collection
 
 from cfgplan.costs import taken
 from cfgplan.domain import Environment, Target, Transformation, amount_of
+from cfgplan.planners.exact.best_case import best_values
+from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planning import Failures, Problem
-from cfgplan.qualities import Better, is_met, propagated, units
+from cfgplan.qualities import Better, is_met, units
 from cfgplan.reasons import Givers, startable
 
 
 def joint_reasons(problem: Problem) -> dict[str, str]:
     """A reason for each target that can't be met by itself; else one for all targets together."""
-    bounded = {w.attribute for target in problem.environment.targets for w in target.quality if w.bound is not None}
-    best = {name: _best_values(problem, name) for name in sorted(bounded)}
+    candidates = Candidates(problem)
     unreachable = {
         target.label: reason
         for target in problem.environment.targets
         for reason in [
-            _missed_bound(problem, target, best) or _missing_room(problem, target) or _fatal_failure(problem, target)
+            _missed_bound(candidates, target) or _missing_room(problem, target) or _fatal_failure(problem, target)
         ]
         if reason
     }
@@ -29,11 +30,11 @@ def joint_reasons(problem: Problem) -> dict[str, str]:
     return unreachable or {target.label: joint for target in problem.environment.targets}
 
 
-def _missed_bound(problem: Problem, target: Target, best: Mapping[str, Mapping[str, int]]) -> str | None:
+def _missed_bound(candidates: Candidates, target: Target) -> str | None:
     for wish in target.quality:
-        attribute = problem.environment.quality[wish.attribute]
-        known = best.get(wish.attribute, {})
-        values = [value for tag, value in known.items() if problem.similarity.holds(tag, target.tag)]
+        attribute = candidates.environment.quality[wish.attribute]
+        best = best_values(candidates, attribute) if wish.bound is not None else {}
+        values = [best[stream] for stream in candidates.streams(target.tag) if stream in best]
         if values and wish.bound is not None and not any(is_met(attribute, wish, value) for value in values):
             is_low = attribute.better is Better.LOWER
             reached = min(values) if is_low else max(values)
@@ -111,56 +112,3 @@ def _fatal_failure(problem: Problem, target: Target) -> str | None:
         if not _has_stream(problem, target, labels):
             return f"target {target.label} would have no stream if {what}"
     return None
-
-
-def _best_values(problem: Problem, name: str) -> dict[str, int]:
-    """For each offered tag a value that no stream with it can beat: rules are monotone, so best feeds best.
-
-    A transformation of which there can be only one unit does not feed itself; longer rings are not excluded.
-    """
-    environment = problem.environment
-    attribute = environment.quality[name]
-    pick = min if attribute.better is Better.LOWER else max
-    number = Counter(unit.transformation for unit in environment.units)
-    number.update({t.label: problem.most_new(t) for t in environment.library})
-    offering: dict[str, list[tuple[str, str]]] = defaultdict(list)
-    needing: dict[str, list[Transformation]] = defaultdict(list)
-    for t in environment.library:
-        for output in t.outputs:
-            offering[output.tag].append((t.label, output.tag))
-        for tag in {port.tag for port in t.inputs if not port.feedback}:
-            for offered in problem.similarity.offers.get(tag, ()):
-                needing[offered].append(t)
-    best: dict[tuple[str, str], int] = {}
-
-    def inputs_of(t: Transformation) -> list[int] | None:
-        """The best value of each input; None if one can't be fed."""
-        found = []
-        for port in t.inputs:
-            if not port.feedback:
-                feeders = [f for tag in problem.similarity.offers.get(port.tag, ()) for f in offering[tag] if f in best]
-                values = [best[feeder] for feeder in feeders if feeder[0] != t.label or number[t.label] > 1]
-                if not values:
-                    return None
-                found.append(pick(values))
-        return found
-
-    ahead: Iterable[Transformation] = environment.library
-    for _ in range(number.total()):
-        better: dict[tuple[str, str], int] = {}
-        for t in ahead:
-            inputs = inputs_of(t)
-            for output in t.outputs if inputs is not None else ():
-                stated = {c.attribute: c for c in output.quality}.get(name)
-                value = propagated(attribute, stated, inputs or [])
-                known = better.get((t.label, output.tag), best.get((t.label, output.tag), value))
-                better[t.label, output.tag] = pick(value, known)
-        changed = {place: value for place, value in better.items() if best.get(place) != value}
-        best.update(changed)
-        ahead = {t.label: t for _, tag in sorted(changed) for t in needing[tag]}.values()
-        if not changed:
-            break
-    found: dict[str, int] = {}
-    for (_, tag), value in best.items():
-        found[tag] = pick(value, found.get(tag, value))
-    return found
