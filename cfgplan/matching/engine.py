@@ -33,8 +33,8 @@ from cfgplan.matching.translation import translate
 
 MOST_DISJUNCTS: Final = 64
 """The most disjuncts of an offered concept that the engine takes; the reference decides those with more."""
-_FEW_OFFERS: Final = 64
-"""The engine starts over once it knows so many offers, and twice as many as there are, that are offered no longer."""
+_FEW_CONCEPTS: Final = 64
+"""An engine keeps so many concepts that are gone, and as many as there are, before another should take its place."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,14 +103,15 @@ class FastEngine:
         newcomers = [self._rules.atom(Nominal(name)) for name in sorted(come)]
         return self._saturation.let_individuals_come(newcomers) and not self.is_inconsistent
 
-    def rows(self, offered: Collection[Concept], demanded: Iterable[Concept]) -> MatchedRows:
+    def is_crowded(self, concepts: int) -> bool:
+        """Whether a new engine should take the place of this one, which knows many more concepts than are left."""
+        return len(self._offers) + len(self._demands) > 2 * concepts + _FEW_CONCEPTS
+
+    def rows(self, offered: Iterable[Concept], demanded: Iterable[Concept]) -> MatchedRows:
         """Match offered concepts with demanded ones. What is known of a concept is not derived again."""
         demands = {concept: self._demand(concept) for concept in demanded}
         concept_of = {atom: concept for concept, atom in demands.items() if atom is not None}
         self._saturation.learn()
-        if len(self._offers) > 2 * len(offered) + _FEW_OFFERS:
-            self._saturation = Saturation(self._rules)
-            self._offers.clear()
         offers = {concept: self._offer(concept) for concept in offered}
         met: dict[Concept, set[Concept]] = {concept: set() for concept in demands}
         wanted = frozenset(concept_of)

@@ -148,11 +148,12 @@ class Matcher:
         return self._current_engine().outside
 
     def _current_engine(self) -> FastEngine:
-        if self._engine is None:
+        if self._engine is None or self._engine.is_crowded(len(self._offered.texts) + len(self._demanded.texts)):
             roles = set().union(*map(roles_in, (*self._offered.texts, *self._demanded.texts)))
-            self._engine = FastEngine(self._ontology.trees, roles, self._ontology.dropped)
-            if self._engine.is_inconsistent:
+            engine = FastEngine(self._ontology.trees, roles, self._ontology.dropped)
+            if engine.is_inconsistent:
                 raise self._input_error(self._contradiction())
+            self._engine = engine
         return self._engine
 
     def _current_rows(self) -> MatchedRows | None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import random
+from typing import Any
 
 import pytest
 from crosscheck import compare
@@ -9,6 +10,7 @@ from small_worlds import NAMESPACE, small_world
 
 from cfgplan.errors import InputError
 from cfgplan.matching import Matcher, Ontology, match, session
+from cfgplan.matching.engine import FastEngine
 
 A_HAS_B = "SubClassOf(<w#A> ObjectSomeValuesFrom(<w#r> <w#B>))"
 HAS_D_IS_C = "SubClassOf(ObjectSomeValuesFrom(<w#r> <w#D>) <w#C>)"
@@ -121,6 +123,14 @@ def test_a_contradicting_ontology_is_an_error_that_names_the_axioms(streams: Ont
         match(["Image"], ["Image"], contradicting)
 
 
+def test_a_contradiction_is_told_as_often_as_is_asked(streams: Ontology) -> None:
+    matcher = Matcher(Ontology([*streams.axioms, "ClassAssertion(<w#Image> <w#cam1>)"]), reasoner="el")
+    matcher.add(offered=["Image"], demanded=["Camera"])
+    for _ in range(2):
+        with pytest.raises(InputError, match="contradicts itself"):
+            matcher.matching()
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_a_matcher_that_lived_on_says_the_same_as_a_fresh_one(seed: int) -> None:
     rng = random.Random(seed)
@@ -162,6 +172,27 @@ def test_texts_that_mean_the_same_and_unions_come_and_go_alike(seed: int, stream
         fresh = match(offered, demanded, streams)
         assert matcher.matching().similarity == fresh.similarity
         assert matcher.matching().warnings == fresh.warnings
+
+
+def test_the_engine_starts_over_where_most_of_what_it_knows_is_gone(
+    streams: Ontology, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[FastEngine] = []
+
+    def counted(*given: Any) -> FastEngine:
+        made.append(FastEngine(*given))
+        return made[-1]
+
+    monkeypatch.setattr(session, "FastEngine", counted)
+    matcher = Matcher(streams)
+    matcher.add(offered=["RawRGB"], demanded=["Image"])
+    for number in range(200):
+        gone = f"{'∃hasSource.' * (number % 50)}{['Camera', 'RawRGB', 'Image', 'Device'][number // 50]}"
+        matcher.add(offered=[gone], demanded=[gone])
+        assert matcher.matching().similarity.offers[gone] >= {gone}
+        matcher.remove(offered=[gone], demanded=[gone])
+    assert matcher.matching().similarity.offers == {"Image": {"RawRGB"}}
+    assert 4 <= len(made) <= 8
 
 
 ROBOT = [
