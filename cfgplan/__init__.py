@@ -9,8 +9,9 @@ after = problem.environment.update(plan.change_set)
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from cfgplan.exports import exports
 
 if TYPE_CHECKING:
     from cfgplan.answers import alternatives as alternatives
@@ -67,29 +68,18 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-_HOMES = {
-    "cfgplan.answers": "alternatives best_effort front sensitivity why why_not",
-    "cfgplan.api": "UntruthfulPlanError World load load_plan match match_ports matches plan plan_violations problem "
-    "solve violations what_if world",
-    "cfgplan.domain": "ChangeSet ComputationUnit Environment Host InputPort OutputPort Publication Similarity Stream "
-    "Subscription Target Transformation",
-    "cfgplan.errors": "CfgplanError Fault InputError InvalidValueError",
-    "cfgplan.drawing": "computation_graph",
-    "cfgplan.planning": "Failures Notion Plan Planner Problem Progress Status",
-    "cfgplan.qualities": "Better Contribution Over QualityAttribute Wish",
-    "cfgplan.validity": "Rule Violation",
-}
-_HOME_OF = {name: home for home, names in _HOMES.items() for name in names.split()}
-
-__all__ = sorted(_HOME_OF)
-
-
-def __getattr__(name: str) -> Any:
-    """Import a name from its room at its first use, so that `import cfgplan` costs next to nothing."""
-    if name not in _HOME_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOME_OF[name]), name)
-
-
-def __dir__() -> list[str]:
-    return [*globals(), *__all__]
+__all__, __getattr__, __dir__ = exports(
+    __name__,
+    {
+        "answers": "alternatives best_effort front sensitivity why why_not",
+        "api": "UntruthfulPlanError World load load_plan match match_ports matches plan plan_violations problem "
+        "solve violations what_if world",
+        "domain": "ChangeSet ComputationUnit Environment Host InputPort OutputPort Publication Similarity Stream "
+        "Subscription Target Transformation",
+        "errors": "CfgplanError Fault InputError InvalidValueError",
+        "drawing": "computation_graph",
+        "planning": "Failures Notion Plan Planner Problem Progress Status",
+        "qualities": "Better Contribution Over QualityAttribute Wish",
+        "validity": "Rule Violation",
+    },
+)

@@ -7,56 +7,39 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from cfgplan.errors import MatchingError, TagError, UnknownNameError
+from cfgplan.errors import MatchingError as MatchingError
+from cfgplan.errors import TagError as TagError
+from cfgplan.errors import UnknownNameError as UnknownNameError
+from cfgplan.exports import exports
 
 if TYPE_CHECKING:
-    from cfgplan.matching.explanation import MatchExplanation, Nearest, explain_match, nearest_offers
-    from cfgplan.matching.faults import InconsistentOntologyError, ReasonerError, ReasonerTimeoutError
-    from cfgplan.matching.matrix import Matches, check_tag, instances, match
-    from cfgplan.matching.ontology import Ontology
-    from cfgplan.matching.ontology_files import load_ontology, read_owlready
-    from cfgplan.matching.reference import REASONERS
-    from cfgplan.matching.session import Matcher, Matching
+    from cfgplan.matching.explanation import MatchExplanation as MatchExplanation
+    from cfgplan.matching.explanation import Nearest as Nearest
+    from cfgplan.matching.explanation import explain_match as explain_match
+    from cfgplan.matching.explanation import nearest_offers as nearest_offers
+    from cfgplan.matching.faults import InconsistentOntologyError as InconsistentOntologyError
+    from cfgplan.matching.faults import ReasonerError as ReasonerError
+    from cfgplan.matching.faults import ReasonerTimeoutError as ReasonerTimeoutError
+    from cfgplan.matching.matrix import Matches as Matches
+    from cfgplan.matching.matrix import check_tag as check_tag
+    from cfgplan.matching.matrix import instances as instances
+    from cfgplan.matching.matrix import match as match
+    from cfgplan.matching.ontology import Ontology as Ontology
+    from cfgplan.matching.ontology_files import load_ontology as load_ontology
+    from cfgplan.matching.ontology_files import read_owlready as read_owlready
+    from cfgplan.matching.reference import REASONERS as REASONERS
+    from cfgplan.matching.session import Matcher as Matcher
+    from cfgplan.matching.session import Matching as Matching
 
-__all__ = [
-    "REASONERS",
-    "InconsistentOntologyError",
-    "MatchExplanation",
-    "Matcher",
-    "Matches",
-    "Matching",
-    "MatchingError",
-    "Nearest",
-    "Ontology",
-    "ReasonerError",
-    "ReasonerTimeoutError",
-    "TagError",
-    "UnknownNameError",
-    "check_tag",
-    "explain_match",
-    "instances",
-    "load_ontology",
-    "match",
-    "nearest_offers",
-    "read_owlready",
-]
-
-_MODULES = {
-    "explanation": ("MatchExplanation", "Nearest", "explain_match", "nearest_offers"),
-    "faults": ("InconsistentOntologyError", "ReasonerError", "ReasonerTimeoutError"),
-    "ontology_files": ("load_ontology", "read_owlready"),
-    "matrix": ("Matches", "check_tag", "instances", "match"),
-    "ontology": ("Ontology",),
-    "reference": ("REASONERS",),
-    "session": ("Matcher", "Matching"),
-}
-_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
-
-
-def __getattr__(name: str) -> object:
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from importlib import import_module
-
-    value = globals()[name] = getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
-    return value
+__all__, __getattr__, __dir__ = exports(
+    __name__,
+    {
+        "explanation": "MatchExplanation Nearest explain_match nearest_offers",
+        "faults": "InconsistentOntologyError ReasonerError ReasonerTimeoutError",
+        "ontology_files": "load_ontology read_owlready",
+        "matrix": "Matches check_tag instances match",
+        "ontology": "Ontology",
+        "reference": "REASONERS",
+        "session": "Matcher Matching",
+    },
+)

@@ -9,8 +9,9 @@ for received in cfgplan_runtime.subscribe("/result"):
 from __future__ import annotations
 
 import sys
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
+
+from cfgplan.exports import exports
 
 if TYPE_CHECKING:
     from cfgplan_runtime.children.unit_code import At as At
@@ -34,34 +35,32 @@ if TYPE_CHECKING:
     from cfgplan_runtime.supervision.supervisor import Supervisor as Supervisor
     from cfgplan_runtime.supervision.wiring import without_unit as without_unit
 
-_HOMES = {
-    "supervision.applying": "Patience",
-    "supervision.events": "Applied InputLost UnitDied",
-    "supervision.observation": "Observation",
-    "supervision.wiring": "without_unit",
-    "errors": "ApplyError NoSuchTopicError RuntimeFaultError StaleChangeSetError",
-    "lifecycle.manager": "Manager",
-    "lifecycle.policy": "Policy",
-    "lifecycle.watching": "watch_file",
-    "runtime": "Runtime SimulatedRuntime",
-    "supervision.simulated_backend": "SimulatedBackend",
-    "streams.subscription": "Received subscribe",
-    "supervision.supervisor": "Supervisor",
-    "children.unit_code": "At",
-}
-_HOME_OF = {name: home for home, names in _HOMES.items() for name in names.split()}
-
-__all__ = sorted(_HOME_OF)
+__all__, _exported, __dir__ = exports(
+    __name__,
+    {
+        "supervision.applying": "Patience",
+        "supervision.events": "Applied InputLost UnitDied",
+        "supervision.observation": "Observation",
+        "supervision.wiring": "without_unit",
+        "errors": "ApplyError NoSuchTopicError RuntimeFaultError StaleChangeSetError",
+        "lifecycle.manager": "Manager",
+        "lifecycle.policy": "Policy",
+        "lifecycle.watching": "watch_file",
+        "runtime": "Runtime SimulatedRuntime",
+        "supervision.simulated_backend": "SimulatedBackend",
+        "streams.subscription": "Received subscribe",
+        "supervision.supervisor": "Supervisor",
+        "children.unit_code": "At",
+    },
+)
 
 
 def __getattr__(name: str) -> Any:
     """Import a name from its module at its first use. Raises UnsupportedPlatformError on Windows."""
-    if name not in _HOME_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     if sys.platform == "win32" and name in ("Runtime", "subscribe"):
         from cfgplan_runtime.errors import UnsupportedPlatformError
 
         raise UnsupportedPlatformError(
             "the runtime needs Linux or macOS: Windows can't hand open sockets to processes this way; use WSL"
         )
-    return getattr(import_module(f"cfgplan_runtime.{_HOME_OF[name]}"), name)
+    return _exported(name)

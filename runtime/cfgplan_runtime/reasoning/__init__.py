@@ -5,8 +5,9 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from cfgplan.exports import exports
 
 if TYPE_CHECKING:
     from cfgplan_runtime.reasoning.conditions import Evaluator as Evaluator
@@ -29,26 +30,19 @@ if TYPE_CHECKING:
     from cfgplan_runtime.reasoning.states import Timing as Timing
     from cfgplan_runtime.reasoning.truth import Verdict as Verdict
 
-_HOMES = {
-    "engine": "Engine",
-    "conditions": "Evaluator",
-    "features": "DeclaredFeatures Feature",
-    "managed": "ManagedSubscriptions RemoteSubscriptions",
-    "monitor": "Monitor",
-    "parser": "parse",
-    "queries": "Answer Query UnmetTargetsError query",
-    "reader": "Vocabulary",
-    "regions": "Region rcc8 region_from",
-    "states": "Synchroniser Timing",
-    "truth": "Verdict",
-}
-_HOME_OF = {name: home for home, names in _HOMES.items() for name in names.split()}
-
-__all__ = sorted(_HOME_OF)
-
-
-def __getattr__(name: str) -> Any:
-    """Import a name from its module at its first use."""
-    if name not in _HOME_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_HOME_OF[name]}"), name)
+__all__, __getattr__, __dir__ = exports(
+    __name__,
+    {
+        "engine": "Engine",
+        "conditions": "Evaluator",
+        "features": "DeclaredFeatures Feature",
+        "managed": "ManagedSubscriptions RemoteSubscriptions",
+        "monitor": "Monitor",
+        "parser": "parse",
+        "queries": "Answer Query UnmetTargetsError query",
+        "reader": "Vocabulary",
+        "regions": "Region rcc8 region_from",
+        "states": "Synchroniser Timing",
+        "truth": "Verdict",
+    },
+)
