@@ -14,7 +14,7 @@ from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Publication, Subscription
+from cfgplan.domain import ChangeSet, ComputationUnit, Environment
 from cfgplan.figures import qualities_of_targets
 from cfgplan.qualities import QualityAttribute
 from cfgplan.qualities import units as units_of
@@ -200,21 +200,15 @@ def _quality_line(attribute: QualityAttribute, value: int) -> str:
 
 
 def _arrows(drawn: Environment, *, before: Environment, after: Environment) -> Iterator[Arrow]:
+    nothing = ComputationUnit("", "")
     for unit in drawn.units:
+        was, becomes = before.unit.get(unit.id, nothing), after.unit.get(unit.id, nothing)
         for subscription in unit.subscriptions:
-            now = _mark(subscription, _subscriptions(before, unit), _subscriptions(after, unit))
-            yield Arrow(subscription.stream.unit, unit.id, subscription.stream.port, subscription.port, now)
+            mark = _mark(subscription, was.subscriptions, becomes.subscriptions)
+            yield Arrow(subscription.stream.unit, unit.id, subscription.stream.port, subscription.port, mark)
         for publication in unit.publications:
-            mark = _mark(publication, _publications(before, unit), _publications(after, unit))
+            mark = _mark(publication, was.publications, becomes.publications)
             yield Arrow(unit.id, _target_key(publication.topic), publication.port, "", mark)
-
-
-def _subscriptions(environment: Environment, unit: ComputationUnit) -> tuple[Subscription, ...]:
-    return environment.unit[unit.id].subscriptions if unit.id in environment.unit else ()
-
-
-def _publications(environment: Environment, unit: ComputationUnit) -> tuple[Publication, ...]:
-    return environment.unit[unit.id].publications if unit.id in environment.unit else ()
 
 
 def _mark(item: object, before: tuple[object, ...], after: tuple[object, ...]) -> Mark:

@@ -1,6 +1,6 @@
 """File formats: environment files in YAML, JSON and the paper's XML, plan files, and importers."""
 
-from cfgplan.formats.building import build
+from cfgplan.formats.assembly import build
 from cfgplan.formats.document import Document, read_declared, read_document
 from cfgplan.formats.dump import as_xml, as_yaml, dump_yaml, plain_environment
 from cfgplan.formats.environment_file import EnvironmentFile
