@@ -85,6 +85,9 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--local", action="store_true", help="run all of the file's hosts on this computer")
     add_links(parser)
+    parser.add_argument(
+        "--take-over", action="store_true", help="take the hosts from a run that goes on elsewhere, with what they run"
+    )
     shared.add_planning(parser, "with --dry-run only; a run is changed by editing the file, or by `cfgplan ctl`")
     shared.add_matching(parser)
     shared.add_json(parser)
@@ -245,7 +248,7 @@ def _fleet(options: argparse.Namespace) -> Fleet | None:
     from cfgplan_runtime.fleet.fleet_runtime import Fleet
 
     certificates = None if options.certificates is None else Path(options.certificates)
-    return Fleet(tuple(options.connect), certificates, options.local)
+    return Fleet(tuple(options.connect), certificates, options.local, options.take_over)
 
 
 def _planner(name: str) -> Planner:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -16,7 +18,8 @@ import psutil
 from cfgplan_runtime import Received, Runtime, subscribe
 from cfgplan_runtime.fleet.fleet_backend import FleetBackend
 from cfgplan_runtime.fleet.local import LocalAgents
-from cfgplan_runtime.streams.run_folder import RunFolder
+from cfgplan_runtime.streams.run_folder import RunFolder, base_folder, remove_dead_runs
+from cfgplan_runtime.streams.subscription import SubscriptionToTopic
 from cfgplan_runtime.supervision.events import Event
 
 from cfgplan.domain import (
@@ -74,6 +77,7 @@ class SmallFleet:
 
     def __init__(self, agents: LocalAgents, run: RunFolder) -> None:
         self.agents = agents
+        self.endpoints = agents.endpoints
         self.run = run
 
     @contextmanager
@@ -83,17 +87,20 @@ class SmallFleet:
         named = tuple(hosts or self.agents.processes)
         run, everywhere = RunFolder(), tuple(Host(name) for name in named)
         try:
-            with Runtime(backend=lambda: self._backend(named, run, wait_s=wait_s)) as runtime:
+            with Runtime(backend=lambda: self._backend(named, run, library, wait_s=wait_s)) as runtime:
                 runtime.apply(ChangeSet(added_transformations=library, added_targets=(RESULT,), added_hosts=everywhere))
                 yield runtime
         finally:
             run.close()
 
     @contextmanager
-    def backend(self, *hosts: str, folder: Path = FOLDER, takes_over: bool = False) -> Iterator[FleetBackend]:
+    def backend(
+        self, *hosts: str, folder: Path = FOLDER, takes_over: bool = False, wait_s: float = PATIENCE_S
+    ) -> Iterator[FleetBackend]:
         run = RunFolder()
         try:
-            backend = self._backend(hosts, run, folder=folder, takes_over=takes_over)
+            backend = self._backend(hosts, run, folder=folder, takes_over=takes_over, wait_s=wait_s)
+            backend.found()
             yield backend
             backend.close()
         finally:
@@ -103,13 +110,40 @@ class SmallFleet:
         self,
         hosts: Sequence[str],
         run: RunFolder,
+        library: Sequence[Transformation] = (),
         *,
         wait_s: float = PATIENCE_S,
         folder: Path = FOLDER,
         takes_over: bool = False,
     ) -> FleetBackend:
-        connect = self.agents.endpoints
-        return FleetBackend(hosts, run, connect=connect, folder=folder, wait_s=wait_s, takes_over=takes_over)
+        return FleetBackend(
+            hosts,
+            run,
+            connect=self.endpoints,
+            folder=folder,
+            library={one.label: one for one in library},
+            wait_s=wait_s,
+            takes_over=takes_over,
+        )
+
+    @contextmanager
+    def other_manager(self) -> Iterator[subprocess.Popen[bytes]]:
+        """Another process that manages the hosts: it runs count.1 on r1 and work.1 on r2, which is published."""
+        command = [sys.executable, str(FOLDER / "other_manager.py"), ",".join(self.agents.processes), *self.endpoints]
+        with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
+            assert process.stdout is not None
+            try:
+                assert process.stdout.readline() == b"applied\n"
+                yield process
+            finally:
+                process.kill()
+        remove_dead_runs(base_folder())
+
+    def outside_listener(self, host: str, topic: str = "/result") -> Listener:
+        """Who listens to a host's topic whatever manager there is."""
+        number = list(self.agents.processes).index(host)
+        (run,) = (self.run.path / str(number)).iterdir()
+        return Listener(SubscriptionToTopic(topic, run, timeout_s=PATIENCE_S))
 
     def units(self) -> list[str]:
         """The units that really run, on all hosts."""
@@ -118,9 +152,10 @@ class SmallFleet:
             if agent.poll() is not None:
                 continue
             for child in psutil.Process(agent.pid).children(recursive=True):
-                words = " ".join(child.cmdline()).split()
-                if len(words) == 3 and words[2] not in ("nursery", "outlets", "relay"):
-                    found.append(words[2])
+                with suppress(psutil.Error):  # it has just ended
+                    words = " ".join(child.cmdline()).split()
+                    if len(words) == 3 and words[2] not in ("nursery", "outlets", "relay"):
+                        found.append(words[2])
         return found
 
 
@@ -137,10 +172,11 @@ def small_fleet(*hosts: str) -> Iterator[SmallFleet]:
 class Listener:
     """Collects what comes on a topic of a run, in a thread, and when."""
 
-    def __init__(self, runtime: Runtime, topic: str = "/result") -> None:
+    def __init__(self, source: Runtime | SubscriptionToTopic, topic: str = "/result") -> None:
         self.received: list[Received] = []
         self.at_s: list[float] = []
-        self.subscription = subscribe(topic, run=runtime.id, wait_s=PATIENCE_S)
+        is_run = isinstance(source, Runtime)
+        self.subscription = subscribe(topic, run=source.id, wait_s=PATIENCE_S) if is_run else source
         self._thread = threading.Thread(target=self._collect, daemon=True)
         self._thread.start()
 

@@ -185,7 +185,7 @@ def test_who_takes_over_is_obeyed_and_the_other_is_refused() -> None:
     with small_fleet("r1") as fleet, fleet.runtime(source(), worker()) as runtime:
         runtime.apply(ChangeSet(started=(COUNT, replace(WORK, host="r1"))))
         with fleet.backend("r1", takes_over=True):
-            assert fleet.units() == []
+            eventually(lambda: fleet.units() == [])
             with pytest.raises(ApplyError):
                 runtime.apply(ChangeSet(started=(unit("count.2", "r1"),)))
             (lost,) = seen(runtime, HostLost)
@@ -214,3 +214,42 @@ def test_a_dead_relay_is_replaced_and_what_it_carried_is_told_as_lost() -> None:
         listener = Listener(runtime)
         runtime.apply(ChangeSet(rewired=(WORK,)))
         listener.await_more(10)
+
+
+def test_what_a_killed_manager_has_left_goes_on_under_the_next_without_a_gap() -> None:
+    with small_fleet("r1", "r2") as fleet:
+        with fleet.other_manager() as first:
+            listener = fleet.outside_listener("r1")
+            listener.await_more(20)
+            first.kill()
+            listener.await_more(20)
+        with fleet.runtime(source(), worker()) as runtime:
+            assert set(runtime.environment.units) == {COUNT, WORK}
+            listener.await_more(20)
+            for number in range(3):
+                old, new = (moved(WORK, f"work.{number + n}", ("r1", "r2")[(number + n) % 2]) for n in (1, 2))
+                runtime.apply(swap(WORK if number == 0 else old, new))
+            listener.await_more(20)
+            assert listener.values == list(range(listener.values[0], listener.values[0] + len(listener.values)))
+            assert sorted(fleet.units()) == ["count.1", "work.4"]
+
+
+def test_units_that_would_be_started_otherwise_now_are_not_adopted() -> None:
+    with small_fleet("r1", "r2") as fleet:
+        with fleet.other_manager():
+            pass
+        with fleet.runtime(source(rate_hz=100), worker()) as runtime:
+            assert {one.id for one in runtime.environment.units} == {"work.1"}
+            assert runtime.environment.unit["work.1"].subscriptions == ()
+            eventually(lambda: fleet.units() == ["work.1"])
+
+
+def test_who_sees_fewer_than_half_of_the_hosts_does_not_take_over() -> None:
+    with small_fleet("r1", "r2", "r3") as fleet, fleet.other_manager():
+        fleet.agents.processes["r2"].kill()
+        fleet.agents.processes["r3"].kill()
+        eventually(lambda: fleet.units() == ["count.1"])
+        taking = fleet.backend("r1", "r2", "r3", takes_over=True, wait_s=1.0)
+        with pytest.raises(InputError, match="1 of 3 hosts"), taking:
+            pass
+        assert fleet.units() == ["count.1"]

@@ -13,6 +13,8 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from urllib.parse import quote
 
+import msgspec
+
 from cfgplan.errors import InputError
 from cfgplan_runtime.children.messages import Export, Import, RelayOrder, Release
 from cfgplan_runtime.fleet.certificates import MANAGER
@@ -21,12 +23,18 @@ from cfgplan_runtime.fleet.orders import (
     HEARD,
     REFUSE,
     SAY,
+    ClockOrder,
     CloseTopicOrder,
     ConnectOrder,
     CutOrder,
     EndWireOrder,
     FromAgent,
     GreetOrder,
+    Held,
+    HeldExport,
+    HeldImport,
+    HeldUnit,
+    HeldWire,
     KillOrder,
     LeaveOrder,
     OpenTopicOrder,
@@ -46,6 +54,7 @@ from cfgplan_runtime.fleet.orders import (
 from cfgplan_runtime.processes.process_backend import RELAY, ProcessBackend
 from cfgplan_runtime.streams.crossing import crossing_key
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
+from cfgplan_runtime.supervision.backend import Inlet
 from cfgplan_runtime.supervision.delays import doubling_s
 from cfgplan_runtime.supervision.events import (
     Event,
@@ -114,9 +123,12 @@ class Agent:
         self._tell_user = say
         self._arrived: deque[tuple[str, bytes, bytes]] = deque()
         self._talk: Talk[Order] | None = None
-        self._units: set[str] = set()
-        self._topics: set[str] = set()
-        self._crossings: set[str] = set()
+        self._units: dict[str, HeldUnit] = {}
+        self._wires: dict[Inlet, HeldWire] = {}
+        self._topics: dict[str, str | None] = {}
+        self._exports: dict[str, HeldExport] = {}
+        self._imports: dict[str, HeldImport] = {}
+        self._ahead_ns: int | None = None
         self._ending: set[str] = set()
         """Units of before the last greeting that have not ended yet: orders wait for that, and nothing is told."""
         self._owes_welcome = False
@@ -190,7 +202,7 @@ class Agent:
         while not self._ending and (self._owes_welcome or self._orders):
             if self._owes_welcome:
                 self._owes_welcome = False
-                self._say(Welcome(str(self._backend.run_folder.path)))
+                self._say(Welcome(str(self._backend.run_folder.path), self._held()))
             else:
                 self._obey(self._orders.popleft())
         now_s = time.monotonic()
@@ -235,9 +247,14 @@ class Agent:
     def _obey(self, order: Order) -> None:
         backend = self._backend
         match order:
-            case GreetOrder() | LeaveOrder():
+            case GreetOrder(adopts):
+                self._owes_welcome = True
+                if not adopts:
+                    self._end_everything()
+            case LeaveOrder():
                 self._end_everything()
-                self._owes_welcome = isinstance(order, GreetOrder)
+            case ClockOrder(ahead_ns):
+                self._ahead_ns = ahead_ns
             case StartOrder():
                 self._start(order)
             case StopOrder(unit):
@@ -245,27 +262,52 @@ class Agent:
             case KillOrder(unit, dump):
                 backend.kill(unit, dump=dump)
             case ConnectOrder(wire, stream, inlet, queue, blocks):
+                self._hold_wire(order)
                 backend.connect(wire, stream, inlet, queue=queue, blocks=blocks)
             case CutOrder(wire, inlet):
+                self._forget_wire(wire)
                 backend.disconnect(wire, inlet)
             case EndWireOrder(wire, stream, inlet):
+                self._forget_wire(wire)
                 backend.end_wire(wire, stream, inlet)
             case SwitchOrder(inlet):
                 backend.switch_now(inlet)
-            case OpenTopicOrder(topic):
-                self._topics.add(topic)
-                backend.open_outlet(topic, None)
+            case OpenTopicOrder(topic, host):
+                if topic not in self._topics:
+                    backend.open_outlet(topic, None)
+                self._topics[topic] = host
             case CloseTopicOrder(topic) if topic in self._topics:
-                self._topics.discard(topic)
+                del self._topics[topic]
+                self._wires.pop(Inlet("", topic), None)
                 backend.close_outlet(topic)
             case RenewOrder(helper):
                 backend.renew(helper)
-            case Export() | Import():
-                self._crossings.add(order.crossing)
+            case Export(crossing):
+                self._exports[crossing] = HeldExport(order)
+                backend.tell_relay(order)
+            case Import(crossing):
+                self._imports[crossing] = HeldImport(order)
                 backend.tell_relay(order)
             case Release(crossing):
-                self._crossings.discard(crossing)
+                self._exports.pop(crossing, None)
+                self._imports.pop(crossing, None)
                 backend.tell_relay(order)
+
+    def _held(self) -> Held:
+        wires = list(self._wires.values())
+        return Held(self._units, wires, self._topics, self._exports, self._imports, self._ahead_ns)
+
+    def _hold_wire(self, order: ConnectOrder) -> None:
+        if order.inlet.unit == RELAY and order.inlet.port in self._exports:
+            export = self._exports[order.inlet.port]
+            export.wire, export.stream = order.wire, order.stream
+            return
+        self._wires[order.inlet] = HeldWire(order.wire, order.stream, order.inlet)
+        if order.stream.unit == RELAY and order.stream.port in self._imports:
+            self._imports[order.stream.port].connected += 1
+
+    def _forget_wire(self, wire: int) -> None:
+        self._wires = {inlet: held for inlet, held in self._wires.items() if held.wire != wire}
 
     def _end_everything(self) -> None:
         self._ending = set(self._units)
@@ -273,10 +315,11 @@ class Agent:
             self._backend.kill(unit)
         for topic in self._topics:
             self._backend.close_outlet(topic)
-        for crossing in self._crossings:
+        for crossing in (*self._exports, *self._imports):
             self._backend.tell_relay(Release(crossing))
-        self._topics.clear()
-        self._crossings.clear()
+        self._ahead_ns = None
+        for held in (self._wires, self._topics, self._exports, self._imports):
+            held.clear()
 
     def _start(self, start: StartOrder) -> None:
         unit, source = start.order.unit, start.order.source
@@ -285,7 +328,7 @@ class Agent:
             is_there = "another version than the manager's" if file.exists() else "not there"
             self._say(told(UnitDied(unit, f"can't be started on {self.name}: {file} is {is_there}")))
             return
-        self._units.add(unit)
+        self._units[unit] = HeldUnit(start.label, msgspec.structs.replace(start.order, state=None))
         self._backend.start_unit(start.order)
 
     def _tell(self, event: Event) -> None:
@@ -298,13 +341,22 @@ class Agent:
                 pass
             case WireSwitched(wire) if wire < 0:
                 pass  # a wire of the relay's
+            case WireSwitched(wire):
+                for held in self._wires.values():
+                    held.has_switched = held.has_switched or held.wire == wire
+                self._say(told(event))
+            case InputLost(_, _, wire):
+                self._forget_wire(wire)
+                self._say(told(event))
             case UnitDied(unit) | UnitStopped(unit) if unit in self._ending:
                 self._ending.discard(unit)
-                self._units.discard(unit)
+                del self._units[unit]
             case UnitDied(unit) | UnitStopped(unit):
-                self._units.discard(unit)
+                self._units.pop(unit, None)
+                self._wires = {inlet: held for inlet, held in self._wires.items() if inlet.unit != unit}
                 self._say(told(event))
-            case UnitReady(unit):
+            case UnitReady(unit, labor_us):
+                self._units[unit].labor_us = labor_us
                 self._tell_usage([unit])
                 self._say(told(event))
             case _:
@@ -323,7 +375,8 @@ class Agent:
         now_s = time.monotonic()
         self._relays_lost = 1 if now_s - self._relay_since_s >= _GOOD_RELAY_S else self._relays_lost + 1
         self._relay_due_s = now_s + doubling_s(self._relays_lost, _RELAY_AGAIN_S, _MOST_RELAY_AGAIN_S)
-        self._crossings.clear()
+        self._exports.clear()
+        self._imports.clear()
         self._tell_user(f"the relay was lost: {cause}")
         self._say(RelayLost(cause))
 

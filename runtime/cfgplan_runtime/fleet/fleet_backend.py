@@ -6,15 +6,16 @@ import queue
 import secrets
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from math import inf
 from pathlib import Path
+from types import MappingProxyType
 from typing import TypeAlias
 from urllib.parse import unquote
 
-from cfgplan.domain import Stream, Transformation
+from cfgplan.domain import ComputationUnit, Host, Publication, Stream, Subscription, Transformation
 from cfgplan.errors import InputError
 from cfgplan_runtime.children.messages import CrossingCounts, Export, Flow, Import, ImportUnused, RelaySign, Release
 from cfgplan_runtime.children.unit_order import unit_order
@@ -25,6 +26,7 @@ from cfgplan_runtime.fleet.orders import (
     HEARD,
     REFUSE,
     SAY,
+    ClockOrder,
     CloseTopicOrder,
     ConnectOrder,
     CutOrder,
@@ -32,6 +34,7 @@ from cfgplan_runtime.fleet.orders import (
     EventTold,
     FromAgent,
     GreetOrder,
+    Held,
     KillOrder,
     LeaveOrder,
     OpenTopicOrder,
@@ -52,7 +55,7 @@ from cfgplan_runtime.processes.process_backend import RELAY
 from cfgplan_runtime.streams.crossing import crossing_key
 from cfgplan_runtime.streams.run_folder import RunFolder, is_alive
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
-from cfgplan_runtime.supervision.backend import Inlet, Usage
+from cfgplan_runtime.supervision.backend import Found, FoundWire, Inlet, Usage
 from cfgplan_runtime.supervision.events import (
     Event,
     HelperAlive,
@@ -88,6 +91,8 @@ class _HostState:
     ahead_ns: int = 0
     """How far its clock is ahead of this computer's monotonic one."""
     run: Path | None = None
+    held: Held = field(default_factory=Held)
+    """What ran there when it was greeted."""
     usage: dict[str, Usage] = field(default_factory=dict)
     flows: dict[str, Flow] = field(default_factory=dict)
     exports: dict[str, CrossingCounts] = field(default_factory=dict)
@@ -141,7 +146,9 @@ class FleetBackend:
 
     `connect` names agents' endpoints; `folder` is what `units.py:Class` is
     relative to here: files there are compared with each host's. A unit or topic whose host is None goes to the first
-    host that is there. Raises InputError, also if another manager has a host, unless this one `takes_over`.
+    host that is there. What runs on the hosts by the transformations of `library` is `found`, all else there is ended.
+    Raises InputError, also if another manager has a host, unless this one `takes_over`. Nobody takes over who sees
+    fewer than half of the hosts.
     """
 
     def __init__(
@@ -152,6 +159,7 @@ class FleetBackend:
         connect: Sequence[str],
         certificates: Path | None = None,
         folder: Path | None = None,
+        library: Mapping[str, Transformation] = MappingProxyType({}),
         wait_s: float = WAIT_S,
         takes_over: bool = False,
     ) -> None:
@@ -169,8 +177,14 @@ class FleetBackend:
         self._serial = 0
         self._term = 1
         self._me = secrets.token_hex(4)
+        self._library = library
+        self._is_beginning = True
+        """Until all hosts were waited for: what they run is adopted then, and ended later."""
         self._takes_over = takes_over
         """Whether hosts are taken from a living manager; only at the beginning, so that nobody takes them back."""
+        self._seen: dict[str, str] = {}
+        """The hosts that were alive before any was greeted, and what tells their agents from earlier ones."""
+        self._is_greeting = False
         self._rival = ""
         """A host that obeys another manager."""
         self._link = ZenohLink(config(connect=connect, certificates=certificates, mode="peer"))
@@ -188,6 +202,29 @@ class FleetBackend:
     @property
     def id(self) -> str:
         return self.run_folder.id
+
+    def found(self) -> Found | None:
+        held = {name: host.held for name, host in self._hosts.items() if host.is_there}
+        self._adopt_clocks()
+        self._adopt_units(held)
+        self._adopt_crossings(held)
+        wires = self._adopt_wires(held)
+        for name, one in held.items():
+            for topic, asked in one.topics.items():
+                self._topics[topic] = (asked, name)
+                self._show(topic, name)
+        if not (self._units or self._topics):
+            return None
+        labels = {unit: held[host].units[unit].label for unit, host in self._units.items()}
+        labor_us = {unit: held[host].units[unit].labor_us for unit, host in self._units.items()}
+        return Found(
+            tuple(_as_wired(unit, labels[unit], host, wires) for unit, host in sorted(self._units.items())),
+            tuple(self._library[label] for label in sorted(set(labels.values()))),
+            tuple(Host(host) for host in sorted(set(self._units.values()))),
+            {unit: labor for unit, labor in labor_us.items() if labor is not None},
+            tuple(wires),
+            {topic: asked for topic, (asked, _) in self._topics.items()},
+        )
 
     def now(self) -> float:
         return time.monotonic()
@@ -215,7 +252,7 @@ class FleetBackend:
         self._units[unit] = there
         file = source_file(transformation.source or "", self._folder)
         digest = None if file is None else digest_of(file)
-        self._say(there, StartOrder(unit_order(unit, transformation, state), digest))
+        self._say(there, StartOrder(transformation.label, unit_order(unit, transformation, state), digest))
 
     def stop(self, unit: str) -> None:
         self._say(self._units.get(unit), StopOrder(unit))
@@ -260,10 +297,8 @@ class FleetBackend:
         if there is None:
             return
         self._topics[topic] = (host, there)
-        self._say(there, OpenTopicOrder(topic))
-        run = self._hosts[there].run
-        if run is not None:
-            self.run_folder.show(topic, run)
+        self._say(there, OpenTopicOrder(topic, host))
+        self._show(topic, there)
 
     def close_outlet(self, topic: str) -> None:
         _, there = self._topics.pop(topic, (None, ""))
@@ -293,18 +328,81 @@ class FleetBackend:
     def _await(self, hosts: Sequence[str], wait_s: float) -> None:
         """Wait until all hosts are there, at most `wait_s`, and tell of those that are not."""
         end_s = self.now() + wait_s
-        joined: set[str] = set()
-        events: list[Event] = []
-        while not joined.issuperset(hosts) and self.now() < end_s:
-            for event in self.wait(end_s - self.now()):
-                events.append(event)
-                if isinstance(event, HostJoined):
-                    joined.add(event.host)
+        while not self._seen.keys() >= set(hosts) and self.now() < end_s:
+            self._hear_once(end_s)
+        few = [host for host in hosts if host in self._seen]
+        if self._takes_over and 2 * len(few) < len(hosts):
+            message = f"{len(few)} of {len(hosts)} hosts can be reached: who sees fewer than half does not take over"
+            raise InputError.of(message, mend="run it where more hosts can be reached")
+        self._is_greeting = True
+        for name, life in self._seen.items():
+            self._greet(name, life, "")
+        joined, events = set[str](), list[Event]()
+        while not joined >= self._seen.keys() and self.now() < end_s + _CALL_S:
+            self._hear_once(end_s + _CALL_S)
             if self._rival:
-                mend = "stop the other run first"
+                mend = "stop the other run first, or add --take-over"
                 raise InputError.of(f"another run has host {self._rival!r}", mend=mend)
-        self._takes_over = False
+            joined |= {event.host for event in self._events if isinstance(event, HostJoined)}
+            events += self._events
+            self._events.clear()
+        self._is_beginning = self._takes_over = False
         self._events += [*events, *(HostLost(host, "it has no agent") for host in hosts if host not in joined)]
+
+    def _adopt_clocks(self) -> None:
+        """Go on with the differences between clocks that there are: an element's time is shifted there and back."""
+        known = [host for host in self._hosts.values() if host.is_there and host.held.ahead_ns is not None]
+        for host in known:
+            host.ahead_ns = known[0].ahead_ns + (host.held.ahead_ns or 0) - (known[0].held.ahead_ns or 0)
+            self._say(host.name, ClockOrder(host.ahead_ns))
+
+    def _adopt_units(self, held: Mapping[str, Held]) -> None:
+        """Keep the units that were started as they would be now, and end all others."""
+        for host, one in held.items():
+            for unit, known in one.units.items():
+                transformation = self._library.get(known.label)
+                if transformation is not None and unit_order(unit, transformation, None) == known.order:
+                    self._units[unit] = host
+                else:
+                    self._say(host, KillOrder(unit, dump=False))
+
+    def _adopt_crossings(self, held: Mapping[str, Held]) -> None:
+        for source, one in held.items():
+            for name, export in one.exports.items():
+                target = export.order.host
+                self._serial = max(self._serial, -export.wire)
+                if export.stream is None or target not in held or name not in held[target].imports:
+                    self._say(source, Release(name))
+                    continue
+                stream, blocks = export.stream, export.order.blocks
+                connected = held[target].imports[name].connected
+                crossing = _Crossing(name, export.wire, stream, source, target, blocks, connected)
+                self._crossings[name] = crossing
+                if stream.unit in self._units:
+                    self._shared[stream, target, blocks] = crossing
+
+    def _adopt_wires(self, held: Mapping[str, Held]) -> list[FoundWire]:
+        """Keep the wires between units that were kept, and end all others."""
+        found = []
+        for target, one in held.items():
+            for known in one.wires:
+                crossing = self._crossings.get(known.stream.port) if known.stream.unit == RELAY else None
+                stream = known.stream if crossing is None else crossing.stream
+                is_wanted = known.inlet.is_outlet or known.inlet.unit in self._units
+                if stream.unit not in self._units or not is_wanted:
+                    self._say(target, CutOrder(known.wire, known.inlet))
+                    continue
+                source = self._units[stream.unit]
+                self._routes[known.wire] = _Route(known.wire, stream, known.inlet, source, target, crossing)
+                found.append(FoundWire(known.wire, stream, known.inlet, known.has_switched))
+        return found
+
+    def _hear_once(self, end_s: float) -> None:
+        """Wait for something to arrive, or for something to be sent, and handle it."""
+        due_s = min((host.talk.due_s() for host in self._hosts.values()), default=inf)
+        with suppress(queue.Empty):
+            self._hear(self._inbox.get(timeout=max(0.0, min(end_s, due_s) - self.now())))
+        self._hear_all()
 
     def _hear_all(self) -> bool:
         """Handle what has arrived, then send what is due. Returns whether to return to the caller."""
@@ -335,7 +433,12 @@ class FleetBackend:
         if name == MANAGER:
             return
         host = self._hosts.get(unquote(name))
-        if is_alive and (host is None or host.life != life):
+        if not self._is_greeting:
+            if is_alive:
+                self._seen[unquote(name)] = life
+            else:
+                self._seen.pop(unquote(name), None)
+        elif is_alive and (host is None or host.life != life):
             self._greet(unquote(name), life, "its agent was started again")
         elif not is_alive and host is not None and host.life == life:
             self._lose(host, "its agent is gone, or can't be reached")
@@ -347,7 +450,7 @@ class FleetBackend:
         self._serial += 1
         session = Session(self._term, self._me, self._serial)
         host = self._hosts[name] = _HostState(name, life, Talk(self._link, MANAGER, name, session, FromAgent))
-        host.talk.say(GreetOrder(), self.now())
+        host.talk.say(GreetOrder(adopts=self._is_beginning), self.now())
 
     def _lose(self, host: _HostState, cause: str) -> None:
         del self._hosts[host.name]
@@ -393,7 +496,8 @@ class FleetBackend:
 
     def _understand(self, host: _HostState, message: FromAgent) -> None:
         match message:
-            case Welcome(run):
+            case Welcome(run, held):
+                host.held = held
                 path = Path(run)
                 host.run = path if is_alive(path) else None
                 threading.Thread(target=self._measure, args=(host,), daemon=True).start()
@@ -425,6 +529,7 @@ class FleetBackend:
             self._greet(host.name, host.life, "its clock does not answer")
             return
         host.ahead_ns, host.is_there = ahead_ns, True
+        self._say(host.name, ClockOrder(ahead_ns))
         self._events.append(HostJoined(host.name))
 
     def _note(self, host: _HostState, event: Event) -> None:
@@ -491,7 +596,22 @@ class FleetBackend:
             return min((name for name in self._hosts if self._is_there(name)), default=None)
         return host if self._is_there(host) else None
 
+    def _show(self, topic: str, host: str) -> None:
+        """Have a topic be found in this run's folder, if its host is on this computer."""
+        run = self._hosts[host].run
+        if run is not None:
+            self.run_folder.show(topic, run)
+
     def _host_of(self, inlet: Inlet) -> str | None:
         if inlet.is_outlet:
             return self._topics[inlet.port][1] if inlet.port in self._topics else None
         return self._units.get(inlet.unit)
+
+
+def _as_wired(unit: str, label: str, host: str, wires: Sequence[FoundWire]) -> ComputationUnit:
+    """A unit as its wires tell it."""
+    feeds = tuple(Subscription(one.inlet.port, one.stream) for one in wires if one.inlet.unit == unit)
+    published = tuple(
+        Publication(one.stream.port, one.inlet.port) for one in wires if one.inlet.is_outlet and one.stream.unit == unit
+    )
+    return ComputationUnit(unit, label, feeds, published, host)

@@ -7,6 +7,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from cfgplan.domain import Environment
 from cfgplan_runtime.fleet.fleet_backend import WAIT_S, FleetBackend
 from cfgplan_runtime.fleet.local import LocalAgents
 from cfgplan_runtime.runtime import Runtime
@@ -27,8 +28,14 @@ class Fleet:
 
 
 @contextmanager
-def fleet_runtime(fleet: Fleet, hosts: Sequence[str], folder: Path, preload: Sequence[str] = ()) -> Iterator[Runtime]:
-    """A runtime whose units are on hosts. `folder` is what `units.py:Class` is relative to. Raises InputError."""
+def fleet_runtime(
+    fleet: Fleet, environment: Environment, folder: Path, preload: Sequence[str] = ()
+) -> Iterator[Runtime]:
+    """A runtime whose units are on the environment's hosts; what runs there by its library goes on.
+
+    `folder` is what `units.py:Class` is relative to. Raises InputError.
+    """
+    hosts = tuple(environment.host)
     with ExitStack() as stack:
         run = RunFolder()
         stack.callback(run.close)
@@ -44,6 +51,7 @@ def fleet_runtime(fleet: Fleet, hosts: Sequence[str], folder: Path, preload: Seq
                 connect=connect,
                 certificates=fleet.certificates,
                 folder=folder,
+                library=environment.transformation,
                 wait_s=wait_s,
                 takes_over=fleet.takes_over,
             )

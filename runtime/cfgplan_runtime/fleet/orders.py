@@ -8,7 +8,7 @@ from typing import Generic, NamedTuple, TypeAlias, TypeVar, get_args
 import msgspec
 
 from cfgplan.domain import Stream
-from cfgplan_runtime.children.messages import FromRelay, ToRelay, UnitOrder
+from cfgplan_runtime.children.messages import Export, FromRelay, Import, ToRelay, UnitOrder
 from cfgplan_runtime.streams.crossing import (
     PIECES_UNDER_WAY,
     Piece,
@@ -51,12 +51,23 @@ def read_session(text: str) -> Session | None:
 
 
 class GreetOrder(msgspec.Struct, tag=True):
-    """The first order: end everything that runs, then say Welcome."""
+    """The first order: end everything that runs, unless it is to be adopted, then say Welcome."""
+
+    adopts: bool
+
+
+class ClockOrder(msgspec.Struct, tag=True):
+    """Keep for the next manager how far this host's clock is ahead of the first one's: times go by it for ever."""
+
+    ahead_ns: int
 
 
 class StartOrder(msgspec.Struct, tag=True):
-    """Start a unit. `digest` is that of its source file at the manager, None if it has none there."""
+    """Start a unit of the transformation `label`. `digest` is that of its source file at the manager, None if it has
+    none there.
+    """
 
+    label: str
     order: UnitOrder
     digest: str | None
 
@@ -94,7 +105,10 @@ class SwitchOrder(msgspec.Struct, tag=True):
 
 
 class OpenTopicOrder(msgspec.Struct, tag=True):
+    """Give a topic its address; `host` is that of its target."""
+
     topic: str
+    host: str | None
 
 
 class CloseTopicOrder(msgspec.Struct, tag=True):
@@ -111,6 +125,7 @@ class LeaveOrder(msgspec.Struct, tag=True):
 
 Order: TypeAlias = (
     GreetOrder
+    | ClockOrder
     | StartOrder
     | StopOrder
     | KillOrder
@@ -129,10 +144,54 @@ Order: TypeAlias = (
 # From an agent.
 
 
+class HeldUnit(msgspec.Struct):
+    """A unit that runs: the transformation's label, how it was started, and its labor once it is ready."""
+
+    label: str
+    order: UnitOrder
+    labor_us: int | None = None
+
+
+class HeldWire(msgspec.Struct):
+    """The newest wire to an inlet. The stream may be that of an import."""
+
+    wire: int
+    stream: Stream
+    inlet: Inlet
+    has_switched: bool = False
+
+
+class HeldExport(msgspec.Struct):
+    """A stream that goes to another host: the order, and the wire from its unit."""
+
+    order: Export
+    wire: int = 0
+    stream: Stream | None = None
+
+
+class HeldImport(msgspec.Struct):
+    """What comes from another host: the order, and how many inputs it has been led to."""
+
+    order: Import
+    connected: int = 0
+
+
+class Held(msgspec.Struct):
+    """What an agent keeps on its host. `topics` have the host of their target."""
+
+    units: dict[str, HeldUnit] = {}
+    wires: list[HeldWire] = []
+    topics: dict[str, str | None] = {}
+    exports: dict[str, HeldExport] = {}
+    imports: dict[str, HeldImport] = {}
+    ahead_ns: int | None = None
+
+
 class Welcome(msgspec.Struct, tag=True):
-    """Nothing runs here any more, and orders are carried out. The topics' sockets will be in the folder `run`."""
+    """Orders are carried out. `held` is all that runs here. The topics' sockets are in the folder `run`."""
 
     run: str
+    held: Held
 
 
 class EventTold(msgspec.Struct, tag=True):

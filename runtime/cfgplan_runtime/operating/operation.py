@@ -176,8 +176,8 @@ class Operation:
         if settings.fleet is None:
             self.runtime = stack.enter_context(Runtime(folder=folder, preload=settings.preload))
         else:
-            hosts = tuple(world.environment.host)
-            self.runtime = stack.enter_context(fleet_runtime(settings.fleet, hosts, folder, settings.preload))
+            fleet = fleet_runtime(settings.fleet, world.environment, folder, settings.preload)
+            self.runtime = stack.enter_context(fleet)
         if self.recorder is not None:
             facts = {"run": self.id, "environment": str(self._path.resolve()), "version": __version__}
             self.recorder.recording.describe(facts)

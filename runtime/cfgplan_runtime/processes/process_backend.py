@@ -132,6 +132,9 @@ class ProcessBackend:
         """What `units.py:Class` is relative to."""
         return Path(self._code_folder)
 
+    def found(self) -> None:
+        return None
+
     def now(self) -> float:
         return time.monotonic()
 

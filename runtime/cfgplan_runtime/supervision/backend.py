@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from cfgplan.domain import Stream, Transformation
+from cfgplan.domain import ComputationUnit, Host, Stream, Transformation
 from cfgplan_runtime.supervision.events import Event
 
 
@@ -34,6 +34,31 @@ class Usage:
     pid: int | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class FoundWire:
+    """A wire that is there already; see `supervision.wiring.Wire`."""
+
+    id: int
+    stream: Stream
+    inlet: Inlet
+    has_switched: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What an earlier supervisor has left running: its units, with their transformations and hosts, wires and topics.
+
+    `labor_us` has the units that are ready, `topics` the host of each topic's target.
+    """
+
+    units: tuple[ComputationUnit, ...]
+    library: tuple[Transformation, ...]
+    hosts: tuple[Host, ...]
+    labor_us: Mapping[str, int]
+    wires: tuple[FoundWire, ...]
+    topics: Mapping[str, str | None]
+
+
 class Backend(Protocol):
     """Runs units and connects them. No method waits for its effect: that comes as an event from `wait`.
 
@@ -44,6 +69,9 @@ class Backend(Protocol):
     @property
     def id(self) -> str:
         """The run's id, which tells its topics from those of other runs."""
+
+    def found(self) -> Found | None:
+        """What runs from the beginning; None if nothing does. Called once."""
 
     def now(self) -> float:
         """Seconds on a clock that only rises."""

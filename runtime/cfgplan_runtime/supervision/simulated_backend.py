@@ -108,6 +108,9 @@ class SimulatedBackend:
 
     id = "simulated"
 
+    def found(self) -> None:
+        return None
+
     def now(self) -> float:
         return self._now
 

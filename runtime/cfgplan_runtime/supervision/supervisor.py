@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Callable, Generator, Mapping
+from dataclasses import replace
 
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Transformation
 from cfgplan_runtime.errors import ApplyError, RuntimeFaultError, StaleChangeSetError
@@ -27,7 +28,7 @@ from cfgplan_runtime.supervision.applying import (
     carry_out,
     environment_after,
 )
-from cfgplan_runtime.supervision.backend import Backend, Inlet
+from cfgplan_runtime.supervision.backend import Backend, Found, Inlet
 from cfgplan_runtime.supervision.events import (
     Applied,
     Event,
@@ -91,6 +92,9 @@ class Supervisor:
         self._round_s = backend.now()
         self._gaps_s = 0.0
         self._watched_s = self.now()
+        found = backend.found()
+        if found is not None:
+            self._adopt(found)
 
     def now(self) -> float:
         """The backend's clock without the gaps in which this process saw nothing, so that these make no unit late."""
@@ -187,6 +191,19 @@ class Supervisor:
             for unit, record in self._records.items()
             if record.status is not None and record.status.outputs and now - record.gave_s >= _DRY_S
         }
+
+    def _adopt(self, found: Found) -> None:
+        """Go on with what an earlier supervisor has left running. No unit is late for what was not heard of it."""
+        self.environment = replace(self.environment, units=found.units, library=found.library, hosts=found.hosts)
+        self.topics.update(found.topics)
+        self.wiring.adopt(found.wires)
+        for unit in found.units:
+            self.alive.add(unit.id)
+            self._library[unit.id] = self.environment.transformation[unit.transformation]
+            record = self._records[unit.id] = UnitRecord(unit.transformation, unit.host, sign_s=self.now())
+            if unit.id in found.labor_us:
+                self.ready.add(unit.id)
+                record.labor_us = found.labor_us[unit.id]
 
     def _drive(self, commands: Generator[Command, None, CarriedOut]) -> CarriedOut:
         while True:

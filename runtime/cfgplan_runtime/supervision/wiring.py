@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 from cfgplan.domain import ComputationUnit, Environment, Stream, Subscription, Transformation
-from cfgplan_runtime.supervision.backend import Backend, Inlet
+from cfgplan_runtime.supervision.backend import Backend, FoundWire, Inlet
 
 OUTLET_QUEUE = 1024
 """The most elements that may wait on their way to a topic's outlet."""
@@ -31,6 +31,13 @@ class Wiring:
         self._last_id = 0
         self._wires: dict[int, Wire] = {}
         self.feeds: dict[Inlet, Wire] = {}
+
+    def adopt(self, wires: Iterable[FoundWire]) -> None:
+        """Take over wires that are there; new ones get higher numbers."""
+        for found in wires:
+            wire = Wire(found.id, found.stream, found.inlet, has_switched=found.has_switched)
+            self._wires[wire.id] = self.feeds[wire.inlet] = wire
+            self._last_id = max(self._last_id, wire.id)
 
     def connect(self, stream: Stream, inlet: Inlet, receiver: Transformation | None) -> None:
         """Let a stream feed an inlet as the successor of its present source, if any. `receiver` is None for a topic."""
