@@ -116,13 +116,23 @@ class Fleet:
         """A runtime of this fleet that knows the library, the targets and the hosts, or nothing yet."""
         from cfgplan_runtime.fleet import fleet_runtime
 
-        from cfgplan.domain import ChangeSet, Host
+        from cfgplan.domain import ChangeSet, Environment, Host
+        from cfgplan.errors import InputError
 
+        hosts = tuple(Host(name) for name in HOSTS)
         endpoints = tuple(self.endpoints.values())
         reached = fleet_runtime.Fleet(endpoints, self._secrets / "manager", takes_over=True)
-        with fleet_runtime.fleet_runtime(reached, HOSTS, UNITS) as runtime:
+        with contextlib.ExitStack() as stack:
+            runtime: Any = None
+
+            def took_over() -> bool:
+                nonlocal runtime
+                with contextlib.suppress(InputError):  # most agents are starting, or were cut off until now
+                    runtime = stack.enter_context(fleet_runtime.fleet_runtime(reached, Environment(hosts=hosts), UNITS))
+                return runtime is not None
+
+            eventually(took_over)
             eventually(lambda: not runtime.supervisor.lost_hosts)
-            hosts = tuple(Host(name) for name in HOSTS)
             if not is_empty:
                 runtime.apply(ChangeSet(added_transformations=library(), added_targets=targets(), added_hosts=hosts))
             yield runtime
