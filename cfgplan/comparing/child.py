@@ -2,10 +2,9 @@
 
 A task without a problem only asks whether there is such a planner.
 
-The planner first plans some small libraries, which is not counted: what it loads and fills at its first calls is not
-what is compared, and is not looked through for garbage again. Before each run the problem is made anew. A run that took
-less than `SHORT_S` is repeated, for what else the machine does can double it, and of all its runs the median one is
-told.
+The planner first plans some small libraries, which are not counted: so neither imports nor empty caches are timed. The
+garbage collector leaves alone what is there by then. Before each run the problem is made anew. A run of less than
+`SHORT_S` is repeated, since other work of the machine may double its time, and the median of its runs is told.
 
 What the planner prints itself goes to stderr. Nothing is written where the process is killed, and the
 parent makes a row of that too.

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from cfgplan.comparing.rows import Row
-from cfgplan.planning import Status
+from cfgplan.planning import REFUSED
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def _disagreements(rows: Sequence[Row]) -> Iterator[str]:
                 yield f"{_who(row)}: says that {_cost_us(row)} us is the least, but {least}"
             if row.bound_us > _cost_us(cheapest) and not row.unused_required:
                 yield f"{_who(row)}: says that none costs less than {row.bound_us} us, but {least}"
-        if row.outcome in (Status.INFEASIBLE, Status.TOO_EXPENSIVE):
+        if row.outcome in REFUSED:
             for other in rows:
                 if other.has_plan or (other.proven and other.outcome != row.outcome):
                     yield f"{_who(row)}: says {row.outcome}, but {other.planner} says {other.outcome}"

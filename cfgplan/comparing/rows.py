@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cfgplan.errors import Fault, InputError
-from cfgplan.planning import Status
+from cfgplan.planning import REFUSED, Status
 
 
 class RunFailure(StrEnum):
@@ -25,7 +25,7 @@ class RunFailure(StrEnum):
     CRASHED = "crashed"
 
 
-PROVEN = frozenset({Status.OPTIMAL, Status.INFEASIBLE, Status.TOO_EXPENSIVE})
+PROVEN = frozenset({Status.OPTIMAL, *REFUSED})
 
 Point = tuple[float, int | None, int]
 """Seconds since the start, best cost so far, proven bound."""
@@ -39,9 +39,9 @@ class Row:
 
     `outcome` is a `Status` or a `RunFailure`. `violations` is what the judge found, None where there
     was no answer to judge. `peak_mb` is the largest resident memory of the process, the solver's own if it is
-    a process apart. `trace` tells the best cost and the bound over time. There is a time of proof where the
-    planner proved its answer, be it that there is none, or that no plan costs less; to break ties between equal
-    costs may take it until `total_s`. `seconds` are the planner's phases; files from before they were kept lack them.
+    a process apart. `trace` tells the best cost and the bound over time. `proof_s` is when the planner had proven
+    its answer, that there is no plan or that none costs less; None if it has not. To break ties between equal costs
+    may take until `total_s`. `seconds` are the planner's phases; older files lack them.
     """
 
     instance: str

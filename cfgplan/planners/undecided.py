@@ -20,7 +20,7 @@ from typing import Final
 
 from cfgplan.costs import keep_cost_us, start_cost_us
 from cfgplan.domain import Environment, Similarity
-from cfgplan.planning import Decider, Pair, Plan, Planner, Problem, Progress, Status
+from cfgplan.planning import REFUSED, Decider, Pair, Plan, Planner, Problem, Progress, Status
 from cfgplan.reasons import Givers, startable
 
 FIRST_BATCH: Final = 16
@@ -31,7 +31,6 @@ A round costs seconds, a pair few milliseconds (experiments/matching/deciding.py
 """
 LEAST_S: Final = 0.01
 """A planner may look for a plan for at least so long, even if the time is over."""
-_REFUSED: Final = (Status.INFEASIBLE, Status.TOO_EXPENSIVE)
 
 
 class Deciding:
@@ -174,7 +173,7 @@ def _hangs_on(problem: Problem, best: Plan, budget: _Budget) -> tuple[tuple[Pair
         return tuple(sorted(pairs)), not pairs
     if best.status is Status.INFEASIBLE and not problem.is_plain and not _is_monotone(problem):
         return tuple(problem.similarity.open_pairs()), False
-    return (), best.status in _REFUSED
+    return (), best.status in REFUSED
 
 
 def _pairs_among(environment: Environment, similarity: Similarity) -> Iterator[Pair]:
@@ -216,7 +215,7 @@ def _dear_us(problem: Problem, possible: Iterable[str]) -> Mapping[str, int]:
 
 def _answer(problem: Problem, best: Plan, uses: tuple[Pair, ...], certain: Plan, budget: _Budget) -> Plan:
     """The best plan of the decided relation, with the bound that holds however the open pairs are decided."""
-    if best.change_set is not None and not uses and (certain.change_set is None or _key(best) < _key(certain)):
+    if best.change_set is not None and not uses and (certain.change_set is None or best.rank < certain.rank):
         certain = best  # it was only stopped by the clock
     is_comparable = _is_monotone(problem) or (
         not _doubtful(problem)
@@ -225,14 +224,14 @@ def _answer(problem: Problem, best: Plan, uses: tuple[Pair, ...], certain: Plan,
         and len(best.unused_required) == len(certain.unused_required)
     )
     relaxed = best if is_comparable else budget.plan(_relaxed(problem), 1.0)
-    if relaxed.status in _REFUSED:
+    if relaxed.status in REFUSED:
         return replace(relaxed, cost_us=None)
     if certain.change_set is None:
         reasons = certain.reasons if certain.status is Status.UNKNOWN else {}
         return Plan(certain.planner, Status.UNKNOWN, None, None, relaxed.bound_us, reasons, undecided=uses)
     assert certain.cost_us is not None
     is_optimal = is_comparable and relaxed.bound_us == certain.cost_us
-    is_as_good = best.change_set is not None and _key(best) == _key(certain)
+    is_as_good = best.change_set is not None and best.rank == certain.rank
     return replace(
         certain,
         status=Status.OPTIMAL if is_optimal else Status.FEASIBLE,
@@ -241,11 +240,6 @@ def _answer(problem: Problem, best: Plan, uses: tuple[Pair, ...], certain: Plan,
         required_proven=best.required_proven and len(best.unused_required) == len(certain.unused_required),
         undecided=() if is_optimal else uses,
     )
-
-
-def _key(plan: Plan) -> tuple[int, int, int, int]:
-    assert plan.change_set is not None and plan.cost_us is not None
-    return len(plan.unused_required), plan.cost_us, len(plan.change_set.rewired), len(plan.change_set.started)
 
 
 def _is_monotone(problem: Problem) -> bool:
