@@ -81,7 +81,8 @@ def parse(text: str, vocabulary: Vocabulary) -> Formula:
     from lark import UnexpectedInput
 
     if len(text) > LONGEST_FORMULA:
-        raise InputError([Fault(f"the formula is longer than {LONGEST_FORMULA:,} characters", FILE)])
+        mend = "split it into several queries"
+        raise InputError([Fault(f"the formula is longer than {LONGEST_FORMULA:,} characters", FILE, mend=mend)])
     try:
         tree = _parser().parse(text)
     except UnexpectedInput as error:
