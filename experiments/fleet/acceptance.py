@@ -39,7 +39,7 @@ _AGENT = """
 import sys, time
 from cfgplan_runtime.fleet import links
 from cfgplan_runtime.processes.nursery import die_with_parent
-links.LEASE_S = float(sys.argv.pop(1))
+links.LEASE_S, links._refuse_strangers = float(sys.argv.pop(1)), lambda _: None
 die_with_parent(int(sys.argv.pop(1)))
 ahead_ns, real = int(sys.argv.pop(1)), time.time_ns
 time.time_ns = lambda: real() + ahead_ns
@@ -58,19 +58,29 @@ class Seen:
 
 
 class Fleet:
-    """Agents on all hosts of a network, as commands; `secrets` has their certificates. A context manager."""
+    """Agents on all hosts of a network, as commands; `secrets` has their certificates. A context manager.
 
-    def __init__(self, network: Network, secrets: Path, *, lease_s: float = 2.0) -> None:
+    Without `is_secured` they do without, which only this experiment allows beyond loopback.
+    """
+
+    def __init__(self, network: Network, secrets: Path, *, lease_s: float = 2.0, is_secured: bool = True) -> None:
         from cfgplan_runtime.fleet import links
 
         links.LEASE_S = lease_s
+        self._is_secured = is_secured
         self.network = network
         self.lease_s = lease_s
         self._secrets = secrets
-        self.endpoints = {host: f"tls/{network.address[host]}:7447" for host in HOSTS}
+        self.endpoints = {host: f"{'tls' if is_secured else 'tcp'}/{network.address[host]}:7447" for host in HOSTS}
         self.agents: dict[str, subprocess.Popen[str]] = {}
         for host in HOSTS:
             self.start_agent(host)
+        self._await_agents()
+
+    def _await_agents(self) -> None:
+        for host in HOSTS:
+            said = self._secrets / f"runs-{host}" / "said"
+            eventually(lambda said=said: "listens on" in said.read_text())
 
     def start_agent(self, host: str, *, ahead_ns: int = 0) -> None:
         """Start a host's agent, with its clock ahead; it reaches all others by itself."""
@@ -88,13 +98,16 @@ class Fleet:
             listen,
             *others,
         ]
+        secured = [f"--certificates={self._secrets / host}"] if self._is_secured else []
         base = self._secrets / f"runs-{host}"
         base.mkdir(exist_ok=True)
+        said = base / "said"
+        said.unlink(missing_ok=True)
         self.agents[host] = self.network.start(
             host,
-            [*command, f"--certificates={self._secrets / host}", f"--folder={UNITS}"],
+            [*command, *secured, f"--folder={UNITS}"],
             env={**os.environ, "XDG_RUNTIME_DIR": str(base)},
-            stderr=subprocess.DEVNULL,
+            stderr=said.open("w"),
         )
 
     def restart(self, host: str | None = None, *, ahead_ns: int = 0) -> None:
@@ -104,6 +117,7 @@ class Fleet:
                 self.kill_agent(name)
             if self.agents[name].poll() is not None:
                 self.start_agent(name, ahead_ns=ahead_ns)
+        self._await_agents()
 
     def kill_agent(self, host: str) -> None:
         """Kill an agent as a crash does."""
@@ -117,21 +131,11 @@ class Fleet:
         from cfgplan_runtime.fleet import fleet_runtime
 
         from cfgplan.domain import ChangeSet, Environment, Host
-        from cfgplan.errors import InputError
 
         hosts = tuple(Host(name) for name in HOSTS)
-        endpoints = tuple(self.endpoints.values())
-        reached = fleet_runtime.Fleet(endpoints, self._secrets / "manager", takes_over=True)
-        with contextlib.ExitStack() as stack:
-            runtime: Any = None
-
-            def took_over() -> bool:
-                nonlocal runtime
-                with contextlib.suppress(InputError):  # most agents are starting, or were cut off until now
-                    runtime = stack.enter_context(fleet_runtime.fleet_runtime(reached, Environment(hosts=hosts), UNITS))
-                return runtime is not None
-
-            eventually(took_over)
+        secured = self._secrets / "manager" if self._is_secured else None
+        reached = fleet_runtime.Fleet(tuple(self.endpoints.values()), secured, takes_over=True)
+        with fleet_runtime.fleet_runtime(reached, Environment(hosts=hosts), UNITS) as runtime:
             eventually(lambda: not runtime.supervisor.lost_hosts)
             if not is_empty:
                 runtime.apply(ChangeSet(added_transformations=library(), added_targets=targets(), added_hosts=hosts))
@@ -186,18 +190,19 @@ def unit(name: str, host: str, *, x: str | None = None, topic: str | None = None
 class Listener:
     """Collects what comes on a topic, and when, until the run ends."""
 
-    def __init__(self, run: str, topic: str = "/result") -> None:
+    def __init__(self, run: str, topic: str = "/result", *, number: Callable[[Any], Any] = int) -> None:
         from cfgplan_runtime import subscribe
 
         self.values: list[Any] = []
         self.times_ns: list[int] = []
+        self._number = number
         self.at_s: list[float] = []
         subscription = subscribe(topic, run=run, wait_s=PATIENCE_S)
         threading.Thread(target=self._collect, args=(subscription,), daemon=True).start()
 
     def _collect(self, subscription: Subscription) -> None:
         for received in subscription:
-            self.values.append(received.value if isinstance(received.value, int) else int(received.value.flat[0]))
+            self.values.append(self._number(received.value))
             self.times_ns.append(received.time_ns)
             self.at_s.append(time.monotonic())
 
@@ -399,7 +404,7 @@ def overload(fleet: Fleet, short: bool) -> Seen:
         runtime.apply(
             ChangeSet(started=(unit("images.1", "r1"), unit("same.2", "base", x="images.1/n", topic="/images")))
         )
-        images = Listener(runtime.id, "/images")
+        images = Listener(runtime.id, "/images", number=lambda image: int(image[0, 0]))
         images.await_more(40 if short else 200)
         undisturbed_s = listener.silence_s(images.at_s[0])
         fleet.network.limit("r1", 80)

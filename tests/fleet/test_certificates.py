@@ -9,7 +9,7 @@ import queue
 import shutil
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from datetime import datetime, timedelta, tzinfo
 from pathlib import Path
 
@@ -18,9 +18,12 @@ import zenoh
 from cfgplan_runtime.fleet import certificates
 from cfgplan_runtime.fleet.certificates import make
 from cfgplan_runtime.fleet.links import config
+from cfgplan_runtime.streams.zenoh_link import Lane, ZenohLink
 from cryptography import x509
+from small_fleet import eventually, small_fleet, source, unit
 
 from cfgplan.cli import main
+from cfgplan.domain import ChangeSet
 from cfgplan.errors import InputError
 
 PATIENCE_S = 10.0
@@ -267,3 +270,31 @@ def test_a_certificate_of_the_authority_with_a_name_that_is_not_listed_may_do_no
             agent.put("cfgplan/r1/x", b"")
         assert all_heard(heard, other, "cfgplan/r2/last") == {"cfgplan/r2/last"}
         assert overheard.empty()
+
+
+def test_orders_that_are_put_again_are_not_carried_out_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As by somebody who has heard them all, and has found a way in."""
+    orders: list[tuple[str, bytes, bytes]] = []
+    real = ZenohLink.publisher
+
+    def overheard(link: ZenohLink, key: str, lane: Lane) -> Callable[[bytes, bytes], None]:
+        put = real(link, key, lane)
+
+        def heard(head: bytes, payload: bytes) -> None:
+            orders.append((key, head, payload))
+            put(head, payload)
+
+        return heard
+
+    with small_fleet("r1") as fleet, contextlib.closing(ZenohLink(config(connect=fleet.agents.endpoints))) as spy:
+        monkeypatch.setattr(ZenohLink, "publisher", overheard)
+        with fleet.runtime(source()) as runtime:
+            runtime.apply(ChangeSet(started=(unit("count.1", "r1"),)))
+            runtime.apply(ChangeSet(stopped=("count.1",)))
+            known = list(orders)
+            assert sum(b"StartOrder" in payload for _, _, payload in known) == 1
+            for key, head, payload in known:
+                real(spy, key, "orders")(head, payload)
+            eventually(lambda: list(spy.ask("cfgplan/r1/clock", PATIENCE_S)) != [])  # what was put before has come
+            runtime.apply(ChangeSet(started=(unit("count.2", "r1"),)))
+            assert fleet.units() == ["count.2"]
