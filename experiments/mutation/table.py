@@ -22,7 +22,7 @@ def _room(folder: str, tests: tuple[str, ...], *mutants: tuple[str, str, str, st
 
 MODEL = _room(
     "cfgplan/planners/exact",
-    ("tests/planners/test_fleet_rules.py", "tests/planners/test_rules.py"),
+    ("tests/planners/test_fleet_rules.py", "tests/planners/test_rules.py", "tests/planners/test_hosts.py"),
     (
         "a unit is in two places, or runs and waits",
         "rules.py",
@@ -211,6 +211,12 @@ MODEL = _room(
         "model.py",
         "terms += [candidates[i].waiting_cost_us * waits",
         "terms += [0 * waits",
+    ),
+    (
+        "a unit takes the same of each host",
+        "rules.py",
+        "candidates[i].places[host.name].takes)",
+        "candidates[i].transformation.takes)",
     ),
     ("units that conflict are together", "rules.py", "model.cp.add_at_most_one(one, second)", "pass"),
     ("too few units run", "rules.py", ">= t.min_instances", ">= 0"),
@@ -428,7 +434,7 @@ SUPERVISION = _room(
     (
         "topics that nobody wants stay open",
         "applying.py",
-        "    yield from update.close_topics(actual.topics - wanted_topics(after))\n",
+        "    yield from update.close_topics(actual.topics.keys() - wanted_topics(after).keys())\n",
         "",
     ),
     (
@@ -441,8 +447,45 @@ SUPERVISION = _room(
     (
         "what died during an update is believed to live",
         "applying.py",
-        "if unit.id not in actual.alive:\n            environment",
-        "if False:\n            environment",
+        "if unit.standby else unit.id not in actual.alive:",
+        "if unit.standby else False:",
+    ),
+    (
+        "spares on a host that is lost during an update are believed to be ready",
+        "applying.py",
+        "if unit.host in actual.lost_hosts if unit.standby else",
+        "if False if unit.standby else",
+    ),
+    (
+        "what is planned on a lost host is tried",
+        "applying.py",
+        "        if unit.host in lost_hosts:\n",
+        "        if False:\n",
+    ),
+    (
+        "a cold spare is started",
+        "applying.py",
+        "            if not unit.standby:\n                yield StartUnit",
+        "            if True:\n                yield StartUnit",
+    ),
+    ("a topic stays where it was", "applying.py", "and actual.topics[topic] != host:", "and False:"),
+    (
+        "spares on a lost host stay",
+        "supervisor.py",
+        "if unit.host == host]:\n            self.env",
+        "if False]:\n            self.env",
+    ),
+    (
+        "a lost host's topic keeps its source",
+        "supervisor.py",
+        "            self.environment = without_feed(self.environment, outlet)\n",
+        "",
+    ),
+    (
+        "a topic has no address after its host is back",
+        "supervisor.py",
+        "                    self.backend.open_outlet(topic, host)\n",
+        "                    pass\n",
     ),
     (
         "one fed input is enough",
@@ -497,6 +540,19 @@ LIFECYCLE = _room(
         "decisions.py",
         "entries = (*begun, *state.entries)",
         "entries = state.entries",
+    ),
+    ("the units of a lost host stay known", "intake.py", "replace(situation.without(*gone), p", "replace(situation, p"),
+    (
+        "who waits for the end of a unit on a lost host is not told",
+        "intake.py",
+        "HostGone(host, cause), outcomes) if is_ours",
+        "HostGone(host, cause)) if is_ours",
+    ),
+    (
+        "the first review waits for no host",
+        "decisions.py",
+        "(turn.state.policy.hosts_s or 0.0) if is_short",
+        "0.0 if True",
     ),
     ("who asked for the end is not told", "decisions.py", "for outcome in state.stops))", "for outcome in ()))"),
     (

@@ -128,3 +128,11 @@ def test_a_spare_waits_where_that_is_cheapest(tuning: Tuning) -> None:
     assert {(unit.transformation, unit.host) for unit in found.change_set.started} == {("runs", "a"), ("waits", "b")}
     assert (found.status, found.cost_us) == (Status.OPTIMAL, 2 + 4)
     assert not plan_violations(problem, found)
+
+
+@pytest.mark.parametrize("tuning", [IN_PARTS, SOLVER_ONLY], ids=["usual", "solver only"])
+@pytest.mark.parametrize(("speed", "status"), [(900_000, Status.INFEASIBLE), (1_000_000, Status.OPTIMAL)])
+def test_a_unit_takes_more_of_a_slow_host(tuning: Tuning, speed: int, status: Status) -> None:
+    library = (replace(kind("t", gives="B"), upkeep_us=10),)
+    problem = world((Target("B", "B", "/B"),), *library, hosts=(Host("a", cpu_us=10, speed=speed),))
+    assert PlannerSession(tuning).plan(problem).status is status

@@ -563,3 +563,11 @@ def test_a_topic_moves_to_the_host_that_its_target_moves_to() -> None:
         simulation.apply(ChangeSet((at("r1", unit("work.2", x="count.1/n")),), added_targets=(AT_R3,)))
     assert not simulation.supervisor.environment.unit["work.1"].publications
     simulation.check()
+
+
+def test_a_spare_on_a_host_that_is_lost_during_its_update_is_not_there_afterwards() -> None:
+    simulation = fleet()
+    simulation.backend.lose_host("r2")
+    spares = (at("r2", unit("work.8"), standby=True), at("r1", unit("work.7"), standby=True))
+    simulation.apply(ChangeSet((*spares, at("r1", unit("count.2")))))
+    assert simulation.supervisor.environment.unit.keys() == {"count.1", "count.2", "work.7", "work.9"}
