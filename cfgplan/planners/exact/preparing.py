@@ -24,7 +24,7 @@ from cfgplan.planners.tuning import Close
 class Preparation:
     """What the search is given: labels that may be used, a plan, a bound, landmarks. `go_on` brings them closer.
 
-    Without `left`, `begin` has to be called first. No plan weighs less than `least`.
+    Without `left`, `begin` has to be called first.
     """
 
     def __init__(
@@ -33,14 +33,12 @@ class Preparation:
         weighing: Weighing,
         plan: Ints | None,
         left: Left | None,
-        least: int,
         tuning: Close,
     ) -> None:
         self._structure = structure
         self._weighing = weighing
         self._plan = plan
         self._left = left
-        self._least = least
         self._tuning = tuning
         self._closing: Closing | None = None
 
@@ -59,7 +57,7 @@ class Preparation:
             limit = weighing.of_plan(plan)
         self._structure.remember(lambda: bound, weighing.scale)
         self._left = Left.by(bound, limit)
-        is_open = plan is not None and weighing.least(max(bound.value, self._least)) < limit
+        is_open = plan is not None and weighing.least(bound.value) < limit
         if plan is not None and is_open and not clock.is_over():
             self._closing = Closing(self._structure.network, bound, weighing.weight, plan, weighing.step, clock.tuning)
 
@@ -89,7 +87,7 @@ class Preparation:
         """What the search is given; after the time limit no labels but the plan's."""
         assert self._left is not None, "begin was called"
         network, weighing, plan, left = self._structure.network, self._weighing, self._plan, self._left
-        value = weighing.least(max(left.value, self._least))
+        value = weighing.least(left.value)
         labels = left.labels
         if plan is not None and value < weighing.of_plan(plan) and clock.is_over():
             labels = plan

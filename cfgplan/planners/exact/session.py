@@ -16,14 +16,13 @@ import numpy as np
 
 from cfgplan.domain import Similarity
 from cfgplan.planners.bounding.bounds import Bound
-from cfgplan.planners.bounding.chains import chained_bound
 from cfgplan.planners.bounding.tightening import tightened
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.deciding import decide
 from cfgplan.planners.exact.prepared import Prepared
 from cfgplan.planners.exact.preparing import Preparation
 from cfgplan.planners.exact.required import offer, offer_any_plan, prepared_with_all
-from cfgplan.planners.exact.rest import Left, Rest
+from cfgplan.planners.exact.rest import Rest
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.exact.structure import Structure
 from cfgplan.planners.exact.wiring import what_runs
@@ -225,8 +224,7 @@ class PlannerSession:
         """A plan and a bound, and the labels that reduced costs leave between them.
 
         The plan is that at rest or the last one, mended where units died. It is a new one if that no longer is a plan,
-        or in a session's first call, where the last plan is what runs; then ways to do without members are tried too,
-        unless a quick bound says that nothing is cheaper.
+        or in a session's first call, where the last plan is what runs; then ways to do without members are tried too.
         """
         problem, clock, network = standing.problem, standing.clock, structure.network
         weighing = Weighing.of(problem, network, structure.pinned)
@@ -237,18 +235,13 @@ class PlannerSession:
             plan = min((one for one in found if one is not None), key=partial(cost_of, weighing.weight), default=None)
         if plan is not None and standing.best is None:
             offer(plan, standing, structure)
-        quick = 0
-        if weighing.counts_starts:
-            quick = weighing.least(chained_bound(network.core, weighing.weight, network.pinned, clock.is_over))
-        if is_new and plan is not None and cost_of(weighing.weight, plan) > quick:
+        if is_new and plan is not None:
             plan = with_less(network, weighing.weight, plan, clock.tuning.begin.attempts, clock)
         labels = None if plan is None else np.array(sorted(plan), np.int64)
         left = None
-        if labels is not None and weighing.counts_starts and weighing.of_plan(labels) == quick:
-            left = Left(labels, quick)
-        elif labels is not None and self._rest is not None and not weighing.counts_starts:
+        if labels is not None and self._rest is not None and not weighing.counts_starts:
             left = self._rest.left(weighing.weight, weighing.step, labels, clock)
-        preparation = Preparation(structure, weighing, labels, left, quick, clock.tuning.close)
+        preparation = Preparation(structure, weighing, labels, left, clock.tuning.close)
         if left is None:
             preparation.begin(_known_bound(structure, weighing.weight, weighing.scale), clock)
         return preparation
