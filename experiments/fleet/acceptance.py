@@ -131,11 +131,21 @@ class Fleet:
         from cfgplan_runtime.fleet import fleet_runtime
 
         from cfgplan.domain import ChangeSet, Environment, Host
+        from cfgplan.errors import InputError
 
         hosts = tuple(Host(name) for name in HOSTS)
         secured = self._secrets / "manager" if self._is_secured else None
         reached = fleet_runtime.Fleet(tuple(self.endpoints.values()), secured, takes_over=True)
-        with fleet_runtime.fleet_runtime(reached, Environment(hosts=hosts), UNITS) as runtime:
+        with contextlib.ExitStack() as stack:
+            runtime: Any = None
+
+            def took_over() -> bool:
+                nonlocal runtime
+                with contextlib.suppress(InputError):  # most agents are starting, or were cut off until now
+                    runtime = stack.enter_context(fleet_runtime.fleet_runtime(reached, Environment(hosts=hosts), UNITS))
+                return runtime is not None
+
+            eventually(took_over)
             eventually(lambda: not runtime.supervisor.lost_hosts)
             if not is_empty:
                 runtime.apply(ChangeSet(added_transformations=library(), added_targets=targets(), added_hosts=hosts))

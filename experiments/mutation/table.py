@@ -259,19 +259,7 @@ MODEL = _room(
         "cp.add_bool_or([taken.negated()])",
         "pass",
     ),
-    (
-        "any number of streams meet a demand",
-        "rules.py",
-        "model.cp.add_exactly_one(*meets.values(), model.hubs[key].negated())",
-        "pass",
-    ),
-    (
-        "what meets a demand need not be there",
-        "rules.py",
-        "model.rests_on_any(taken, first[stream])",
-        "model.support.rests_on_any(taken.index, [way.index for way in first[stream]])",
-    ),
-    ("the dear run anywhere", "kernels.py", "strict=True) if may}", "strict=True)}"),
+    ("the dear run anywhere", "kernels.py", "if largest_us is None:", "if True:"),
     (
         "the mean is the sum",
         "quality.py",

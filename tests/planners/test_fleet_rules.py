@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from fixed import Apart, Fixed, Hubs, kind, on, publishes, runs, unit, waits, world
+from fixed import Apart, Fixed, Hubs, kind, on, publishes, rewired, runs, unit, waits, world
 
 from cfgplan.domain import Host, OutputPort, Target, Transformation
 from cfgplan.planning import Failures, Problem
@@ -381,6 +381,20 @@ def test_quality_is_that_of_the_stream_on_its_host(model: type[Fixed]) -> None:
     fixed = model(world(targets, *library, qualities=(LOW,), hosts=TWO))
     assert fixed.allows(on("s.1", "h0"), on("f.1", "h1"))
     assert not fixed.allows(~runs("s.1"))
+
+
+@every_model
+def test_a_unit_that_stays_has_the_quality_of_the_stream_that_it_keeps(model: type[Fixed]) -> None:
+    library: tuple[Transformation, ...] = (
+        kind("s", gives="A", output=states(50)),
+        kind("t", gives="A", output=states(10)),
+        kind("f", "A", "B", output=states(5, QualityRule.ADD)),
+    )
+    targets = (Target("B", "B", "/B", quality=(Wish("q", 15),)),)
+    units = (unit("s"), unit("t"), unit("f", "s.1/x0", topic="B"))
+    fixed = model(world(targets, *library, qualities=(LOW,), units=units))
+    assert fixed.allows(rewired("f.1"), runs("s.1"))
+    assert not fixed.allows(runs("f.1"), ~rewired("f.1"), runs("t.1"))
 
 
 def test_two_attributes_are_both_kept() -> None:

@@ -15,6 +15,7 @@ from test_fleets_against_the_oracle import EXAMPLES, agree_with_the_explicit_mod
 
 from cfgplan.domain import Environment, Host, InputPort, OutputPort, Similarity, Target, Transformation
 from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.exact.first_plans import FirstPlans
 from cfgplan.planners.exact.kernels import left_by_bounds
 from cfgplan.planners.exact.session import PlannerSession
 from cfgplan.planners.exact.standing import Standing
@@ -53,6 +54,15 @@ def test_with_hosts_forgotten_no_plan_costs_less_than_the_bound(problem: Problem
     assume(found.status is Status.OPTIMAL)
     assert found.cost_us is not None
     assert standing.bound_us <= found.cost_us
+
+
+def test_what_costs_more_than_the_best_plan_on_any_host_is_left_out() -> None:
+    library = (kind("s", gives="A"), kind("dear", gives="A", labor_us=9), kind("f", "A", "B"))
+    problem = world("B", *library, hosts=(Host("h0"), Host("h1")))
+    candidates, standing = Candidates(problem), Standing(problem, Clock(), None)
+    assert left_by_bounds(candidates, standing).labels == {"s", "dear", "f"}
+    FirstPlans(candidates, standing).look(0)
+    assert left_by_bounds(candidates, standing).labels == {"s", "f"}
 
 
 def test_a_dearer_unit_on_the_target_s_host_beats_a_cheap_one_and_a_transfer() -> None:

@@ -14,10 +14,9 @@ from cfgplan.errors import InputError
 from cfgplan.figures import qualities_of_targets
 from cfgplan.planners import PLANNERS
 from cfgplan.planners.bounding.bounds import Bound
-from cfgplan.planners.exact.best_case import leave_out_what_is_too_bad
+from cfgplan.planners.exact.best_case import is_one_stream_best_for_all, leave_out_what_is_too_bad
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.first_plans import FirstPlans
-from cfgplan.planners.exact.flatness import is_one_stream_best_for_all
 from cfgplan.planners.exact.quality_chains import Chains
 from cfgplan.planners.exact.quality_cuts import QUICK, chain_cuts
 from cfgplan.planners.exact.quality_plan import QualityPlanner, can_be_planned

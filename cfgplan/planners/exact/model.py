@@ -14,8 +14,8 @@ from ortools.sat.python.cp_model import CpModel, IntVar, LinearExpr, LinearExprT
 
 from cfgplan.costs import transfer_cost_us
 from cfgplan.domain import InputPort, Stream
+from cfgplan.planners.exact.best_case import is_one_stream_best_for_all
 from cfgplan.planners.exact.candidates import Candidates, HostName
-from cfgplan.planners.exact.flatness import is_one_stream_best_for_all
 from cfgplan.planners.solving.engine import at_least
 from cfgplan.planners.solving.support import Support
 from cfgplan.planning import Notion

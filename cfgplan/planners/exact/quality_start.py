@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from cfgplan.planners.bounding.bounds import Bound
 from cfgplan.planners.bounding.tightening import tightened
-from cfgplan.planners.exact.best_case import bound_by_price, least_prices_us
+from cfgplan.planners.exact.best_case import bound_by_price, is_one_stream_best_for_all, least_prices_us
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.first_plans import FirstPlans
-from cfgplan.planners.exact.flatness import is_one_stream_best_for_all
 from cfgplan.planners.exact.quality_chains import ChainCut
 from cfgplan.planners.exact.quality_cuts import CLOSE, QUICK, Spreads, chain_cuts
 from cfgplan.planners.exact.quality_plan import QualityPlanner, can_be_planned
