@@ -242,7 +242,10 @@ class Agent:
                 return
             talk = self._talk = Talk(self._link, self.name, MANAGER, session, Order)
             self._orders.clear()
-        self._orders += talk.hear(kind, head, payload, time.monotonic())
+        try:
+            self._orders += talk.hear(kind, head, payload, time.monotonic())
+        except msgspec.MsgspecError as error:
+            self._tell_user(f"an order of another version of cfgplan is not carried out: {error}")
 
     def _obey(self, order: Order) -> None:
         backend = self._backend

@@ -15,6 +15,8 @@ from types import MappingProxyType
 from typing import TypeAlias
 from urllib.parse import unquote
 
+import msgspec
+
 from cfgplan.domain import ComputationUnit, Host, Publication, Stream, Subscription, Transformation
 from cfgplan.errors import InputError
 from cfgplan_runtime.children.messages import CrossingCounts, Export, Flow, Import, ImportUnused, RelaySign, Release
@@ -480,12 +482,18 @@ class FleetBackend:
         if kind == REFUSE:
             self._heed(host, payload)
             return
-        for message in host.talk.hear(kind, head, payload, self.now()):
-            self._understand(host, message)
+        try:
+            for message in host.talk.hear(kind, head, payload, self.now()):
+                self._understand(host, message)
+        except msgspec.MsgspecError as error:
+            self._lose(host, f"its agent is of another version of cfgplan: {error}")
 
     def _heed(self, host: _HostState, refusal: bytes) -> None:
         """A host obeys a later manager: yield to it if that is alive, unless this one is to take over."""
-        term, is_obeyed = map(int, refusal.split())
+        try:
+            term, is_obeyed = map(int, refusal.split())
+        except ValueError:
+            return  # of another version, or of nobody
         if is_obeyed and not self._takes_over:
             self._rival = host.name
             self.wake()

@@ -224,7 +224,9 @@ def told(event: events.Event) -> EventTold:
 
 
 def event_of(message: EventTold) -> events.Event:
-    """The event that a message tells of. Raises KeyError or msgspec.MsgspecError for none."""
+    """The event that a message tells of. Raises msgspec.MsgspecError for one of another version."""
+    if message.kind not in _EVENTS:
+        raise msgspec.ValidationError(f"there is no event {message.kind}")
     event: events.Event = msgspec.msgpack.decode(message.event, type=_EVENTS[message.kind])
     return event
 
@@ -235,7 +237,7 @@ class Talk(Generic[Spoken]):
     def __init__(self, link: ZenohLink, me: str, other: str, session: Session, incoming: object) -> None:
         self.session = session
         self.is_broken = False
-        """Whether messages were lost for good, or are of another version: a new session is needed."""
+        """Whether messages were lost for good: a new session is needed."""
         self._decoder: msgspec.msgpack.Decoder[Spoken] = msgspec.msgpack.Decoder(incoming)
         self._sending, self._receiving = Sending(granted=PIECES_UNDER_WAY), Receiving()
         self._put: Callable[[bytes, bytes], None] = link.publisher(crossing_key(me, SAY, other, str(session)), "orders")
@@ -247,7 +249,10 @@ class Talk(Generic[Spoken]):
         self.pump(now_s)
 
     def hear(self, kind: str, head: bytes, payload: bytes, now_s: float) -> list[Spoken]:
-        """Take what came at one of the session's keys. Returns the messages to handle now, in order."""
+        """Take what came at one of the session's keys. Returns the messages to handle now, in order.
+
+        Raises msgspec.MsgspecError for a message of another version.
+        """
         if kind == HEARD:
             credit = read_credit(payload)
             if credit is not None:
@@ -256,11 +261,7 @@ class Talk(Generic[Spoken]):
         frame = read_frame(head, payload)
         pieces = [] if frame is None else self._receiving.take(frame, now_s)
         self.is_broken = self.is_broken or self._receiving.dropped > 0
-        try:
-            return [self._decoder.decode(piece.payload) for piece in pieces]
-        except msgspec.MsgspecError:
-            self.is_broken = True
-            return []
+        return [self._decoder.decode(piece.payload) for piece in pieces]
 
     def pump(self, now_s: float) -> None:
         """Send what is due."""

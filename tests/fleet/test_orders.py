@@ -1,0 +1,63 @@
+"""What managers and agents say to each other, without a network."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, cast
+
+import msgspec
+import pytest
+from cfgplan_runtime.fleet.orders import (
+    EventTold,
+    FromAgent,
+    Order,
+    RelayLost,
+    Session,
+    StopOrder,
+    Talk,
+    event_of,
+    told,
+)
+from cfgplan_runtime.streams.zenoh_link import ZenohLink
+from cfgplan_runtime.supervision.events import UnitDied
+
+SESSION = Session(1, "abcd", 1)
+
+
+class Wire:
+    """A link that keeps what is put."""
+
+    def __init__(self) -> None:
+        self.put: list[tuple[str, bytes, bytes]] = []
+
+    def publisher(self, key: str, _lane: str) -> Callable[[bytes, bytes], None]:
+        return lambda head, payload: self.put.append((key.split("/")[2], head, payload))
+
+
+def talk(wire: Wire, me: str, other: str, incoming: object) -> Talk[Any]:
+    return Talk(cast("ZenohLink", wire), me, other, SESSION, incoming)
+
+
+def test_an_order_that_is_repeated_is_carried_out_once() -> None:
+    wire = Wire()
+    manager, agent = talk(wire, "manager", "r1", FromAgent), talk(Wire(), "r1", "manager", Order)
+    manager.say(StopOrder("a.1"), 0.0)
+    (said,) = (put for put in wire.put if put[0] == "say")
+    assert agent.hear(*said, 0.0) == [StopOrder("a.1")]
+    assert agent.hear(*said, 0.1) == []
+
+
+def test_a_message_of_another_version_is_no_traceback_but_an_error() -> None:
+    wire = Wire()
+    manager, agent = talk(Wire(), "manager", "r1", Order), talk(wire, "r1", "manager", Order)
+    agent.say(RelayLost("of an agent"), 0.0)
+    with pytest.raises(msgspec.MsgspecError):
+        manager.hear(*wire.put[0], 0.0)
+    with pytest.raises(msgspec.MsgspecError):
+        event_of(EventTold("UnitSang", msgspec.Raw(b"")))
+
+
+def test_an_event_is_read_as_it_was_told() -> None:
+    died = UnitDied("a.1", "killed by SIGKILL")
+    sent = msgspec.msgpack.decode(msgspec.msgpack.encode(told(died)), type=EventTold)
+    assert event_of(sent) == died
