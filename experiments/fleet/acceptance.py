@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 from network import Network, NotAllowedError
 
 if TYPE_CHECKING:
-    from cfgplan_runtime import Subscription
+    from cfgplan_runtime.streams.subscription import SubscriptionToTopic
 
 HOSTS = ("base", "r1", "r2")
 UNITS = Path(__file__).parents[1] / "runtime"
@@ -210,7 +210,7 @@ class Listener:
         subscription = subscribe(topic, run=run, wait_s=PATIENCE_S)
         threading.Thread(target=self._collect, args=(subscription,), daemon=True).start()
 
-    def _collect(self, subscription: Subscription) -> None:
+    def _collect(self, subscription: SubscriptionToTopic) -> None:
         for received in subscription:
             self.values.append(self._number(received.value))
             self.times_ns.append(received.time_ns)
