@@ -28,7 +28,7 @@ class Network:
 
     def __init__(self, hosts: Sequence[str]) -> None:
         self.address = {host: f"10.77.0.{number}" for number, host in enumerate(hosts, 1)}
-        self._stack = ExitStack()
+        self._stack, self._cut_loudly = ExitStack(), set[str]()
         with ExitStack() as stack:
             missing = [tool for tool in _TOOLS if shutil.which(tool) is None]
             if missing:
@@ -60,7 +60,7 @@ class Network:
         """A network that another process has made, for who was started on one of its hosts."""
         network = cls.__new__(cls)
         network.address, network._pids, network._switch = json.loads(token)
-        network._rights, network._stack = [], ExitStack()
+        network._rights, network._stack, network._cut_loudly = [], ExitStack(), set()
         return network
 
     def start(self, host: str, command: Sequence[str], **options: Any) -> subprocess.Popen[str]:
@@ -71,14 +71,19 @@ class Network:
     def cut(self, host: str, *, loudly: bool = False) -> None:
         """Let nothing through to or from a host. Loudly: the host sees that its cable is gone."""
         if loudly:
+            self._cut_loudly.add(host)
             self._in("switch", "ip", "link", "set", host, "down")
         else:
             self._in("switch", "bridge", "link", "set", "dev", host, "state", _IS_DISABLED)
 
     def mend(self, host: str) -> None:
         """Undo `cut`."""
-        self._in("switch", "ip", "link", "set", host, "up")
-        self._in("switch", "bridge", "link", "set", "dev", host, "state", _FORWARDS)
+        if host in self._cut_loudly:
+            # It forwards once its cable is there, which may be a moment later.
+            self._cut_loudly.discard(host)
+            self._in("switch", "ip", "link", "set", host, "up")
+        else:
+            self._in("switch", "bridge", "link", "set", "dev", host, "state", _FORWARDS)
 
     def limit(self, host: str, mbit_s: float) -> None:
         """Let no more than so much through to a host and from it."""
