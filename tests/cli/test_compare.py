@@ -16,7 +16,8 @@ targets:
   - {label: a, tag: A, topic: /a}
   - {label: b, tag: B, topic: /b}
 """
-PAIR = ("--planner", "branch-and-bound", "--planner", "exhaustive")
+PAIR = ("--planner", "branch-and-bound", "--planner", "exhaustive", "--timeout", "30")
+"""The time covers the warm-up of the oracle too, beside whatever else the machine does."""
 
 
 def test_planners_are_compared_on_an_environment_file(run: Run, write: Callable[[str], Path]) -> None:
