@@ -195,7 +195,14 @@ def interrupted_while_it_solves() -> None:
 
 def test_the_bound_rises_and_the_cost_falls_while_it_works() -> None:
     seen: list[Progress] = []
-    plan(hard_problem(), time_limit_s=2, report=seen.append)
+    enough = Event()
+
+    def look(progress: Progress) -> None:
+        seen.append(progress)
+        if progress.cost_us is not None and len({earlier.bound_us for earlier in seen}) > 2:
+            enough.set()
+
+    plan(hard_problem(), time_limit_s=60, report=look, stop=enough)
     bounds = [progress.bound_us for progress in seen]
     costs = [progress.cost_us for progress in seen if progress.cost_us is not None]
     assert bounds == sorted(bounds)
