@@ -233,6 +233,9 @@ def _parts(system: RunningSystem, state: Mapping[str, Any]) -> Iterator[Renderab
         yield Text(f"{waiting['transformation']} is not started {left}: {cause}", style="yellow")
     if state["lost_hosts"]:
         yield Text(f"Hosts that are gone: {', '.join(state['lost_hosts'])}.", style="yellow")
+    if state["clocks_ahead_us"]:
+        clocks = (f"{host} {ahead_us / 1e6:+.4f} s" for host, ahead_us in sorted(state["clocks_ahead_us"].items()))
+        yield Text(f"Clocks of hosts against this one: {', '.join(clocks)} (corrected).")
     if state["declared"]:
         yield Text(f"Added: {', '.join(state['declared'])}.")
     if state["removed"]:

@@ -43,6 +43,7 @@ def test_the_map_goes_on_when_a_host_is_given_up_and_when_an_agent_is_killed() -
         received = iter(maps)
         assert next(received).value, "obstacles are seen"
         with connect() as control:
+            assert control.call("state")["clocks_ahead_us"].keys() == {"base", "r1", "r2"}
             control.call("lose_host", host="r2")
             assert "r1" in {unit["host"] for unit in control.call("state")["units"]}
             last = next(received).time_ns

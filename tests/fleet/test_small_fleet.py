@@ -136,6 +136,7 @@ def test_a_host_that_returns_is_cleared_and_used_again() -> None:
         eventually(lambda: bool(seen(runtime, HostLost)))
         agent.send_signal(signal.SIGCONT)
         eventually(lambda: len(seen(runtime, HostJoined)) > joined)
+        assert max(abs(event.ahead_us) for event in seen(runtime, HostJoined)) < 100_000, "all have one clock here"
         assert fleet.units() == ["count.1"], "its stale unit is gone"
         listener = Listener(runtime)
         runtime.apply(ChangeSet(started=(moved(WORK, "work.2", "r2"),)))

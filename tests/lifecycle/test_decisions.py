@@ -243,6 +243,13 @@ def test_the_first_review_waits_for_hosts_as_long_as_it_may() -> None:
     assert (joined.due_s, joined.situation.lost_hosts(LIVING), effects) == (6.0, (), [])
 
 
+def test_the_clock_of_a_host_is_known_while_it_is_there() -> None:
+    joined, _ = after(stable(), 1.0, HostJoined("near"), HostJoined("far", -500_000))
+    assert joined.situation.clocks_ahead_us == {"near": 0, "far": -500_000}
+    lost, _ = after(joined, 2.0, HostLost("far", "cut"))
+    assert lost.situation.clocks_ahead_us == {"near": 0}
+
+
 def test_a_unit_without_a_good_step_for_long_is_given_up_and_blamed() -> None:
     state, failed = stable(Policy(failing_steps=5, failing_s=3.0)), UnitFailed("work.1", "raised", 12, "bad luck")
     told: list[Effect] = []

@@ -538,7 +538,7 @@ class FleetBackend:
             return
         host.ahead_ns, host.is_there = ahead_ns, True
         self._say(host.name, ClockOrder(ahead_ns))
-        self._events.append(HostJoined(host.name))
+        self._events.append(HostJoined(host.name, (ahead_ns - time.time_ns() + time.monotonic_ns()) // 1000))
 
     def _note(self, host: _HostState, event: Event) -> None:
         match event:

@@ -41,6 +41,8 @@ class Situation:
     """Ids of units whose end was asked for."""
     presence: Mapping[str, bool] = field(default_factory=dict)
     """By host: whether the middleware's last word was that it is there."""
+    clocks_ahead_us: Mapping[str, int] = field(default_factory=dict)
+    """By host that is there: how far its clock is ahead of the manager's, in microseconds."""
     awaits_hosts: bool = False
     """Whether a host of which the middleware has said nothing is not there yet."""
     given_up_hosts: frozenset[str] = frozenset()

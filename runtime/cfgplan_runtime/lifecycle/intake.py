@@ -63,8 +63,8 @@ def heard(turn: Turn, event: Event) -> Turn:
             return _gone(turn, unit, cause)
         case HostLost(host, cause):
             return _host_lost(turn, host, cause)
-        case HostJoined(host):
-            return _host_joined(turn, host)
+        case HostJoined(host, ahead_us):
+            return _host_joined(turn, host, ahead_us)
         case InputLost(unit_or_none, port):
             return _lost(turn, SubscriptionLost(unit_or_none, port))
         case UnitStatus():
@@ -174,16 +174,22 @@ def _host_lost(turn: Turn, host: str, cause: str) -> Turn:
     outcomes = [outcome for unit in gone for outcome in state.waiting.get(unit, ())]
     for unit in gone:
         turn = _unnoted(turn, unit).no_more_awaited(unit)
-    turn = turn.situated(replace(situation.without(*gone), presence={**situation.presence, host: False}))
+    clocks = {other: ahead_us for other, ahead_us in situation.clocks_ahead_us.items() if other != host}
+    presence = {**situation.presence, host: False}
+    turn = turn.situated(replace(situation.without(*gone), presence=presence, clocks_ahead_us=clocks))
     is_ours = host in hosts_of(state.living.world.environment)
     return _told_of_host(turn, HostGone(host, cause), outcomes) if is_ours else turn
 
 
-def _host_joined(turn: Turn, host: str) -> Turn:
+def _host_joined(turn: Turn, host: str, ahead_us: int) -> Turn:
     """A host is there."""
     situation, world = turn.state.situation, turn.state.living.world.environment
     was_lost = host in situation.lost_hosts(world)
-    situation = replace(situation, presence={**situation.presence, host: True})
+    situation = replace(
+        situation,
+        presence={**situation.presence, host: True},
+        clocks_ahead_us={**situation.clocks_ahead_us, host: ahead_us},
+    )
     turn = turn.situated(situation)
     return _told_of_host(turn, HostBack(host)) if was_lost and not situation.is_lost(host) else turn
 

@@ -137,6 +137,7 @@ class Manager:
             saving_us(state.reviews),
             state.faults,
             state.living.removed,
+            situation.clocks_ahead_us,
         )
 
     @property

@@ -141,6 +141,8 @@ class Snapshot:
     faults: tuple[Fault, ...] = ()
     removed: tuple[str, ...] = ()
     """Labels and names that were removed on request."""
+    clocks_ahead_us: Mapping[str, int] = field(default_factory=dict)
+    """By host that is there: how far its clock is ahead of the manager's, in microseconds."""
 
 
 @dataclass(frozen=True, slots=True)

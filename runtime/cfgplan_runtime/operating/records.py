@@ -45,6 +45,7 @@ def snapshot_record(snapshot: Snapshot, flows: Mapping[str, Record] | None = Non
         "reviews": [review_record(review) for review in snapshot.reviews],
         "backing_off": [plain(backing_off) for backing_off in snapshot.backing_off],
         "lost_hosts": list(snapshot.lost_hosts),
+        "clocks_ahead_us": dict(snapshot.clocks_ahead_us),
         "declared": list(snapshot.declared),
         "removed": list(snapshot.removed),
         "faults": [plain(fault) for fault in snapshot.faults],

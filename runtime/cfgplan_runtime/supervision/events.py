@@ -162,9 +162,13 @@ class HostLost:
 
 @dataclass(frozen=True, slots=True)
 class HostJoined:
-    """A host is there, for the first time or again. Nothing of the run is on it."""
+    """A host is there, for the first time or again. Nothing of the run is on it.
+
+    `ahead_us` is how far its clock is ahead of the manager's, in microseconds. Times of elements are corrected by it.
+    """
 
     host: str
+    ahead_us: int = 0
 
 
 @dataclass(frozen=True, slots=True)
