@@ -198,7 +198,7 @@ def test_an_edit_that_declares_hosts_is_refused_on_one_computer(run_for_real: Re
     eventually(lambda: len(run_for_real.refused) == 1)
     (fault,) = run_for_real.manager.snapshot().faults
     assert fault.message == "this run is on one computer, and can't place units on hosts (here)"
-    assert fault.mend == "plan it with `solve`"
+    assert fault.mend == "add --local to try all hosts on this computer, or --connect to reach their agents"
     run_for_real.await_result("work")
 
 
