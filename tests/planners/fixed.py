@@ -75,8 +75,11 @@ def uses(label: str) -> Fact:
     return Fact("uses", (label,))
 
 
-class Fixed:
-    """A model that answers what it allows. Subclasses name booleans and say whether a solution is one."""
+class Hubs:
+    """What the model allows in which inputs share what meets them wherever they can; new units alike are apart."""
+
+    is_apart = False
+    rules = tuple(rule for rule in RULES if rule is not one_of_new_units_alike_is_enough)
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
@@ -87,11 +90,11 @@ class Fixed:
 
     def least_us(self, *facts: Fact) -> int | None:
         """The least cost of a configuration with these facts; None if there is none."""
-        return self._least(facts, lambda: self.cost())
+        return self._least(facts, lambda: self.model.cost())
 
     def fewest_changes(self, *facts: Fact) -> int | None:
         """The least that rewired and started units weigh."""
-        return self._least(facts, lambda: self.changes())
+        return self._least(facts, lambda: self.model.changes())
 
     def _least(self, facts: Iterable[Fact], objective: Callable[[], LinearExprT]) -> int | None:
         cp = self.build()
@@ -113,36 +116,13 @@ class Fixed:
 
     def build(self) -> CpModel:
         """The model, anew."""
-        raise NotImplementedError
-
-    def booleans(self, fact: Fact) -> list[IntVar]:
-        """Booleans one of which holds if the fact does; none if it can't."""
-        raise NotImplementedError
-
-    def is_one(self, solver: CpSolver) -> bool:
-        """Whether a solution is a configuration; if it is not, something is added that forbids it."""
-        raise NotImplementedError
-
-    def cost(self) -> LinearExprT:
-        raise NotImplementedError
-
-    def changes(self) -> LinearExprT:
-        raise NotImplementedError
-
-
-class Hubs(Fixed):
-    """The model in which inputs share what meets them wherever they can; all configurations, also those alike."""
-
-    is_apart = False
-    rules = tuple(rule for rule in RULES if rule is not one_of_new_units_alike_is_enough)
-
-    def build(self) -> CpModel:
         self.search = search_alone(self.problem, is_apart=self.is_apart, rules=self.rules)
         self.candidates = self.search.model.candidates
         self.model = self.search.model
         return self.model.cp
 
     def booleans(self, fact: Fact) -> list[IntVar]:
+        """Booleans one of which holds if the fact does; none if it can't."""
         model, index_of = self.model, self.candidates.index_of
         if fact.kind == "uses":
             return [model.uses_required[label] for label in fact.of if label in model.uses_required]
@@ -160,17 +140,12 @@ class Hubs(Fixed):
         return _from(fact.of[0], model.connects[index_of[fed], port])
 
     def is_one(self, solver: CpSolver) -> bool:
+        """Whether a solution is a configuration; if it is not, something is added that forbids it."""
         true = self.search.true_of(solver.boolean_value)
         if self.search.consider(true) is not None:
             return True
         self.search.forbid(true)
         return False
-
-    def cost(self) -> LinearExprT:
-        return self.model.cost()
-
-    def changes(self) -> LinearExprT:
-        return self.model.changes()
 
 
 class WithoutTwins(Hubs):

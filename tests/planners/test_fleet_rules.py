@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from fixed import Apart, Fixed, Hubs, kind, on, publishes, rewired, runs, unit, waits, world
+from fixed import Apart, Hubs, kind, on, publishes, rewired, runs, unit, waits, world
 
 from cfgplan.domain import Host, OutputPort, Target, Transformation
 from cfgplan.planning import Failures, Problem
@@ -23,7 +23,7 @@ def placed(*hosts: Host, wanted: str | tuple[Target, ...] = "B", **more: object)
 
 
 @every_model
-def test_a_unit_is_on_one_host(model: type[Fixed]) -> None:
+def test_a_unit_is_on_one_host(model: type[Hubs]) -> None:
     fixed = model(placed(*TWO))
     assert fixed.allows(on("s.1", "h0"))
     assert fixed.allows(on("s.1", "h1"), ~on("s.1", "h0"))
@@ -32,14 +32,14 @@ def test_a_unit_is_on_one_host(model: type[Fixed]) -> None:
 
 
 @every_model
-def test_a_unit_is_on_a_host_that_its_transformation_allows(model: type[Fixed]) -> None:
+def test_a_unit_is_on_a_host_that_its_transformation_allows(model: type[Hubs]) -> None:
     fixed = model(world("A", kind("s", gives="A", hosts=("h0", "h2")), hosts=(*TWO, Host("h2"))))
     assert fixed.allows(on("s.1", "h2"))
     assert not fixed.allows(on("s.1", "h1"))
 
 
 @every_model
-def test_a_running_unit_stays_on_its_host(model: type[Fixed]) -> None:
+def test_a_running_unit_stays_on_its_host(model: type[Hubs]) -> None:
     library = (kind("s", gives="A"), kind("t", gives="A"))
     fixed = model(world("A", *library, hosts=TWO, units=(unit("s", host="h1"),)))
     assert fixed.allows(on("s.1", "h1"))
@@ -55,7 +55,7 @@ def test_a_running_unit_stays_on_its_host(model: type[Fixed]) -> None:
         (Host("h0", offers={"gpu": 5}), {"needs": {"gpu": 3}}),
     ],
 )
-def test_a_host_bears_its_units(model: type[Fixed], small: Host, takes: dict[str, Any]) -> None:
+def test_a_host_bears_its_units(model: type[Hubs], small: Host, takes: dict[str, Any]) -> None:
     fixed = model(placed(small, Host("h1", offers={"gpu": 6}), **takes))
     assert fixed.allows(on("s.1", "h0"), on("f.1", "h1"))
     assert fixed.allows(on("s.1", "h1"), on("f.1", "h1"))
@@ -63,7 +63,7 @@ def test_a_host_bears_its_units(model: type[Fixed], small: Host, takes: dict[str
 
 
 @every_model
-def test_what_a_host_does_not_offer_it_has_not(model: type[Fixed]) -> None:
+def test_what_a_host_does_not_offer_it_has_not(model: type[Hubs]) -> None:
     fixed = model(world("A", kind("s", gives="A", needs={"gpu": 1}), hosts=(Host("h0"), Host("h1", offers={"gpu": 1}))))
     assert fixed.allows(on("s.1", "h1"))
     assert not fixed.allows(on("s.1", "h0"))
@@ -79,14 +79,14 @@ def test_a_host_bears_its_cold_spares(takes: dict[str, Any]) -> None:
 
 
 @every_model
-def test_a_stream_is_carried_to_where_it_is_wanted(model: type[Fixed]) -> None:
+def test_a_stream_is_carried_to_where_it_is_wanted(model: type[Hubs]) -> None:
     fixed = model(placed(*TWO))
     assert fixed.least_us(on("s.1", "h0"), on("f.1", "h0")) == 2
     assert fixed.least_us(on("s.1", "h0"), on("f.1", "h1")) == 2 + 100
 
 
 @every_model
-def test_a_stream_is_carried_to_a_unit_that_stays(model: type[Fixed]) -> None:
+def test_a_stream_is_carried_to_a_unit_that_stays(model: type[Hubs]) -> None:
     library = (kind("s", gives="A", labor_us=500, output=STREAM), kind("f", "A", "B", labor_us=500))
     units = (unit("s", host="h0"), unit("f", "s.1/x0", host="h1", topic="B"))
     fixed = model(world("B", *library, units=units, hosts=TWO, transfer_us=100))
@@ -94,14 +94,14 @@ def test_a_stream_is_carried_to_a_unit_that_stays(model: type[Fixed]) -> None:
 
 
 @every_model
-def test_a_stream_is_carried_to_the_target_s_host(model: type[Fixed]) -> None:
+def test_a_stream_is_carried_to_the_target_s_host(model: type[Hubs]) -> None:
     fixed = model(placed(*TWO, wanted=(Target("B", "B", "/B", host="h1"),)))
     assert fixed.least_us(on("s.1", "h1"), on("f.1", "h1")) == 2
     assert fixed.least_us(on("s.1", "h0"), on("f.1", "h0")) == 2 + 100
 
 
 @every_model
-def test_a_stream_is_carried_once_to_each_host(model: type[Fixed]) -> None:
+def test_a_stream_is_carried_once_to_each_host(model: type[Hubs]) -> None:
     library = (kind("s", gives="A", output=STREAM), kind("f", "A", "B"), kind("g", "AA", "C"), kind("h", "A", "D"))
     fixed = model(world("BCD", *library, hosts=(*TWO, Host("h2")), transfer_us=100))
     assert fixed.least_us(on("s.1", "h0"), on("f.1", "h1"), on("g.1", "h1"), on("h.1", "h1")) == 4 + 100
@@ -109,7 +109,7 @@ def test_a_stream_is_carried_once_to_each_host(model: type[Fixed]) -> None:
 
 
 @every_model
-def test_what_does_not_run_is_not_carried(model: type[Fixed]) -> None:
+def test_what_does_not_run_is_not_carried(model: type[Hubs]) -> None:
     light = OutputPort("x", "", (), 1_000_000, 100_000)
     library = (
         kind("s", gives="A", output=STREAM, host="h0"),
@@ -120,14 +120,14 @@ def test_what_does_not_run_is_not_carried(model: type[Fixed]) -> None:
 
 
 @every_model
-def test_a_stream_is_not_carried_back_to_feed_itself(model: type[Fixed]) -> None:
+def test_a_stream_is_not_carried_back_to_feed_itself(model: type[Hubs]) -> None:
     fixed = model(world("A", kind("s", gives="A"), kind("loop", "A", "A"), hosts=TWO))
     assert fixed.allows(runs("s.1"))
     assert not fixed.allows(runs("loop.1"), ~runs("s.1"))
 
 
 @every_model
-def test_units_on_different_hosts_that_feed_each_other_need_something_from_outside(model: type[Fixed]) -> None:
+def test_units_on_different_hosts_that_feed_each_other_need_something_from_outside(model: type[Hubs]) -> None:
     library = (kind("s", gives="A"), kind("f", "A", "B"), kind("back", "B", "A"))
     fixed = model(world("B", *library, hosts=TWO))
     assert fixed.allows(on("f.1", "h0"), on("back.1", "h1"), runs("s.1"))
@@ -135,7 +135,7 @@ def test_units_on_different_hosts_that_feed_each_other_need_something_from_outsi
 
 
 @every_model
-def test_a_pinned_unit_on_a_host_is_kept(model: type[Fixed]) -> None:
+def test_a_pinned_unit_on_a_host_is_kept(model: type[Hubs]) -> None:
     library = (kind("s", gives="A"), kind("p", gives="B", pinned=True))
     fixed = model(world("A", *library, hosts=TWO, units=(unit("p", host="h0"),)))
     assert fixed.allows(runs("p.1"))
@@ -143,7 +143,7 @@ def test_a_pinned_unit_on_a_host_is_kept(model: type[Fixed]) -> None:
 
 
 @every_model
-def test_units_that_conflict_are_not_there_together(model: type[Fixed]) -> None:
+def test_units_that_conflict_are_not_there_together(model: type[Hubs]) -> None:
     library = (kind("s", gives="A", conflicts=("t", "s")), kind("t", gives="A"), kind("u", gives="B", max_instances=2))
     fixed = model(world("AB", *library, kind("v", "B", "C")))
     assert fixed.allows(runs("s.1"), ~runs("t.1"))
@@ -152,7 +152,7 @@ def test_units_that_conflict_are_not_there_together(model: type[Fixed]) -> None:
 
 
 @every_model
-def test_a_transformation_that_conflicts_with_itself_may_have_two_units(model: type[Fixed]) -> None:
+def test_a_transformation_that_conflicts_with_itself_may_have_two_units(model: type[Hubs]) -> None:
     fixed = model(world("A", kind("s", gives="A", conflicts=("s",), max_instances=2)))
     assert fixed.allows(runs("s.1"), runs("s.2"))
 
@@ -165,21 +165,21 @@ def test_a_cold_spare_conflicts_too() -> None:
 
 
 @every_model
-def test_as_many_units_run_as_are_asked_for(model: type[Fixed]) -> None:
+def test_as_many_units_run_as_are_asked_for(model: type[Hubs]) -> None:
     fixed = model(world("A", kind("s", gives="A", min_instances=2)))
     assert fixed.allows(runs("s.1"), runs("s.2"))
     assert not fixed.allows(~runs("s.2"))
 
 
 @every_model
-def test_a_unit_that_is_asked_for_runs_though_no_target_needs_it(model: type[Fixed]) -> None:
+def test_a_unit_that_is_asked_for_runs_though_no_target_needs_it(model: type[Hubs]) -> None:
     fixed = model(world("A", kind("s", gives="A"), kind("n", "A", "B", min_instances=1)))
     assert fixed.allows(runs("n.1"))
     assert not fixed.allows(~runs("n.1"))
 
 
 @every_model
-def test_no_more_units_run_than_are_allowed(model: type[Fixed]) -> None:
+def test_no_more_units_run_than_are_allowed(model: type[Hubs]) -> None:
     units = tuple(unit("s", number=number) for number in (1, 2, 3))
     fixed = model(world("A", kind("s", gives="A", max_instances=2), units=units))
     assert fixed.allows(runs("s.1"), runs("s.2"), ~runs("s.3"))
@@ -200,14 +200,14 @@ def test_cold_spares_count_among_those_allowed_but_not_among_those_asked_for() -
 
 
 @every_model
-def test_the_first_of_several_new_units_are_taken(model: type[Fixed]) -> None:
+def test_the_first_of_several_new_units_are_taken(model: type[Hubs]) -> None:
     fixed = model(world("A", kind("s", gives="A", max_instances=3)))
     assert fixed.allows(runs("s.1"), ~runs("s.2"))
     assert not fixed.allows(runs("s.2"), ~runs("s.1"))
 
 
 @every_model
-def test_new_units_beside_a_running_one_are_not_in_its_order(model: type[Fixed]) -> None:
+def test_new_units_beside_a_running_one_are_not_in_its_order(model: type[Hubs]) -> None:
     library = (kind("s", gives="A", max_instances=3), kind("t", gives="A"))
     fixed = model(world("A", *library, units=(unit("s"),)))
     assert fixed.allows(~runs("s.1"), runs("s.2"))
@@ -250,7 +250,7 @@ def test_a_target_at_a_host_that_fails_need_not_be_met_then() -> None:
 
 
 @every_model
-def test_wherever_a_unit_runs_its_demands_are_met_somewhere(model: type[Fixed]) -> None:
+def test_wherever_a_unit_runs_its_demands_are_met_somewhere(model: type[Hubs]) -> None:
     fixed = model(placed(*TWO))
     assert fixed.allows(on("f.1", "h0"), on("s.1", "h1"))
     assert not fixed.allows(on("f.1", "h0"), ~runs("s.1"))
@@ -258,7 +258,7 @@ def test_wherever_a_unit_runs_its_demands_are_met_somewhere(model: type[Fixed]) 
 
 
 @every_model
-def test_a_demand_is_met_first_by_a_unit_that_does_not_have_it_wherever_that_is(model: type[Fixed]) -> None:
+def test_a_demand_is_met_first_by_a_unit_that_does_not_have_it_wherever_that_is(model: type[Hubs]) -> None:
     library = [kind(label, wants, "A", output=STREAM) for label, wants in (("s", ""), ("t", ""), ("loop", "A"))]
     fixed = model(world("A", *library, hosts=TWO, transfer_us=100))
     assert fixed.allows(on("loop.1", "h0"), on("s.1", "h1"))
@@ -312,7 +312,7 @@ RESULTS = [
 @every_model
 @pytest.mark.parametrize(("attribute", "rule", "own", "over", "inputs", "value"), RESULTS)
 def test_a_stream_is_as_good_as_its_rule_says(
-    model: type[Fixed],
+    model: type[Hubs],
     attribute: QualityAttribute,
     rule: QualityRule,
     own: int,
@@ -328,7 +328,7 @@ def test_a_stream_is_as_good_as_its_rule_says(
 @every_model
 @pytest.mark.parametrize(("attribute", "rule", "own", "over", "inputs", "value"), RESULTS)
 def test_a_target_pays_for_what_its_stream_misses(
-    model: type[Fixed],
+    model: type[Hubs],
     attribute: QualityAttribute,
     rule: QualityRule,
     own: int,
@@ -341,13 +341,13 @@ def test_a_target_pays_for_what_its_stream_misses(
 
 
 @every_model
-def test_a_price_is_rounded_up_to_a_microsecond(model: type[Fixed]) -> None:
+def test_a_price_is_rounded_up_to_a_microsecond(model: type[Hubs]) -> None:
     fixed = model(with_quality(LOW, QualityRule.SET, 7, Over.WORST, (1,), Wish("q", weight_us=MICRO // 2)))
     assert fixed.least_us() == 2 + 4
 
 
 @every_model
-def test_a_bound_is_kept_by_who_meets_the_target(model: type[Fixed]) -> None:
+def test_a_bound_is_kept_by_who_meets_the_target(model: type[Hubs]) -> None:
     library = (kind("s", gives="A", output=states(10)), kind("t", gives="A", output=states(20)), kind("f", "A", "B"))
     fixed = model(world((Target("B", "B", "/B", quality=(Wish("q", 10),)),), *library, qualities=(LOW,)))
     assert fixed.allows(runs("s.1"))
@@ -355,7 +355,7 @@ def test_a_bound_is_kept_by_who_meets_the_target(model: type[Fixed]) -> None:
 
 
 @every_model
-def test_a_source_that_states_nothing_is_as_bad_as_can_be(model: type[Fixed]) -> None:
+def test_a_source_that_states_nothing_is_as_bad_as_can_be(model: type[Hubs]) -> None:
     def asking(bound: int) -> Problem:
         targets = (Target("A", "A", "/A", quality=(Wish("q", bound),)),)
         return world(targets, kind("s", gives="A"), qualities=(LOW,))
@@ -365,13 +365,13 @@ def test_a_source_that_states_nothing_is_as_bad_as_can_be(model: type[Fixed]) ->
 
 
 @every_model
-def test_what_is_worse_than_the_scale_counts_as_its_worst(model: type[Fixed]) -> None:
+def test_what_is_worse_than_the_scale_counts_as_its_worst(model: type[Hubs]) -> None:
     assert model(with_quality(LOW, QualityRule.ADD, 70, Over.WORST, (70,), Wish("q", 100))).allows(*WITHOUT_THE_BEST)
     assert not model(with_quality(LOW, QualityRule.ADD, 70, Over.WORST, (70,), Wish("q", 99))).allows(*WITHOUT_THE_BEST)
 
 
 @every_model
-def test_quality_is_that_of_the_stream_on_its_host(model: type[Fixed]) -> None:
+def test_quality_is_that_of_the_stream_on_its_host(model: type[Hubs]) -> None:
     library: tuple[Transformation, ...] = (
         kind("s", gives="A", output=states(10)),
         kind("t", gives="A", output=states(20), host="h1"),
@@ -384,7 +384,7 @@ def test_quality_is_that_of_the_stream_on_its_host(model: type[Fixed]) -> None:
 
 
 @every_model
-def test_a_unit_that_stays_has_the_quality_of_the_stream_that_it_keeps(model: type[Fixed]) -> None:
+def test_a_unit_that_stays_has_the_quality_of_the_stream_that_it_keeps(model: type[Hubs]) -> None:
     library: tuple[Transformation, ...] = (
         kind("s", gives="A", output=states(50)),
         kind("t", gives="A", output=states(10)),

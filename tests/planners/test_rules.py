@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 from fixed import (
     Apart,
-    Fixed,
     Hubs,
     WithoutTwins,
     feeds,
@@ -22,20 +21,19 @@ from cfgplan.domain import ComputationUnit, Transformation
 from cfgplan.planning import Problem
 
 every_model = pytest.mark.parametrize("model", [Hubs, Apart])
-who_is_wired_how = pytest.mark.parametrize("model", [Hubs, Apart])
 
 SOURCE, OTHER, FILTER = kind("s", gives="A"), kind("t", gives="A"), kind("f", "A", "B")
 
 
 @every_model
-def test_a_running_unit_is_fed(model: type[Fixed]) -> None:
+def test_a_running_unit_is_fed(model: type[Hubs]) -> None:
     fixed = model(world("B", SOURCE, FILTER))
     assert fixed.allows(runs("f.1"), runs("s.1"))
     assert not fixed.allows(runs("f.1"), ~runs("s.1"))
 
 
 @every_model
-def test_every_input_of_a_running_unit_is_fed(model: type[Fixed]) -> None:
+def test_every_input_of_a_running_unit_is_fed(model: type[Hubs]) -> None:
     fixed = model(world("C", SOURCE, kind("b", gives="B"), kind("f", "AB", "C")))
     assert fixed.allows(runs("s.1"), runs("b.1"))
     assert not fixed.allows(~runs("s.1"))
@@ -43,72 +41,72 @@ def test_every_input_of_a_running_unit_is_fed(model: type[Fixed]) -> None:
 
 
 @every_model
-def test_a_target_is_met(model: type[Fixed]) -> None:
+def test_a_target_is_met(model: type[Hubs]) -> None:
     fixed = model(world("A", SOURCE, OTHER))
     assert fixed.allows(runs("s.1"), ~runs("t.1"))
     assert not fixed.allows(~runs("s.1"), ~runs("t.1"))
 
 
-@who_is_wired_how
-def test_one_unit_publishes_a_target(model: type[Fixed]) -> None:
+@every_model
+def test_one_unit_publishes_a_target(model: type[Hubs]) -> None:
     fixed = model(world("A", SOURCE, OTHER, units=(unit("s"), unit("t"))))
     assert fixed.allows(publishes("s.1", "A"), ~publishes("t.1", "A"))
     assert not fixed.allows(publishes("s.1", "A"), publishes("t.1", "A"))
     assert not fixed.allows(~publishes("s.1", "A"), ~publishes("t.1", "A"), ~runs("s.2"), ~runs("t.2"))
 
 
-@who_is_wired_how
-def test_who_publishes_a_target_runs(model: type[Fixed]) -> None:
+@every_model
+def test_who_publishes_a_target_runs(model: type[Hubs]) -> None:
     fixed = model(world("A", SOURCE, OTHER, units=(unit("s"), unit("t"))))
     assert fixed.allows(publishes("s.1", "A"), runs("s.1"))
     assert not fixed.allows(publishes("s.1", "A"), ~runs("s.1"))
 
 
 @every_model
-def test_units_that_feed_each_other_need_something_from_outside(model: type[Fixed]) -> None:
+def test_units_that_feed_each_other_need_something_from_outside(model: type[Hubs]) -> None:
     fixed = model(world("B", SOURCE, kind("f", "A", "B"), kind("back", "B", "A")))
     assert fixed.allows(runs("f.1"), runs("s.1"))
     assert not fixed.allows(runs("f.1"), runs("back.1"), ~runs("s.1"))
 
 
 @every_model
-def test_a_unit_does_not_feed_itself(model: type[Fixed]) -> None:
+def test_a_unit_does_not_feed_itself(model: type[Hubs]) -> None:
     fixed = model(world("A", SOURCE, kind("loop", "A", "A")))
     assert fixed.allows(runs("s.1"), runs("loop.1"))
     assert not fixed.allows(runs("loop.1"), ~runs("s.1"))
 
 
 @every_model
-def test_three_units_in_a_ring_need_something_from_outside(model: type[Fixed]) -> None:
+def test_three_units_in_a_ring_need_something_from_outside(model: type[Hubs]) -> None:
     ring = (kind("one", "A", "B"), kind("two", "B", "C"), kind("three", "C", "A"))
     fixed = model(world("C", SOURCE, *ring))
     assert fixed.allows(runs("s.1"))
     assert not fixed.allows(~runs("s.1"))
 
 
-@who_is_wired_how
-def test_a_feedback_input_may_close_a_ring(model: type[Fixed]) -> None:
+@every_model
+def test_a_feedback_input_may_close_a_ring(model: type[Hubs]) -> None:
     fixed = model(world("B", kind("f", "C", "B", feedback=[0]), kind("g", "B", "C"), kind("h", gives="C")))
     assert fixed.allows(runs("f.1"), runs("g.1"), ~runs("h.1"))
     assert not fixed.allows(~runs("g.1"), ~runs("h.1"))
 
 
-@who_is_wired_how
-def test_a_feedback_input_is_fed_by_what_runs(model: type[Fixed]) -> None:
+@every_model
+def test_a_feedback_input_is_fed_by_what_runs(model: type[Hubs]) -> None:
     fixed = model(world("B", SOURCE, kind("f", "AC", "B", feedback=[1]), kind("g", "B", "C"), kind("c", gives="C")))
     assert fixed.allows(runs("f.1"), runs("g.1"))
     assert not fixed.allows(runs("f.1"), ~runs("g.1"), ~runs("c.1"))
 
 
-@who_is_wired_how
-def test_inputs_of_a_group_are_fed_by_different_transformations(model: type[Fixed]) -> None:
+@every_model
+def test_inputs_of_a_group_are_fed_by_different_transformations(model: type[Hubs]) -> None:
     fixed = model(world("B", SOURCE, OTHER, kind("f", "AA", "B", distinct=[0, 1])))
     assert fixed.allows(runs("s.1"), runs("t.1"))
     assert not fixed.allows(~runs("t.1"))
 
 
-@who_is_wired_how
-def test_two_units_of_one_transformation_do_not_feed_one_group(model: type[Fixed]) -> None:
+@every_model
+def test_two_units_of_one_transformation_do_not_feed_one_group(model: type[Hubs]) -> None:
     fixed = model(
         world("B", SOURCE, OTHER, kind("f", "AA", "B", distinct=[0, 1]), units=(unit("s"), unit("s", number=2)))
     )
@@ -116,24 +114,24 @@ def test_two_units_of_one_transformation_do_not_feed_one_group(model: type[Fixed
     assert not fixed.allows(runs("s.1"), runs("s.2"), ~runs("t.1"))
 
 
-@who_is_wired_how
-def test_inputs_of_no_group_may_be_fed_by_one_unit(model: type[Fixed]) -> None:
+@every_model
+def test_inputs_of_no_group_may_be_fed_by_one_unit(model: type[Hubs]) -> None:
     fixed = model(world("B", SOURCE, OTHER, kind("f", "AAA", "B", distinct=[0, 1])))
     assert fixed.allows(feeds("s.1", "f.1/in0"), feeds("t.1", "f.1/in1"), runs("f.1"))
     assert model(world("B", SOURCE, OTHER, kind("f", "AA", "B"))).allows(~runs("t.1"))
     assert model(world("B", SOURCE, OTHER, kind("f", "AA", "B", distinct=[0]))).allows(~runs("t.1"))
 
 
-@who_is_wired_how
-def test_an_input_has_one_feeder(model: type[Fixed]) -> None:
+@every_model
+def test_an_input_has_one_feeder(model: type[Hubs]) -> None:
     fixed = model(world("B", SOURCE, OTHER, kind("u", gives="A"), kind("f", "AA", "B", distinct=[0, 1])))
     assert fixed.allows(feeds("s.1", "f.1/in0"), feeds("t.1", "f.1/in1"))
     assert not fixed.allows(feeds("s.1", "f.1/in0"), feeds("u.1", "f.1/in0"))
     assert not fixed.allows(*(~feeds(feeder, "f.1/in0") for feeder in ("s.1", "t.1", "u.1")))
 
 
-@who_is_wired_how
-def test_a_distinct_feedback_input_is_fed_by_what_runs(model: type[Fixed]) -> None:
+@every_model
+def test_a_distinct_feedback_input_is_fed_by_what_runs(model: type[Hubs]) -> None:
     f = kind("f", "AC", "B", distinct=[0, 1], feedback=[1])
     fixed = model(world("B", SOURCE, f, kind("g", "B", "C"), kind("c", gives="C")))
     assert fixed.allows(feeds("g.1", "f.1/in1"), runs("g.1"))
@@ -142,7 +140,7 @@ def test_a_distinct_feedback_input_is_fed_by_what_runs(model: type[Fixed]) -> No
 
 
 @every_model
-def test_a_pinned_unit_is_kept(model: type[Fixed]) -> None:
+def test_a_pinned_unit_is_kept(model: type[Hubs]) -> None:
     def pinned(is_pinned: bool) -> Transformation:
         return kind("p", "A", "C", pinned=is_pinned)
 
@@ -156,16 +154,16 @@ def test_a_pinned_unit_is_kept(model: type[Fixed]) -> None:
 KEPT = (unit("s"), unit("t"), unit("f", "s.1/x0", topic="B"))
 
 
-@who_is_wired_how
-def test_a_unit_that_is_not_rewired_keeps_its_feeders(model: type[Fixed]) -> None:
+@every_model
+def test_a_unit_that_is_not_rewired_keeps_its_feeders(model: type[Hubs]) -> None:
     fixed = model(world("B", SOURCE, OTHER, FILTER, units=KEPT))
     assert fixed.allows(runs("f.1"), ~rewired("f.1"), runs("s.1"))
     assert not fixed.allows(runs("f.1"), ~rewired("f.1"), ~runs("s.1"))
     assert fixed.allows(rewired("f.1"), ~runs("s.1"))
 
 
-@who_is_wired_how
-def test_a_unit_that_is_not_rewired_keeps_its_feedback_feeders(model: type[Fixed]) -> None:
+@every_model
+def test_a_unit_that_is_not_rewired_keeps_its_feedback_feeders(model: type[Hubs]) -> None:
     f = kind("f", "AC", "B", feedback=[1])
     units = (unit("s"), unit("f", "s.1/x0", "g.1/x0", topic="B"), unit("g", "f.1/x0"), unit("c"))
     fixed = model(world("B", SOURCE, f, kind("g", "B", "C"), kind("c", gives="C"), units=units))
@@ -174,8 +172,8 @@ def test_a_unit_that_is_not_rewired_keeps_its_feedback_feeders(model: type[Fixed
     assert fixed.allows(rewired("f.1"), ~runs("g.1"))
 
 
-@who_is_wired_how
-def test_a_unit_that_is_not_rewired_keeps_its_topics(model: type[Fixed]) -> None:
+@every_model
+def test_a_unit_that_is_not_rewired_keeps_its_topics(model: type[Hubs]) -> None:
     fixed = model(world("B", SOURCE, FILTER, kind("g", gives="B"), units=(*KEPT[::2], unit("g"))))
     assert fixed.allows(runs("f.1"), ~rewired("f.1"), publishes("f.1", "B"))
     assert not fixed.allows(runs("f.1"), ~rewired("f.1"), ~publishes("f.1", "B"))
@@ -183,7 +181,7 @@ def test_a_unit_that_is_not_rewired_keeps_its_topics(model: type[Fixed]) -> None
     assert fixed.allows(rewired("g.1"), publishes("g.1", "B"))
 
 
-@who_is_wired_how
+@every_model
 @pytest.mark.parametrize(
     "broken",
     [
@@ -195,7 +193,7 @@ def test_a_unit_that_is_not_rewired_keeps_its_topics(model: type[Fixed]) -> None
     ],
     ids=["gap", "dead feeder", "unfit feeder", "stale topic", "no such output"],
 )
-def test_a_unit_whose_wiring_is_broken_is_rewired_or_stopped(model: type[Fixed], broken: ComputationUnit) -> None:
+def test_a_unit_whose_wiring_is_broken_is_rewired_or_stopped(model: type[Hubs], broken: ComputationUnit) -> None:
     units = (unit("s"), unit("b"), broken)
     fixed = model(world("BC", SOURCE, FILTER, kind("b", gives="C"), kind("g", gives="B"), units=units))
     assert fixed.allows(rewired("f.1"))
@@ -203,31 +201,31 @@ def test_a_unit_whose_wiring_is_broken_is_rewired_or_stopped(model: type[Fixed],
     assert not fixed.allows(runs("f.1"), ~rewired("f.1"))
 
 
-@who_is_wired_how
-def test_units_that_feed_each_other_can_not_all_stay_as_they_are(model: type[Fixed]) -> None:
+@every_model
+def test_units_that_feed_each_other_can_not_all_stay_as_they_are(model: type[Hubs]) -> None:
     ring = (unit("f", "back.1/x0", topic="B"), unit("back", "f.1/x0"), unit("s"))
     fixed = model(world("B", SOURCE, FILTER, kind("back", "B", "A"), units=ring))
     assert fixed.allows(rewired("f.1"), runs("s.1"))
     assert not fixed.allows(runs("f.1"), ~rewired("f.1"), runs("back.1"), ~rewired("back.1"))
 
 
-@who_is_wired_how
-def test_a_stopped_unit_is_not_rewired(model: type[Fixed]) -> None:
+@every_model
+def test_a_stopped_unit_is_not_rewired(model: type[Hubs]) -> None:
     fixed = model(world("B", SOURCE, FILTER, kind("g", gives="B"), units=KEPT[::2]))
     assert fixed.allows(~runs("f.1"), ~rewired("f.1"))
     assert not fixed.allows(~runs("f.1"), rewired("f.1"))
 
 
-@who_is_wired_how
-def test_a_unit_that_stays_keeps_who_feeds_it_where_that_matters(model: type[Fixed]) -> None:
+@every_model
+def test_a_unit_that_stays_keeps_who_feeds_it_where_that_matters(model: type[Hubs]) -> None:
     source, f = kind("s", gives="A", required=True), kind("f", "A", "B")
     fixed = model(world("B", source, OTHER, f, units=KEPT))
     assert fixed.allows(~rewired("f.1"), feeds("s.1", "f.1/in0"))
     assert not fixed.allows(~rewired("f.1"), feeds("t.1", "f.1/in0"))
 
 
-@who_is_wired_how
-def test_one_rewired_unit_outweighs_all_started_ones(model: type[Fixed]) -> None:
+@every_model
+def test_one_rewired_unit_outweighs_all_started_ones(model: type[Hubs]) -> None:
     units = (unit("f", "gone.1/x0", topic="B"), unit("b"))
     fixed = model(
         world("B", SOURCE, FILTER, kind("g", "CD", "B"), kind("c", gives="C"), kind("d", gives="D"), units=units)
@@ -238,22 +236,22 @@ def test_one_rewired_unit_outweighs_all_started_ones(model: type[Fixed]) -> None
     assert by_starting < by_rewiring
 
 
-@who_is_wired_how
-def test_started_units_count_one_by_one(model: type[Fixed]) -> None:
+@every_model
+def test_started_units_count_one_by_one(model: type[Hubs]) -> None:
     fixed = model(world("B", SOURCE, FILTER, kind("g", gives="B")))
     assert fixed.fewest_changes(~runs("g.1")) == 2
     assert fixed.fewest_changes() == 1
 
 
 @every_model
-def test_a_started_unit_costs_labor_and_upkeep_and_a_running_one_upkeep(model: type[Fixed]) -> None:
+def test_a_started_unit_costs_labor_and_upkeep_and_a_running_one_upkeep(model: type[Hubs]) -> None:
     source, f = kind("s", gives="A", labor_us=7, upkeep_us=2), kind("f", "A", "B", labor_us=5, upkeep_us=3)
     assert model(world("B", source, f, horizon_s=10)).least_us() == 7 + 5 + 10 * (2 + 3)
     assert model(world("B", source, f, horizon_s=10, units=(unit("s"),))).least_us(runs("s.1")) == 5 + 10 * (2 + 3)
 
 
-@who_is_wired_how
-def test_a_required_transformation_is_used_if_it_feeds_the_way_to_a_target(model: type[Fixed]) -> None:
+@every_model
+def test_a_required_transformation_is_used_if_it_feeds_the_way_to_a_target(model: type[Hubs]) -> None:
     source = kind("s", gives="A", required=True)
     fixed = model(world("B", source, OTHER, FILTER))
     assert fixed.allows(uses("s"), feeds("s.1", "f.1/in0"))
@@ -261,23 +259,23 @@ def test_a_required_transformation_is_used_if_it_feeds_the_way_to_a_target(model
     assert not fixed.allows(uses("s"), ~runs("s.1"))
 
 
-@who_is_wired_how
-def test_a_required_transformation_is_used_where_it_publishes(model: type[Fixed]) -> None:
+@every_model
+def test_a_required_transformation_is_used_where_it_publishes(model: type[Hubs]) -> None:
     fixed = model(world("A", kind("s", gives="A", required=True), OTHER))
     assert fixed.allows(uses("s"), publishes("s.1", "A"))
     assert not fixed.allows(uses("s"), ~publishes("s.1", "A"))
 
 
-@who_is_wired_how
-def test_a_required_transformation_is_not_used_by_a_unit_that_serves_no_target(model: type[Fixed]) -> None:
+@every_model
+def test_a_required_transformation_is_not_used_by_a_unit_that_serves_no_target(model: type[Hubs]) -> None:
     dead_end = kind("e", "A", "A")
     fixed = model(world("B", kind("s", gives="A", required=True), OTHER, FILTER, dead_end))
     assert fixed.allows(uses("s"), feeds("s.1", "e.1/in0"), feeds("e.1", "f.1/in0"))
     assert not fixed.allows(uses("s"), feeds("s.1", "e.1/in0"), feeds("t.1", "f.1/in0"))
 
 
-@who_is_wired_how
-def test_units_do_not_serve_through_each_other_s_feedback_inputs(model: type[Fixed]) -> None:
+@every_model
+def test_units_do_not_serve_through_each_other_s_feedback_inputs(model: type[Hubs]) -> None:
     one, two = kind("one", "C", "AC", feedback=[0], required=True), kind("two", "C", "C", feedback=[0])
     fixed = model(world("B", one, two, OTHER, FILTER))
     assert fixed.allows(uses("one"), feeds("one.1", "f.1/in0"))

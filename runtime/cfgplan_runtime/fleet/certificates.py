@@ -146,7 +146,9 @@ def _access(folder: Path) -> _Access:
         return msgspec.json.decode(path.read_bytes(), type=_Access)
     except (OSError, msgspec.MsgspecError) as error:
         mend = "copy the host's folder that `cfgplan certificates` has made"
-        raise InputError.of(f"can't be read: {error}", file=str(path), mend=mend) from None
+        raise InputError.of(
+            f"can't be read: {getattr(error, 'strerror', None) or error}", file=str(path), mend=mend
+        ) from None
 
 
 def _refuse_names(names: Iterable[str]) -> None:
