@@ -149,7 +149,7 @@ def _amount(value: object) -> Decimal | int:
 
 def _speed(value: object) -> int:
     """The speed of a host in millionths."""
-    micro = _positive_micro(value)
+    micro = _taken(micro_units, _number(value, "a speed is a number"))
     if not SPEEDS[0] * MICRO <= micro <= SPEEDS[1] * MICRO:
         mend = f"write a number from {SPEEDS[0]} to {SPEEDS[1]}; 1 is where costs were measured"
         raise _refusal(f"{value} is no speed of a host", mend)
