@@ -12,7 +12,11 @@ from pathlib import Path
 import psutil
 import pytest
 from cfgplan_runtime.errors import ApplyError
+from cfgplan_runtime.fleet.agent import alive_key
+from cfgplan_runtime.fleet.certificates import MANAGER
+from cfgplan_runtime.fleet.links import config
 from cfgplan_runtime.streams.run_folder import address, base_folder, topics_of
+from cfgplan_runtime.streams.zenoh_link import ZenohLink
 from cfgplan_runtime.supervision.events import HostJoined, HostLost, InputLost, SourceExhausted, UnitDied
 from cfgplan_runtime.testing import Bench, check_middleware
 from small_fleet import (
@@ -172,6 +176,17 @@ def test_hosts_without_an_agent_are_lost_from_the_beginning() -> None:
         with fleet.runtime(hosts=("r1", "r2"), wait_s=1.0) as runtime:
             (lost,) = seen(runtime, HostLost)
             assert lost.host == "r2"
+
+
+def test_a_manager_that_has_left_is_no_rival_though_it_still_seems_alive() -> None:
+    with small_fleet("r1") as fleet:
+        link = ZenohLink(config(connect=fleet.endpoints, mode="peer"))
+        with fleet.backend("r1") as first:
+            link.live(f"{alive_key(MANAGER)}/{first.id}")
+        assert link.alive(f"{alive_key(MANAGER)}/*")
+        with fleet.runtime(source(), worker()) as runtime:
+            runtime.apply(ChangeSet(started=(COUNT,)))
+        link.close()
 
 
 def test_what_another_run_has_is_not_taken_from_it() -> None:

@@ -135,6 +135,8 @@ class Agent:
         self._orders: deque[Order] = deque()
         self._managers: set[str] = set()
         """Keys of the managers that are alive."""
+        self._is_left = False
+        """Whether the manager of this talk has said that its run is over. Its key may be alive for a moment still."""
         self._usage_due_s = 0.0
         self._relays_lost, self._relay_since_s = 0, 0.0
         self._relay_due_s: float | None = None
@@ -237,13 +239,16 @@ class Agent:
                 return
             if talk is not None and not _supersedes(session, talk.session):
                 refuse = self._link.publisher(crossing_key(self.name, REFUSE, MANAGER, name), "orders")
-                is_obeyed = f"{alive_key(MANAGER)}/{talk.session.manager}" in self._managers
-                refuse(b"", f"{talk.session.term} {int(is_obeyed)}".encode())
+                is_alive = f"{alive_key(MANAGER)}/{talk.session.manager}" in self._managers
+                refuse(b"", f"{talk.session.term} {int(is_alive and not self._is_left)}".encode())
                 return
             talk = self._talk = Talk(self._link, self.name, MANAGER, session, Order)
             self._orders.clear()
+            self._is_left = False
         try:
-            self._orders += talk.hear(kind, head, payload, time.monotonic())
+            orders = talk.hear(kind, head, payload, time.monotonic())
+            self._orders += orders
+            self._is_left = self._is_left or any(isinstance(order, LeaveOrder) for order in orders)
         except msgspec.MsgspecError as error:
             self._tell_user(f"an order of another version of cfgplan is not carried out: {error}")
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import queue
-import secrets
 import threading
 import time
 from collections.abc import Mapping, Sequence
@@ -178,7 +177,6 @@ class FleetBackend:
         """The crossings that more inputs may be fed by: stream, host, and whether it may wait."""
         self._serial = 0
         self._term = 1
-        self._me = secrets.token_hex(4)
         self._library = library
         self._is_beginning = True
         """Until all hosts were waited for: what they run is adopted then, and ended later."""
@@ -189,12 +187,12 @@ class FleetBackend:
         self._is_greeting = False
         self._rival = ""
         """A host that obeys another manager."""
-        self._link = ZenohLink(config(connect=connect, certificates=certificates, mode="peer"))
         self.run_folder = run_folder
+        self._link = ZenohLink(config(connect=connect, certificates=certificates, mode="peer"))
         for kind in (SAY, HEARD, REFUSE):
             self._link.hear(crossing_key("*", kind, MANAGER, "*"), lambda *came: self._inbox.put(came))
         self._link.watch(f"{alive_key('*')}/*", lambda *came: self._inbox.put(came))
-        self._link.live(f"{alive_key(MANAGER)}/{self._me}")
+        self._link.live(f"{alive_key(MANAGER)}/{self.id}")
         try:
             self._await(hosts, wait_s)
         except InputError:
@@ -450,7 +448,7 @@ class FleetBackend:
         if name in self._hosts:
             self._lose(self._hosts[name], cause)
         self._serial += 1
-        session = Session(self._term, self._me, self._serial)
+        session = Session(self._term, self.id, self._serial)
         host = self._hosts[name] = _HostState(name, life, Talk(self._link, MANAGER, name, session, FromAgent))
         host.talk.say(GreetOrder(adopts=self._is_beginning), self.now())
 
@@ -566,7 +564,7 @@ class FleetBackend:
         key = (stream, target, blocks)
         if key not in self._shared:
             self._serial += 1
-            name, wire = f"{self._me}-{self._serial}", -self._serial
+            name, wire = f"{self.id}-{self._serial}", -self._serial
             crossing = self._shared[key] = _Crossing(name, wire, stream, source, target, blocks)
             self._crossings[name] = crossing
             shift_ns = self._hosts[target].ahead_ns - self._hosts[source].ahead_ns
