@@ -74,7 +74,9 @@ class Problem:
             Notion.QUALITY: any(target.quality for target in environment.targets),
             Notion.HOSTS: bool(environment.hosts),
             Notion.CONFLICTS: any(t.conflicts for t in environment.library),
-            Notion.INSTANCES: any(t.min_instances or t.max_instances is not None for t in environment.library),
+            Notion.INSTANCES: any(
+                t.min_instances or t.max_instances is not None or t.per_host is not None for t in environment.library
+            ),
             Notion.SURVIVAL: self.survive is not None or any(unit.standby for unit in environment.units),
         }
         return frozenset(notion for notion, is_asked in asked.items() if is_asked)

@@ -109,7 +109,8 @@ class Transformation:
     both are empty, and take there what `takes` says: CPU time, memory and `needs`, whole numbers of other resources.
     On a host in `seen_us` they cost the labor and upkeep given there, instead of what its speed makes of `labor_us`
     and `upkeep_us`. No unit is beside one of a transformation in `conflicts`. At least `min_instances` units run; at
-    most `max_instances` are there, cold spares counted. A cold spare takes `standby_us` each second; None: it has none.
+    most `max_instances` are there, and at most `per_host` on one host, cold spares counted; without hosts all are on
+    one. A cold spare takes `standby_us` each second; None: it has none.
     """
 
     label: str
@@ -132,6 +133,7 @@ class Transformation:
     standby_us: int | None = None
     needs: Mapping[str, int] = field(default_factory=dict, hash=False)
     seen_us: Mapping[str, tuple[int, int]] = field(default_factory=dict, hash=False)
+    per_host: int | None = None
 
     def __post_init__(self) -> None:
         store_sorted(self, "inputs", self.inputs, attrgetter("name"))
@@ -142,6 +144,7 @@ class Transformation:
         store_whole(self, "labor_us")
         store_whole(self, "upkeep_us")
         store_whole(self, "standby_us")
+        store_whole(self, "per_host")
         if self.labor_us < 0 or self.upkeep_us < 0:
             raise InvalidValueError(f"transformation {self.label!r} has a negative cost")
         if self.hosts or self.conflicts:
@@ -157,6 +160,8 @@ class Transformation:
         store_resources(self, "needs", {MEMORY: "memory_mb"})
         if self.min_instances < 0 or (self.max_instances is not None and self.max_instances < self.min_instances):
             raise InvalidValueError(f"transformation {self.label!r} asks for more instances than it allows")
+        if self.per_host is not None and self.per_host < 1:
+            raise InvalidValueError(f"transformation {self.label!r} allows no unit on any host")
 
     __getstate__ = fields_of
 

@@ -103,6 +103,16 @@ def test_too_few_and_too_many_instances_are_refused() -> None:
     assert rules(with_library(replace(CAMERA, max_instances=0), DETECTOR)) == {Broken.INSTANCES}
 
 
+def test_too_many_units_on_one_host_are_refused() -> None:
+    two = Environment(tuple(ComputationUnit(f"s.{n}", "s", host="h") for n in (1, 2)), (), (), (Host("h"), Host("i")))
+    for most, broken in ((1, {Broken.INSTANCES}), (2, set())):
+        here = replace(two, library=(Transformation("s", min_instances=2, per_host=most),))
+        assert rules(here) == broken
+        assert rules(replace(here, units=(two.units[0], replace(two.units[1], host="i")))) == set()
+        without = replace(here, units=tuple(replace(unit, host=None) for unit in two.units), hosts=())
+        assert rules(without) == broken
+
+
 def test_a_unit_that_is_asked_for_by_number_is_not_needless() -> None:
     second = replace(camera, id="camera.2", host="robot")
     two = replace(VALID, units=(camera, second, detector), hosts=(Host("robot"), HOSTS[1]))

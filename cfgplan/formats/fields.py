@@ -254,6 +254,7 @@ class TransformationPart(Part):
     conflicts: list[Name] | None = row("transformations that may not be there beside it")
     min_instances: int = row("at least so many of its units run", 0, ge=0, le=MOST_INSTANCES)
     max_instances: int | None = row("at most so many of its units are there", ge=0)
+    per_host: int | None = row("at most so many of its units are on one host", ge=1)
     standby: Cost | None = row("CPU seconds per second of a spare that does not run", to="standby_us")
     run: RunPart | None = row("how its units run", use=Use.BOTH, xml=ELEMENT)
     inputs: dict[PortName, InputGiven] | None = row("input ports: name to tag", xml=ELEMENT)

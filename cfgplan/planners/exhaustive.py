@@ -17,7 +17,7 @@ from cfgplan.domain import ComputationUnit, Environment, Publication, Stream, Su
 from cfgplan.errors import InputError
 from cfgplan.planning import Plan, Problem, Progress, Status, fresh_units
 from cfgplan.validity.environments import instance_violations, violations
-from cfgplan.validity.hosts import carried_us, placing_violations
+from cfgplan.validity.hosts import carried_us, company_violations, placing_violations
 from cfgplan.validity.plans import cost_us, unused_required
 from cfgplan.validity.quality import priced_us
 from cfgplan.validity.startable import givers_by_tag, startable
@@ -214,7 +214,8 @@ def _places(problem: Problem, transformation: Transformation) -> Iterator[tuple[
 
 
 def _is_allowed(after: Environment) -> bool:
-    return not any(instance_violations(after)) and not any(placing_violations(after))
+    rules = (instance_violations, placing_violations, company_violations)
+    return not any(any(rule(after)) for rule in rules)
 
 
 def _least(problem: Problem, after: Environment) -> OracleRank:

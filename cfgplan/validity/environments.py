@@ -8,7 +8,7 @@ from graphlib import CycleError, TopologicalSorter
 
 from cfgplan.domain import Environment, Similarity, Stream
 from cfgplan.planning import Failures
-from cfgplan.validity.hosts import placing_violations
+from cfgplan.validity.hosts import company_violations, placing_violations
 from cfgplan.validity.quality import quality_violations
 from cfgplan.validity.reading import known_units, needed_by, publishers, tag_of
 from cfgplan.validity.rules import Rule, Violation
@@ -28,6 +28,7 @@ def violations(environment: Environment, similarity: Similarity, survive: Failur
         *_indistinct_feeds(environment),
         *quality_violations(environment),
         *placing_violations(environment),
+        *company_violations(environment),
         *instance_violations(environment),
         *survival_violations(environment, similarity, survive),
         *_needless_units(environment, similarity, survive),

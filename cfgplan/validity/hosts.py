@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from fractions import Fraction
 
@@ -34,6 +35,20 @@ def placing_violations(environment: Environment) -> Iterator[Violation]:
             if room is not None and taken > room:
                 text = f"the units on {host.name} take {amount_of(resource, taken)}, but it has {room}"
                 yield Violation(Rule.CAPACITY, text)
+
+
+def company_violations(environment: Environment) -> Iterator[Violation]:
+    """Units that may not be on one host with what else is there; where there are no hosts, all are on one."""
+    at: dict[str | None, Counter[str]] = defaultdict(Counter)
+    for unit, transformation in known_units(environment):
+        at[unit.host][transformation.label] += 1
+    for host, there in at.items():
+        where = "there" if host is None else f"on {host}"
+        for label, number in there.items():
+            most = environment.transformation[label].per_host
+            if most is not None and number > most:
+                text = f"{number} units of {label} are {where}, but it allows {most} on one host"
+                yield Violation(Rule.INSTANCES, text)
 
 
 def costs_there(

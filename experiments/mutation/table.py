@@ -221,6 +221,7 @@ MODEL = _room(
     ("units that conflict are together", "rules.py", "model.cp.add_at_most_one(one, second)", "pass"),
     ("too few units run", "rules.py", ">= t.min_instances", ">= 0"),
     ("too many units are there", "rules.py", "<= t.max_instances)", "<= t.max_instances + 1)"),
+    ("too many units are on one host", "rules.py", "<= t.per_host)", "<= t.per_host + 1)"),
     (
         "cold spares count as running",
         "rules.py",
@@ -317,6 +318,7 @@ JUDGE = _room(
         "there[label] > transformation.max_instances:",
         "there[label] < 0:",
     ),
+    ("too many units are on one host", "hosts.py", "number > most:", "number < 0:"),
     ("too few units run", "environments.py", "if len(running[label]) < transformation.min_instances:", "if False:"),
 )
 

@@ -93,6 +93,7 @@ def transformations(
         least = draw(st.sampled_from([0, 0, 0, 0, 1]))
         changes["min_instances"] = least
         changes["max_instances"] = draw(st.sampled_from([None, None, max(1, least), 2]))
+        changes["per_host"] = draw(st.sampled_from([None, None, None, 1, 2]))
     if Notion.SURVIVAL in notions:
         changes["standby_us"] = draw(st.sampled_from([None, 0, 1, 2]))
     return replace(plain, **changes)  # type: ignore[arg-type]

@@ -186,6 +186,27 @@ def test_no_more_units_run_than_are_allowed(model: type[Hubs]) -> None:
     assert not fixed.allows(runs("s.1"), runs("s.2"), runs("s.3"))
 
 
+@every_model
+def test_no_host_has_more_units_of_a_transformation_than_it_allows(model: type[Hubs]) -> None:
+    fixed = model(world("A", kind("s", gives="A", max_instances=3, per_host=1), hosts=TWO))
+    assert fixed.allows(on("s.1", "h0"), on("s.2", "h1"))
+    assert not fixed.allows(on("s.1", "h0"), on("s.2", "h0"))
+    assert not fixed.allows(runs("s.1"), runs("s.2"), runs("s.3"))
+
+
+@every_model
+def test_without_hosts_all_units_are_on_one(model: type[Hubs]) -> None:
+    fixed = model(world("A", kind("s", gives="A", max_instances=3, per_host=2)))
+    assert fixed.allows(runs("s.1"), runs("s.2"))
+    assert not fixed.allows(runs("s.1"), runs("s.2"), runs("s.3"))
+
+
+def test_cold_spares_count_among_those_allowed_on_a_host() -> None:
+    fixed = Apart(world("A", kind("s", gives="A", standby_us=1, per_host=1), hosts=TWO, survive=Failures.UNITS))
+    assert fixed.allows(on("s.1", "h0"), waits("s.2"), on("s.2", "h1"))
+    assert not fixed.allows(on("s.1", "h0"), waits("s.2"), on("s.2", "h0"))
+
+
 def test_cold_spares_count_among_those_allowed_but_not_among_those_asked_for() -> None:
     fixed = Apart(world("A", kind("s", gives="A", standby_us=1, max_instances=2), survive=Failures.UNITS))
     assert fixed.allows(runs("s.1"), waits("s.2"))

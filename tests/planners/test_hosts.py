@@ -14,6 +14,7 @@ from hypothesis import assume, given, settings
 from test_fleets_against_the_oracle import EXAMPLES, agree_with_the_explicit_model, some
 
 from cfgplan.domain import Environment, Host, InputPort, OutputPort, Similarity, Target, Transformation
+from cfgplan.planners import PLANNERS
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.first_plans import FirstPlans
 from cfgplan.planners.exact.kernels import left_by_bounds
@@ -146,3 +147,14 @@ def test_a_unit_takes_more_of_a_slow_host(tuning: Tuning, speed: int, status: St
     library = (replace(kind("t", gives="B"), upkeep_us=10),)
     problem = world((Target("B", "B", "/B"),), *library, hosts=(Host("a", cpu_us=10, speed=speed),))
     assert PlannerSession(tuning).plan(problem).status is status
+
+
+def test_which_replica_finds_no_host_is_said() -> None:
+    hosts = (Host("a", memory_mb=1100), Host("b", memory_mb=500))
+    for more, text in (
+        ({"memory_mb": 512, "min_instances": 3}, "number 3 finds no host with 512 MB of memory left"),
+        ({"per_host": 1, "min_instances": 3}, "number 3 finds no host with fewer than 1 of them"),
+    ):
+        found = PLANNERS["cpsat"](world("A", kind("web", gives="A", **more), hosts=hosts))
+        assert found.status is Status.INFEASIBLE
+        assert text in found.reasons["A"]

@@ -11,9 +11,10 @@ from collections.abc import Collection, Iterable
 import numpy as np
 
 from cfgplan.domain import ComputationUnit
-from cfgplan.figures import loads, qualities_of_targets
+from cfgplan.figures import qualities_of_targets
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.configuration import Configuration, spare_prices
+from cfgplan.planners.exact.places import Rooms
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.exact.survivors import bears_all_failures
 from cfgplan.planners.networks.core import Floats
@@ -146,18 +147,14 @@ class FirstPlans:
         there = Counter(unit.transformation for unit in units)
         running = Counter(unit.transformation for unit in units if not unit.standby)
         kinds = [environment.transformation[label] for label in there]
+        rooms = Rooms(environment)
         return (
             all(
                 is_met(environment.quality[wish.attribute], wish, reached[target.label][wish.attribute])
                 for target in environment.targets
                 for wish in target.quality
             )
-            and all(
-                room is None or taken <= room
-                for name, load in loads(environment, units).items()
-                for resource, taken in load.items()
-                for room in [environment.host[name].room(resource)]
-            )
+            and all(rooms.put(environment.transformation[unit.transformation], unit.host) for unit in units)
             and all(running[t.label] >= t.min_instances for t in self._numbered)
             and all(t.max_instances is None or there[t.label] <= t.max_instances for t in kinds)
             and not any(other != t.label and other in there for t in kinds for other in t.conflicts)

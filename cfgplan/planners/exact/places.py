@@ -2,13 +2,44 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Collection, Iterable
+from collections import Counter, defaultdict
+from collections.abc import Collection, Iterable, Iterator, Mapping
 
-from cfgplan.costs import transfer_cost_us
-from cfgplan.domain import Stream
+from cfgplan.costs import taken, transfer_cost_us
+from cfgplan.domain import Environment, Stream, Transformation, amount_of
 from cfgplan.planners.exact.candidates import Candidates, HostName
 from cfgplan.planners.exact.grounded import Grounded
+
+
+class Rooms:
+    """What is on each host so far. Where there are no hosts, all is on one that has room for everything."""
+
+    def __init__(self, environment: Environment) -> None:
+        self._environment = environment
+        self._taken: Counter[tuple[HostName, str]] = Counter()
+        self._there: dict[HostName, Counter[str]] = defaultdict(Counter)
+
+    def put(self, kind: Transformation, name: HostName) -> bool:
+        """Put a unit on a host; False if the host lacks something for it."""
+        if any(self.lacks(kind, name)):
+            return False
+        self._there[name][kind.label] += 1
+        for resource, amount in self._takes(kind, name).items():
+            self._taken[name, resource] += amount
+        return True
+
+    def lacks(self, kind: Transformation, name: HostName) -> Iterator[str]:
+        """What a host would have to have for one more unit, in words."""
+        host = None if name is None else self._environment.host[name]
+        for resource, amount in self._takes(kind, name).items():
+            room = None if host is None else host.room(resource)
+            if room is not None and self._taken[name, resource] + amount > room:
+                yield f"{amount_of(resource, amount)} left"
+        if kind.per_host is not None and self._there[name][kind.label] >= kind.per_host:
+            yield f"fewer than {kind.per_host} of them"
+
+    def _takes(self, kind: Transformation, name: HostName) -> Mapping[str, int]:
+        return {} if name is None else taken(kind, self._environment.host[name])
 
 
 class Places:
@@ -19,7 +50,7 @@ class Places:
         self.host_of: dict[int, HostName] = {}
         self.feeds: dict[tuple[int, str], Stream] = {}
         self.published: dict[str, Stream] = {}
-        self._taken: Counter[tuple[HostName, str]] = Counter()
+        self._rooms = Rooms(candidates.environment)
         self._price_us: dict[Stream, int] = {}
 
     def put_all(self, grounded: Grounded, but_on: HostName = None) -> bool:
@@ -36,23 +67,12 @@ class Places:
 
     def put(self, unit: int, hosts: Iterable[HostName]) -> bool:
         """Place a unit on the first of some hosts that has room for it; False if none has."""
+        candidate = self.candidates.all[unit]
         for host in hosts:
-            if self._has_room(unit, host):
-                for resource, amount in self.candidates.all[unit].places[host].takes.items():
-                    self._taken[host, resource] += amount
+            if self._rooms.put(candidate.transformation, host):
                 self.host_of[unit] = host
                 return True
         return False
-
-    def _has_room(self, unit: int, host: HostName) -> bool:
-        if host is None:
-            return True
-        takes, room = self.candidates.all[unit].places[host].takes, self.candidates.environment.host[host].room
-        return all(
-            most is None or self._taken[host, resource] + amount <= most
-            for resource, amount in takes.items()
-            for most in [room(resource)]
-        )
 
     def _by_price(self, grounded: Grounded, unit: int, hosts: Iterable[HostName]) -> list[HostName]:
         """Hosts by what it costs to run a unit there, and to carry its inputs there."""

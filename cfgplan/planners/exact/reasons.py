@@ -9,6 +9,7 @@ from cfgplan.costs import taken
 from cfgplan.domain import Environment, Target, Transformation, amount_of
 from cfgplan.planners.exact.best_case import best_values
 from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.exact.places import Rooms
 from cfgplan.planning import Failures, Problem
 from cfgplan.qualities import Better, is_met, units
 from cfgplan.reasons import Givers, startable
@@ -26,7 +27,8 @@ def joint_reasons(problem: Problem) -> dict[str, str]:
         if reason
     }
     asked = f" ({', '.join(sorted(problem.notions))})"
-    joint = f"no configuration meets all that is asked together{_missing_together(problem) or asked}"
+    missing = _missing_together(problem) or _missing_host(problem) or asked
+    joint = f"no configuration meets all that is asked together{missing}"
     return unreachable or {target.label: joint for target in problem.environment.targets}
 
 
@@ -70,6 +72,19 @@ def _missing_together(problem: Problem) -> str | None:
         if sum(needed.values()) > room:
             names = ", ".join(label for label, amount in needed.items() if amount)
             return f": {names} need {sum(needed.values())} {resource}, but all hosts have {room}"
+    return None
+
+
+def _missing_host(problem: Problem) -> str | None:
+    """Name the first unit of a transformation that finds no host, even if nothing else is there; or None."""
+    environment = problem.environment
+    for t in environment.library:
+        rooms, hosts = Rooms(environment), environment.hosts_for(t)
+        for number in range(1, t.min_instances + 1):
+            if not any(rooms.put(t, host) for host in hosts):
+                lacks = sorted({lack for host in hosts for lack in rooms.lacks(t, host)})
+                found = f"no host with {lacks[0]}" if lacks else "no host"
+                return f": {t.label} asks for {t.min_instances} units, and number {number} finds {found}"
     return None
 
 

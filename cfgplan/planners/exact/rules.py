@@ -284,6 +284,22 @@ def there_are_as_many_units_as_asked_for_and_allowed(model: Model) -> None:
             model.cp.add(LinearExpr.sum(there[t.label]) <= t.max_instances)
 
 
+def no_host_has_more_units_of_a_transformation_than_it_allows(model: Model) -> None:
+    for t in model.environment.library:
+        if t.per_host is not None:
+            for there in _on_hosts(model, t.label).values():
+                model.cp.add(LinearExpr.sum(there) <= t.per_host)
+
+
+def _on_hosts(model: Model, label: str) -> dict[HostName, list[IntVar]]:
+    """For each host the booleans that a unit of a transformation is there, running or as a cold spare."""
+    found: dict[HostName, list[IntVar]] = defaultdict(list)
+    for i in model.candidates.units_of(label):
+        for host, there in (*model.runs_on[i].items(), *model.waits_on[i].items()):
+            found[host].append(there)
+    return found
+
+
 def _by_label(model: Model, literals: dict[int, IntVar]) -> dict[str, list[IntVar]]:
     found: dict[str, list[IntVar]] = defaultdict(list)
     for i, literal in literals.items():
@@ -357,6 +373,7 @@ RULES: Final[tuple[ModelRule, ...]] = (
     hosts_bear_their_units,
     units_that_conflict_are_not_there_together,
     there_are_as_many_units_as_asked_for_and_allowed,
+    no_host_has_more_units_of_a_transformation_than_it_allows,
     new_units_come_in_order,
     one_of_new_units_alike_is_enough,
     targets_get_the_quality_they_ask_for,
