@@ -22,30 +22,25 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from computers import (
+    HOSTS,
+    PATIENCE_S,
+    RATE_HZ,
+    UNITS,
+    Fleet,
+    Listener,
+    events,
+    eventually,
+    library,
+    stream,
+    targets,
+    unit,
+)
 from network import Network, NotAllowedError
 
-if TYPE_CHECKING:
-    from cfgplan_runtime.streams.subscription import SubscriptionToTopic
-
-HOSTS = ("base", "r1", "r2")
-UNITS = Path(__file__).parents[1] / "runtime"
-RATE_HZ = 200
-PATIENCE_S = 30.0
 SKIPPED = 77
-
-_AGENT = """
-import sys, time
-from cfgplan_runtime.fleet import links
-from cfgplan_runtime.processes.nursery import die_with_parent
-links.LEASE_S, links._refuse_strangers = float(sys.argv.pop(1)), lambda _: None
-die_with_parent(int(sys.argv.pop(1)))
-ahead_ns, real = int(sys.argv.pop(1)), time.time_ns
-time.time_ns = lambda: real() + ahead_ns
-from cfgplan.cli import main
-sys.exit(main())
-"""
 
 
 @dataclass(frozen=True)
@@ -55,209 +50,6 @@ class Seen:
     text: str
     is_right: bool
     is_in_time: bool = True
-
-
-class Fleet:
-    """Agents on all hosts of a network, as commands; `secrets` has their certificates. A context manager.
-
-    Without `is_secured` they do without, which only this experiment allows beyond loopback.
-    """
-
-    def __init__(self, network: Network, secrets: Path, *, lease_s: float = 2.0, is_secured: bool = True) -> None:
-        from cfgplan_runtime.fleet import links
-
-        links.LEASE_S = lease_s
-        self._is_secured = is_secured
-        self.network = network
-        self.lease_s = lease_s
-        self._secrets = secrets
-        self.endpoints = {host: f"{'tls' if is_secured else 'tcp'}/{network.address[host]}:7447" for host in HOSTS}
-        self.agents: dict[str, subprocess.Popen[str]] = {}
-        for host in HOSTS:
-            self.start_agent(host)
-        self._await_agents()
-
-    def _await_agents(self) -> None:
-        for host in HOSTS:
-            said = self._secrets / f"runs-{host}" / "said"
-            eventually(lambda said=said: "listens on" in said.read_text())
-
-    def start_agent(self, host: str, *, ahead_ns: int = 0) -> None:
-        """Start a host's agent, with its clock ahead; it reaches all others by itself."""
-        others = [f"--connect={endpoint}" for other, endpoint in self.endpoints.items() if other != host]
-        listen = f"--listen={self.endpoints[host]}"
-        command = [
-            sys.executable,
-            "-c",
-            _AGENT,
-            str(self.lease_s),
-            str(os.getpid()),
-            str(ahead_ns),
-            "agent",
-            f"--name={host}",
-            listen,
-            *others,
-        ]
-        secured = [f"--certificates={self._secrets / host}"] if self._is_secured else []
-        base = self._secrets / f"runs-{host}"
-        base.mkdir(exist_ok=True)
-        said = base / "said"
-        said.unlink(missing_ok=True)
-        self.agents[host] = self.network.start(
-            host,
-            [*command, *secured, f"--folder={UNITS}"],
-            env={**os.environ, "XDG_RUNTIME_DIR": str(base)},
-            stderr=said.open("w"),
-        )
-
-    def restart(self, host: str | None = None, *, ahead_ns: int = 0) -> None:
-        """Start a host's agent anew, by default all that have ended."""
-        for name in HOSTS if host is None else (host,):
-            if host is not None:
-                self.kill_agent(name)
-            if self.agents[name].poll() is not None:
-                self.start_agent(name, ahead_ns=ahead_ns)
-        self._await_agents()
-
-    def kill_agent(self, host: str) -> None:
-        """Kill an agent as a crash does."""
-        agent = self.agents[host]
-        agent.kill()
-        agent.wait()
-
-    @contextlib.contextmanager
-    def runtime(self, *, is_empty: bool = False) -> Iterator[Any]:
-        """A runtime of this fleet that knows the library, the targets and the hosts, or nothing yet."""
-        from cfgplan_runtime.fleet import fleet_runtime
-
-        from cfgplan.domain import ChangeSet, Environment, Host
-        from cfgplan.errors import InputError
-
-        hosts = tuple(Host(name) for name in HOSTS)
-        secured = self._secrets / "manager" if self._is_secured else None
-        reached = fleet_runtime.Fleet(tuple(self.endpoints.values()), secured, takes_over=True)
-        with contextlib.ExitStack() as stack:
-            runtime: Any = None
-
-            def took_over() -> bool:
-                nonlocal runtime
-                with contextlib.suppress(InputError):  # most agents are starting, or were cut off until now
-                    runtime = stack.enter_context(fleet_runtime.fleet_runtime(reached, Environment(hosts=hosts), UNITS))
-                return runtime is not None
-
-            eventually(took_over)
-            eventually(lambda: not runtime.supervisor.lost_hosts)
-            if not is_empty:
-                runtime.apply(ChangeSet(added_transformations=library(), added_targets=targets(), added_hosts=hosts))
-            yield runtime
-
-    def __enter__(self) -> Fleet:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for agent in self.agents.values():
-            agent.terminate()
-        for agent in self.agents.values():
-            try:
-                agent.wait(PATIENCE_S)
-            except subprocess.TimeoutExpired:
-                agent.kill()
-                agent.wait()
-
-
-def library() -> tuple[Any, ...]:
-    """Numbers at 200 Hz, images of 460 kB at 40 Hz, and a unit that gives on what it gets."""
-    from cfgplan.domain import InputPort, OutputPort, RunOptions, Transformation
-
-    def source(label: str, rate_hz: float) -> Transformation:
-        run = RunOptions(rate_hz=rate_hz)
-        return Transformation(label, outputs=(OutputPort("n", "N"),), source=f"measured_units.py:{label}", run=run)
-
-    ports = (InputPort("x", "N"),), (OutputPort("n", "Y"),)
-    return (
-        source("count", RATE_HZ),
-        source("images", 40),
-        Transformation("same", *ports, source="measured_units.py:same"),
-    )
-
-
-def targets() -> tuple[Any, ...]:
-    """Two topics at the base."""
-    from cfgplan.domain import Target
-
-    return Target("result", "Y", "/result", host="base"), Target("images", "Y", "/images", host="base")
-
-
-def unit(name: str, host: str, *, x: str | None = None, topic: str | None = None) -> Any:
-    """A unit `transformation.N` of a host."""
-    from cfgplan.domain import ComputationUnit, Publication, Stream, Subscription
-
-    feeds = () if x is None else (Subscription("x", Stream.parse(x)),)
-    published = () if topic is None else (Publication("n", topic),)
-    return ComputationUnit(name, name.partition(".")[0], feeds, published, host)
-
-
-class Listener:
-    """Collects what comes on a topic, and when, until the run ends."""
-
-    def __init__(self, run: str, topic: str = "/result", *, number: Callable[[Any], Any] = int) -> None:
-        from cfgplan_runtime import subscribe
-
-        self.values: list[Any] = []
-        self.times_ns: list[int] = []
-        self._number = number
-        self.at_s: list[float] = []
-        subscription = subscribe(topic, run=run, wait_s=PATIENCE_S)
-        threading.Thread(target=self._collect, args=(subscription,), daemon=True).start()
-
-    def _collect(self, subscription: SubscriptionToTopic) -> None:
-        for received in subscription:
-            self.values.append(self._number(received.value))
-            self.times_ns.append(received.time_ns)
-            self.at_s.append(time.monotonic())
-
-    def await_more(self, more: int = 20) -> None:
-        """Wait for so many more elements."""
-        wanted = len(self.values) + more
-        eventually(lambda: len(self.values) >= wanted)
-
-    def wrong(self) -> int:
-        """How many elements were lost, came again or out of order."""
-        values = list(self.values)
-        return sum(1 if after <= before else after - before - 1 for before, after in pairwise(values))
-
-    def silence_s(self, since_s: float = 0.0) -> float:
-        """The longest time between two elements since then."""
-        times = [since_s, *(at_s for at_s in list(self.at_s) if at_s > since_s)] if since_s else list(self.at_s)
-        return max((after - before for before, after in pairwise(times)), default=float("inf"))
-
-
-def eventually(is_so: Callable[[], bool], patience_s: float = PATIENCE_S) -> float:
-    """Wait until something is so; returns how long that took. Raises TimeoutError."""
-    start = time.monotonic()
-    while not is_so():
-        if time.monotonic() > start + patience_s:
-            raise TimeoutError("it never came to be")
-        time.sleep(0.002)
-    return time.monotonic() - start
-
-
-def events(runtime: Any, kind: str) -> list[Any]:
-    """The events of a kind that a runtime has told so far."""
-    return [event for event in list(runtime.events.queue) if type(event).__name__ == kind]
-
-
-@contextlib.contextmanager
-def stream(fleet: Fleet, *hosts: str) -> Iterator[tuple[Any, Listener]]:
-    """Numbers from the first host, through the second, to a topic at the base."""
-    from cfgplan.domain import ChangeSet
-
-    with fleet.runtime() as runtime:
-        units = unit("count.1", hosts[0]), unit("same.1", hosts[1], x="count.1/n", topic="/result")
-        runtime.apply(ChangeSet(started=units))
-        listener = Listener(runtime.id)
-        listener.await_more()
-        yield runtime, listener
 
 
 def swaps(fleet: Fleet, short: bool) -> Seen:
@@ -487,6 +279,78 @@ def load(fleet: Fleet, short: bool) -> Seen:
         return Seen(f"{text}, longest silence {ms(listener.silence_s())}", not lost and listener.wrong() == 0)
 
 
+def environment_file(fleet: Fleet, name: str = "", *, source: str, worker: str, targets: str = "") -> Path:
+    """Numbers from a host through another (`[r1, r2]`: one of these) to a topic at the base; `other` is for r1."""
+    path, code = fleet.folder / f"environment{name}.yaml", UNITS / "measured_units.py"
+    path.write_text(f"""\
+format: cfgplan/1
+horizon: 600
+hosts: [{{name: base}}, {{name: r1}}, {{name: r2}}]
+transformations:
+  - {{label: count, source: "{code}:count", host: {source}, run: {{rate: {RATE_HZ}}}, outputs: {{n: N}}}}
+  - {{label: same, source: "{code}:same", host: {worker}, inputs: {{x: N}}, outputs: {{n: Y}}}}
+  - {{label: other, source: "{code}:count", host: r1, run: {{rate: {RATE_HZ}}}, outputs: {{n: Other}}}}
+targets:
+  - {{label: result, tag: Y, topic: /result, host: base}}
+{targets}""")
+    return path
+
+
+def manager_killed(fleet: Fleet, short: bool) -> Seen:
+    """A manager is killed and started again, there, elsewhere, and beside a living one: 0 lost, silence under 50 ms."""
+    path, texts, silences = environment_file(fleet, source="r1", worker="r2"), [], list[float]()
+    with contextlib.ExitStack() as stack:
+        manager = stack.enter_context(fleet.manager("base", path))
+        manager.await_review()
+        ran = fleet.units("r1"), fleet.units("r2")
+        listener = Listener(fleet.run_folder("base"))
+        for name, host, is_killed in (("there", "base", True), ("on r1", "r1", True), ("beside it", "base", False)):
+            listener.await_more(RATE_HZ // 2)
+            start, old = time.monotonic(), manager
+            if is_killed:
+                old.process.kill()
+            manager = stack.enter_context(fleet.manager(host, path))
+            manager.await_review()
+            took_s = time.monotonic() - start
+            old.process.terminate()
+            listener.await_more(RATE_HZ if short else 5 * RATE_HZ)
+            silences.append(listener.silence_s(start))
+            texts.append(f"{name} after {ms(took_s)}: silence {ms(silences[-1])}")
+        wrong, runs_on = listener.wrong(), ran == (fleet.units("r1"), fleet.units("r2"))
+        os.kill(fleet.units("r2")["same.1"], 9)
+        eventually(lambda: fleet.units("r2").keys() == {"same.1"} and fleet.units("r2") != ran[1])
+        listener.await_more()
+    return Seen(f"{'; '.join(texts)}; {wrong} wrong", runs_on and wrong == 0, max(silences) < 0.05)
+
+
+def partition(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
+    """A manager is cut off with one of three hosts: nobody takes over there, another one does where the rest is."""
+
+    def path(name: str, targets: str = "") -> Path:
+        return environment_file(fleet, name, source="base", worker="[r1, r2]", targets=targets)
+
+    with contextlib.ExitStack() as stack:
+        old = stack.enter_context(fleet.manager("r1", path("old")))
+        old.await_review()
+        listener = Listener(fleet.run_folder("base"))
+        listener.await_more()
+        fleet.network.cut("r1")
+        smaller = stack.enter_context(fleet.manager("r1", path("smaller")))
+        smaller.process.wait(PATIENCE_S)
+        larger = stack.enter_context(fleet.manager("base", path("larger")))
+        larger.await_review()
+        listener.await_more()
+        fleet.network.mend("r1")
+        larger.await_text("host r1 is there")
+        path("old", "  - {label: other, tag: Other, topic: /other, host: r1}\n")
+        took_s = old.await_text("host r1 is gone: it obeys a later manager")
+        listener.await_more(RATE_HZ)
+        units = sorted(unit.partition(".")[0] for host in HOSTS for unit in fleet.units(host))
+    is_refused = "1 of 3 hosts can be reached" in smaller.said.read_text()
+    text = f"the smaller part does {'not ' if is_refused else ''}take over; an old order is refused after {ms(took_s)}"
+    return Seen(f"{text}; there are {', '.join(units)}", is_refused and units == ["count", "same"])
+
+
 def images_lost(values: Sequence[int]) -> int:
     """How many images are missing, by their numbers modulo 256."""
     return sum((after - before) % 256 - 1 for before, after in pairwise(list(values)))
@@ -506,6 +370,8 @@ CASES: dict[str, tuple[Callable[[Fleet, bool], Seen], float]] = {
     "cut": (cut, 2.0),
     "swap in a cut": (swap_in_cut, 2.0),
     "old term": (old_term, 2.0),
+    "manager killed": (manager_killed, 2.0),
+    "partition": (partition, 2.0),
     "unit killed": (unit_killed, 2.0),
     "overload": (overload, 2.0),
     "agent killed": (agent_killed, 2.0),

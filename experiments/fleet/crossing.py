@@ -23,7 +23,8 @@ from pathlib import Path
 from typing import Any
 
 import psutil
-from acceptance import HOSTS, PATIENCE_S, SKIPPED, Fleet, Listener, eventually, unit
+from acceptance import SKIPPED
+from computers import HOSTS, PATIENCE_S, Fleet, Listener, eventually, unit
 from network import Network, NotAllowedError
 
 SIZES = {100: 200.0, 10_000: 200.0, 460_000: 40.0}

@@ -9,7 +9,18 @@ from pathlib import Path
 import acceptance
 import pytest
 
-CASES = ("swaps", "cut", "swap in a cut", "old term", "unit killed", "agent killed", "clocks", "cut for good")
+CASES = (
+    "swaps",
+    "cut",
+    "swap in a cut",
+    "old term",
+    "manager killed",
+    "partition",
+    "unit killed",
+    "agent killed",
+    "clocks",
+    "cut for good",
+)
 
 
 def test_a_fleet_on_three_computers_stands_cuts_swaps_and_deaths(tmp_path: Path) -> None:

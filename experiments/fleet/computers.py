@@ -1,0 +1,287 @@
+"""A fleet on three computers that are network namespaces, for experiments: its agents, and what comes on its topics."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import psutil
+from network import Network
+
+if TYPE_CHECKING:
+    from cfgplan_runtime.streams.subscription import SubscriptionToTopic
+
+HOSTS = ("base", "r1", "r2")
+UNITS = Path(__file__).parents[1] / "runtime"
+RATE_HZ = 200
+PATIENCE_S = 30.0
+
+_COMMAND = """
+import sys, time
+from cfgplan_runtime.fleet import links
+from cfgplan_runtime.processes.nursery import die_with_parent
+links.LEASE_S, links._refuse_strangers = float(sys.argv.pop(1)), lambda _: None
+die_with_parent(int(sys.argv.pop(1)))
+ahead_ns, real = int(sys.argv.pop(1)), time.time_ns
+time.time_ns = lambda: real() + ahead_ns
+from cfgplan.cli import main
+sys.exit(main())
+"""
+
+
+class Manager(NamedTuple):
+    """A run that is a process of its own; `said` is the file of what it prints."""
+
+    process: subprocess.Popen[str]
+    said: Path
+
+    def await_review(self) -> None:
+        """Wait until its first review is over."""
+        self.await_text("Running 2 units")
+
+    def await_text(self, text: str) -> float:
+        """Wait until it has printed something; returns how long that took."""
+        return eventually(lambda: text in self.said.read_text())
+
+
+class Fleet:
+    """Agents on all hosts of a network, as commands; `secrets` has their certificates. A context manager.
+
+    Without `is_secured` they do without, which only this experiment allows beyond loopback.
+    """
+
+    def __init__(self, network: Network, secrets: Path, *, lease_s: float = 2.0, is_secured: bool = True) -> None:
+        from cfgplan_runtime.fleet import links
+
+        links.LEASE_S = lease_s
+        self._is_secured = is_secured
+        self.network = network
+        self.lease_s = lease_s
+        self.folder = secrets.parent
+        self._secrets = secrets
+        self.endpoints = {host: f"{'tls' if is_secured else 'tcp'}/{network.address[host]}:7447" for host in HOSTS}
+        self.agents: dict[str, subprocess.Popen[str]] = {}
+        self._managers = 0
+        for host in HOSTS:
+            self.start_agent(host)
+        self._await_agents()
+
+    def _await_agents(self) -> None:
+        for host in HOSTS:
+            said = self._base(host) / "said"
+            eventually(lambda said=said: "listens on" in said.read_text())
+
+    def start_agent(self, host: str, *, ahead_ns: int = 0) -> None:
+        """Start a host's agent, with its clock ahead; it reaches all others by itself."""
+        others = [f"--connect={endpoint}" for other, endpoint in self.endpoints.items() if other != host]
+        arguments = ["agent", f"--name={host}", f"--listen={self.endpoints[host]}", *others, f"--folder={UNITS}"]
+        self.agents[host] = self._start(host, arguments, self._secrets / host, self._base(host), ahead_ns=ahead_ns)
+
+    @contextlib.contextmanager
+    def manager(self, host: str, environment: Path) -> Iterator[Manager]:
+        """`cfgplan run --take-over` on a host, which is killed at the end if it still runs."""
+        self._managers += 1
+        base = self._base(f"manager-{self._managers}")
+        connect = [f"--connect={endpoint}" for endpoint in self.endpoints.values()]
+        arguments = ["run", str(environment), "--take-over", "--plain", "--no-estimates", *connect]
+        with self._start(host, arguments, self._secrets / "manager", base) as process:
+            try:
+                yield Manager(process, base / "said")
+            finally:
+                process.kill()
+
+    def run_folder(self, host: str) -> Path:
+        """The folder of the topics at a host."""
+        from cfgplan_runtime.streams.run_folder import is_alive
+
+        return next(run for run in (self._base(host) / "cfgplan").iterdir() if is_alive(run))
+
+    def units(self, host: str) -> dict[str, int]:
+        """The units that really run on a host, with their process ids."""
+        found = {}
+        for child in psutil.Process(self.agents[host].pid).children(recursive=True):
+            with contextlib.suppress(psutil.Error):  # it has just ended
+                words = " ".join(child.cmdline()).split()
+                if len(words) == 3 and words[2] not in ("nursery", "outlets", "relay"):
+                    found[words[2]] = child.pid
+        return found
+
+    def _base(self, name: str) -> Path:
+        return self._secrets / f"runs-{name}"
+
+    def _start(
+        self, host: str, arguments: list[str], certificates: Path, base: Path, *, ahead_ns: int = 0
+    ) -> subprocess.Popen[str]:
+        """Start a command of cfgplan's; what it prints is in the file `said` of its folder of runs."""
+        command = [sys.executable, "-c", _COMMAND, str(self.lease_s), str(os.getpid()), str(ahead_ns), *arguments]
+        secured = [f"--certificates={certificates}"] if self._is_secured else []
+        base.mkdir(exist_ok=True)
+        said = base / "said"
+        said.unlink(missing_ok=True)
+        environment = {**os.environ, "XDG_RUNTIME_DIR": str(base)}
+        with said.open("w") as output:
+            return self.network.start(
+                host, [*command, *secured], env=environment, stdout=output, stderr=subprocess.STDOUT
+            )
+
+    def restart(self, host: str | None = None, *, ahead_ns: int = 0) -> None:
+        """Start a host's agent anew, by default all that have ended."""
+        for name in HOSTS if host is None else (host,):
+            if host is not None:
+                self.kill_agent(name)
+            if self.agents[name].poll() is not None:
+                self.start_agent(name, ahead_ns=ahead_ns)
+        self._await_agents()
+
+    def kill_agent(self, host: str) -> None:
+        """Kill an agent as a crash does."""
+        agent = self.agents[host]
+        agent.kill()
+        agent.wait()
+
+    @contextlib.contextmanager
+    def runtime(self, *, is_empty: bool = False) -> Iterator[Any]:
+        """A runtime of this fleet that knows the library, the targets and the hosts, or nothing yet."""
+        from cfgplan_runtime.fleet import fleet_runtime
+
+        from cfgplan.domain import ChangeSet, Environment, Host
+        from cfgplan.errors import InputError
+
+        hosts = tuple(Host(name) for name in HOSTS)
+        secured = self._secrets / "manager" if self._is_secured else None
+        reached = fleet_runtime.Fleet(tuple(self.endpoints.values()), secured, takes_over=True)
+        with contextlib.ExitStack() as stack:
+            runtime: Any = None
+
+            def took_over() -> bool:
+                nonlocal runtime
+                with contextlib.suppress(InputError):  # most agents are starting, or were cut off until now
+                    runtime = stack.enter_context(fleet_runtime.fleet_runtime(reached, Environment(hosts=hosts), UNITS))
+                return runtime is not None
+
+            eventually(took_over)
+            eventually(lambda: not runtime.supervisor.lost_hosts)
+            if not is_empty:
+                runtime.apply(ChangeSet(added_transformations=library(), added_targets=targets(), added_hosts=hosts))
+            yield runtime
+
+    def __enter__(self) -> Fleet:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for agent in self.agents.values():
+            agent.terminate()
+        for agent in self.agents.values():
+            try:
+                agent.wait(PATIENCE_S)
+            except subprocess.TimeoutExpired:
+                agent.kill()
+                agent.wait()
+
+
+def library() -> tuple[Any, ...]:
+    """Numbers at 200 Hz, images of 460 kB at 40 Hz, and a unit that gives on what it gets."""
+    from cfgplan.domain import InputPort, OutputPort, RunOptions, Transformation
+
+    def source(label: str, rate_hz: float) -> Transformation:
+        run = RunOptions(rate_hz=rate_hz)
+        return Transformation(label, outputs=(OutputPort("n", "N"),), source=f"measured_units.py:{label}", run=run)
+
+    ports = (InputPort("x", "N"),), (OutputPort("n", "Y"),)
+    return (
+        source("count", RATE_HZ),
+        source("images", 40),
+        Transformation("same", *ports, source="measured_units.py:same"),
+    )
+
+
+def targets() -> tuple[Any, ...]:
+    """Two topics at the base."""
+    from cfgplan.domain import Target
+
+    return Target("result", "Y", "/result", host="base"), Target("images", "Y", "/images", host="base")
+
+
+def unit(name: str, host: str, *, x: str | None = None, topic: str | None = None) -> Any:
+    """A unit `transformation.N` of a host."""
+    from cfgplan.domain import ComputationUnit, Publication, Stream, Subscription
+
+    feeds = () if x is None else (Subscription("x", Stream.parse(x)),)
+    published = () if topic is None else (Publication("n", topic),)
+    return ComputationUnit(name, name.partition(".")[0], feeds, published, host)
+
+
+class Listener:
+    """Collects what comes on a topic, and when, until the run ends; of a run's id, or of a host's folder."""
+
+    def __init__(self, run: str | Path, topic: str = "/result", *, number: Callable[[Any], Any] = int) -> None:
+        from cfgplan_runtime import subscribe
+        from cfgplan_runtime.streams.subscription import SubscriptionToTopic
+
+        self.values: list[Any] = []
+        self.times_ns: list[int] = []
+        self._number = number
+        self.at_s: list[float] = []
+        subscription = (
+            subscribe(topic, run=run, wait_s=PATIENCE_S)
+            if isinstance(run, str)
+            else SubscriptionToTopic(topic, run, timeout_s=PATIENCE_S)
+        )
+        threading.Thread(target=self._collect, args=(subscription,), daemon=True).start()
+
+    def _collect(self, subscription: SubscriptionToTopic) -> None:
+        for received in subscription:
+            self.values.append(self._number(received.value))
+            self.times_ns.append(received.time_ns)
+            self.at_s.append(time.monotonic())
+
+    def await_more(self, more: int = 20) -> None:
+        """Wait for so many more elements."""
+        wanted = len(self.values) + more
+        eventually(lambda: len(self.values) >= wanted)
+
+    def wrong(self) -> int:
+        """How many elements were lost, came again or out of order."""
+        values = list(self.values)
+        return sum(1 if after <= before else after - before - 1 for before, after in pairwise(values))
+
+    def silence_s(self, since_s: float = 0.0) -> float:
+        """The longest time between two elements since then."""
+        times = [since_s, *(at_s for at_s in list(self.at_s) if at_s > since_s)] if since_s else list(self.at_s)
+        return max((after - before for before, after in pairwise(times)), default=float("inf"))
+
+
+def eventually(is_so: Callable[[], bool], patience_s: float = PATIENCE_S) -> float:
+    """Wait until something is so; returns how long that took. Raises TimeoutError."""
+    start = time.monotonic()
+    while not is_so():
+        if time.monotonic() > start + patience_s:
+            raise TimeoutError("it never came to be")
+        time.sleep(0.002)
+    return time.monotonic() - start
+
+
+def events(runtime: Any, kind: str) -> list[Any]:
+    """The events of a kind that a runtime has told so far."""
+    return [event for event in list(runtime.events.queue) if type(event).__name__ == kind]
+
+
+@contextlib.contextmanager
+def stream(fleet: Fleet, *hosts: str) -> Iterator[tuple[Any, Listener]]:
+    """Numbers from the first host, through the second, to a topic at the base."""
+    from cfgplan.domain import ChangeSet
+
+    with fleet.runtime() as runtime:
+        units = unit("count.1", hosts[0]), unit("same.1", hosts[1], x="count.1/n", topic="/result")
+        runtime.apply(ChangeSet(started=units))
+        listener = Listener(runtime.id)
+        listener.await_more()
+        yield runtime, listener
