@@ -154,7 +154,7 @@ class SmallFleet:
             for child in psutil.Process(agent.pid).children(recursive=True):
                 with suppress(psutil.Error):  # it has just ended
                     words = " ".join(child.cmdline()).split()
-                    if len(words) == 3 and words[2] not in ("nursery", "outlets", "relay"):
+                    if len(words) == 3 and words[2] not in ("nursery", "outlets"):
                         found.append(words[2])
         return found
 

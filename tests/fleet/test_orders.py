@@ -7,11 +7,11 @@ from typing import Any, cast
 
 import msgspec
 import pytest
+from cfgplan_runtime.children.messages import ImportUnused
 from cfgplan_runtime.fleet.orders import (
     EventTold,
     FromAgent,
     Order,
-    RelayLost,
     Session,
     StopOrder,
     Talk,
@@ -50,7 +50,7 @@ def test_an_order_that_is_repeated_is_carried_out_once() -> None:
 def test_a_message_of_another_version_is_no_traceback_but_an_error() -> None:
     wire = Wire()
     manager, agent = talk(Wire(), "manager", "r1", Order), talk(wire, "r1", "manager", Order)
-    agent.say(RelayLost("of an agent"), 0.0)
+    agent.say(ImportUnused("of an agent", 1), 0.0)
     with pytest.raises(msgspec.MsgspecError):
         manager.hear(*wire.put[0], 0.0)
     with pytest.raises(msgspec.MsgspecError):

@@ -37,14 +37,7 @@ class OutletOrder(msgspec.Struct, frozen=True, tag=True):
     queue: int
 
 
-class RelayOrder(msgspec.Struct, frozen=True, tag=True):
-    """All that a child needs to be the relay of `host`; `config` is of its connection to the fleet."""
-
-    host: str
-    config: dict[str, Any]
-
-
-ChildOrder: TypeAlias = UnitOrder | OutletOrder | RelayOrder
+ChildOrder: TypeAlias = UnitOrder | OutletOrder
 
 
 # To a child.
@@ -229,23 +222,7 @@ class ImportUnused(msgspec.Struct, tag=True):
     served: int
 
 
-class CrossingCounts(msgspec.Struct, frozen=True):
-    """What went over a crossing, what had no room or was lost, what was sent again, and what waits there now."""
-
-    elements: int = 0
-    dropped: int = 0
-    resent: int = 0
-    waiting: int = 0
-
-
-class RelaySign(msgspec.Struct, tag=True):
-    """A sign of life of a relay, with the counts of its exports."""
-
-    exports: dict[str, CrossingCounts]
-
-
-FromRelay: TypeAlias = ImportUnused | RelaySign
-FromChild: TypeAlias = Ready | Switched | Lost | Trouble | Exhausted | UnitSign | Flowing | Unserved | FromRelay
+FromChild: TypeAlias = Ready | Switched | Lost | Trouble | Exhausted | UnitSign | Flowing | Unserved | ImportUnused
 
 
 # To and from the nursery.

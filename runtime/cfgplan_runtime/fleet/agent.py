@@ -16,7 +16,7 @@ from urllib.parse import quote
 import msgspec
 
 from cfgplan.errors import InputError
-from cfgplan_runtime.children.messages import Export, Import, RelayOrder, Release
+from cfgplan_runtime.children.messages import Export, Import, Release
 from cfgplan_runtime.fleet.certificates import MANAGER
 from cfgplan_runtime.fleet.links import LEASE_S, config
 from cfgplan_runtime.fleet.orders import (
@@ -39,7 +39,6 @@ from cfgplan_runtime.fleet.orders import (
     LeaveOrder,
     OpenTopicOrder,
     Order,
-    RelayLost,
     RenewOrder,
     Session,
     StartOrder,
@@ -51,25 +50,21 @@ from cfgplan_runtime.fleet.orders import (
     read_session,
     told,
 )
+from cfgplan_runtime.fleet.relay import Relay
 from cfgplan_runtime.processes.process_backend import RELAY, ProcessBackend
 from cfgplan_runtime.streams.crossing import crossing_key
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
 from cfgplan_runtime.supervision.backend import Inlet
-from cfgplan_runtime.supervision.delays import doubling_s
 from cfgplan_runtime.supervision.events import (
     Event,
     InputLost,
     UnitDied,
-    UnitPrinted,
     UnitReady,
     UnitStopped,
     WireSwitched,
 )
 
 USAGE_PERIOD_S = 0.5
-_RELAY_AGAIN_S, _MOST_RELAY_AGAIN_S, _GOOD_RELAY_S = 0.1, 5.0, 10.0
-"""Seconds until a relay that was lost is made anew, doubled for each further loss up to the second value. A relay that
-lived for the third value is the first to be lost again."""
 
 
 def alive_key(host: str) -> str:
@@ -138,20 +133,18 @@ class Agent:
         self._is_left = False
         """Whether the manager of this talk has said that its run is over. Its key may be alive for a moment still."""
         self._usage_due_s = 0.0
-        self._relays_lost, self._relay_since_s = 0, 0.0
-        self._relay_due_s: float | None = None
+        self._failure: BaseException | None = None
+        """What has ended the relay."""
         mode = "router" if passes_on else "peer"
         given = config(listen, connect, certificates, mode=mode)  # refused before a process is made
         self._backend = ProcessBackend(folder=folder, preload=preload, base=base)
         try:
-            door = f"unixsock-stream/{self._backend.run_folder.path}/relay"
-            self._relay_order = RelayOrder(name, config(connect=[door], mode="client"))
-            given["listen"]["endpoints"].append(door)
             self._link = ZenohLink(given)
             try:
                 self._refuse_twin()
                 self._answer()
-                self._start_relay()
+                self._backend.warm_up()
+                self._relay = Relay(name, self._link, self._backend.open_relay(), self._note_failure)
                 self._link.live(f"{alive_key(name)}/{secrets.token_hex(4)}")
             except BaseException:
                 self._link.close()
@@ -166,6 +159,7 @@ class Agent:
             while True:
                 self._step()
         finally:
+            self._relay.close()
             self._link.close()
             self._backend.close()
 
@@ -193,7 +187,14 @@ class Agent:
         self._arrived.append((key, head, payload))
         self._backend.wake()
 
+    def _note_failure(self, error: BaseException) -> None:
+        """Called by the relay's thread."""
+        self._failure = error
+        self._backend.wake()
+
     def _step(self) -> None:
+        if self._failure is not None:
+            raise self._failure
         events = self._backend.wait(self._patience_s())
         for event in events:
             self._tell(event)
@@ -211,15 +212,11 @@ class Agent:
         if now_s >= self._usage_due_s:
             self._usage_due_s = now_s + USAGE_PERIOD_S
             self._tell_usage(self._units)
-        if self._relay_due_s is not None and now_s >= self._relay_due_s:
-            self._start_relay()
         if self._talk is not None:
             self._talk.pump(now_s)
 
     def _patience_s(self) -> float:
         due_s = self._usage_due_s
-        if self._relay_due_s is not None:
-            due_s = min(due_s, self._relay_due_s)
         if self._talk is not None:
             due_s = min(due_s, self._talk.due_s())
         return max(0.0, due_s - time.monotonic())
@@ -341,13 +338,7 @@ class Agent:
 
     def _tell(self, event: Event) -> None:
         match event:
-            case UnitDied(unit, cause) if unit == RELAY:
-                self._lose_relay(cause)
-            case UnitPrinted(unit, line) if unit == RELAY:
-                self._tell_user(f"relay: {line}")
-            case UnitReady(unit) | InputLost(unit) | UnitStopped(unit) if unit == RELAY:
-                pass
-            case WireSwitched(wire) if wire < 0:
+            case WireSwitched(wire) | InputLost(_, _, wire) if wire < 0:
                 pass  # a wire of the relay's
             case WireSwitched(wire):
                 for held in self._wires.values():
@@ -374,19 +365,6 @@ class Agent:
         usage = {unit: used for unit in units if (used := self._backend.usage(unit)) is not None}
         if usage:
             self._say(UsageTold(usage))
-
-    def _start_relay(self) -> None:
-        self._relay_due_s, self._relay_since_s = None, time.monotonic()
-        self._backend.start_relay(self._relay_order)
-
-    def _lose_relay(self, cause: str) -> None:
-        now_s = time.monotonic()
-        self._relays_lost = 1 if now_s - self._relay_since_s >= _GOOD_RELAY_S else self._relays_lost + 1
-        self._relay_due_s = now_s + doubling_s(self._relays_lost, _RELAY_AGAIN_S, _MOST_RELAY_AGAIN_S)
-        self._exports.clear()
-        self._imports.clear()
-        self._tell_user(f"the relay was lost: {cause}")
-        self._say(RelayLost(cause))
 
 
 def _supersedes(session: Session, other: Session) -> bool:

@@ -103,10 +103,10 @@ def tls(folder: Path) -> dict[str, Any]:
     }
 
 
-def access_control(folder: Path, private: str) -> dict[str, Any]:
+def access_control(folder: Path) -> dict[str, Any]:
     """Zenoh's `access_control`: who is listed may listen to the fleet and write its own keys; nobody else may anything.
 
-    Links of the protocol `private` come from this computer's user and may do all. Raises InputError.
+    Raises InputError.
     """
     access = _access(folder)
     everything, written = [f"{KEYS}/**"], ["put", "delete", "reply", "liveliness_token", "declare_queryable"]
@@ -126,13 +126,12 @@ def access_control(folder: Path, private: str) -> dict[str, Any]:
         }
         for host in access.hosts
     ]
-    own = {"id": "this computer", "link_protocols": [private]}
     return {
         "enabled": True,
         "default_permission": "deny",
         "rules": rules,
-        "subjects": [*subjects, own],
-        "policies": [*policies, {"subjects": [own["id"]], "rules": ["hear", "tell", "pass on"]}],
+        "subjects": subjects,
+        "policies": policies,
     }
 
 

@@ -18,7 +18,7 @@ import msgspec
 
 from cfgplan.domain import ComputationUnit, Host, Publication, Stream, Subscription, Transformation
 from cfgplan.errors import InputError
-from cfgplan_runtime.children.messages import CrossingCounts, Export, Flow, Import, ImportUnused, RelaySign, Release
+from cfgplan_runtime.children.messages import Export, Flow, Import, ImportUnused, Release
 from cfgplan_runtime.children.unit_order import unit_order
 from cfgplan_runtime.fleet.agent import alive_key, clock_key, digest_of, source_file
 from cfgplan_runtime.fleet.certificates import MANAGER
@@ -40,7 +40,6 @@ from cfgplan_runtime.fleet.orders import (
     LeaveOrder,
     OpenTopicOrder,
     Order,
-    RelayLost,
     RenewOrder,
     Session,
     StartOrder,
@@ -96,7 +95,6 @@ class _HostState:
     """What ran there when it was greeted."""
     usage: dict[str, Usage] = field(default_factory=dict)
     flows: dict[str, Flow] = field(default_factory=dict)
-    exports: dict[str, CrossingCounts] = field(default_factory=dict)
     helpers: set[str] = field(default_factory=set)
 
 
@@ -511,14 +509,10 @@ class FleetBackend:
                 self._note(host, event_of(message))
             case UsageTold(usage):
                 host.usage.update(usage)
-            case RelaySign(exports):
-                host.exports = exports
             case ImportUnused(crossing, served):
                 known = self._crossings.get(crossing)
                 if known is not None and known.connected == served:
                     self._release(known)
-            case RelayLost(cause):
-                self._lose_relay(host.name, cause)
 
     def _measure(self, host: _HostState) -> None:
         """Ask a host's clock; runs in a thread of its own."""
@@ -578,15 +572,6 @@ class FleetBackend:
         self._shared = {key: one for key, one in self._shared.items() if one is not crossing}
         for host in (crossing.source, crossing.target):
             self._say(host, Release(crossing.name))
-
-    def _lose_relay(self, host: str, cause: str) -> None:  # noqa: ARG002
-        """End every wire that goes through a relay that has died."""
-        for crossing in [one for one in self._crossings.values() if host in (one.source, one.target)]:
-            for route in [one for one in self._routes.values() if one.crossing is crossing]:
-                del self._routes[route.wire]
-                self._say(route.target, EndWireOrder(route.wire, route.local_stream, route.inlet))
-                self._events.append(InputLost(route.inlet.unit or None, route.inlet.port, route.wire))
-            self._release(crossing)
 
     def _say(self, host: str | None, order: Order) -> None:
         """Give an order to a host; does nothing if it is not there."""

@@ -32,10 +32,10 @@ def config(
     """
     for endpoint in listen if certificates is None else ():
         _refuse_strangers(endpoint)
-    secured = {} if certificates is None else {"access_control": access_control(certificates, _PRIVATE)}
+    secured = {} if certificates is None else {"access_control": access_control(certificates)}
     link: Config = {"tx": {"lease": round(LEASE_S * 1000), "keep_alive": _SIGNS_PER_LEASE}}
     if certificates is not None:
-        link |= {"protocols": ["tls", _PRIVATE], "tls": tls(certificates)}
+        link |= {"protocols": ["tls"], "tls": tls(certificates)}
     return {
         "mode": mode,
         "listen": {"endpoints": list(listen)},

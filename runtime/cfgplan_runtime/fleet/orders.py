@@ -8,7 +8,7 @@ from typing import Generic, NamedTuple, TypeAlias, TypeVar, get_args
 import msgspec
 
 from cfgplan.domain import Stream
-from cfgplan_runtime.children.messages import Export, FromRelay, Import, ToRelay, UnitOrder
+from cfgplan_runtime.children.messages import Export, Import, ImportUnused, ToRelay, UnitOrder
 from cfgplan_runtime.streams.crossing import (
     PIECES_UNDER_WAY,
     Piece,
@@ -207,13 +207,7 @@ class UsageTold(msgspec.Struct, tag=True):
     usage: dict[str, Usage]
 
 
-class RelayLost(msgspec.Struct, tag=True):
-    """The relay has died, and with it all exports and imports; a new one takes its place."""
-
-    cause: str
-
-
-FromAgent: TypeAlias = Welcome | EventTold | UsageTold | RelayLost | FromRelay
+FromAgent: TypeAlias = Welcome | EventTold | UsageTold | ImportUnused
 
 _EVENTS = {kind.__name__: kind for kind in get_args(events.Event)}
 

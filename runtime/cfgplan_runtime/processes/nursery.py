@@ -32,14 +32,12 @@ from cfgplan_runtime.children.messages import (
     Kill,
     NotForked,
     OutletOrder,
-    RelayOrder,
     ToChild,
     ToNursery,
     Trouble,
     UnitOrder,
 )
 from cfgplan_runtime.children.outlet_child import NO_DESCRIPTOR, OutletChild
-from cfgplan_runtime.children.relay_child import RelayChild
 from cfgplan_runtime.children.unit_child import UnitChild
 
 DUMP_SIGNAL = signal.SIGUSR1
@@ -142,13 +140,11 @@ class Nursery:
 
 
 def _title(order: ChildOrder) -> str:
-    if isinstance(order, UnitOrder):
-        return order.unit
-    return "outlets" if isinstance(order, OutletOrder) else "relay"
+    return order.unit if isinstance(order, UnitOrder) else "outlets"
 
 
 def be_child(order: ChildOrder, control_end: socket.socket, printed: socket.socket) -> int:
-    """Run as a unit, the outlets or the relay until told to finish. Returns the exit status."""
+    """Run as a unit or the outlets until told to finish. Returns the exit status."""
     _redirect(printed)
     random.seed()
     control: ControlConnection[ToChild] = ControlConnection(control_end, ToChild)
@@ -156,9 +152,6 @@ def be_child(order: ChildOrder, control_end: socket.socket, printed: socket.sock
     try:
         if isinstance(order, OutletOrder):
             OutletChild(order, control).run()
-            return 0
-        if isinstance(order, RelayOrder):
-            RelayChild(order, control).run()
             return 0
         if "numpy.random" in sys.modules:
             sys.modules["numpy.random"].seed()

@@ -28,7 +28,6 @@ from cfgplan_runtime.children.messages import (
     Flowing,
     Forked,
     FromChild,
-    FromRelay,
     Gone,
     ImportUnused,
     Lost,
@@ -36,8 +35,6 @@ from cfgplan_runtime.children.messages import (
     OpenOutlet,
     OutletOrder,
     Ready,
-    RelayOrder,
-    RelaySign,
     Serve,
     Switched,
     SwitchNow,
@@ -74,9 +71,11 @@ from cfgplan_runtime.supervision.events import (
 )
 
 OUTLETS, RELAY = "", "/relay"
-"""Names of the helpers among children; no unit has one of them."""
+"""Names of the outlets among children, and of this process's own relay; no unit has one of them."""
+_NO_PROCESS = 0
+"""The relay's number among children."""
 _NO_DESCRIPTOR = (errno.EMFILE, errno.ENFILE)
-OUTLETS_HELPER, NURSERY_HELPER, RELAY_HELPER = "outlets", "nursery", "relay"
+OUTLETS_HELPER, NURSERY_HELPER = "outlets", "nursery"
 HELPER_S = 10.0
 """Seconds that a helper may be silent."""
 _HELPER_START_S = 60.0
@@ -116,7 +115,7 @@ class ProcessBackend:
         """When the outlets are to be made anew; None if they need not."""
         self._is_short = False
         """Whether there was no descriptor for the last wire."""
-        self._from_relay: list[FromRelay] = []
+        self._from_relay: list[ImportUnused] = []
 
     @property
     def id(self) -> str:
@@ -164,17 +163,26 @@ class ProcessBackend:
         here = msgspec.structs.replace(order, folder=self._code_folder, clock_offset_ns=self._clock_offset_ns)
         self._fork(order.unit, here)
 
-    def start_relay(self, order: RelayOrder) -> None:
-        """Start the relay, whose name is RELAY; and the nursery, so that it is warm when units are started."""
-        if self._fork(RELAY, order) is not None:
-            self._events.append(HelperAlive(RELAY_HELPER, _HELPER_START_S))
+    def open_relay(self) -> socket.socket:
+        """The relay's end of its connection: wires from and to RELAY are led there. Raises OSError."""
+        ours, theirs = socket.socketpair()
+        relay = ChildProcess(_NO_PROCESS, RELAY, ControlConnection(ours, FromChild), printed=ours)
+        self._children[_NO_PROCESS] = self._by_name[RELAY] = relay
+        self._selector.register(ours, selectors.EVENT_READ, lambda: self._hear(relay))
+        return theirs
+
+    def warm_up(self) -> None:
+        """Start the nursery now, so that it is there when units are started. Raises OSError."""
+        if not self._nursery.is_open:
+            self._nursery_socket = self._nursery.open()
+            self._selector.register(self._nursery_socket, selectors.EVENT_READ, self._hear_nursery)
+            self._events.append(HelperAlive(NURSERY_HELPER, _HELPER_START_S))
 
     def tell_relay(self, message: ToRelay) -> None:
-        """Have the relay do something; does nothing without one."""
-        if RELAY in self._by_name:
-            self._tell(self._by_name[RELAY], message)
+        """Have the relay do something."""
+        self._tell(self._by_name[RELAY], message)
 
-    def heard_from_relay(self) -> list[FromRelay]:
+    def heard_from_relay(self) -> list[ImportUnused]:
         """What the relay has said since the last call."""
         heard, self._from_relay = self._from_relay, []
         return heard
@@ -245,7 +253,7 @@ class ProcessBackend:
         if helper == NURSERY_HELPER:
             self._nursery.end()
         else:
-            self.kill(OUTLETS if helper == OUTLETS_HELPER else RELAY)
+            self.kill(OUTLETS)
 
     def usage(self, unit: str) -> Usage | None:
         child = self._by_name.get(unit)
@@ -303,10 +311,7 @@ class ProcessBackend:
         """Have a child made. If the system has no room, report the child as dead and return None."""
         ends: list[socket.socket] = []
         try:
-            if not self._nursery.is_open:
-                self._nursery_socket = self._nursery.open()
-                self._selector.register(self._nursery_socket, selectors.EVENT_READ, self._hear_nursery)
-                self._events.append(HelperAlive(NURSERY_HELPER, _HELPER_START_S))
+            self.warm_up()
             ends += socket.socketpair()
             ends += socket.socketpair()
         except OSError as error:
@@ -349,7 +354,7 @@ class ProcessBackend:
         self._selector.unregister(self._nursery_socket)
         self._nursery.close()
         self._events.append(HelperAlive(NURSERY_HELPER, inf))
-        for child in list(self._children.values()):
+        for child in [child for child in self._children.values() if child.serial != _NO_PROCESS]:
             child.trouble = child.trouble or "killed together with the nursery"
             self._bury(child, 0)
 
@@ -415,8 +420,7 @@ class ProcessBackend:
                 self._events.append(SourceExhausted(name))
             case Flowing(flows):
                 self._events += [HelperAlive(OUTLETS_HELPER, HELPER_S), TopicsStatus(flows)]
-            case RelaySign() | ImportUnused():
-                self._events.append(HelperAlive(RELAY_HELPER, HELPER_S))
+            case ImportUnused():
                 self._from_relay.append(message)
             case Unserved(topic, cause):
                 self._events.append(OutOfDescriptors(f"subscribers of {topic} wait: {cause}"))

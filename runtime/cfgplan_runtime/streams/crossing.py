@@ -103,7 +103,6 @@ class Sending:
 
     def __init__(self, *, blocks: bool = False, most: int = MOST_PIECES, granted: int = 0) -> None:
         self.dropped = 0
-        self.resent = 0
         self._blocks = blocks
         self._most = most
         self._waiting: deque[Piece] = deque()
@@ -148,7 +147,6 @@ class Sending:
         """The frames to send now."""
         frames = [self._under_way[number] for number in self._missing if number in self._under_way]
         self._missing = ()
-        self.resent += len(frames)
         while self._waiting and self._next < self._limit and self._has_window:
             piece = self._waiting.popleft()
             self._waiting_bytes -= len(piece.payload)
@@ -158,7 +156,6 @@ class Sending:
             frames.append(frame)
         if self.depth and self._again_s is not None and now_s >= self._again_s:
             frames.append(next(iter(self._under_way.values()), Frame(self._next, self.dropped, None)))
-            self.resent += bool(self._under_way)
             self._patience_s, self._again_s = min(2 * self._patience_s, _MOST_RESEND_S), None
         if not self.depth:
             self._again_s = None

@@ -1,31 +1,22 @@
-"""The process through which a host's streams go to other hosts and come from them, each once for each other host.
+"""The thread of an agent through which a host's streams go to other hosts and come from them, each once for each.
 
-An export is an input: what feeds it crosses. An import is an output with what another host's relay exports. The thread
-that reads units only queues; what puts into the network has a thread for each export.
+An export is an input: what feeds it crosses. An import is an output with what another host's relay exports. This thread
+only queues; what puts into the network has a thread for each export.
 """
 
 from __future__ import annotations
 
 import socket
+import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from math import inf
 
 from cfgplan_runtime.children.control import ControlConnection
-from cfgplan_runtime.children.messages import (
-    CrossingCounts,
-    Export,
-    Finish,
-    Import,
-    ImportUnused,
-    Ready,
-    RelayOrder,
-    RelaySign,
-    Release,
-    ToChild,
-)
+from cfgplan_runtime.children.messages import Export, Import, ImportUnused, Release, ToChild
 from cfgplan_runtime.children.ports import Ports, UnitInput, UnitOutput
 from cfgplan_runtime.streams.crossing import (
     LAST_PIECE,
@@ -42,7 +33,6 @@ from cfgplan_runtime.streams.zenoh_link import Lane, PutThread, ZenohLink
 
 LARGE_BYTES = 16_384
 """Crossings whose first element has more bytes let all others overtake."""
-_RELAY_SIGN_S = 1.0
 _LOOK_S = 0.1
 """Imports that nobody uses any more are looked for so often."""
 
@@ -68,30 +58,51 @@ class _Import:
     told_unused: int = 0
 
 
-class RelayChild:
-    """The relay of one host."""
+class Relay:
+    """The relay of one host: a thread that runs until `close`. `control` is the relay's end of the agent's connection.
 
-    def __init__(self, order: RelayOrder, control: ControlConnection[ToChild]) -> None:
-        self._host = order.host
-        self._ports = Ports(control, self._obey)
+    If it fails, `failed` is called with the error.
+    """
+
+    def __init__(
+        self, host: str, link: ZenohLink, control: socket.socket, failed: Callable[[BaseException], None]
+    ) -> None:
+        self._host = host
+        self._link = link
+        self._failed = failed
+        self._ports = Ports(ControlConnection(control, ToChild), self._obey)
         self._exports: dict[str, _Export] = {}
         self._imports: dict[str, _Import] = {}
         self._arrived: deque[tuple[str, bytes, bytes]] = deque()
-        self._is_finishing = self._has_rung = False
+        self._is_closing = self._has_rung = False
         self._bell, self._bell_rope = socket.socketpair()
         for bell in (self._bell, self._bell_rope):
             bell.setblocking(False)
         self._ports.watch(self._bell, self._hear_bell)
-        self._link = ZenohLink(order.config)
         for kind in ("data", "credit"):
-            self._link.hear(crossing_key("*", kind, self._host, "*"), self._take)
+            link.hear(crossing_key("*", kind, host, "*"), self._take)
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
 
-    def run(self) -> None:
-        """Relay until told to finish, or until the agent is gone."""
-        self._ports.say(Ready(time.process_time_ns()))
-        status_s = look_s = time.monotonic()
-        while not self._ports.has_ended and not self._is_finishing:
-            self._ports.wait(max(0.0, min(status_s, look_s, self._due_s()) - time.monotonic()))
+    def close(self) -> None:
+        """End the thread and those of all exports."""
+        self._is_closing = True
+        self._ring()
+        self._thread.join()
+
+    def _run(self) -> None:
+        try:
+            self._relay()
+        except Exception as error:
+            self._failed(error)
+        for name in {*self._exports, *self._imports}:
+            self._release(name)
+
+    def _relay(self) -> None:
+        look_s = time.monotonic()
+        while not self._is_closing:
+            due_s = min(look_s if self._imports else inf, self._due_s())
+            self._ports.wait(None if due_s == inf else max(0.0, due_s - time.monotonic()))
             now_s = time.monotonic()
             self._take_what_came(now_s)
             for name, export in self._exports.items():
@@ -102,17 +113,17 @@ class RelayChild:
             if now_s >= look_s:
                 look_s = now_s + _LOOK_S
                 self._tell_of_unused()
-            if now_s >= status_s:
-                status_s = now_s + _RELAY_SIGN_S
-                self._ports.say(RelaySign({name: _counts(export) for name, export in self._exports.items()}))
 
     def _take(self, key: str, head: bytes, payload: bytes) -> None:
         """Called by threads of the link."""
         self._arrived.append((key, head, payload))
         if not self._has_rung:
             self._has_rung = True
-            with suppress(OSError):
-                self._bell_rope.send(b"!")
+            self._ring()
+
+    def _ring(self) -> None:
+        with suppress(OSError):
+            self._bell_rope.send(b"!")
 
     def _hear_bell(self) -> None:
         with suppress(BlockingIOError):
@@ -133,8 +144,6 @@ class RelayChild:
                 self._ports.outputs[name] = UnitOutput()
             case Release(name):
                 self._release(name)
-            case Finish():
-                self._is_finishing = True
 
     def _export(self, name: str, host: str, queue: int, blocks: bool) -> None:
         sending = Sending(blocks=blocks, most=queue) if blocks else Sending()
@@ -213,8 +222,3 @@ class RelayChild:
             if not output.senders and output.served != one.told_unused:
                 one.told_unused = output.served
                 self._ports.say(ImportUnused(name, output.served))
-
-
-def _counts(export: _Export) -> CrossingCounts:
-    sending = export.sending
-    return CrossingCounts(export.input.elements, sending.dropped, sending.resent, sending.depth)
