@@ -73,7 +73,7 @@ class Problem:
         asked = {
             Notion.QUALITY: any(target.quality for target in environment.targets),
             Notion.HOSTS: bool(environment.hosts),
-            Notion.CONFLICTS: any(t.conflicts for t in environment.library),
+            Notion.CONFLICTS: any(t.conflicts or t.conflicts_on_host for t in environment.library),
             Notion.INSTANCES: any(
                 t.min_instances or t.max_instances is not None or t.per_host is not None for t in environment.library
             ),

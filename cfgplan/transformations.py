@@ -108,7 +108,8 @@ class Transformation:
     Where an environment has hosts, units run on `host`, or on one of `hosts` if that is None, or anywhere if
     both are empty, and take there what `takes` says: CPU time, memory and `needs`, whole numbers of other resources.
     On a host in `seen_us` they cost the labor and upkeep given there, instead of what its speed makes of `labor_us`
-    and `upkeep_us`. No unit is beside one of a transformation in `conflicts`. At least `min_instances` units run; at
+    and `upkeep_us`. No unit is there together with one of a transformation in `conflicts`, or on one host with one of a
+    transformation in `conflicts_on_host`. At least `min_instances` units run; at
     most `max_instances` are there, and at most `per_host` on one host, cold spares counted; without hosts all are on
     one. A cold spare takes `standby_us` each second; None: it has none.
     """
@@ -134,6 +135,7 @@ class Transformation:
     needs: Mapping[str, int] = field(default_factory=dict, hash=False)
     seen_us: Mapping[str, tuple[int, int]] = field(default_factory=dict, hash=False)
     per_host: int | None = None
+    conflicts_on_host: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         store_sorted(self, "inputs", self.inputs, attrgetter("name"))
@@ -147,9 +149,9 @@ class Transformation:
         store_whole(self, "per_host")
         if self.labor_us < 0 or self.upkeep_us < 0:
             raise InvalidValueError(f"transformation {self.label!r} has a negative cost")
-        if self.hosts or self.conflicts:
-            store_sorted(self, "hosts", self.hosts, str)
-            store_sorted(self, "conflicts", self.conflicts, str)
+        if self.hosts or self.conflicts or self.conflicts_on_host:
+            for name in ("hosts", "conflicts", "conflicts_on_host"):
+                store_sorted(self, name, getattr(self, name), str)
             refuse_duplicates(f"host of transformation {self.label!r}", list(self.hosts))
         if self.host is not None and self.hosts:
             raise InvalidValueError(f"transformation {self.label!r} has a host and a choice of hosts")

@@ -113,6 +113,17 @@ def test_too_many_units_on_one_host_are_refused() -> None:
         assert rules(without) == broken
 
 
+def test_transformations_that_conflict_on_a_host_are_on_different_ones_whoever_says_so() -> None:
+    roomy = replace(VALID, hosts=(Host("robot"), HOSTS[1]))
+    for library in (
+        (CAMERA, replace(DETECTOR, conflicts_on_host=("camera",))),
+        (replace(CAMERA, conflicts_on_host=("detector",)), DETECTOR),
+    ):
+        assert rules(replace(roomy, library=library)) == set()
+        beside = replace(roomy, library=library, units=(camera, replace(detector, host="robot")))
+        assert rules(beside) == {Broken.APART}
+
+
 def test_a_unit_that_is_asked_for_by_number_is_not_needless() -> None:
     second = replace(camera, id="camera.2", host="robot")
     two = replace(VALID, units=(camera, second, detector), hosts=(Host("robot"), HOSTS[1]))

@@ -22,6 +22,7 @@ PARTS: dict[str, type[Part]] = {
     "The environment": fields.EnvironmentPart,
     "A transformation": fields.TransformationPart,
     "Its `run`": fields.RunPart,
+    "Its `conflicts`": fields.ConflictsPart,
     "An input": fields.InputPart,
     "An output": fields.OutputPart,
     "What it makes of a quality": fields.ContributionPart,
@@ -32,7 +33,7 @@ PARTS: dict[str, type[Part]] = {
     "A quality attribute": fields.AttributePart,
     "`defaults`": fields.DefaultsPart,
 }
-YAML_ONLY = (fields.ContributionPart, fields.WishPart, fields.HostPart, fields.AttributePart)
+YAML_ONLY = (fields.ConflictsPart, fields.ContributionPart, fields.WishPart, fields.HostPart, fields.AttributePart)
 
 
 def blocks(language: str) -> list[str]:

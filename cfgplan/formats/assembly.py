@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Any
 
 from cfgplan.domain import Environment, Target, Transformation
@@ -105,14 +105,23 @@ class _Names:
 def _check_conflicts(
     library: dict[str, Transformation], left_out: LeftOut, origins: Mapping[tuple[str, str], Passage]
 ) -> None:
-    for transformation in library.values():
-        entry = origins["transformation", transformation.label].at("conflicts")
-        for other in transformation.conflicts:
-            if other == transformation.label:
-                entry.note(f"`{other}` conflicts with itself", "write `max_instances: 1` if only one unit may be there")
-            elif other not in library and not left_out.may_have("transformations", other):
-                mend = did_you_mean(other, library, "write the label of another transformation, templates expanded")
-                entry.note(f"there is no transformation `{other}`", mend)
+    for t in library.values():
+        entry = origins["transformation", t.label].at("conflicts")
+        in_all = entry.at("system") if t.conflicts_on_host else entry
+        for other in {t.label}.intersection(t.conflicts):
+            in_all.note(f"`{other}` conflicts with itself", "write `max_instances: 1` if only one unit may be there")
+        for other in {t.label}.intersection(t.conflicts_on_host):
+            entry.at("host").note(f"`{other}` conflicts with itself", "write `per_host: 1`")
+        for at, others in ((in_all, t.conflicts), (entry.at("host"), t.conflicts_on_host)):
+            _check_labels(at, others, library, left_out)
+
+
+def _check_labels(entry: Passage, labels: Iterable[str], library: Collection[str], left_out: LeftOut) -> None:
+    """Note the labels that no transformation has."""
+    for label in labels:
+        if label not in library and not left_out.may_have("transformations", label):
+            mend = did_you_mean(label, library, "write the label of another transformation, templates expanded")
+            entry.note(f"there is no transformation `{label}`", mend)
 
 
 def _check_broken_tags(file: File, tags: TagChecker, faults: list[Fault]) -> None:

@@ -16,6 +16,7 @@ from cfgplan.formats.fields import (
     FORMAT,
     IGNORE,
     AttributePart,
+    ConflictsPart,
     EnvironmentPart,
     HostPart,
     InputPart,
@@ -114,12 +115,19 @@ def _transformation(transformation: Transformation, environment: Environment) ->
         TransformationPart.written(
             transformation,
             host=transformation.host or list(transformation.hosts),
+            conflicts=_conflicts(transformation),
             run=RunPart.written(transformation.run),
             inputs={port.name: _port(InputPart.written(port)) for port in transformation.inputs},
             outputs={port.name: _port(_output(port, environment)) for port in transformation.outputs},
         )
     )
     return said
+
+
+def _conflicts(transformation: Transformation) -> Any:
+    if transformation.conflicts_on_host:
+        return ConflictsPart.written(transformation)
+    return list(transformation.conflicts)
 
 
 def _output(port: OutputPort, environment: Environment) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from typing import Any, TypeAlias
 from cfgplan.domain import Environment
 from cfgplan.formats.fields import (
     AttributePart,
+    ConflictsPart,
     EnvironmentPart,
     FieldRow,
     HostPart,
@@ -137,6 +138,7 @@ _HELD: Mapping[type[Part], str] = {
     AttributePart: "name better worst best",
     TransformationPart: "label host labor upkeep pinned required memory conflicts min_instances max_instances standby "
     "run inputs outputs",
+    ConflictsPart: "system",
     InputPart: "tag distinct feedback",
     OutputPart: "tag quality rate size",
     UnitPart: "id transformation inputs topics host standby",
@@ -164,6 +166,7 @@ def _later_parts(environment: Environment) -> Iterator[list[object]]:
         (HostPart, ((host.name, host) for host in environment.hosts)),
         (AttributePart, ((attribute.name, attribute) for attribute in environment.qualities)),
         (TransformationPart, ((t.label, t) for t in library)),
+        (ConflictsPart, ((t.label, t) for t in library)),
         (InputPart, ((f"{t.label}/{port.name}", port) for t in library for port in t.inputs)),
         (OutputPart, ((f"{t.label}/{port.name}", port) for t in library for port in t.outputs)),
         (UnitPart, ((unit.id, unit) for unit in environment.units)),

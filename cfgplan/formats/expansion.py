@@ -11,6 +11,7 @@ from cfgplan.errors import MatchingError, TagError, UnknownNameError, did_you_me
 from cfgplan.formats.fields import (
     DEFAULT_LABOR_US,
     DEFAULT_UPKEEP_US,
+    ConflictsPart,
     DefaultsPart,
     InputPart,
     OutputPart,
@@ -127,7 +128,9 @@ class Expander:
             self._left_out.add("transformations", filled.label)
             return
         run = _run_options(entry.at("run", "start"), filled)
-        yield Transformation(**{**self._costs_us, **filled.values(), **ports, **hosts, "run": run})
+        more = filled.conflicts.values() if isinstance(filled.conflicts, ConflictsPart) else {}
+        said = {"conflicts": (), **more} if more else {}
+        yield Transformation(**{**self._costs_us, **filled.values(), **ports, **hosts, **said, "run": run})
 
     def _hosts(self, entry: Passage, written: str | list[str] | None) -> dict[str, Any]:
         if isinstance(written, list):

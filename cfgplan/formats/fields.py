@@ -39,6 +39,7 @@ from cfgplan.formats.schema_values import (
     WhenFull,
     Written,
     form_of,
+    list_or_mapping,
 )
 from cfgplan.planning import MOST_INSTANCES
 
@@ -233,6 +234,20 @@ class RunPart(Part):
     state: bool = row("a new unit goes on with the state of the last", False)
 
 
+class ConflictsPart(Part):
+    """Transformations that a transformation may not be together with."""
+
+    host: list[Name] | None = row("none of their units is on one host with a unit of it", to="conflicts_on_host")
+    system: list[Name] | None = row(
+        "none of their units is there; a list, without a mapping, says these", to="conflicts"
+    )
+
+
+ConflictsGiven = Annotated[
+    Annotated[list[Name], _SHORT] | Annotated[ConflictsPart, _FULL], Discriminator(list_or_mapping)
+]
+
+
 class TransformationPart(Part):
     """A streaming function that can be instantiated; `${Class}` in it stands for each individual of a class."""
 
@@ -251,7 +266,7 @@ class TransformationPart(Part):
         "megabytes that a unit takes on its host; run.memory if absent", None, "memory_mb", ge=0, le=LONGEST_QUEUE
     )
     needs: Resources | None = row("how much of other resources of its host a unit takes, by name: whole numbers")
-    conflicts: list[Name] | None = row("transformations that may not be there beside it")
+    conflicts: ConflictsGiven | None = row("transformations that may not be there together with it")
     min_instances: int = row("at least so many of its units run", 0, ge=0, le=MOST_INSTANCES)
     max_instances: int | None = row("at most so many of its units are there", ge=0)
     per_host: int | None = row("at most so many of its units are on one host", ge=1)

@@ -170,6 +170,11 @@ def form_of(value: object) -> str:
     return FULL_FORM if isinstance(value, dict | list | BaseModel) else SHORT_FORM
 
 
+def list_or_mapping(value: object) -> str:
+    """The same where the short form is a list, and the full one a mapping."""
+    return FULL_FORM if isinstance(value, dict | BaseModel) else SHORT_FORM
+
+
 @dataclass(frozen=True, slots=True)
 class Written:
     """How a file says a value of the domain, where that is not the value itself."""

@@ -49,6 +49,9 @@ def company_violations(environment: Environment) -> Iterator[Violation]:
             if most is not None and number > most:
                 text = f"{number} units of {label} are {where}, but it allows {most} on one host"
                 yield Violation(Rule.INSTANCES, text)
+            for other in environment.transformation[label].conflicts_on_host:
+                if other in there and other != label:
+                    yield Violation(Rule.APART, f"units of {label} and {other} are {where}, which conflict on a host")
 
 
 def costs_there(

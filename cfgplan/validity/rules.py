@@ -20,7 +20,7 @@ class Rule(StrEnum):
     QUALITY = "every target's stream is as good as the target asks"
     PLACED = "every unit runs on a host that its transformation allows"
     CAPACITY = "the units on a host take no more of any resource than it has"
-    APART = "units of transformations that conflict are not there together"
+    APART = "units of transformations that conflict are not there together, or not on one host"
     INSTANCES = "of each transformation as many units run as it asks for and allows, in all and on each host"
     SURVIVES = "no single failure leaves a target without a stream"
     PINNED = "a running unit of a pinned transformation is kept where it can be fed, and not stopped without a reason"

@@ -221,6 +221,12 @@ MODEL = _room(
     ("units that conflict are together", "rules.py", "model.cp.add_at_most_one(one, second)", "pass"),
     ("too few units run", "rules.py", ">= t.min_instances", ">= 0"),
     ("too many units are there", "rules.py", "<= t.max_instances)", "<= t.max_instances + 1)"),
+    (
+        "units that conflict on a host are on one",
+        "rules.py",
+        "there = _on_hosts(model, other) if other != transformation.label else {}",
+        "there = {}",
+    ),
     ("too many units are on one host", "rules.py", "<= t.per_host)", "<= t.per_host + 1)"),
     (
         "cold spares count as running",
@@ -318,6 +324,7 @@ JUDGE = _room(
         "there[label] > transformation.max_instances:",
         "there[label] < 0:",
     ),
+    ("units that conflict are on one host", "hosts.py", "if other in there and other != label:", "if False:"),
     ("too many units are on one host", "hosts.py", "number > most:", "number < 0:"),
     ("too few units run", "environments.py", "if len(running[label]) < transformation.min_instances:", "if False:"),
 )

@@ -32,6 +32,7 @@ from cfgplan.qualities import QualityAttribute, Wish
 HERE = Path(__file__).parent
 HOLDERS: dict[type[Part], tuple[Any, list[str]]] = {
     fields.TransformationPart: (Transformation, ["library"]),
+    fields.ConflictsPart: (Transformation, ["library"]),
     fields.InputPart: (InputPort, ["library", "inputs"]),
     fields.OutputPart: (OutputPort, ["library", "outputs"]),
     fields.RunPart: (RunOptions, ["library", "run"]),

@@ -89,6 +89,7 @@ def transformations(
         changes["needs"] = draw(st.sampled_from([{}, {}, {}, {"gpu": 0}, {"gpu": 1}, {"gpu": 2}]))
     if Notion.CONFLICTS in notions:
         changes["conflicts"] = tuple(draw(st.sets(st.sampled_from(labels), max_size=1)) - {plain.label})
+        changes["conflicts_on_host"] = tuple(draw(st.sets(st.sampled_from(labels), max_size=1)) - {plain.label})
     if Notion.INSTANCES in notions:
         least = draw(st.sampled_from([0, 0, 0, 0, 1]))
         changes["min_instances"] = least

@@ -165,6 +165,23 @@ def test_a_cold_spare_conflicts_too() -> None:
 
 
 @every_model
+def test_units_that_conflict_on_a_host_are_on_different_ones(model: type[Hubs]) -> None:
+    library = (kind("s", gives="A", conflicts_on_host=("t", "s"), max_instances=2), kind("t", gives="A"))
+    fixed = model(world("A", *library, hosts=TWO))
+    assert fixed.allows(on("s.1", "h0"), on("t.1", "h1"))
+    assert not fixed.allows(on("s.1", "h0"), on("t.1", "h0"))
+    assert fixed.allows(on("s.1", "h0"), on("s.2", "h0"))
+    assert not model(world("A", *library)).allows(runs("s.1"), runs("t.1"))
+
+
+def test_a_cold_spare_conflicts_on_its_host_too() -> None:
+    library = (kind("s", gives="A", standby_us=1, conflicts_on_host=("t",)), kind("t", gives="A", max_instances=3))
+    fixed = Apart(world("A", *library, hosts=TWO, survive=Failures.UNITS))
+    assert fixed.allows(on("t.1", "h1"), waits("s.1"), on("s.1", "h0"))
+    assert not fixed.allows(on("t.1", "h0"), waits("s.1"), on("s.1", "h0"))
+
+
+@every_model
 def test_as_many_units_run_as_are_asked_for(model: type[Hubs]) -> None:
     fixed = model(world("A", kind("s", gives="A", min_instances=2)))
     assert fixed.allows(runs("s.1"), runs("s.2"))

@@ -37,6 +37,12 @@ class Rooms:
                 yield f"{amount_of(resource, amount)} left"
         if kind.per_host is not None and self._there[name][kind.label] >= kind.per_host:
             yield f"fewer than {kind.per_host} of them"
+        library = self._environment.transformation
+        for other in self._there[name]:
+            if other != kind.label and (
+                other in kind.conflicts_on_host or kind.label in library[other].conflicts_on_host
+            ):
+                yield f"no unit of {other}"
 
     def _takes(self, kind: Transformation, name: HostName) -> Mapping[str, int]:
         return {} if name is None else taken(kind, self._environment.host[name])

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterable
+from itertools import product
 from typing import Final
 
 from ortools.sat.python.cp_model import IntVar, LinearExpr
@@ -270,9 +272,12 @@ def units_that_conflict_are_not_there_together(model: Model) -> None:
     for transformation in model.environment.library:
         for other in transformation.conflicts:
             if other != transformation.label:
-                for one in there[transformation.label]:
-                    for second in there[other]:
-                        model.cp.add_at_most_one(one, second)
+                _are_apart(model, there[transformation.label], there[other])
+
+
+def _are_apart(model: Model, some: Iterable[IntVar], others: Iterable[IntVar]) -> None:
+    for one, second in product(some, others):
+        model.cp.add_at_most_one(one, second)
 
 
 def there_are_as_many_units_as_asked_for_and_allowed(model: Model) -> None:
@@ -289,6 +294,14 @@ def no_host_has_more_units_of_a_transformation_than_it_allows(model: Model) -> N
         if t.per_host is not None:
             for there in _on_hosts(model, t.label).values():
                 model.cp.add(LinearExpr.sum(there) <= t.per_host)
+
+
+def units_that_conflict_are_not_on_one_host(model: Model) -> None:
+    for transformation in model.environment.library:
+        for other in transformation.conflicts_on_host:
+            there = _on_hosts(model, other) if other != transformation.label else {}
+            for host, these in _on_hosts(model, transformation.label).items():
+                _are_apart(model, these, there.get(host, ()))
 
 
 def _on_hosts(model: Model, label: str) -> dict[HostName, list[IntVar]]:
@@ -374,6 +387,7 @@ RULES: Final[tuple[ModelRule, ...]] = (
     units_that_conflict_are_not_there_together,
     there_are_as_many_units_as_asked_for_and_allowed,
     no_host_has_more_units_of_a_transformation_than_it_allows,
+    units_that_conflict_are_not_on_one_host,
     new_units_come_in_order,
     one_of_new_units_alike_is_enough,
     targets_get_the_quality_they_ask_for,
