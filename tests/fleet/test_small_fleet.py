@@ -32,7 +32,7 @@ from small_fleet import (
     worker,
 )
 
-from cfgplan.domain import ChangeSet, ComputationUnit, RunOptions, Transformation
+from cfgplan.domain import ChangeSet, ComputationUnit, Publication, RunOptions, Target, Transformation
 from cfgplan.errors import InputError
 
 COUNT = unit("count.1", "r1")
@@ -144,6 +144,20 @@ def test_a_host_that_returns_is_cleared_and_used_again() -> None:
         listener = Listener(runtime)
         runtime.apply(ChangeSet(started=(moved(WORK, "work.2", "r2"),)))
         listener.await_more(10)
+
+
+def test_a_topic_of_no_certain_host_is_there_again_once_any_host_is() -> None:
+    units = COUNT, replace(WORK, host="r1", publications=(Publication("y", "/free"),))
+    with small_fleet("r1") as fleet, fleet.runtime(source(), worker()) as runtime:
+        runtime.apply(ChangeSet(units, added_targets=(Target("free", "Y", "/free"),)))
+        Listener(runtime, "/free").await_more(10)
+        joined = len(seen(runtime, HostJoined))
+        fleet.agents.processes["r1"].send_signal(signal.SIGSTOP)
+        eventually(lambda: bool(seen(runtime, HostLost)))
+        fleet.agents.processes["r1"].send_signal(signal.SIGCONT)
+        eventually(lambda: len(seen(runtime, HostJoined)) > joined)
+        runtime.apply(ChangeSet(units))
+        Listener(runtime, "/free").await_more(10)
 
 
 def test_a_dead_unit_on_another_host_is_told_with_its_cause() -> None:

@@ -169,6 +169,8 @@ class FleetBackend:
         self._units: dict[str, str] = {}
         self._topics: dict[str, tuple[str | None, str]] = {}
         """By topic: the host that was asked for, and the one where it is."""
+        self._unplaced: set[str] = set()
+        """Topics for which no host was asked, while none is there."""
         self._routes: dict[int, _Route] = {}
         self._crossings: dict[str, _Crossing] = {}
         self._shared: dict[tuple[Stream, str, bool], _Crossing] = {}
@@ -292,14 +294,16 @@ class FleetBackend:
 
     def open_outlet(self, topic: str, host: str | None) -> None:
         there = self._place(host)
-        if there is None:
-            return
-        self._topics[topic] = (host, there)
-        self._say(there, OpenTopicOrder(topic, host))
-        self._show(topic, there)
+        if there is not None:
+            self._topics[topic] = (host, there)
+            self._say(there, OpenTopicOrder(topic, host))
+            self._show(topic, there)
+        elif host is None:
+            self._unplaced.add(topic)
 
     def close_outlet(self, topic: str) -> None:
         _, there = self._topics.pop(topic, (None, ""))
+        self._unplaced.discard(topic)
         self.run_folder.forget(topic)
         self._say(there, CloseTopicOrder(topic))
 
@@ -531,6 +535,11 @@ class FleetBackend:
         host.ahead_ns, host.is_there = ahead_ns, True
         self._say(host.name, ClockOrder(ahead_ns))
         self._events.append(HostJoined(host.name, (ahead_ns - time.time_ns() + time.monotonic_ns()) // 1000))
+        if self._unplaced:
+            unplaced, self._unplaced = self._unplaced, set()
+            for topic in unplaced:
+                self.open_outlet(topic, None)
+            self._events.append(OutletsOpened())
 
     def _note(self, host: _HostState, event: Event) -> None:
         match event:
