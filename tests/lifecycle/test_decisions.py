@@ -62,6 +62,7 @@ from cfgplan_runtime.lifecycle.turns import (
     Updated,
 )
 from cfgplan_runtime.supervision.events import (
+    ClockMoved,
     HostJoined,
     HostLost,
     InputLost,
@@ -246,8 +247,10 @@ def test_the_first_review_waits_for_hosts_as_long_as_it_may() -> None:
 def test_the_clock_of_a_host_is_known_while_it_is_there() -> None:
     joined, _ = after(stable(), 1.0, HostJoined("near"), HostJoined("far", -500_000))
     assert joined.situation.clocks_ahead_us == {"near": 0, "far": -500_000}
+    joined, effects = after(joined, 1.5, ClockMoved("near", 2_000_000))
+    assert joined.situation.clocks_ahead_us == {"near": 2_000_000, "far": -500_000} and not effects
     lost, _ = after(joined, 2.0, HostLost("far", "cut"))
-    assert lost.situation.clocks_ahead_us == {"near": 0}
+    assert lost.situation.clocks_ahead_us == {"near": 2_000_000}
 
 
 def test_a_unit_without_a_good_step_for_long_is_given_up_and_blamed() -> None:

@@ -35,6 +35,7 @@ class OutletOrder(msgspec.Struct, frozen=True, tag=True):
 
     folder: str
     queue: int
+    clock_offset_ns: int
 
 
 ChildOrder: TypeAlias = UnitOrder | OutletOrder
@@ -96,6 +97,12 @@ class CloseOutlet(msgspec.Struct, tag=True):
     topic: str
 
 
+class SetClock(msgspec.Struct, tag=True):
+    """The times of elements are the monotonic clock plus this offset from now on."""
+
+    offset_ns: int
+
+
 class Export(msgspec.Struct, tag=True):
     """Have an input, the crossing, whose elements go to another host; at most `queue` wait if it `blocks`."""
 
@@ -106,11 +113,10 @@ class Export(msgspec.Struct, tag=True):
 
 
 class Import(msgspec.Struct, tag=True):
-    """Have an output, the crossing, with what another host exports; its times are to be `shift_ns` later."""
+    """Have an output, the crossing, with what another host exports."""
 
     crossing: str
     host: str
-    shift_ns: int
 
 
 class Release(msgspec.Struct, tag=True):
@@ -124,7 +130,9 @@ class Finish(msgspec.Struct, tag=True):
 
 
 ToRelay: TypeAlias = Export | Import | Release
-ToChild: TypeAlias = Feed | Serve | Cut | End | Unserve | SwitchNow | OpenOutlet | CloseOutlet | ToRelay | Finish
+ToChild: TypeAlias = (
+    Feed | Serve | Cut | End | Unserve | SwitchNow | OpenOutlet | CloseOutlet | SetClock | ToRelay | Finish
+)
 
 
 # From a child.

@@ -15,6 +15,7 @@ from cfgplan_runtime.children.messages import (
     Finish,
     PortCounts,
     Ready,
+    SetClock,
     ToChild,
     Trouble,
     UnitOrder,
@@ -43,6 +44,7 @@ class UnitChild:
 
     def __init__(self, order: UnitOrder, control: ControlConnection[ToChild]) -> None:
         self._order = order
+        self._clock_offset_ns = order.clock_offset_ns
         self._ports = Ports(control, self._obey)
         self._is_source = not order.inputs
         self._steps = StepQueue(order.inputs, start=order.start, tolerance_ns=order.tolerance_ns, limit=order.queue)
@@ -84,9 +86,12 @@ class UnitChild:
                 return
 
     def _obey(self, message: ToChild, _: list[socket.socket]) -> None:
-        if isinstance(message, Finish):
-            self._ports.drain()
-            self._is_finishing = True
+        match message:
+            case SetClock(offset_ns):
+                self._clock_offset_ns = offset_ns
+            case Finish():
+                self._ports.drain()
+                self._is_finishing = True
 
     @property
     def _has_work(self) -> bool:
@@ -180,7 +185,7 @@ class UnitChild:
         elif self._moment is not None:
             moment = self._moment
         else:
-            moment = (time.monotonic_ns() + self._order.clock_offset_ns, 0)
+            moment = (time.monotonic_ns() + self._clock_offset_ns, 0)
         last = self._last.get(given.port)
         if last is not None and moment <= last:
             moment = (last[0], last[1] + 1)

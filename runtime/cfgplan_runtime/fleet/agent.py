@@ -18,6 +18,7 @@ import msgspec
 from cfgplan.errors import InputError
 from cfgplan_runtime.children.messages import Export, Import, Release
 from cfgplan_runtime.fleet.certificates import MANAGER
+from cfgplan_runtime.fleet.clocks import HostClock
 from cfgplan_runtime.fleet.links import LEASE_S, config
 from cfgplan_runtime.fleet.orders import (
     HEARD,
@@ -73,7 +74,7 @@ def alive_key(host: str) -> str:
 
 
 def clock_key(host: str) -> str:
-    """The key at which an agent tells its clock, in nanoseconds."""
+    """The key at which an agent tells its clock."""
     return f"cfgplan/{quote(host, safe='*')}/clock"
 
 
@@ -173,7 +174,7 @@ class Agent:
 
     def _answer(self) -> None:
         offset_ns = self._backend.clock_offset_ns
-        self._link.answer(clock_key(self.name), lambda: str(time.monotonic_ns() + offset_ns).encode())
+        self._link.answer(clock_key(self.name), HostClock(lambda: time.monotonic_ns() + offset_ns).told)
         self._link.watch(f"{alive_key(MANAGER)}/*", self._note_manager)
         for kind in (SAY, HEARD):
             self._link.hear(crossing_key(MANAGER, kind, self.name, "*"), self._take)
@@ -260,6 +261,7 @@ class Agent:
                 self._end_everything()
             case ClockOrder(ahead_ns):
                 self._ahead_ns = ahead_ns
+                backend.correct_clock(ahead_ns)
             case StartOrder():
                 self._start(order)
             case StopOrder(unit):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from math import inf
@@ -16,12 +16,14 @@ from urllib.parse import unquote
 
 import msgspec
 
-from cfgplan.domain import ComputationUnit, Host, Publication, Stream, Subscription, Transformation
+from cfgplan.domain import Stream, Transformation
 from cfgplan.errors import InputError
-from cfgplan_runtime.children.messages import Export, Flow, Import, ImportUnused, Release
+from cfgplan_runtime.children.messages import Flow, ImportUnused
 from cfgplan_runtime.children.unit_order import unit_order
+from cfgplan_runtime.fleet.adoption import adopt
 from cfgplan_runtime.fleet.agent import alive_key, clock_key, digest_of, source_file
 from cfgplan_runtime.fleet.certificates import MANAGER
+from cfgplan_runtime.fleet.clocks import CALLS, CALLS_AGAIN, CLOCK_S, HostClock, Reading, corrected, has_moved
 from cfgplan_runtime.fleet.links import config
 from cfgplan_runtime.fleet.orders import (
     HEARD,
@@ -29,9 +31,6 @@ from cfgplan_runtime.fleet.orders import (
     SAY,
     ClockOrder,
     CloseTopicOrder,
-    ConnectOrder,
-    CutOrder,
-    EndWireOrder,
     EventTold,
     FromAgent,
     GreetOrder,
@@ -51,12 +50,13 @@ from cfgplan_runtime.fleet.orders import (
     event_of,
     read_session,
 )
-from cfgplan_runtime.processes.process_backend import RELAY
+from cfgplan_runtime.fleet.routes import OrderTo, Routes
 from cfgplan_runtime.streams.crossing import crossing_key
 from cfgplan_runtime.streams.run_folder import RunFolder, is_alive
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
-from cfgplan_runtime.supervision.backend import Found, FoundWire, Inlet, Usage
+from cfgplan_runtime.supervision.backend import Found, Inlet, Usage
 from cfgplan_runtime.supervision.events import (
+    ClockMoved,
     Event,
     HelperAlive,
     HostJoined,
@@ -74,8 +74,6 @@ from cfgplan_runtime.supervision.events import (
 WAIT_S = 3.0
 """Seconds that hosts are waited for at the beginning."""
 _LEAVE_S = 2.0
-_CALLS = 30
-"""The shortest of so many calls tells how far a host's clock is ahead."""
 _CALL_S = 1.0
 
 
@@ -88,8 +86,13 @@ class _HostState:
     """What tells this agent from one of the same name before it."""
     talk: Talk[FromAgent]
     is_there: bool = False
-    ahead_ns: int = 0
-    """How far its clock is ahead of this computer's monotonic one."""
+    reading: Reading | None = None
+    """What its clock said last."""
+    ahead_ns: int | None = None
+    """How far its clock is ahead of the run's, as it was told."""
+    shown_ns: int = 0
+    """How far its time of day is ahead of that here, as was last told."""
+    gone: threading.Event = field(default_factory=threading.Event)
     run: Path | None = None
     held: Held = field(default_factory=Held)
     """What ran there when it was greeted."""
@@ -98,43 +101,12 @@ class _HostState:
     helpers: set[str] = field(default_factory=set)
 
 
-@dataclass(slots=True, eq=False)
-class _Crossing:
-    """A stream on its way to another host. It is released once all of the `connected` wires are gone."""
-
-    name: str
-    wire: int
-    """The wire from the unit to its host's relay."""
-    stream: Stream
-    source: str
-    target: str
-    blocks: bool
-    connected: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class _Route:
-    """A wire's way: within one host, or over a crossing."""
-
-    wire: int
-    stream: Stream
-    inlet: Inlet
-    source: str
-    target: str
-    crossing: _Crossing | None
-
-    @property
-    def local_stream(self) -> Stream:
-        """What feeds the inlet on its host."""
-        return self.stream if self.crossing is None else Stream(RELAY, self.crossing.name)
-
-
 @dataclass(frozen=True, slots=True)
 class _Measured:
-    """How far a host's clock is ahead; None if it does not answer."""
+    """What a host's clock says; None if it does not answer."""
 
     host: _HostState
-    ahead_ns: int | None
+    reading: Reading | None
 
 
 _Arrival: TypeAlias = "tuple[str, bytes, bytes] | tuple[str, bool] | _Measured | None"
@@ -171,10 +143,10 @@ class FleetBackend:
         """By topic: the host that was asked for, and the one where it is."""
         self._unplaced: set[str] = set()
         """Topics for which no host was asked, while none is there."""
-        self._routes: dict[int, _Route] = {}
-        self._crossings: dict[str, _Crossing] = {}
-        self._shared: dict[tuple[Stream, str, bool], _Crossing] = {}
-        """The crossings that more inputs may be fed by: stream, host, and whether it may wait."""
+        self._routes = Routes(run_folder.id)
+        self._clock = HostClock(time.monotonic_ns)
+        self._run_ahead_ns = 0
+        """How far this process's clock is ahead of the run's, which may be an earlier manager's."""
         self._serial = 0
         self._term = 1
         self._library = library
@@ -205,26 +177,12 @@ class FleetBackend:
 
     def found(self) -> Found | None:
         held = {name: host.held for name, host in self._hosts.items() if host.is_there}
-        self._adopt_clocks()
-        self._adopt_units(held)
-        self._adopt_crossings(held)
-        wires = self._adopt_wires(held)
-        for name, one in held.items():
-            for topic, asked in one.topics.items():
-                self._topics[topic] = (asked, name)
-                self._show(topic, name)
-        if not (self._units or self._topics):
-            return None
-        labels = {unit: held[host].units[unit].label for unit, host in self._units.items()}
-        labor_us = {unit: held[host].units[unit].labor_us for unit, host in self._units.items()}
-        return Found(
-            tuple(_as_wired(unit, labels[unit], host, wires) for unit, host in sorted(self._units.items())),
-            tuple(self._library[label] for label in sorted(set(labels.values()))),
-            tuple(Host(host) for host in sorted(set(self._units.values()))),
-            {unit: labor for unit, labor in labor_us.items() if labor is not None},
-            tuple(wires),
-            {topic: asked for topic, (asked, _) in self._topics.items()},
-        )
+        adopted = adopt(self.id, held, self._library)
+        self._units, self._topics, self._routes = dict(adopted.units), dict(adopted.topics), adopted.routes
+        self._give(adopted.orders)
+        for topic, (_, host) in self._topics.items():
+            self._show(topic, host)
+        return adopted.found
 
     def now(self) -> float:
         return time.monotonic()
@@ -267,27 +225,15 @@ class FleetBackend:
         if source is None:
             self._events.append(InputLost(inlet.unit or None, inlet.port, wire))
             return
-        crossing = None if source == target else self._cross(stream, source, target, queue=queue, blocks=blocks)
-        if crossing is not None:
-            crossing.connected += 1
-        route = self._routes[wire] = _Route(wire, stream, inlet, source, target, crossing)
-        self._say(target, ConnectOrder(wire, route.local_stream, inlet, queue, blocks))
+        self._give(self._routes.connect(wire, stream, inlet, source, target, queue=queue, blocks=blocks))
 
     def disconnect(self, wire: int, inlet: Inlet) -> None:
-        self._routes.pop(wire, None)
-        self._say(self._host_of(inlet), CutOrder(wire, inlet))
+        self._give(self._routes.disconnect(wire, inlet, self._host_of(inlet)))
 
-    def end_wire(self, wire: int, stream: Stream, inlet: Inlet) -> None:
-        route = self._routes.pop(wire, None)
-        if route is None:
-            return
-        crossing = route.crossing
+    def end_wire(self, wire: int, stream: Stream, inlet: Inlet) -> None:  # noqa: ARG002
+        source = self._routes.source_of(wire)
         has_consumer = inlet.is_outlet or inlet.unit in self._units
-        if crossing is not None and has_consumer and self._is_there(route.source):
-            # What the source has given is under way, and its end comes behind it.
-            self._say(route.source, EndWireOrder(crossing.wire, stream, Inlet(RELAY, crossing.name)))
-        else:
-            self._say(route.target, EndWireOrder(wire, route.local_stream, inlet))
+        self._give(self._routes.end(wire, has_both_ends=has_consumer and source is not None and self._is_there(source)))
 
     def switch_now(self, inlet: Inlet) -> None:
         self._say(self._host_of(inlet), SwitchOrder(inlet))
@@ -320,7 +266,8 @@ class FleetBackend:
         return None if usage is None else usage.pid
 
     def close(self) -> None:
-        for name in self._hosts:
+        for name, host in self._hosts.items():
+            host.gone.set()
             self._say(name, LeaveOrder())
         end_s = self.now() + _LEAVE_S
         while any(not host.talk.is_done for host in self._hosts.values()) and self.now() < end_s:
@@ -349,55 +296,8 @@ class FleetBackend:
             events += self._events
             self._events.clear()
         self._is_beginning = self._takes_over = False
+        self._begin_clocks()
         self._events += [*events, *(HostLost(host, "it has no agent") for host in hosts if host not in joined)]
-
-    def _adopt_clocks(self) -> None:
-        """Go on with the differences between clocks that there are: an element's time is shifted there and back."""
-        known = [host for host in self._hosts.values() if host.is_there and host.held.ahead_ns is not None]
-        for host in known:
-            host.ahead_ns = known[0].ahead_ns + (host.held.ahead_ns or 0) - (known[0].held.ahead_ns or 0)
-            self._say(host.name, ClockOrder(host.ahead_ns))
-
-    def _adopt_units(self, held: Mapping[str, Held]) -> None:
-        """Keep the units that were started as they would be now, and end all others."""
-        for host, one in held.items():
-            for unit, known in one.units.items():
-                transformation = self._library.get(known.label)
-                if transformation is not None and unit_order(unit, transformation, None) == known.order:
-                    self._units[unit] = host
-                else:
-                    self._say(host, KillOrder(unit, dump=False))
-
-    def _adopt_crossings(self, held: Mapping[str, Held]) -> None:
-        for source, one in held.items():
-            for name, export in one.exports.items():
-                target = export.order.host
-                self._serial = max(self._serial, -export.wire)
-                if export.stream is None or target not in held or name not in held[target].imports:
-                    self._say(source, Release(name))
-                    continue
-                stream, blocks = export.stream, export.order.blocks
-                connected = held[target].imports[name].connected
-                crossing = _Crossing(name, export.wire, stream, source, target, blocks, connected)
-                self._crossings[name] = crossing
-                if stream.unit in self._units:
-                    self._shared[stream, target, blocks] = crossing
-
-    def _adopt_wires(self, held: Mapping[str, Held]) -> list[FoundWire]:
-        """Keep the wires between units that were kept, and end all others."""
-        found = []
-        for target, one in held.items():
-            for known in one.wires:
-                crossing = self._crossings.get(known.stream.port) if known.stream.unit == RELAY else None
-                stream = known.stream if crossing is None else crossing.stream
-                is_wanted = known.inlet.is_outlet or known.inlet.unit in self._units
-                if stream.unit not in self._units or not is_wanted:
-                    self._say(target, CutOrder(known.wire, known.inlet))
-                    continue
-                source = self._units[stream.unit]
-                self._routes[known.wire] = _Route(known.wire, stream, known.inlet, source, target, crossing)
-                found.append(FoundWire(known.wire, stream, known.inlet, known.has_switched))
-        return found
 
     def _hear_once(self, end_s: float) -> None:
         """Wait for something to arrive, or for something to be sent, and handle it."""
@@ -422,8 +322,10 @@ class FleetBackend:
         match arrival:
             case None:
                 return True
-            case _Measured(host, ahead_ns) if self._hosts.get(host.name) is host:
-                self._welcome(host, ahead_ns)
+            case _Measured(host, Reading() as reading) if self._hosts.get(host.name) is host:
+                self._note_clock(host, reading)
+            case _Measured(host, None) if self._hosts.get(host.name) is host and not host.is_there:
+                self._greet(host.name, host.life, "its clock does not answer")
             case (str(key), bool(is_alive)):
                 self._note_life(key, is_alive)
             case (str(key), bytes(head), bytes(payload)):
@@ -456,13 +358,12 @@ class FleetBackend:
 
     def _lose(self, host: _HostState, cause: str) -> None:
         del self._hosts[host.name]
+        host.gone.set()
         self._events += [HelperAlive(f"{host.name}: {helper}", inf) for helper in host.helpers]
         if not host.is_there:
             return
         self._units = {unit: at for unit, at in self._units.items() if at != host.name}
-        self._shared = {key: one for key, one in self._shared.items() if host.name not in (one.source, one.target)}
-        for crossing in [one for one in self._crossings.values() if one.target == host.name]:
-            self._release(crossing)
+        self._give(self._routes.forget_host(host.name))
         self._events.append(HostLost(host.name, cause))
         moved = [topic for topic, (asked, at) in self._topics.items() if at == host.name and asked is None]
         for topic in [topic for topic, (_, at) in self._topics.items() if at == host.name]:
@@ -505,7 +406,7 @@ class FleetBackend:
     def _understand(self, host: _HostState, message: FromAgent) -> None:
         match message:
             case Welcome(run, held):
-                host.held = held
+                host.held, host.ahead_ns = held, held.ahead_ns
                 path = Path(run)
                 host.run = path if is_alive(path) else None
                 threading.Thread(target=self._measure, args=(host,), daemon=True).start()
@@ -514,44 +415,59 @@ class FleetBackend:
             case UsageTold(usage):
                 host.usage.update(usage)
             case ImportUnused(crossing, served):
-                known = self._crossings.get(crossing)
-                if known is not None and known.connected == served:
-                    self._release(known)
+                self._give(self._routes.note_unused(crossing, served))
 
     def _measure(self, host: _HostState) -> None:
-        """Ask a host's clock; runs in a thread of its own."""
-        found: list[tuple[int, int]] = []
-        for _ in range(_CALLS):
-            before_ns = time.monotonic_ns()
-            for _, answer in self._link.ask(clock_key(host.name), _CALL_S):
-                after_ns = time.monotonic_ns()
-                found.append((after_ns - before_ns, int(answer) - (before_ns + after_ns) // 2))
-        self._inbox.put(_Measured(host, min(found)[1] if found else None))
+        """Read a host's clock again and again; runs in a thread of its own."""
+        calls, key = CALLS, clock_key(host.name)
+        while not host.gone.is_set():
+            reading = self._clock.read(lambda: (answer for _, answer in self._link.ask(key, _CALL_S)), calls)
+            self._inbox.put(_Measured(host, reading))
+            calls = CALLS_AGAIN
+            host.gone.wait(CLOCK_S)
 
-    def _welcome(self, host: _HostState, ahead_ns: int | None) -> None:
-        if ahead_ns is None:
-            self._greet(host.name, host.life, "its clock does not answer")
-            return
-        host.ahead_ns, host.is_there = ahead_ns, True
-        self._say(host.name, ClockOrder(ahead_ns))
-        self._events.append(HostJoined(host.name, (ahead_ns - time.time_ns() + time.monotonic_ns()) // 1000))
-        if self._unplaced:
+    def _note_clock(self, host: _HostState, reading: Reading) -> None:
+        """A host whose clock is known is there."""
+        host.reading, was_there, host.is_there = reading, host.is_there, True
+        if not self._is_beginning:
+            self._correct(host, reading)
+        if not was_there or has_moved(host.shown_ns, reading):
+            host.shown_ns = reading.day_ahead_ns
+            kind = ClockMoved if was_there else HostJoined
+            self._events.append(kind(host.name, reading.day_ahead_ns // 1000))
+        if not was_there and self._unplaced:
             unplaced, self._unplaced = self._unplaced, set()
             for topic in unplaced:
                 self.open_outlet(topic, None)
             self._events.append(OutletsOpened())
+
+    def _begin_clocks(self) -> None:
+        """Go on with the clock of an earlier manager, so that no element is taken for older than it is."""
+        known = {host: host.reading for host in self._hosts.values() if host.reading is not None}
+        for host, reading in known.items():
+            if host.ahead_ns is not None:
+                self._run_ahead_ns = host.ahead_ns - reading.ahead_ns
+                break
+        for host, reading in known.items():
+            self._correct(host, reading)
+
+    def _correct(self, host: _HostState, reading: Reading) -> None:
+        """Have a host correct its clock by what is certain."""
+        before_ns, measured_ns = host.ahead_ns, reading.ahead_ns + self._run_ahead_ns
+        host.ahead_ns = measured_ns if before_ns is None else corrected(before_ns, measured_ns, reading.doubt_ns)
+        if host.ahead_ns != before_ns:
+            self._say(host.name, ClockOrder(host.ahead_ns))
 
     def _note(self, host: _HostState, event: Event) -> None:
         match event:
             case UnitDied(unit) | UnitStopped(unit):
                 self._units.pop(unit, None)
                 host.usage.pop(unit, None)
-                self._shared = {key: one for key, one in self._shared.items() if key[0].unit != unit}
-            case WireSwitched(wire) if wire in self._routes:
-                inlet = self._routes[wire].inlet
-                self._routes = {n: one for n, one in self._routes.items() if one.inlet != inlet or n >= wire}
+                self._routes.forget_unit(unit)
+            case WireSwitched(wire):
+                self._routes.note_switch(wire)
             case InputLost(_, _, wire):
-                self._routes.pop(wire, None)
+                self._routes.forget(wire)
             case HelperAlive(helper, patience_s):
                 host.helpers.add(helper)
                 event = HelperAlive(f"{host.name}: {helper}", patience_s)
@@ -562,25 +478,9 @@ class FleetBackend:
                 event = OutOfDescriptors(f"{host.name}: {cause}")
         self._events.append(event)
 
-    def _cross(self, stream: Stream, source: str, target: str, *, queue: int, blocks: bool) -> _Crossing:
-        """The crossing of a stream to a host: the one that there is, or a new one."""
-        key = (stream, target, blocks)
-        if key not in self._shared:
-            self._serial += 1
-            name, wire = f"{self.id}-{self._serial}", -self._serial
-            crossing = self._shared[key] = _Crossing(name, wire, stream, source, target, blocks)
-            self._crossings[name] = crossing
-            shift_ns = self._hosts[target].ahead_ns - self._hosts[source].ahead_ns
-            self._say(target, Import(name, source, shift_ns))
-            self._say(source, Export(name, target, queue, blocks))
-            self._say(source, ConnectOrder(wire, stream, Inlet(RELAY, name), queue, blocks))
-        return self._shared[key]
-
-    def _release(self, crossing: _Crossing) -> None:
-        del self._crossings[crossing.name]
-        self._shared = {key: one for key, one in self._shared.items() if one is not crossing}
-        for host in (crossing.source, crossing.target):
-            self._say(host, Release(crossing.name))
+    def _give(self, orders: Iterable[OrderTo]) -> None:
+        for host, order in orders:
+            self._say(host, order)
 
     def _say(self, host: str | None, order: Order) -> None:
         """Give an order to a host; does nothing if it is not there."""
@@ -606,12 +506,3 @@ class FleetBackend:
         if inlet.is_outlet:
             return self._topics[inlet.port][1] if inlet.port in self._topics else None
         return self._units.get(inlet.unit)
-
-
-def _as_wired(unit: str, label: str, host: str, wires: Sequence[FoundWire]) -> ComputationUnit:
-    """A unit as its wires tell it."""
-    feeds = tuple(Subscription(one.inlet.port, one.stream) for one in wires if one.inlet.unit == unit)
-    published = tuple(
-        Publication(one.stream.port, one.inlet.port) for one in wires if one.inlet.is_outlet and one.stream.unit == unit
-    )
-    return ComputationUnit(unit, label, feeds, published, host)

@@ -57,7 +57,7 @@ class GreetOrder(msgspec.Struct, tag=True):
 
 
 class ClockOrder(msgspec.Struct, tag=True):
-    """Keep for the next manager how far this host's clock is ahead of the first one's: times go by it for ever."""
+    """This host's clock is so far ahead of the run's, by which elements have their times. It is in Held."""
 
     ahead_ns: int
 

@@ -50,7 +50,6 @@ class _Export:
 @dataclass(slots=True)
 class _Import:
     host: str
-    shift_ns: int
     put_credit: PutThread
     receiving: Receiving = field(default_factory=Receiving)
     skipped: int = 0
@@ -138,9 +137,9 @@ class Relay:
         match message:
             case Export(name, host, queue, blocks):
                 self._export(name, host, queue, blocks)
-            case Import(name, host, shift_ns):
+            case Import(name, host):
                 put = self._link.publisher(crossing_key(self._host, "credit", host, name), "orders")
-                self._imports[name] = _Import(host, shift_ns, PutThread(put))
+                self._imports[name] = _Import(host, PutThread(put))
                 self._ports.outputs[name] = UnitOutput()
             case Release(name):
                 self._release(name)
@@ -190,7 +189,7 @@ class Relay:
             if piece.is_last:
                 one.has_ended = True
             else:
-                self._ports.emit(name, Outgoing(piece.time_ns + one.shift_ns, piece.turn, [piece.payload]))
+                self._ports.emit(name, Outgoing(piece.time_ns, piece.turn, [piece.payload]))
 
     def _send(self, name: str, export: _Export, now_s: float) -> None:
         if export.input.receivers:

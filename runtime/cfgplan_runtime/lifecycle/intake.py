@@ -27,6 +27,7 @@ from cfgplan_runtime.lifecycle.state import Note, State, Updating
 from cfgplan_runtime.lifecycle.turns import Match, Matched, Respond, Tell, Terminate, Turn
 from cfgplan_runtime.supervision.delays import doubling_s
 from cfgplan_runtime.supervision.events import (
+    ClockMoved,
     Event,
     HostJoined,
     HostLost,
@@ -65,6 +66,9 @@ def heard(turn: Turn, event: Event) -> Turn:
             return _host_lost(turn, host, cause)
         case HostJoined(host, ahead_us):
             return _host_joined(turn, host, ahead_us)
+        case ClockMoved(host, ahead_us):
+            clocks = {**state.situation.clocks_ahead_us, host: ahead_us}
+            return turn.situated(replace(state.situation, clocks_ahead_us=clocks))
         case InputLost(unit_or_none, port):
             return _lost(turn, SubscriptionLost(unit_or_none, port))
         case UnitStatus():

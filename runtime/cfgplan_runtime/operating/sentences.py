@@ -245,6 +245,8 @@ def _event(event: events.Event) -> str | None:
             return cause
         case events.OutletsLost(cause):
             return f"the topics' addresses were lost and are made anew: {cause}"
+        case events.ClockMoved(host, ahead_us):
+            return f"the clock of {host} is {ahead_us / 1e6:+.3f} s from this one now; times of elements are not moved"
     return None
 
 

@@ -36,6 +36,7 @@ from cfgplan_runtime.children.messages import (
     OutletOrder,
     Ready,
     Serve,
+    SetClock,
     Switched,
     SwitchNow,
     ToRelay,
@@ -105,7 +106,10 @@ class ProcessBackend:
         self._unopened: set[str] = set()
         """Topics whose address could not be made. It is tried again when they are to be fed."""
         self._serial = 0
-        self._clock_offset_ns = time.time_ns() - time.monotonic_ns()
+        self.clock_offset_ns = time.time_ns() - time.monotonic_ns()
+        """What this computer's clock is ahead of the monotonic one, in nanoseconds."""
+        self._ahead_ns = 0
+        """How far this computer's clock is ahead of the run's, by which elements have their times."""
         self._nursery = NurseryLink(self.run_folder.id, ("numpy", "numpy.random", *preload))
         self._nursery_socket: socket.socket | None = None
         self._outlets_lost = 0
@@ -120,11 +124,6 @@ class ProcessBackend:
     @property
     def id(self) -> str:
         return self.run_folder.id
-
-    @property
-    def clock_offset_ns(self) -> int:
-        """What is added to the monotonic clock, in nanoseconds, for the times of elements."""
-        return self._clock_offset_ns
 
     @property
     def code_folder(self) -> Path:
@@ -160,8 +159,15 @@ class ProcessBackend:
 
     def start_unit(self, order: UnitOrder) -> None:
         """Start a unit with this computer's code and clock: UnitReady or UnitDied follows."""
-        here = msgspec.structs.replace(order, folder=self._code_folder, clock_offset_ns=self._clock_offset_ns)
-        self._fork(order.unit, here)
+        offset_ns = self.clock_offset_ns - self._ahead_ns
+        self._fork(order.unit, msgspec.structs.replace(order, folder=self._code_folder, clock_offset_ns=offset_ns))
+
+    def correct_clock(self, ahead_ns: int) -> None:
+        """Have elements' times be so much less than this computer's clock from now on."""
+        self._ahead_ns = ahead_ns
+        for name, child in self._by_name.items():
+            if name != RELAY:
+                self._tell(child, SetClock(self.clock_offset_ns - ahead_ns))
 
     def open_relay(self) -> socket.socket:
         """The relay's end of its connection: wires from and to RELAY are led there. Raises OSError."""
@@ -277,7 +283,8 @@ class ProcessBackend:
 
     def _start_outlets(self) -> None:
         self._outlets_due_s, self._outlets_since_s = None, self.now()
-        child = self._fork(OUTLETS, OutletOrder(str(self.run_folder.path), _OUTLET_QUEUE))
+        order = OutletOrder(str(self.run_folder.path), _OUTLET_QUEUE, self.clock_offset_ns - self._ahead_ns)
+        child = self._fork(OUTLETS, order)
         if child is not None:
             self._events.append(HelperAlive(OUTLETS_HELPER, _HELPER_START_S))
             if self._outlets_lost:

@@ -164,11 +164,20 @@ class HostLost:
 class HostJoined:
     """A host is there, for the first time or again. Nothing of the run is on it.
 
-    `ahead_us` is how far its clock is ahead of the manager's, in microseconds. Times of elements are corrected by it.
+    `ahead_us` is how far its time of day is ahead of the manager's, in microseconds. Times of elements are not: they go
+    by the run's clock on every host.
     """
 
     host: str
     ahead_us: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class ClockMoved:
+    """A host's time of day, or the manager's, was set: it is ahead by `ahead_us` now."""
+
+    host: str
+    ahead_us: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,6 +224,7 @@ Event: TypeAlias = (
     | OutOfDescriptors
     | HostLost
     | HostJoined
+    | ClockMoved
     | Applied
     | RolledBack
 )

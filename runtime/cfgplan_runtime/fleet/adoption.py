@@ -1,0 +1,126 @@
+"""What a manager keeps of what runs on its hosts already, and the orders that end the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from cfgplan.domain import ComputationUnit, Host, Publication, Stream, Subscription, Transformation
+from cfgplan_runtime.children.messages import Release
+from cfgplan_runtime.children.unit_order import unit_order
+from cfgplan_runtime.fleet.orders import CutOrder, Held, HeldExport, KillOrder
+from cfgplan_runtime.fleet.routes import Crossing, OrderTo, Route, Routes
+from cfgplan_runtime.processes.process_backend import RELAY
+from cfgplan_runtime.supervision.backend import Found, FoundWire
+
+
+@dataclass(frozen=True, slots=True)
+class Adoption:
+    """What is kept: the host of each unit; by topic the host that was asked for and the one where it is; the routes."""
+
+    found: Found | None
+    units: Mapping[str, str]
+    topics: Mapping[str, tuple[str | None, str]]
+    routes: Routes
+    orders: Sequence[OrderTo]
+    """What ends the rest."""
+
+
+def adopt(run: str, held: Mapping[str, Held], library: Mapping[str, Transformation]) -> Adoption:
+    """Keep the units that `library` would start as they were started, and what goes between them.
+
+    `held` has what each host holds. New crossings will bear the name of `run`.
+    """
+    units, ended_units = _units(held, library)
+    crossings, released = _crossings(held)
+    routes, has_switched, cut = _routes(held, units, crossings)
+    topics = {topic: (asked, host) for host, one in held.items() for topic, asked in one.topics.items()}
+    fed = [crossing for crossing in crossings.values() if crossing.stream.unit in units]
+    return Adoption(
+        _found(held, units, topics, routes, has_switched, library) if units or topics else None,
+        units,
+        topics,
+        Routes(run, routes, crossings.values(), fed),
+        [*ended_units, *released, *cut],
+    )
+
+
+def _units(held: Mapping[str, Held], library: Mapping[str, Transformation]) -> tuple[dict[str, str], list[OrderTo]]:
+    """The host of each unit that was started as it would be now, and the ends of all others."""
+    units, orders = dict[str, str](), list[OrderTo]()
+    for host, one in held.items():
+        for unit, known in one.units.items():
+            transformation = library.get(known.label)
+            if transformation is not None and unit_order(unit, transformation, None) == known.order:
+                units[unit] = host
+            else:
+                orders.append((host, KillOrder(unit, dump=False)))
+    return units, orders
+
+
+def _crossings(held: Mapping[str, Held]) -> tuple[dict[str, Crossing], list[OrderTo]]:
+    """The crossings that have both ends, and the ends of all others."""
+    crossings, orders = dict[str, Crossing](), list[OrderTo]()
+    for source, one in held.items():
+        for name, export in one.exports.items():
+            target = export.order.host
+            if export.stream is None or target not in held or name not in held[target].imports:
+                orders.append((source, Release(name)))
+            else:
+                connected = held[target].imports[name].connected
+                crossings[name] = _crossing(name, export, export.stream, source, connected)
+    return crossings, orders
+
+
+def _crossing(name: str, export: HeldExport, stream: Stream, source: str, connected: int) -> Crossing:
+    return Crossing(name, export.wire, stream, source, export.order.host, export.order.blocks, connected)
+
+
+def _routes(
+    held: Mapping[str, Held], units: Mapping[str, str], crossings: Mapping[str, Crossing]
+) -> tuple[list[Route], set[int], list[OrderTo]]:
+    """The routes between units that are kept, which of their wires have switched, and the ends of all others."""
+    routes, has_switched, orders = list[Route](), set[int](), list[OrderTo]()
+    for target, one in held.items():
+        for known in one.wires:
+            crossing = crossings.get(known.stream.port) if known.stream.unit == RELAY else None
+            stream = known.stream if crossing is None else crossing.stream
+            is_wanted = known.inlet.is_outlet or known.inlet.unit in units
+            if stream.unit not in units or not is_wanted:
+                orders.append((target, CutOrder(known.wire, known.inlet)))
+                continue
+            routes.append(Route(known.wire, stream, known.inlet, units[stream.unit], target, crossing))
+            if known.has_switched:
+                has_switched.add(known.wire)
+    return routes, has_switched, orders
+
+
+def _found(
+    held: Mapping[str, Held],
+    units: Mapping[str, str],
+    topics: Mapping[str, tuple[str | None, str]],
+    routes: Sequence[Route],
+    has_switched: set[int],
+    library: Mapping[str, Transformation],
+) -> Found:
+    labels = {unit: held[host].units[unit].label for unit, host in units.items()}
+    labor_us = {unit: held[host].units[unit].labor_us for unit, host in units.items()}
+    return Found(
+        tuple(_as_wired(unit, labels[unit], host, routes) for unit, host in sorted(units.items())),
+        tuple(library[label] for label in sorted(set(labels.values()))),
+        tuple(Host(host) for host in sorted(set(units.values()))),
+        {unit: labor for unit, labor in labor_us.items() if labor is not None},
+        tuple(FoundWire(one.wire, one.stream, one.inlet, one.wire in has_switched) for one in routes),
+        {topic: asked for topic, (asked, _) in topics.items()},
+    )
+
+
+def _as_wired(unit: str, label: str, host: str, routes: Sequence[Route]) -> ComputationUnit:
+    """A unit as its wires tell it."""
+    feeds = tuple(Subscription(one.inlet.port, one.stream) for one in routes if one.inlet.unit == unit)
+    published = tuple(
+        Publication(one.stream.port, one.inlet.port)
+        for one in routes
+        if one.inlet.is_outlet and one.stream.unit == unit
+    )
+    return ComputationUnit(unit, label, feeds, published, host)

@@ -1,0 +1,151 @@
+"""The ways of a fleet's wires, and the streams that go to another host for them, each once however many it feeds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from cfgplan.domain import Stream
+from cfgplan_runtime.children.messages import Export, Import, Release
+from cfgplan_runtime.fleet.orders import ConnectOrder, CutOrder, EndWireOrder, Order
+from cfgplan_runtime.processes.process_backend import RELAY
+from cfgplan_runtime.supervision.backend import Inlet
+
+OrderTo = tuple[str, Order]
+"""A host, and an order for it."""
+
+
+@dataclass(slots=True, eq=False)
+class Crossing:
+    """A stream on its way to another host. It is released once all of the `connected` wires are gone."""
+
+    name: str
+    wire: int
+    """The wire from the unit to its host's relay."""
+    stream: Stream
+    source: str
+    target: str
+    blocks: bool
+    connected: int = 0
+
+    @property
+    def released(self) -> list[OrderTo]:
+        """The orders that end it."""
+        return [(host, Release(self.name)) for host in (self.source, self.target)]
+
+
+@dataclass(frozen=True, slots=True)
+class Route:
+    """A wire's way: within one host, or over a crossing."""
+
+    wire: int
+    stream: Stream
+    inlet: Inlet
+    source: str
+    target: str
+    crossing: Crossing | None
+
+    @property
+    def local_stream(self) -> Stream:
+        """What feeds the inlet on its host."""
+        return self.stream if self.crossing is None else Stream(RELAY, self.crossing.name)
+
+    @property
+    def ended(self) -> OrderTo:
+        """The order that ends it at its inlet."""
+        return self.target, EndWireOrder(self.wire, self.local_stream, self.inlet)
+
+
+class Routes:
+    """All routes of a run, by wire. Methods return the orders that are to be given, in their order.
+
+    New crossings bear the name of `run`. Of `crossings`, those of `fed` may feed more inputs.
+    """
+
+    def __init__(
+        self,
+        run: str,
+        routes: Iterable[Route] = (),
+        crossings: Iterable[Crossing] = (),
+        fed: Iterable[Crossing] = (),
+    ) -> None:
+        self._run = run
+        self._routes = {route.wire: route for route in routes}
+        self._crossings = {crossing.name: crossing for crossing in crossings}
+        self._shared = {(one.stream, one.target, one.blocks): one for one in fed}
+        """The crossings that more inputs may be fed by: stream, host, and whether it may wait."""
+        self._last = max((-crossing.wire for crossing in self._crossings.values()), default=0)
+
+    def connect(
+        self, wire: int, stream: Stream, inlet: Inlet, source: str, target: str, *, queue: int, blocks: bool
+    ) -> list[OrderTo]:
+        """Lead a stream of a unit on `source` to an inlet on `target`."""
+        crossing, orders = None, list[OrderTo]()
+        if source != target:
+            crossing, orders = self._cross(stream, source, target, queue=queue, blocks=blocks)
+            crossing.connected += 1
+        route = self._routes[wire] = Route(wire, stream, inlet, source, target, crossing)
+        return [*orders, (target, ConnectOrder(wire, route.local_stream, inlet, queue, blocks))]
+
+    def disconnect(self, wire: int, inlet: Inlet, target: str | None) -> list[OrderTo]:
+        """Take a wire away from its inlet."""
+        self._routes.pop(wire, None)
+        return [] if target is None else [(target, CutOrder(wire, inlet))]
+
+    def end(self, wire: int, *, has_both_ends: bool) -> list[OrderTo]:
+        """End a wire. With `has_both_ends`, its source's host and its consumer are there."""
+        route = self._routes.pop(wire, None)
+        if route is None:
+            return []
+        crossing = route.crossing
+        if crossing is None or not has_both_ends:
+            return [route.ended]
+        # What the source has given is under way, and its end comes behind it.
+        return [(route.source, EndWireOrder(crossing.wire, route.stream, Inlet(RELAY, crossing.name)))]
+
+    def source_of(self, wire: int) -> str | None:
+        """The host that a wire comes from; None if there is no such wire."""
+        return self._routes[wire].source if wire in self._routes else None
+
+    def forget(self, wire: int) -> None:
+        """A wire is gone."""
+        self._routes.pop(wire, None)
+
+    def note_switch(self, wire: int) -> None:
+        """An inlet has gone over to this wire: those before it are gone."""
+        if wire in self._routes:
+            inlet = self._routes[wire].inlet
+            self._routes = {n: one for n, one in self._routes.items() if one.inlet != inlet or n >= wire}
+
+    def forget_unit(self, unit: str) -> None:
+        """A unit is gone: nothing more is fed by the crossings of its streams."""
+        self._shared = {key: one for key, one in self._shared.items() if key[0].unit != unit}
+
+    def forget_host(self, host: str) -> list[OrderTo]:
+        """A host is gone: release what went there, and let nothing more be fed by what comes from there."""
+        self._shared = {key: one for key, one in self._shared.items() if host not in (one.source, one.target)}
+        return [order for one in list(self._crossings.values()) if one.target == host for order in self._release(one)]
+
+    def note_unused(self, name: str, served: int) -> list[OrderTo]:
+        """None of the first `served` inputs takes what comes by a crossing any more."""
+        known = self._crossings.get(name)
+        return self._release(known) if known is not None and known.connected == served else []
+
+    def _cross(
+        self, stream: Stream, source: str, target: str, *, queue: int, blocks: bool
+    ) -> tuple[Crossing, list[OrderTo]]:
+        """The crossing of a stream to a host: the one that there is, or a new one."""
+        key = (stream, target, blocks)
+        if key in self._shared:
+            return self._shared[key], []
+        self._last += 1
+        name, wire = f"{self._run}-{self._last}", -self._last
+        crossing = self._shared[key] = self._crossings[name] = Crossing(name, wire, stream, source, target, blocks)
+        to_relay = ConnectOrder(wire, stream, Inlet(RELAY, name), queue, blocks)
+        given = Import(name, source), Export(name, target, queue, blocks), to_relay
+        return crossing, [(target, given[0]), (source, given[1]), (source, given[2])]
+
+    def _release(self, crossing: Crossing) -> list[OrderTo]:
+        del self._crossings[crossing.name]
+        self._shared = {key: one for key, one in self._shared.items() if one is not crossing}
+        return crossing.released
