@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import groupby
 from operator import attrgetter
 from types import MappingProxyType
 from typing import TypeVar
@@ -49,7 +50,7 @@ class Stream:
 
 @dataclass(frozen=True, slots=True, order=True)
 class Subscription:
-    """An input port of a unit and the stream that feeds it."""
+    """An input port of a unit and a stream that feeds it."""
 
     port: str
     stream: Stream
@@ -81,7 +82,7 @@ class ComputationUnit:
     def __post_init__(self) -> None:
         store_sorted(self, "subscriptions", self.subscriptions, attrgetter("port", "stream"))
         store_sorted(self, "publications", self.publications, attrgetter("port", "topic"))
-        refuse_duplicates(f"subscribed port of unit {self.id!r}", [s.port for s in self.subscriptions])
+        refuse_duplicates(f"subscription of unit {self.id!r}", [f"{s.port} <- {s.stream}" for s in self.subscriptions])
         refuse_duplicates(f"topic of unit {self.id!r}", [p.topic for p in self.publications])
         if self.standby and (self.subscriptions or self.publications):
             raise InvalidValueError(f"unit {self.id!r} is in standby: it can't subscribe or publish")
@@ -89,9 +90,10 @@ class ComputationUnit:
     __getstate__ = fields_of
 
     @cached_property
-    def feeds(self) -> Mapping[str, Stream]:
-        """The stream that feeds each subscribed input port, by the port's name."""
-        return MappingProxyType({s.port: s.stream for s in self.subscriptions})
+    def feeds(self) -> Mapping[str, tuple[Stream, ...]]:
+        """The streams that feed each subscribed input port, in order, by the port's name."""
+        ports = groupby(self.subscriptions, attrgetter("port"))
+        return MappingProxyType({port: tuple([s.stream for s in group]) for port, group in ports})
 
 
 @dataclass(frozen=True, slots=True)

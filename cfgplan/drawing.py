@@ -272,8 +272,8 @@ def computation_graph(environment: Environment) -> MultiDiGraph[str]:
         graph.add_node(unit.id, transformation=unit.transformation)
     for unit in environment.units:
         transformation = environment.transformation.get(unit.transformation)
-        for name, stream in unit.feeds.items():
-            port = transformation.input.get(name) if transformation else None
+        for s in unit.subscriptions:
+            port = transformation.input.get(s.port) if transformation else None
             is_feedback = port is not None and port.feedback
-            graph.add_edge(stream.unit, unit.id, key=name, stream=str(stream), feedback=is_feedback)
+            graph.add_edge(s.stream.unit, unit.id, key=s.port, stream=str(s.stream), feedback=is_feedback)
     return graph

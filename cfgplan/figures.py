@@ -128,7 +128,8 @@ def _value(
             values.setdefault(stream, attribute.worst)
             ahead.pop()
             continue
-        feeds = [unit.feeds.get(port.name) for port in transformation.inputs if not port.feedback]
+        ordinary = [port.name for port in transformation.inputs if not port.feedback]
+        feeds = [feed for name in ordinary for feed in unit.feeds.get(name, (None,))]
         waiting = [feed for feed in feeds if feed is not None and feed not in values and feed not in opened]
         if waiting and stream not in opened:
             opened.add(stream)

@@ -73,6 +73,15 @@ def test_a_stream_of_a_dead_unit_feeds_nothing() -> None:
     assert Rule.FED in rules(with_detector(subscriptions=feeds))
 
 
+def test_an_input_takes_one_stream() -> None:
+    second = replace(camera, id="camera.2")
+    both = (fed("image", "camera.1/out"), fed("image", "camera.2/out"), fed("old", "detector.1/ball"))
+    units = (camera, second, replace(detector, subscriptions=both))
+    assert [str(v) for v in violations(replace(VALID, units=units), SIMILARITY)] == [
+        "input image of unit detector.1 takes one stream, but has 2"
+    ]
+
+
 def test_a_subscription_at_no_port_is_refused() -> None:
     feeds = (*detector.subscriptions, fed("nothing", "camera.1/out"))
     assert rules(with_detector(subscriptions=feeds)) == {Rule.FED}

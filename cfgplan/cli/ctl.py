@@ -283,7 +283,8 @@ def _units(units: list[Mapping[str, Any]]) -> RenderableType:
         upkeep = unit.get("upkeep_us")
         memory = f"{unit['memory_bytes'] >> 20} MB" if "memory_bytes" in unit else ""
         counts = [str(unit.get(key, "")) for key in ("steps_per_s", "dropped", "errors")]
-        feeds = ", ".join(f"{port} <- {stream}" for port, stream in unit["inputs"].items())
+        said = ((port, [streams] if isinstance(streams, str) else streams) for port, streams in unit["inputs"].items())
+        feeds = ", ".join(f"{port} <- {stream}" for port, streams in said for stream in streams)
         pid = "" if unit.get("pid") is None else str(unit["pid"])
         if unit.get("standby"):
             feeds = "a cold spare"

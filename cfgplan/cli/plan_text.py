@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 
 from rich.text import Text
 
 from cfgplan.cli.screen import counted
 from cfgplan.costs import keep_cost_us, labor_us, seconds, standby_cost_us, upkeep_us
-from cfgplan.domain import CPU, MEMORY, ComputationUnit, Environment, Host, Target
+from cfgplan.domain import CPU, MEMORY, ComputationUnit, Environment, Host, Stream, Target
 from cfgplan.figures import cost_parts, loads, qualities_of_targets, transfers
 from cfgplan.planners import IGNORING_REQUIRED
 from cfgplan.planning import Failures, Plan, Problem, Status
@@ -97,23 +97,28 @@ def _headline(sign: str, unit: ComputationUnit, width: int, environment: Environ
 
 
 def _wiring(unit: ComputationUnit) -> Iterator[Text]:
-    for port, stream in unit.feeds.items():
-        yield Text(f"              {port} <- {stream}", style="green")
+    for port, streams in unit.feeds.items():
+        yield Text(f"              {port} <- {_names(streams)}", style="green")
     for publication in unit.publications:
         yield Text(f"              {publication.port} -> topic {publication.topic}", style="green")
 
 
 def _differences(was: ComputationUnit, now: ComputationUnit) -> Iterator[Text]:
     for port in sorted(was.feeds.keys() | now.feeds.keys()):
-        old, new = was.feeds.get(port), now.feeds.get(port)
+        old, new = was.feeds.get(port, ()), now.feeds.get(port, ())
         if old != new:
-            yield Text(f"              {port} <- {new or 'nothing'}   (was {old or 'a gap'})", style="yellow")
+            text = f"{port} <- {_names(new) or 'nothing'}   (was {_names(old) or 'a gap'})"
+            yield Text(f"              {text}", style="yellow")
     for publication in was.publications:
         if publication not in now.publications:
             yield Text(f"              {publication.port} no longer on topic {publication.topic}", style="yellow")
     for publication in now.publications:
         if publication not in was.publications:
             yield Text(f"              {publication.port} -> topic {publication.topic}", style="yellow")
+
+
+def _names(streams: Iterable[Stream]) -> str:
+    return ", ".join(map(str, streams))
 
 
 def _summary(problem: Problem, plan: Plan, given_up: Collection[str]) -> Iterator[Text]:

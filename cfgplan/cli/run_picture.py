@@ -162,7 +162,7 @@ class RunPicture:
         elif seen and seen.errors and seen.last_error:
             state = Text(printable(short(seen.last_error)), style="yellow")
         elif unit.feeds:
-            state.append(f"  {', '.join(f'{port} ← {stream}' for port, stream in unit.feeds.items())}", style="dim")
+            state.append(f"  {', '.join(f'{s.port} ← {s.stream}' for s in unit.subscriptions)}", style="dim")
         if seen is None:
             return [Text(unit.id), *[Text("")] * 5, state]
         upkeep = "" if seen.upkeep_us is None else f"{seen.upkeep_us / 1e4:.1f} %"

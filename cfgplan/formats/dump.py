@@ -163,7 +163,13 @@ def plain_unit(unit: ComputationUnit) -> dict[str, Any]:
     topics: dict[str, list[str]] = {}
     for publication in unit.publications:
         topics.setdefault(publication.port, []).append(publication.topic)
-    return UnitPart.written(unit, inputs={s.port: str(s.stream) for s in unit.subscriptions}, topics=topics)
+    inputs = {port: one_or_more([str(stream) for stream in streams]) for port, streams in unit.feeds.items()}
+    return UnitPart.written(unit, inputs=inputs, topics=topics)
+
+
+def one_or_more(texts: list[str]) -> str | list[str]:
+    """One text by itself, or a list."""
+    return texts[0] if len(texts) == 1 else texts
 
 
 def _target(target: Target, environment: Environment) -> dict[str, Any]:

@@ -281,8 +281,8 @@ class UnitPart(Part):
 
     id: Name = row("unique", ...)
     transformation: Name = row("the label of its transformation, templates expanded", ...)
-    inputs: dict[PortName, Name | None] | None = row(
-        "input port to stream (unit/port); null: a gap", to="subscriptions", xml=ELEMENT
+    inputs: dict[PortName, OneOrMoreNames | None] | None = row(
+        "input port to stream (unit/port), or to a list of several; null: a gap", to="subscriptions", xml=ELEMENT
     )
     topics: dict[PortName, list[Name]] | None = row(
         "output port to the topics it is published on", to="publications", xml=ELEMENT

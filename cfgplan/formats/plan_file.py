@@ -38,7 +38,9 @@ class PlannedUnit(_PlanPart):
 
     id: str
     transformation: str
-    inputs: dict[str, str] = Field(default={}, description="input port to the stream (unit/port) that feeds it")
+    inputs: dict[str, str | list[str]] = Field(
+        default={}, description="input port to the stream (unit/port) that feeds it, or to a list of several"
+    )
     topics: dict[str, list[str]] = Field(default={}, description="output port to the topics it is published on")
     labor_us: int = Field(default=0, ge=0, description="CPU time of its start; 0 if it runs already")
     upkeep_us: int = Field(default=0, ge=0, description="CPU time that it takes each second")
@@ -231,7 +233,11 @@ def _units(parts: Sequence[PlannedUnit]) -> tuple[ComputationUnit, ...]:
         ComputationUnit(
             part.id,
             part.transformation,
-            tuple(Subscription(port, Stream.parse(stream)) for port, stream in part.inputs.items()),
+            tuple(
+                Subscription(port, Stream.parse(stream))
+                for port, said in part.inputs.items()
+                for stream in ([said] if isinstance(said, str) else said)
+            ),
             tuple(Publication(port, topic) for port, topics in part.topics.items() for topic in topics),
             part.host,
             part.standby,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from graphlib import CycleError, TopologicalSorter
 
 from cfgplan.domain import ComputationUnit, Publication, Stream, Subscription, Transformation
@@ -63,19 +63,25 @@ class UnitChecker:
     def _subscriptions(
         self, entry: Passage, part: UnitPart, transformation: Transformation | None
     ) -> Iterator[Subscription]:
-        for port, text in (part.inputs or {}).items():
-            place = entry.at(port)
+        for port, said in (part.inputs or {}).items():
             if transformation is not None and port not in transformation.input:
-                _note_unknown_port(place, port, "input", transformation)
-            if text is None:
-                continue
-            try:
-                stream = Stream.parse(text)
-            except InvalidValueError:
-                place.note(f"{text!r} is not a stream", "write it as unit/port, such as `camera.1/image`")
-                continue
-            self._check_stream(place, stream)
-            yield Subscription(port, stream)
+                _note_unknown_port(entry.at(port), port, "input", transformation)
+            places = [(entry.at(port), said)] if isinstance(said, str) else self._each(entry.at(port), said or [])
+            for place, text in places:
+                try:
+                    stream = Stream.parse(text)
+                except InvalidValueError:
+                    place.note(f"{text!r} is not a stream", "write it as unit/port, such as `camera.1/image`")
+                    continue
+                self._check_stream(place, stream)
+                yield Subscription(port, stream)
+
+    def _each(self, entry: Passage, streams: Sequence[str]) -> list[tuple[Passage, str]]:
+        """The streams of a list with their places; one that is there twice is noted."""
+        for index, stream in enumerate(streams):
+            if stream in streams[:index]:
+                entry.at(index).note(f"`{stream}` feeds the input twice", "name it once")
+        return [(entry.at(index), stream) for index, stream in enumerate(streams) if stream not in streams[:index]]
 
     def _check_stream(self, entry: Passage, stream: Stream) -> None:
         if stream.unit not in self._parts:
@@ -113,9 +119,9 @@ class UnitChecker:
             transformation = self._library.get(unit.transformation)
             if transformation is None:
                 continue
-            for port, stream in unit.feeds.items():
-                if port in transformation.input and not transformation.input[port].feedback:
-                    feeders.setdefault(unit.id, {})[stream.unit] = port
+            for s in unit.subscriptions:
+                if s.port in transformation.input and not transformation.input[s.port].feedback:
+                    feeders.setdefault(unit.id, {})[s.stream.unit] = s.port
         for _ in range(MOST_CYCLES_SHOWN):
             try:
                 TopologicalSorter(feeders).prepare()

@@ -88,8 +88,9 @@ def _transformation(part: Mapping[str, Any]) -> Iterator[str]:
 
 def _unit(part: Mapping[str, Any]) -> Iterator[str]:
     yield f"  {_opened('unit', _attributes(UnitPart, part))}"
-    for port, stream in (part.get("inputs") or {}).items():
-        yield f"    {_opened('input', {'port': port, 'stream': stream})[:-1]}/>"
+    for port, said in (part.get("inputs") or {}).items():
+        for stream in said if isinstance(said, list) else [said]:
+            yield f"    {_opened('input', {'port': port, 'stream': stream})[:-1]}/>"
     for port, topics in (part.get("topics") or {}).items():
         for topic in topics:
             yield f"    {_element('topic', topic, port=port)}"

@@ -193,16 +193,23 @@ class _XmlReading:
             if port is None or child.name not in ("input", "topic"):
                 continue
             if child.name == "input":
-                inputs = part.setdefault("inputs", {})
-                if port in inputs:
-                    self._note(child, f"the input `{port}` is there twice", "remove one of the two")
-                inputs[port] = child.attributes.get("stream")
-                self._spots[*path, "inputs", port] = (child, False)
+                self._unit_input(child, part.setdefault("inputs", {}), port, (*path, "inputs", port))
             else:
                 topics = part.setdefault("topics", {}).setdefault(port, [])
                 self._spots.setdefault((*path, "topics", port), (child, False))
                 topics.append(self._text(child, (*path, "topics", port, len(topics))))
         return part
+
+    def _unit_input(self, child: XmlElement, inputs: dict[str, Any], port: str, path: Path) -> None:
+        """Another element of the same port is another stream of it."""
+        said = child.attributes.get("stream")
+        if port not in inputs:
+            inputs[port] = said
+            self._spots[path] = self._spots[*path, 0] = (child, False)
+        else:
+            before = inputs[port]
+            inputs[port] = [*(before if isinstance(before, list) else [before]), said]
+            self._spots[*path, len(inputs[port]) - 1] = (child, False)
 
     def _target(self, element: XmlElement, path: Path) -> dict[str, Any]:
         part = self._texts(element, path, ("label", "topic", "tag"))

@@ -200,7 +200,7 @@ def _child(node: Any, step: str | int) -> tuple[Any, Any]:
         return None, node.value[step]
     if isinstance(node, yaml.MappingNode):
         for key, value in reversed(node.value):
-            if normal(key.value) == step:
+            if isinstance(key, yaml.ScalarNode) and normal(key.value) == step:
                 return key, value
     return None, None
 

@@ -246,8 +246,8 @@ class Compilation:
         for i, (port, tag, _) in enumerate(node.slots):
             feeder = node.best[i]
             feeder_id = ids[feeder.name]
-            old = node.unit.feeds.get(port) if node.unit else None
-            prefer = [old.port] if old is not None and old.unit == feeder_id else []
+            old = node.unit.feeds.get(port, ()) if node.unit else ()
+            prefer = [stream.port for stream in old if stream.unit == feeder_id]
             yield Subscription(port, Stream(feeder_id, self.port(feeder, tag, prefer)))
 
     def port(self, feeder: TreeNode, tag: str, prefer: list[str]) -> str:

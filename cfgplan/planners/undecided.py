@@ -141,7 +141,7 @@ def used_pairs(environment: Environment, similarity: Similarity) -> Iterator[Pai
     for unit in environment.units:
         kind = environment.transformation.get(unit.transformation)
         wanted = {} if kind is None else {name: port.tag for name, port in kind.input.items()}
-        fed = [(tag_of.get((s.unit, s.port)), wanted.get(name)) for name, s in unit.feeds.items()]
+        fed = [(tag_of.get((s.stream.unit, s.stream.port)), wanted.get(s.port)) for s in unit.subscriptions]
         published = [(tag_of.get((unit.id, p.port)), targets.get(p.topic)) for p in unit.publications]
         for offered, demanded in (*fed, *published):
             if offered is not None and demanded is not None and similarity.is_open(offered, demanded):

@@ -49,7 +49,10 @@ def _bad_subscriptions(environment: Environment, similarity: Similarity) -> Iter
             if port.name not in unit.feeds:
                 text = f"input {port.name} of unit {unit.id} has no subscription"
                 yield Violation(Rule.FED, text, unit.id, port.name)
-        for name, stream in unit.feeds.items():
+            elif len(unit.feeds[port.name]) > 1:
+                text = f"input {port.name} of unit {unit.id} takes one stream, but has {len(unit.feeds[port.name])}"
+                yield Violation(Rule.FED, text, unit.id, port.name)
+        for name, stream in [(s.port, s.stream) for s in unit.subscriptions]:
             if name not in transformation.input:
                 text = f"unit {unit.id} subscribes at {name}, which is no input of {transformation.label}"
                 yield Violation(Rule.FED, text, unit.id, name)
@@ -99,9 +102,9 @@ def _unfit(stream: Stream, offered: str, *, is_open: bool) -> str:
 def _cycles(environment: Environment) -> Iterator[Violation]:
     sorter: TopologicalSorter[str] = TopologicalSorter()
     for unit, transformation in known_units(environment):
-        for name, stream in unit.feeds.items():
-            if name in transformation.input and not transformation.input[name].feedback:
-                sorter.add(unit.id, stream.unit)
+        for s in unit.subscriptions:
+            if s.port in transformation.input and not transformation.input[s.port].feedback:
+                sorter.add(unit.id, s.stream.unit)
     try:
         sorter.prepare()
     except CycleError as error:
@@ -114,9 +117,9 @@ def _indistinct_feeds(environment: Environment) -> Iterator[Violation]:
     for unit, transformation in known_units(environment):
         feeders: dict[tuple[str, str], list[str]] = defaultdict(list)
         for port in transformation.inputs:
-            stream = unit.feeds.get(port.name)
-            if port.distinct is not None and stream is not None and stream.unit in environment.unit:
-                feeders[port.distinct, environment.unit[stream.unit].transformation].append(port.name)
+            for stream in unit.feeds.get(port.name, ()) if port.distinct is not None else ():
+                if port.distinct is not None and stream.unit in environment.unit:
+                    feeders[port.distinct, environment.unit[stream.unit].transformation].append(port.name)
         for (_, feeder), ports in feeders.items():
             if len(ports) > 1:
                 text = f"inputs {' and '.join(ports)} of unit {unit.id} must differ, but {feeder} feeds them all"

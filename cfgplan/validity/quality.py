@@ -50,7 +50,7 @@ def _feeders_first(environment: Environment) -> list[tuple[ComputationUnit, Tran
     known = {unit.id: (unit, transformation) for unit, transformation in known_units(environment)}
     for unit, transformation in known.values():
         ordinary = [port.name for port in transformation.inputs if not port.feedback]
-        sorter.add(unit.id, *(unit.feeds[name].unit for name in ordinary if name in unit.feeds))
+        sorter.add(unit.id, *(feed.unit for name in ordinary for feed in unit.feeds.get(name, ())))
     with suppress(CycleError):
         sorter.prepare()
     order: list[str] = []
@@ -65,7 +65,8 @@ def _values(attribute: QualityAttribute, order: Iterable[tuple[ComputationUnit, 
     """The value of each stream; an input counts as the worst if it is not fed, or from outside the order."""
     values: dict[Stream, int] = {}
     for unit, transformation in order:
-        feeds = [unit.feeds.get(port.name) for port in transformation.inputs if not port.feedback]
+        ordinary = [port.name for port in transformation.inputs if not port.feedback]
+        feeds = [feed for name in ordinary for feed in unit.feeds.get(name, (None,))]
         inputs = [attribute.worst if feed is None else values.get(feed, attribute.worst) for feed in feeds]
         for port in transformation.outputs:
             stated = {contribution.attribute: contribution for contribution in port.quality}

@@ -33,5 +33,6 @@ def needed_by(environment: Environment, roots: Collection[str]) -> set[str]:
         unit_id = ahead.pop()
         if unit_id not in needed:
             needed.add(unit_id)
-            ahead += [s.unit for s in environment.unit[unit_id].feeds.values() if s.unit in environment.unit]
+            feeders = [s.stream.unit for s in environment.unit[unit_id].subscriptions]
+            ahead += [feeder for feeder in feeders if feeder in environment.unit]
     return needed

@@ -44,20 +44,23 @@ MODEL = _room(
     (
         "a staying unit needs no feeders",
         "rules.py",
-        "[model.present(feeds[p.name], host) for p in ports if not p.feedback])",
+        "[model.present(s, host) for p in ports if not p.feedback for s in feeds[p.name]])",
         "[])",
     ),
     (
         "a staying unit needs no feedback feeders",
         "rules.py",
-        "model.cp.add_implication(stays, model.present(feeds[port.name], host))",
+        "model.cp.add_implication(stays, model.present(stream, host))",
         "pass",
     ),
     (
         "ring of staying units is grounded",
         "rules.py",
-        "model.rests_on_all(stays, [model.present(feeds[p.name], host) for p in ports if not p.feedback])",
-        "[model.cp.add_implication(stays, model.present(feeds[p.name], host)) for p in ports if not p.feedback]",
+        "model.rests_on_all(stays, [model.present(s, host) for p in ports if not p.feedback for s in feeds[p.name]])",
+        (
+            "[model.cp.add_implication(stays, model.present(s, host))"
+            " for p in ports if not p.feedback for s in feeds[p.name]]"
+        ),
     ),
     ("a staying unit gets its streams from anywhere", "rules.py", "(host,) = candidate.hosts", "host = None"),
     ("a wired unit is not fed", "rules.py", "model.rests_on_all(wired, parts)", "model.rests_on_all(wired, [])"),
@@ -76,7 +79,7 @@ MODEL = _room(
     (
         "a staying unit changes who feeds it",
         "rules.py",
-        "model.cp.add_implication(model.stays[unit], chosen)",
+        "model.cp.add_implication(model.stays[unit], same[0])",
         "pass",
     ),
     (
@@ -303,7 +306,7 @@ JUDGE = _room(
         "elif False:",
     ),
     ("a target may have two streams", "environments.py", "if len(streams) != 1:", "if not streams:"),
-    ("feedback inputs close no ring", "environments.py", "and not transformation.input[name].feedback", ""),
+    ("feedback inputs close no ring", "environments.py", "and not transformation.input[s.port].feedback", ""),
     (
         "distinct inputs may share a feeder",
         "environments.py",

@@ -160,17 +160,15 @@ class Selection:
 
     def _old_feeder(self, index: int, port: InputPort) -> int | None:
         running = self.candidates[index].running
-        stream = running.feeds.get(port.name) if running else None
-        if stream is None:
-            return None
-        return next((i for i in self.feeders(port.tag) if self.candidates[i].id == stream.unit), None)
+        old = {stream.unit for stream in running.feeds.get(port.name, ())} if running else set()
+        return next((i for i in self.feeders(port.tag) if self.candidates[i].id in old), None)
 
     def _subscription(self, index: int, port: InputPort, feeder: int) -> Subscription:
         candidate, giver = self.candidates[index], self.candidates[feeder]
-        old = candidate.running.feeds.get(port.name) if candidate.running else None
+        old = candidate.running.feeds.get(port.name, ()) if candidate.running else ()
         fit = list(self._ports(feeder, port.tag))
-        keeps = old is not None and old.unit == giver.id and old.port in fit
-        return Subscription(port.name, old if old is not None and keeps else Stream(giver.id, fit[0]))
+        kept = [stream for stream in old if stream.unit == giver.id and stream.port in fit]
+        return Subscription(port.name, kept[0] if kept else Stream(giver.id, fit[0]))
 
     def _publisher(self, tag: str, topic: str, order: list[int]) -> tuple[int, str]:
         """The publisher of a target and its port: the present ones if they may stay."""

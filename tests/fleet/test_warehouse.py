@@ -139,7 +139,7 @@ def value_of(stream: Stream, environment: Environment, codes: Mapping[str, Any],
     code = codes[stream.unit]
     feeds = {unit.id: unit.feeds for unit in environment.units}[stream.unit]
     if feeds:
-        return code(**{port: value_of(feed, environment, codes, time_ns) for port, feed in feeds.items()})
+        return code(**{port: value_of(feed, environment, codes, time_ns) for port, (feed,) in feeds.items()})
     return code.picture(time_ns) if stream.port == "image" else code.pose(time_ns)
 
 

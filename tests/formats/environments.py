@@ -94,14 +94,16 @@ def environments(draw: st.DrawFn) -> Environment:
     for unit_id in draw(st.lists(NAMES, max_size=3, unique=True)) if library else ():
         transformation = draw(st.sampled_from(library))
         feeds = {
-            p.name: draw(st.sampled_from(streams)) for p in transformation.inputs if streams and draw(st.booleans())
+            p.name: draw(st.lists(st.sampled_from(streams), min_size=1, max_size=2, unique=True))
+            for p in transformation.inputs
+            if streams and draw(st.booleans())
         }
         published = draw(st.lists(st.sampled_from(topics), max_size=2, unique=True)) if topics else []
         units.append(
             ComputationUnit(
                 unit_id,
                 transformation.label,
-                tuple(Subscription(port, stream) for port, stream in feeds.items()),
+                tuple(Subscription(port, stream) for port, several in feeds.items() for stream in several),
                 tuple(
                     Publication(draw(st.sampled_from(transformation.outputs)).name, topic)
                     for topic in published

@@ -93,6 +93,13 @@ TARGET = "targets: [{label: t, topic: /t, tag: T}]\n"
         (f"{A}units: [{{id: u, transformation: a, inputs: {{x: }}}}]\n", (4, 45), "no input `x`", "its inputs are i"),
         (f"{A}units: [{{id: u, transformation: a, inputs: {{i: v/o}}}}]\n", (4, 48), "no unit `v` is running", None),
         (f"{A}units: [{{id: u, transformation: a, inputs: {{i: u}}}}]\n", (4, 48), "'u' is not a stream", "unit/port"),
+        ("x: &y [1]\n*y : 2\n", (2, 1), "unknown key `x`", None),
+        (
+            f"{A}units: [{{id: u, transformation: a, inputs: {{i: [v/o, v/o]}}}}]\n",
+            (4, 54),
+            "`v/o` feeds the input twice",
+            "name it once",
+        ),
         (f"{A}units: [{{id: u, transformation: a, inputs: {{i: u/o}}}}]\n", (4, 48), "unit `u` feeds itself", None),
         (
             f"{A}units: [{{id: u, transformation: a}}, {{id: v, transformation: a, inputs: {{i: u/q}}}}]\n",
@@ -296,7 +303,7 @@ def test_a_cycle_through_a_feedback_input_is_none(tmp_path: Path) -> None:
     )
     path = tmp_path / "env.yaml"
     path.write_text(HEAD + text)
-    assert load(path).environment.unit["u"].feeds["i"].unit == "u"
+    assert load(path).environment.unit["u"].feeds["i"][0].unit == "u"
 
 
 def test_all_faults_of_all_files_and_stages_are_told_at_once_in_order(tmp_path: Path) -> None:

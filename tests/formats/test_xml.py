@@ -127,7 +127,7 @@ def test_what_the_papers_xml_lacks_is_said_by_attributes_and_elements(tmp_path: 
     assert piff.inputs == (InputPort("left", "Position", "sources"), InputPort("right", "Position", "sources", True))
     assert piff.outputs == (OutputPort("out", "A & B"),)
     (unit,) = world.environment.units
-    assert (unit.feeds["right"].unit, [p.topic for p in unit.publications]) == ("fuse.1", ["/result"])
+    assert (unit.feeds["right"][0].unit, [p.topic for p in unit.publications]) == ("fuse.1", ["/result"])
     assert world.environment.targets[0].priority == 2
     assert world.environment.targets[0].silent_us == 5_000_000
 

@@ -92,7 +92,7 @@ def test_a_lost_subscription_is_made_anew() -> None:
     life.runtime.cut("work.1", "x")
     life.pass_time(0.1)
     assert life.perturbations(SubscriptionLost) == [SubscriptionLost("work.1", "x")]
-    assert life.runtime.environment.unit["work.1"].feeds["x"].unit == "count.1"
+    assert life.runtime.environment.unit["work.1"].feeds["x"][0].unit == "count.1"
     life.runtime.cut(None, "/result")
     life.pass_time(0.1)
     assert life.met == {"result"}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from threading import Event
 
 import pytest
@@ -77,6 +78,17 @@ def test_a_gap_is_closed_by_rewiring_not_by_a_new_unit(planner: Planner) -> None
     assert [started.id for started in plan.change_set.started] == ["source.2"]
     assert [rewired.id for rewired in plan.change_set.rewired] == ["filter.1"]
     assert plan_violations(problem, plan) == []
+
+
+@every_planner
+def test_an_input_that_has_two_streams_is_left_with_one(planner: Planner) -> None:
+    left, right = make("left", gives="A"), make("right", gives="A", upkeep=1)
+    both = (Subscription("in0", Stream("left.1", "out0")), Subscription("in0", Stream("right.1", "out0")))
+    sink = replace(unit("sink", topics={"/B": "out0"}), subscriptions=both)
+    problem = world("B", left, right, make("sink", "A", "B"), units=(unit("left"), unit("right"), sink))
+    plan = planner(problem)
+    assert plan_violations(problem, plan) == []
+    assert problem.after(plan).unit["sink.1"].feeds == {"in0": (Stream("left.1", "out0"),)}
 
 
 @every_planner

@@ -225,11 +225,12 @@ class Candidates:
         output = self.all[index].transformation.output.get(stream.port)
         return output is not None and self.problem.similarity.holds(output.tag, tag)
 
-    def stream_of(self, feeder: int, tag: str, old: Stream | None = None) -> Stream:
-        """The stream by which a candidate meets a demanded tag: the `old` one if it does, else its first."""
+    def stream_of(self, feeder: int, tag: str, old: Iterable[Stream] = ()) -> Stream:
+        """The stream by which a candidate meets a demanded tag: an `old` one if that does, else its first."""
         candidate = self.all[feeder]
-        if old is not None and old.unit == candidate.id and self.gives(old, tag):
-            return old
+        for stream in old:
+            if stream.unit == candidate.id and self.gives(stream, tag):
+                return stream
         holds = self.problem.similarity.holds
         return Stream(candidate.id, next(p.name for p in candidate.transformation.outputs if holds(p.tag, tag)))
 

@@ -52,9 +52,9 @@ class _Decoding:
             if i in found:
                 continue
             streams = {port.name: self._fed(i, port) for port in all_of[i].transformation.inputs}
-            if i not in self.host_of or None in streams.values():
+            if i not in self.host_of or () in streams.values():
                 return None
-            subscriptions = tuple(Subscription(name, stream) for name, stream in streams.items() if stream is not None)
+            subscriptions = tuple(Subscription(name, stream) for name, taken in streams.items() for stream in taken)
             label = all_of[i].transformation.label
             found[i] = ComputationUnit(all_of[i].id, label, subscriptions, tuple(topics[i]), self.host_of[i])
             ahead += [model.unit_of(s.stream) for s in subscriptions]
@@ -93,28 +93,31 @@ class _Decoding:
             return taken
         return published_stream(self.candidates, model.unit_of(taken), target)
 
-    def _fed(self, unit: int, port: InputPort) -> Stream | None:
-        """The stream by which an input is fed; the one it has already if that is there."""
+    def _fed(self, unit: int, port: InputPort) -> tuple[Stream, ...]:
+        """The streams by which an input is fed: those that it has already if they are there."""
         model, host = self.model, self.host_of.get(unit)
         running = self.candidates.all[unit].running
-        old = None if running is None else running.feeds.get(port.name)
+        old = () if running is None else running.feeds.get(port.name, ())
         if (unit, port.name) in model.connects:
             connects = model.connects[unit, port.name]
-            there = [stream for stream, connected in connects.items() if connected.index in self.true][:1]
-        elif unit in model.stays and model.stays[unit].index in self.true and old is not None:
-            return old if self._place(old, host) is not None else None
-        elif (key := model.hub_key(port.tag, host)) in model.meets:
+            taken = [stream for stream, connected in connects.items() if connected.index in self.true]
+            return tuple(taken if model.tells_ports else [self._port_of(stream, port.tag, old) for stream in taken])
+        if unit in model.stays and model.stays[unit].index in self.true and old:
+            return old if all(self._place(stream, host) is not None for stream in old) else ()
+        if (key := model.hub_key(port.tag, host)) in model.meets:
             there = [stream for stream, taken in model.meets[key].items() if taken.index in self.rank]
         else:
             limit = len(self.rank) if port.feedback else self._wired_at(unit)
             streams = model.choices(port.tag)
             there = [s for s in streams if (place := self._place(s, host)) is not None and place < limit]
         if model.tells_ports:
-            return old if old in there else next(iter(there), None)
-        same = [stream for stream in there if old is not None and stream.unit == old.unit]
-        if same and old is not None and self.candidates.gives(old, port.tag):
-            return old
-        return self.candidates.stream_of(model.unit_of(there[0]), port.tag) if there else None
+            return tuple([s for s in there if s in old][:1] or there[:1])
+        same = [s for s in old if self.candidates.gives(s, port.tag) and any(s.unit == one.unit for one in there)]
+        return tuple(same[:1] or [self._port_of(stream, port.tag, ()) for stream in there[:1]])
+
+    def _port_of(self, stream: Stream, tag: str, old: Iterable[Stream]) -> Stream:
+        """The stream, with its port, by which the unit of one without is taken."""
+        return self.candidates.stream_of(self.model.unit_of(stream), tag, old)
 
     def _wired_at(self, unit: int) -> int:
         """The place in the order of derivation at which a unit is wired: what feeds it comes before."""

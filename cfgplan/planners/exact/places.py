@@ -108,9 +108,9 @@ class Places:
         """Feed each input by a stream that is on its host already if possible, or is cheap to carry there."""
         carried: set[tuple[Stream, HostName]] = set()
 
-        def taken(choices: Collection[Stream], host: HostName, now: Stream | None) -> Stream:
+        def taken(choices: Collection[Stream], host: HostName, now: Collection[Stream]) -> Stream:
             def cost(stream: Stream) -> tuple[int, bool]:
-                return 0 if (stream, host) in carried else self._price_to(stream, host), stream != now
+                return 0 if (stream, host) in carried else self._price_to(stream, host), stream not in now
 
             stream = min(choices, key=cost)
             carried.add((stream, host))
@@ -118,10 +118,10 @@ class Places:
 
         for target in self.candidates.environment.targets:
             if choices := grounded.published(target.tag):
-                self.published[target.topic] = taken(choices, target.host, None)
+                self.published[target.topic] = taken(choices, target.host, ())
         for unit in grounded.order:
             candidate = self.candidates.all[unit]
             feeds = candidate.running.feeds if candidate.running is not None else {}
             for port in candidate.transformation.inputs:
                 choices = grounded.choices(unit, port)
-                self.feeds[unit, port.name] = taken(choices, self.host_of[unit], feeds.get(port.name))
+                self.feeds[unit, port.name] = taken(choices, self.host_of[unit], feeds.get(port.name, ()))

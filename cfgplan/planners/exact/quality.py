@@ -163,7 +163,7 @@ class _Values:
             keys = [(wired, model.hub_key(port.tag, host)) for host, wired in model.wired_on(unit).items()]
             met = [(wired, self.of_choice(key, port.tag, model.meets[key])) for wired, key in keys]
             running = model.candidates.all[unit].running
-            kept = running.feeds[port.name] if unit in model.stays and running is not None else None
+            kept = running.feeds[port.name][0] if unit in model.stays and running is not None else None
             if len({value.index for _, value in met}) == 1 and kept is None:
                 self._of[where] = met[0][1]
                 return met[0][1]

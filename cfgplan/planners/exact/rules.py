@@ -58,10 +58,9 @@ def a_staying_unit_keeps_its_feeders(model: Model) -> None:
         assert candidate.running is not None
         (host,) = candidate.hosts
         feeds, ports = candidate.running.feeds, candidate.transformation.inputs
-        model.rests_on_all(stays, [model.present(feeds[p.name], host) for p in ports if not p.feedback])
-        for port in ports:
-            if port.feedback:
-                model.cp.add_implication(stays, model.present(feeds[port.name], host))
+        model.rests_on_all(stays, [model.present(s, host) for p in ports if not p.feedback for s in feeds[p.name]])
+        for stream in [s for p in ports if p.feedback for s in feeds[p.name]]:
+            model.cp.add_implication(stays, model.present(stream, host))
 
 
 def a_wired_unit_is_fed(model: Model) -> None:
@@ -89,9 +88,9 @@ def an_input_told_apart_has_one_feeder(model: Model, unit: int, port: InputPort)
     model.cp.add_exactly_one(*connects.values(), model.runs[unit].negated())
     running = model.candidates.all[unit].running
     if unit in model.stays and running is not None:
-        kept = running.feeds[port.name]
-        chosen = next(c for s, c in connects.items() if s == kept or (s.unit == kept.unit and not model.tells_ports))
-        model.cp.add_implication(model.stays[unit], chosen)
+        for kept in running.feeds[port.name]:
+            same = [c for s, c in connects.items() if s == kept or (s.unit == kept.unit and not model.tells_ports)]
+            model.cp.add_implication(model.stays[unit], same[0])
     for stream, connected in connects.items():
         feeder = model.runs[model.unit_of(stream)]
         if port.feedback:

@@ -45,7 +45,7 @@ def wire(candidates: Candidates, chosen: Collection[int]) -> list[ComputationUni
             feeds = candidate.running.feeds if candidate.running is not None else {}
             placed = ordering.placed[i]
             subscriptions = tuple(
-                Subscription(p.name, candidates.stream_of(placed[p.name], p.tag, feeds.get(p.name)))
+                Subscription(p.name, candidates.stream_of(placed[p.name], p.tag, feeds.get(p.name, ())))
                 for p in candidate.transformation.inputs
             )
             units[i] = ComputationUnit(candidate.id, candidate.transformation.label, subscriptions, tuple(topics[i]))
@@ -88,7 +88,7 @@ def published_stream(candidates: Candidates, publisher: int, target: Target) -> 
     """The stream to publish as the target: the one on its topic already, if that matches."""
     running = candidates.all[publisher].running
     old = [Stream(running.id, p.port) for p in running.publications if p.topic == target.topic] if running else []
-    return candidates.stream_of(publisher, target.tag, old[0] if old else None)
+    return candidates.stream_of(publisher, target.tag, old)
 
 
 def _publisher(candidates: Candidates, target: Target, chosen: Collection[int]) -> int | None:

@@ -50,8 +50,8 @@ def may_stay(problem: Problem, labels: Collection[str], unit: ComputationUnit) -
         return False
     feeders: set[tuple[str, str]] = set()
     for port in transformation.inputs:
-        stream = unit.feeds[port.name]
-        feeder = environment.unit.get(stream.unit)
+        stream, *more = unit.feeds[port.name]
+        feeder = environment.unit.get(stream.unit) if not more else None
         if feeder is None or feeder.transformation not in labels:
             return False
         output = environment.transformation[feeder.transformation].output.get(stream.port)

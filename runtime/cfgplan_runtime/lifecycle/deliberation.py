@@ -365,5 +365,5 @@ def _used(environment: Environment) -> set[str]:
         unit = ahead.pop()
         if unit.id not in seen:
             seen.add(unit.id)
-            ahead += [environment.unit[s.unit] for s in unit.feeds.values() if s.unit in environment.unit]
+            ahead += [feeder for s in unit.subscriptions if (feeder := environment.unit.get(s.stream.unit)) is not None]
     return {environment.unit[unit].transformation for unit in seen}

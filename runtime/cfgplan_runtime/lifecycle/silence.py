@@ -97,7 +97,7 @@ class Giving:
             unit = ahead.pop()
             if self._gives(unit, since_s):
                 continue
-            feeders = {s.unit for s in running.unit[unit].feeds.values() if s.unit in running.unit}
+            feeders = {s.stream.unit for s in running.unit[unit].subscriptions} & running.unit.keys()
             silent = [feeder for feeder in feeders if not self._gives(feeder, since_s)]
             if not silent:
                 reasons.add(unit)

@@ -15,6 +15,7 @@ from typing import Any
 import msgspec
 
 from cfgplan.domain import ChangeSet, ComputationUnit, Stream
+from cfgplan.formats.dump import one_or_more
 from cfgplan_runtime.lifecycle.reports import (
     Observed,
     Report,
@@ -149,7 +150,7 @@ def _wired(unit: ComputationUnit) -> Record:
     record: Record = {
         "id": unit.id,
         "transformation": unit.transformation,
-        "inputs": {port: str(stream) for port, stream in unit.feeds.items()},
+        "inputs": {port: one_or_more([str(s) for s in streams]) for port, streams in unit.feeds.items()},
     }
     topics: dict[str, list[str]] = {}
     for publication in unit.publications:

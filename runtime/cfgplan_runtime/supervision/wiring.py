@@ -131,7 +131,7 @@ def _starves(unit: ComputationUnit, environment: Environment, starved: set[str])
     transformation = environment.transformation.get(unit.transformation)
     if transformation is None or not transformation.inputs:
         return False
-    fed = {port for port, stream in unit.feeds.items() if stream.unit not in starved}
+    fed = {s.port for s in unit.subscriptions if s.stream.unit not in starved}
     starting = {transformation.run.start}.intersection(transformation.input)
     if starting:
         return fed.isdisjoint(starting)
