@@ -11,7 +11,6 @@ from cfgplan.errors import InvalidValueError
 from cfgplan.qualities import MICRO
 
 MICROSECONDS = 1_000_000
-MILLISECONDS = MICROSECONDS // 1000
 LARGEST_COST_US = 2**53 - 1
 """Above this a sum of costs is no longer exact in every engine: about 285 years of CPU time."""
 

@@ -1,4 +1,4 @@
-"""The planner comparison with the peers: `python -m experiments.compare --short`, `--full` or `--scale`.
+"""The planner comparison with the peers: `python -m experiments.compare --short`, `--full`, `--scale` or `--instance`.
 
 Run from the checkout with `pip install -e '.[peers,plots]'`. An interrupted comparison goes on where it was.
 `cfgplan compare` does the same for your own files, without the peers.
@@ -14,28 +14,36 @@ from pathlib import Path
 
 from rich.console import Console
 
-from cfgplan.comparing import REGISTERED, Limits, Row, read_rows, run
-from cfgplan.comparing.invariants import breaches
-from cfgplan.comparing.report import write_report
-from cfgplan.comparing.runner import everyone, progress_bar
-from cfgplan.comparing.suites import SUITES, wsc_sets
+from cfgplan.comparing import REGISTERED, Limits, entrant
 from cfgplan.errors import CfgplanError
 from experiments.peers import PEERS, SHARING
 from experiments.planning import VARIANTS, takes_part
 from experiments.planning.scale_suite import SCALE_SEEDS, scale
 from experiments.planning.scaling import measure_loads, write_scale
+from experiments.study.instances import named
+from experiments.study.invariants import breaches
+from experiments.study.report import write_report
+from experiments.study.rows import Row, read_rows
+from experiments.study.runner import everyone, progress_bar, run
+from experiments.study.suites import SUITES, wsc_sets
 
 INSTANCES = {**SUITES, "scale": scale}
 ENTRANTS = {**REGISTERED, SHARING.name: SHARING, **VARIANTS, **PEERS}
 STUDY = (*REGISTERED, SHARING.name, *PEERS)
 AT_SCALE = ("cpsat", *VARIANTS, *PEERS)
 REPORTS = {
+    "own": Path("build", "compare"),
     "short": Path("build", "compare"),
     "full": Path(__file__).parent / "report",
     "scale": Path(__file__).parent / "planning" / "scale",
 }
 RESULTS = "results.jsonl"
-LIMITS = {"short": Limits(2.0), "full": Limits(5.0), "scale": Limits(30.0, grace_s=60.0, memory_mb=8192)}
+LIMITS = {
+    "own": Limits(2.0),
+    "short": Limits(2.0),
+    "full": Limits(5.0),
+    "scale": Limits(30.0, grace_s=60.0, memory_mb=8192),
+}
 
 
 def main() -> int:
@@ -53,16 +61,16 @@ def main() -> int:
 
 def _rows(options: argparse.Namespace, folder: Path) -> list[Row]:
     console = Console(stderr=True)
-    instances = list(INSTANCES[options.suite]())
+    instances = [named(name) for name in options.instance] or list(INSTANCES[options.suite]())
     if options.wsc:
         instances += wsc_sets(options.wsc)
-    elif options.suite != "scale":
+    elif options.suite in SUITES:
         console.print("The sets of the Web Service Challenge are left out: no --wsc DIR.")
     limits = LIMITS[options.suite]
     if options.timeout:
         limits = replace(limits, time_limit_s=options.timeout)
     names = options.planner or (AT_SCALE if options.suite == "scale" else STUDY)
-    entrants = [ENTRANTS[name] for name in names]
+    entrants = [ENTRANTS.get(name) or entrant(name) for name in names]
     among = takes_part if options.suite == "scale" else everyone
     with progress_bar(console) as watch:
         rows = run(instances, entrants, limits, folder / RESULTS, takes_part=among, watch=watch)
@@ -73,7 +81,8 @@ def _rows(options: argparse.Namespace, folder: Path) -> list[Row]:
 
 def in_order(rows: Iterable[Row]) -> list[Row]:
     """The rows by planner, in the order of the registries; repeated runs stand last in the file."""
-    return sorted(rows, key=lambda row: list(ENTRANTS).index(row.planner))
+    places = {name: place for place, name in enumerate(ENTRANTS)}
+    return sorted(rows, key=lambda row: places.get(row.planner, len(places)))
 
 
 def _options() -> argparse.Namespace:
@@ -84,7 +93,16 @@ def _options() -> argparse.Namespace:
     which.add_argument(
         "--scale", dest="suite", action="store_const", const="scale", help="50 to 50,000 transformations: an hour"
     )
-    parser.add_argument("--planner", action="append", choices=ENTRANTS, help="only these (all of them)")
+    which.add_argument(
+        "--instance",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="an instance by its name in the tables, such as 'nao(robots=2)#0' (repeat)",
+    )
+    known = f"only this planner: {', '.join(ENTRANTS)}, or module:function (repeat)"
+    parser.add_argument("--planner", action="append", metavar="NAME", help=known)
+    parser.set_defaults(suite="own")
     parser.add_argument("--wsc", type=Path, metavar="DIR", help="a folder with sets of the Web Service Challenge 2008")
     parser.add_argument("--timeout", type=float, metavar="S", help="seconds for a run (short: 2, full: 5, scale: 30)")
     parser.add_argument("--report", type=Path, metavar="DIR", help="where results, tables and plots go")

@@ -2,9 +2,9 @@
 
 A task without a problem only asks whether there is such a planner.
 
-The planner first plans some small libraries, which are not counted: so neither imports nor empty caches are timed. The
-garbage collector leaves alone what is there by then. Before each run the problem is made anew. A run of less than
-`SHORT_S` is repeated, since other work of the machine may double its time, and the median of its runs is told.
+Before each run the problem is made anew, and the garbage collector leaves alone what is there by then. A run of less
+than `SHORT_S` is repeated, since other work of the machine and a first call's empty caches may double its time, and the
+median of its runs is told.
 
 What the planner prints itself goes to stderr. Nothing is written where the process is killed, and the
 parent makes a row of that too.
@@ -20,23 +20,18 @@ import resource
 import sys
 from base64 import b64decode
 from collections.abc import Callable
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Any, TextIO
 
 from cfgplan.comparing.entrants import Entrant
-from cfgplan.comparing.families import FAMILIES
-from cfgplan.comparing.rows import Point, RunFailure
-from cfgplan.domain import Similarity
+from cfgplan.comparing.runs import Point, RunFailure
 from cfgplan.errors import CfgplanError
 from cfgplan.planning import Plan, Planner, Problem, Progress
 from cfgplan.validity import plan_violations
 
-WARM_UP_S = 1.0
-"""So long a planner may take over each library that it warms up with."""
-SHORT_S, RUNS = 0.1, 5
+SHORT_S, RUNS = 0.5, 3
 """A run that took less is one of so many."""
 
 
@@ -65,7 +60,6 @@ def main() -> None:
 
 def _run(entrant: Entrant, problem: bytes, time_limit_s: float, out: TextIO) -> dict[str, Any]:
     planner = entrant.planner()
-    _warm_up(planner)
     gc.collect()
     gc.freeze()
 
@@ -112,22 +106,6 @@ def _timed(planner: Planner, pickled: bytes, time_limit_s: float, tell: Callable
 
     plan = planner(problem, time_limit_s=time_limit_s, report=report)
     return _Run(plan, perf_counter() - began, trace)
-
-
-def _warm_up(planner: Planner) -> None:
-    """Plan small libraries: one where nothing runs, some with running units, with shared ones, and without a plan."""
-    fresh = FAMILIES["random_library"](0, transformations=50)
-    problems = [
-        fresh,
-        FAMILIES["replanning"](0, transformations=50, failures=2),
-        FAMILIES["random_library"](0, transformations=25, running=0.5),
-        FAMILIES["adversarial"](0, kind="cover", size=5),
-        FAMILIES["nao"](0, robots=2, fusion=2),
-        replace(fresh, similarity=Similarity({})),
-    ]
-    for problem in problems:
-        with suppress(CfgplanError):
-            planner(problem, time_limit_s=WARM_UP_S)
 
 
 def _peak_mb() -> float:

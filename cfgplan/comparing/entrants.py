@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from types import MappingProxyType
 
@@ -19,13 +18,12 @@ class Entrant:
     """A planner by name.
 
     `function` is empty for a registered planner, else `module:function`. The `engines` are modules to import
-    before the clock starts; `distributions` are packages whose versions belong to a result.
+    before the clock starts.
     """
 
     name: str
     function: str = ""
     engines: tuple[str, ...] = ()
-    distributions: tuple[str, ...] = ()
 
     def planner(self) -> Planner:
         """The planner itself, its engines imported. Raises ImportError where an engine or the function is missing."""
@@ -39,22 +37,12 @@ class Entrant:
             raise ImportError(f"module {module} has no function {name}")
         return planner
 
-    def versions(self) -> dict[str, str]:
-        return {name: _version(name) for name in ("cfgplan", *self.distributions)}
-
-
-def _version(distribution: str) -> str:
-    try:
-        return version(distribution)
-    except PackageNotFoundError:
-        return "not installed"
-
 
 def _registered(name: str) -> Entrant:
     module = f"cfgplan.planners.{name.replace('-', '_')}"
     if name == "cpsat":
         engines = ("ortools.sat.python.cp_model", "ortools.linear_solver.pywraplp", "cfgplan.planners.exact.search")
-        return Entrant(name, engines=engines, distributions=("ortools",))
+        return Entrant(name, engines=engines)
     return Entrant(name, engines=(module,) if find_spec(module) else ())
 
 

@@ -13,13 +13,12 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent))
-
-import instances
+sys.path.append(str(Path(__file__).parents[2]))
 
 from cfgplan.planners.cpsat import plan
 from cfgplan.planning import Problem
 from cfgplan.validity import plan_violations
+from experiments.fleet import instances
 
 HERE = Path(__file__).parent
 SEEDS = (0, 1, 2)

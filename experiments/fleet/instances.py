@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from random import Random
 
-from cfgplan.comparing.families.random_library import random_library
 from cfgplan.domain import ComputationUnit, Environment, Host, OutputPort, Transformation
 from cfgplan.planning import Failures, Problem
 from cfgplan.qualities import MICRO, Better, Contribution, Over, QualityAttribute, QualityRule, Wish
+from experiments.families.random_library import random_library
 
 ERROR = QualityAttribute("error", Better.LOWER, worst=100 * MICRO)
 LATENCY = QualityAttribute("latency", Better.LOWER, worst=1000 * MICRO)

@@ -23,7 +23,7 @@ CASES = {
 }
 CODE = """
 import json, sys, time
-from cfgplan.comparing.families.random_library import random_library
+from experiments.families.random_library import random_library
 from cfgplan.planners.cpsat import plan
 import ortools.sat.python.cp_model
 parameters, times = json.loads(sys.argv[1]), int(sys.argv[2])
@@ -42,7 +42,7 @@ print(json.dumps([cost, found]))
 def measured(checkout: Path, parameters: dict[str, float], times: int) -> tuple[int, list[float]]:
     found = subprocess.run(
         [sys.executable, "-c", CODE, json.dumps(parameters), str(times)],
-        env={**os.environ, "PYTHONPATH": str(checkout)},
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(checkout), str(HERE)])},
         cwd=checkout,
         capture_output=True,
         text=True,

@@ -16,10 +16,10 @@ PEERS: Mapping[str, Entrant] = MappingProxyType(
     {
         entrant.name: entrant
         for entrant in (
-            Entrant("clingo-usc", "experiments.peers.asp:plan_by_cores", ("clingo",), ("clingo",)),
-            Entrant("clingo-bb", "experiments.peers.asp:plan_by_branching", ("clingo",), ("clingo",)),
-            Entrant("highs", "experiments.peers.milp:plan", ("highspy", "numpy"), ("highspy",)),
-            Entrant("fast-downward", "experiments.peers.downward:plan", (), ("up-fast-downward",)),
+            Entrant("clingo-usc", "experiments.peers.asp:plan_by_cores", ("clingo",)),
+            Entrant("clingo-bb", "experiments.peers.asp:plan_by_branching", ("clingo",)),
+            Entrant("highs", "experiments.peers.milp:plan", ("highspy", "numpy")),
+            Entrant("fast-downward", "experiments.peers.downward:plan"),
         )
     }
 )

@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from cfgplan.comparing import REGISTERED, Entrant, Instance
+from cfgplan.comparing import REGISTERED, Entrant
 from experiments.planning.scale_suite import SCALE_SEEDS
 from experiments.planning.scale_tables import PARTS
+from experiments.study.instances import Instance
 
 
 def _variant(name: str, function: str) -> Entrant:
     cpsat = REGISTERED["cpsat"]
-    return Entrant(name, f"{__name__}.variants:{function}", cpsat.engines, cpsat.distributions)
+    return Entrant(name, f"{__name__}.variants:{function}", cpsat.engines)
 
 
 VARIANTS: Mapping[str, Entrant] = MappingProxyType(

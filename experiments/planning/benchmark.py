@@ -19,13 +19,12 @@ from itertools import islice
 from pathlib import Path
 from typing import TypeVar
 
-sys.path.insert(0, str(Path(__file__).parent))
+sys.path.append(str(Path(__file__).parents[2]))
 
-from changes import CHANGES
-
-from cfgplan.comparing.families.random_library import random_library
 from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planning import Plan, Problem
+from experiments.families.random_library import random_library
+from experiments.planning.changes import CHANGES
 
 Found = TypeVar("Found")
 HERE = Path(__file__).parent

@@ -9,18 +9,21 @@ from __future__ import annotations
 import argparse
 import multiprocessing
 import random
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from cfgplan.comparing.families.random_library import random_library
+sys.path.append(str(Path(__file__).parents[2]))
+
 from cfgplan.domain import Environment, Host
 from cfgplan.planners.cpsat import plan
 from cfgplan.planners.exact.best_case import best_values
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planning import Problem
 from cfgplan.qualities import MICRO, Better, Contribution, QualityAttribute, QualityRule, Wish
+from experiments.families.random_library import random_library
 
 HERE = Path(__file__).parent
 TRANSFORMATIONS, TARGETS, HOSTS = 415, 5, 3

@@ -21,14 +21,13 @@ from math import exp, log
 from pathlib import Path
 from random import Random
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "fleet"))
-
-import instances
+sys.path.append(str(Path(__file__).parents[2]))
 from scale_suite import SCALE
 
-from cfgplan.comparing.families.random_library import random_library
 from cfgplan.domain import ChangeSet
 from cfgplan.planning import Problem, Status
+from experiments.families.random_library import random_library
+from experiments.fleet import instances
 
 SLOWER = 1.1
 """A family that takes so many times as long is one too many."""

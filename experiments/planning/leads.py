@@ -10,9 +10,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from math import exp, log
 
-from cfgplan.comparing.invariants import by_instance
-from cfgplan.comparing.report import SHORTEST_PROOF_S
-from cfgplan.comparing.rows import Row, RunFailure
+from cfgplan.comparing import RunFailure
+from experiments.study.invariants import by_instance
+from experiments.study.report import SHORTEST_PROOF_S
+from experiments.study.rows import Row
 
 
 @dataclass(frozen=True)

@@ -21,17 +21,16 @@ from types import SimpleNamespace
 from typing import TypeAlias
 from unittest.mock import patch
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "fleet"))
-
-import instances
+sys.path.append(str(Path(__file__).parents[2]))
 
 import cfgplan.planners.exact.search  # noqa: F401 - the solver takes 0.2 s to import, which is not to be measured
-from cfgplan.comparing.families.random_library import random_library
 from cfgplan.domain import Environment, Host, InputPort, OutputPort, Similarity, Target, Transformation
 from cfgplan.planners.cpsat import plan
 from cfgplan.planners.solving import clock
 from cfgplan.planning import Problem
 from cfgplan.qualities import Better, Contribution, QualityAttribute, QualityRule, Wish
+from experiments.families.random_library import random_library
+from experiments.fleet import instances
 
 HERE = Path(__file__).parent
 SIZES = (50, 500, 5_000, 50_000)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 
-from cfgplan.comparing.instances import Instance, generated
+from experiments.study.instances import Instance, generated
 
 SCALE: Mapping[str, Mapping[str, float]] = MappingProxyType(
     {

@@ -7,12 +7,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import exp, log
 
-from cfgplan.comparing.invariants import gap, references
-from cfgplan.comparing.report import Table, head, planners
-from cfgplan.comparing.rows import Row, RunFailure
+from cfgplan.comparing import RunFailure
 from cfgplan.planning import Status
 from experiments.planning.leads import Lead, lead, matched, seconds
 from experiments.planning.scale_suite import SCALE
+from experiments.study.invariants import gap, references
+from experiments.study.report import Table, head, planners
+from experiments.study.rows import Row
 
 BASE = "cpsat"
 PARTS = ("cuts-alone",)

@@ -10,11 +10,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter
 
-from cfgplan.comparing import Instance, Row
-from cfgplan.comparing.plots import performance_profile
 from cfgplan.formats.dump import dump_yaml, plain_environment
 from experiments.planning import ONE_SEED
 from experiments.planning.scale_tables import scale_text
+from experiments.study.instances import Instance
+from experiments.study.plots import performance_profile
+from experiments.study.rows import Row
 
 
 def measure_loads(instances: Iterable[Instance], folder: Path) -> None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from cfgplan.comparing import Row
 from cfgplan.planning import Status
+from experiments.study.rows import Row
 
 
 def row(planner: str, cost_us: int | None, proof_s: float | None = None, **more: object) -> Row:

@@ -6,9 +6,9 @@ from itertools import pairwise
 
 import pytest
 
-from cfgplan.comparing import generated
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import Plan, Status
+from experiments.study.instances import generated
 
 
 def answer(planner: str, kind: str, size: int) -> Plan:

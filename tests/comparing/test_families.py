@@ -4,15 +4,15 @@ from pathlib import Path
 
 import pytest
 
-from cfgplan.comparing.families import FAMILIES, adversarial, nao, random_library, replanning
-from cfgplan.comparing.families.adversarial import KINDS
-from cfgplan.comparing.families.configurations import cheap_configuration
-from cfgplan.comparing.suites import wsc_sets
 from cfgplan.errors import InputError
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import Problem, Status
 from cfgplan.reasons import unmet_reasons
 from cfgplan.validity import Rule, violations
+from experiments.families import FAMILIES, adversarial, nao, random_library, replanning
+from experiments.families.adversarial import KINDS
+from experiments.families.configurations import cheap_configuration
+from experiments.study.suites import wsc_sets
 
 SMALL: list[tuple[str, dict[str, object]]] = [
     ("nao", {"robots": 3, "event": "lost"}),

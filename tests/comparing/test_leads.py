@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 from made_rows import row
 
-from cfgplan.comparing import Row, RunFailure
+from cfgplan.comparing import RunFailure
 from experiments.planning.leads import lead, matched
+from experiments.study.rows import Row
 
 
 def test_a_lead_is_the_mean_ratio_of_times_to_proof() -> None:

@@ -6,11 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from cfgplan.comparing import Instance, Limits, RunFailure, generated, given, run_one
+from cfgplan.comparing import Limits, RunFailure
 from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Target, Transformation
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import Problem, Status
 from experiments.peers import PEERS, downward
+from experiments.study.instances import Instance, generated, given
+from experiments.study.runner import run_one
 
 LIMITS = Limits(time_limit_s=20)
 every_peer = pytest.mark.parametrize("name", PEERS)

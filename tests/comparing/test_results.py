@@ -7,12 +7,14 @@ from pathlib import Path
 import pytest
 from made_rows import row
 
-from cfgplan.comparing import REGISTERED, Limits, Row, RunFailure, run
-from cfgplan.comparing.invariants import breaches, gap, references
-from cfgplan.comparing.report import by_family, detail, effort, overview, ratio_to, write_report
-from cfgplan.comparing.rows import thinned
-from cfgplan.comparing.suites import SUITES
+from cfgplan.comparing import REGISTERED, Limits, RunFailure
+from cfgplan.comparing.runs import thinned
 from cfgplan.planning import Status
+from experiments.study.invariants import breaches, gap, references
+from experiments.study.report import by_family, detail, effort, overview, ratio_to, write_report
+from experiments.study.rows import Row
+from experiments.study.runner import run
+from experiments.study.suites import SUITES
 
 
 def test_planners_that_agree_breach_nothing() -> None:

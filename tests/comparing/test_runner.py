@@ -15,34 +15,26 @@ from pathlib import Path
 
 import pytest
 
-from cfgplan.comparing import (
-    Advance,
-    Entrant,
-    Limits,
-    RunFailure,
-    entrant,
-    generated,
-    given,
-    named,
-    read_rows,
-    run,
-    run_one,
-)
-from cfgplan.comparing.suites import SUITES
+from cfgplan.comparing import Entrant, Limits, RunFailure, entrant
+from cfgplan.comparing.runs import pickled
 from cfgplan.errors import InputError, InvalidValueError
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import Plan, Problem, Progress, Status
+from experiments.study.instances import generated, given, named
+from experiments.study.rows import read_rows
+from experiments.study.runner import Advance, run, run_one
+from experiments.study.suites import SUITES
 
 SMALL = generated("adversarial", kind="dedicated", size=3)
 LIMITS = Limits(time_limit_s=20)
 Report = Callable[[Progress], None] | None
-TURNS_S = (0.03, 0.01, 0.02, 0.08, 0.05)
+TURNS_S = (0.45, 0.1, 0.2)
 
 
 def hangs(_: Problem, *, report: Report = None, **__: object) -> Plan:
-    if report is not None:  # not when it warms up
-        report(Progress(0.0, 9, 4))
-        time.sleep(60)
+    assert report is not None
+    report(Progress(0.0, 9, 4))
+    time.sleep(60)
     return Plan("hangs", Status.UNKNOWN)
 
 
@@ -59,17 +51,9 @@ def eats_memory(_: Problem, **__: object) -> Plan:
     return Plan(str(bytearray(2**33)), Status.UNKNOWN)
 
 
-def takes_long_at_first(_: Problem, **__: object) -> Plan:
-    if "LOADED" not in os.environ:
-        os.environ["LOADED"] = "yes"
-        return Plan("loads", Status.UNKNOWN)
-    return Plan("is loaded", Status.INFEASIBLE)
-
-
 def takes_turns(_: Problem, *, report: Report = None, turns: tuple[float, ...] = TURNS_S, **__: object) -> Plan:
     """Takes as long as it is its turn, and says whose turn it was."""
-    if report is None:
-        return Plan("warms up", Status.UNKNOWN)
+    assert report is not None
     turn = int(os.environ.get("TURN", "0"))
     os.environ["TURN"] = str(turn + 1)
     time.sleep(turns[turn])
@@ -78,7 +62,7 @@ def takes_turns(_: Problem, *, report: Report = None, turns: tuple[float, ...] =
 
 
 def is_slow(problem: Problem, *, report: Report = None, **_: object) -> Plan:
-    return takes_turns(problem, report=report, turns=(0.15, 0.01, 0.01, 0.01, 0.01))
+    return takes_turns(problem, report=report, turns=(0.6,))
 
 
 def lies(problem: Problem, **_: object) -> Plan:
@@ -113,27 +97,23 @@ def test_a_planner_without_a_proof_has_no_time_of_proof() -> None:
 
 
 def test_a_planner_that_hangs_is_killed_and_what_it_had_found_is_kept() -> None:
-    row = run_one(SMALL, own("hangs"), Limits(time_limit_s=0.5, grace_s=1.5))
+    row = run_one(SMALL, own("hangs"), Limits(time_limit_s=0.5, grace_s=4))
     assert (row.outcome, row.cost_us, row.bound_us) == (RunFailure.KILLED, 9, 4)
     assert row.violations is None
 
 
-def test_what_a_planner_does_at_its_first_call_is_not_counted() -> None:
-    assert run_one(SMALL, own("takes_long_at_first"), LIMITS).outcome == Status.INFEASIBLE
-
-
 def test_a_short_run_is_repeated_and_the_median_one_is_told() -> None:
     row = run_one(SMALL, own("takes_turns"), LIMITS)
-    assert row.bound_us == 0
-    assert [bound for _, _, bound in row.trace] == [0]
+    assert row.bound_us == 2, "neither the first, of a cold start, nor the luckiest"
+    assert [bound for _, _, bound in row.trace] == [2]
     assert row.total_s is not None
-    assert row.total_s >= 0.03
+    assert row.total_s >= 0.2
 
 
 def test_a_longer_run_is_made_once() -> None:
     row = run_one(SMALL, own("is_slow"), LIMITS)
     assert row.total_s is not None
-    assert row.total_s >= 0.15
+    assert row.total_s >= 0.6
 
 
 def test_a_crash_is_a_row() -> None:
@@ -232,7 +212,7 @@ def test_a_line_that_is_no_row_is_named(tmp_path: Path) -> None:
 def test_a_problem_survives_the_way_to_another_process(family: str) -> None:
     instance = generated(family, 2)
     assert not instance.problem.notions
-    back = pickle.loads(b64decode(instance.pickled))
+    back = pickle.loads(b64decode(pickled(instance.problem)))
     assert back == instance.problem
     assert vars(back).keys() == {each.name for each in fields(back)}, "what was derived from it is not sent"
 

@@ -8,12 +8,11 @@ from pathlib import Path
 import pytest
 from made_rows import row
 
-from cfgplan.comparing import Row, RunFailure, generated, read_rows
-from cfgplan.comparing.families.random_library import random_library
-from cfgplan.comparing.invariants import breaches
+from cfgplan.comparing import RunFailure
 from cfgplan.domain import Similarity
 from cfgplan.planning import Status
 from experiments.compare import AT_SCALE, ENTRANTS, in_order
+from experiments.families.random_library import random_library
 from experiments.planning import ONE_SEED, VARIANTS, takes_part
 from experiments.planning.scale_suite import SCALE, SCALE_SEEDS, scale
 from experiments.planning.scale_tables import (
@@ -27,6 +26,9 @@ from experiments.planning.scale_tables import (
     summary,
 )
 from experiments.planning.scaling import load_s, read_loads
+from experiments.study.instances import generated
+from experiments.study.invariants import breaches
+from experiments.study.rows import Row, read_rows
 
 REPORT = Path(__file__).parents[2] / "experiments" / "planning" / "scale"
 SMALL, LARGE = SCALE["50"], SCALE["5,000"]

@@ -6,11 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from cfgplan.comparing import Row, named, read_rows
-from cfgplan.comparing.invariants import breaches
-from cfgplan.comparing.report import tables_text
-from cfgplan.comparing.suites import SUITES
 from experiments.compare import ENTRANTS, in_order
+from experiments.study.instances import named
+from experiments.study.invariants import breaches
+from experiments.study.report import tables_text
+from experiments.study.rows import Row, read_rows
+from experiments.study.suites import SUITES
 
 REPORT = Path(__file__).parents[2] / "experiments" / "report"
 

@@ -94,7 +94,7 @@ NEW_FIELD = """
 from pathlib import Path
 import sys
 from loading import load
-from cfgplan.comparing import given
+from experiments.study.instances import given
 from cfgplan.domain import Similarity
 from cfgplan.formats import dump_xml, dump_yaml, environment_schema, fields, plain_environment
 from cfgplan.planning import Problem
@@ -127,5 +127,5 @@ def test_a_new_field_is_a_line_of_the_domain_and_a_row(tmp_path: Path) -> None:
         before, found, after = path.read_text().partition(line)
         assert found
         path.write_text(before + (found + more if file == "transformations.py" else more + found) + after)
-    search = {"PYTHONPATH": f"{tmp_path}:{HERE}"}
+    search = {"PYTHONPATH": f"{tmp_path}:{HERE}:{HERE.parents[1]}"}
     subprocess.run([sys.executable, "-c", NEW_FIELD, str(tmp_path)], env=os.environ | search, cwd=tmp_path, check=True)

@@ -10,12 +10,11 @@ import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "experiments" / "fleet"))
+sys.path.append(str(Path(__file__).parents[2]))
 
-import instances
-
-from cfgplan.comparing.instances import Instance, generated
 from cfgplan.planning import Plan, Problem, Status
+from experiments.fleet import instances
+from experiments.study.instances import Instance, generated
 
 FILE = Path(__file__).with_suffix(".json")
 LIMIT_S = 60.0

@@ -13,12 +13,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from worlds import histories, oracle_of, problems, reordered
 
-from cfgplan.comparing.families.random_library import random_library
 from cfgplan.planners import PLANNERS
 from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planners.tuning import USUAL
 from cfgplan.planning import Plan, Problem, Status
 from cfgplan.validity import plan_violations
+from experiments.families.random_library import random_library
 
 EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "400"))
 many = settings(

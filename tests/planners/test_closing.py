@@ -13,7 +13,6 @@ from test_against_the_oracle import fewer
 from test_preprocessing import Stage
 from worlds import problems
 
-from cfgplan.comparing.families.random_library import random_library
 from cfgplan.costs import start_cost_us
 from cfgplan.planners.bounding.bounds import Bound
 from cfgplan.planners.bounding.landmarks import Landmark, landmark_of
@@ -30,6 +29,7 @@ from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import Close, Tuning
 from cfgplan.planning import Problem, Status
 from cfgplan.validity import plan_violations
+from experiments.families.random_library import random_library
 
 LONG = Tuning(close=Close(work=1e6))
 

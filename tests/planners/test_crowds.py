@@ -13,7 +13,6 @@ from test_closing import closing
 from test_preprocessing import Stage
 from worlds import fusions
 
-from cfgplan.comparing.families.nao import nao
 from cfgplan.planners.bounding.bounds import Bound, cheapest_way
 from cfgplan.planners.bounding.chains import chained_bound
 from cfgplan.planners.bounding.landmarks import Landmark
@@ -24,6 +23,7 @@ from cfgplan.planners.networks.greedy import first_plan, is_plan
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Problem, Status
 from cfgplan.reasons import startable
+from experiments.families.nao import nao
 
 
 def plans(stage: Stage, problem: Problem) -> Iterator[set[int]]:

@@ -13,7 +13,6 @@ from test_planners import make, world
 from test_preprocessing import Stage
 from worlds import problems
 
-from cfgplan.comparing.families.random_library import random_library
 from cfgplan.planners.bounding.bounds import cheapest_way
 from cfgplan.planners.bounding.branching import Branching
 from cfgplan.planners.bounding.ways import LEFT_OUT, Links, Ways
@@ -27,6 +26,7 @@ from cfgplan.planners.networks.weighing import Weighing
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import USUAL, Decide, Tuning
 from cfgplan.planning import Problem, Status
+from experiments.families.random_library import random_library
 
 LIMIT = 10**9
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from fleets import fleets
@@ -26,10 +24,7 @@ from cfgplan.planners.tuning import USUAL
 from cfgplan.planning import Failures, Notion, Plan, Problem, Status
 from cfgplan.reasons import startable, unmet_reasons
 from cfgplan.validity import plan_violations
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "experiments" / "fleet"))
-
-import instances
+from experiments.fleet import instances
 
 
 def first(problem: Problem) -> Plan:

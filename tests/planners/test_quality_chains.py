@@ -8,7 +8,6 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from test_fleets_against_the_oracle import some
 
-from cfgplan.comparing.families.random_library import random_library
 from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Target, Transformation
 from cfgplan.errors import InputError
 from cfgplan.figures import qualities_of_targets
@@ -25,6 +24,7 @@ from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Notion, Problem
 from cfgplan.qualities import MICRO, Better, Contribution, QualityAttribute, QualityRule, Wish
 from cfgplan.reasons import unmet_reasons
+from experiments.families.random_library import random_library
 
 LATENCY = QualityAttribute("latency", Better.LOWER, worst=1000)
 

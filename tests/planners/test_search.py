@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import pickle
-import sys
 from dataclasses import replace
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 from unittest import mock
@@ -14,16 +12,13 @@ import pytest
 from alone import search_alone
 from ortools.sat.python.cp_model import FEASIBLE, INFEASIBLE, MODEL_INVALID, OPTIMAL, CpModel, CpSolver
 
-from cfgplan.comparing.families.random_library import random_library
 from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planners.exact import search
 from cfgplan.planners.tuning import USUAL
 from cfgplan.planning import Failures, PlannerFaultError, Problem, Status
 from cfgplan.validity import plan_violations
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "experiments" / "fleet"))
-
-import instances
+from experiments.families.random_library import random_library
+from experiments.fleet import instances
 
 
 @pytest.mark.parametrize("seed", [0, 2, 6])

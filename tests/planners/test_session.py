@@ -39,10 +39,7 @@ from cfgplan.planners.exact.first_plans import FirstPlans
 from cfgplan.planners.exact.structure import Structure
 from cfgplan.planning import Problem, Progress, Status
 from cfgplan.validity import plan_violations
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "experiments" / "fleet"))
-
-import instances
+from experiments.fleet import instances
 
 EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "400"))
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import ast
 import itertools
 import os
-import sys
 from collections.abc import Collection, Iterator
 from dataclasses import replace
 from math import inf
@@ -24,7 +23,6 @@ from hypothesis import strategies as st
 from worlds import problems
 
 import cfgplan.planners
-from cfgplan.comparing.families.random_library import random_library
 from cfgplan.figures import cost_parts
 from cfgplan.planners.cpsat import plan
 from cfgplan.planners.solving import clock
@@ -32,10 +30,8 @@ from cfgplan.planners.solving.clock import STOPPING_S, Clock, OutOfTimeError
 from cfgplan.planning import Failures, Notion, Plan, Problem, Status
 from cfgplan.qualities import MICRO
 from cfgplan.validity import plan_violations
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "experiments" / "fleet"))
-
-import instances
+from experiments.families.random_library import random_library
+from experiments.fleet import instances
 
 FEW_MORE = 40
 """So often somebody may look at the clock once the time is over."""

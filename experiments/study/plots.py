@@ -8,9 +8,10 @@ from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, NamedTuple
 
-from cfgplan.comparing.invariants import by_instance, gap, references
-from cfgplan.comparing.report import SHORTEST_PROOF_S, planners
-from cfgplan.comparing.rows import Row, RunFailure
+from cfgplan.comparing import RunFailure
+from experiments.study.invariants import by_instance, gap, references
+from experiments.study.report import SHORTEST_PROOF_S, planners
+from experiments.study.rows import Row
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

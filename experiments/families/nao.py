@@ -8,11 +8,10 @@ from __future__ import annotations
 
 from random import Random
 
-from cfgplan.comparing.families.configurations import cheap_configuration, without
-from cfgplan.costs import MILLISECONDS
 from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Target, Transformation
 from cfgplan.errors import InvalidValueError
 from cfgplan.planning import Problem
+from experiments.families.configurations import MILLISECONDS, cheap_configuration, without
 
 POSITION = "Position and hasSource some Ball"
 FUSED = "FusedPosition and hasSource some Ball"

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import json
-import pickle
 import re
-from base64 import b64encode
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from inspect import signature
 from typing import Any
 
-from cfgplan.comparing.families import FAMILIES
-from cfgplan.domain import Similarity
 from cfgplan.errors import InputError, InvalidValueError
 from cfgplan.planning import Problem, refuse_notions
+from experiments.families import FAMILIES
 
 
 @dataclass(frozen=True)
@@ -37,12 +34,6 @@ class Instance:
     def text(self) -> str:
         """The problem as one line of JSON, the same for equal problems."""
         return json.dumps(_document(self.problem), ensure_ascii=False, sort_keys=True, separators=(",", ":"))
-
-    @property
-    def pickled(self) -> str:
-        """The problem on its way into another process, in base 64, without open pairs of tags."""
-        decided = Similarity(dict(self.problem.similarity.offers))
-        return b64encode(pickle.dumps(replace(self.problem, similarity=decided))).decode()
 
     @cached_property
     def digest(self) -> str:

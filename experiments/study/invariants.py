@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from cfgplan.comparing.rows import Row
-from cfgplan.planning import REFUSED
+from cfgplan.comparing.runs import best_used, contradictions
+from experiments.study.rows import Row
 
 
 @dataclass(frozen=True)
@@ -34,9 +34,9 @@ def references(rows: Iterable[Row]) -> Mapping[tuple[str, str], LeastCost]:
     """What to measure costs against, for each instance that anyone has a judged plan for."""
     found = {}
     for instance, group in by_instance(rows).items():
-        plans = _best_used(group)
+        plans = best_used(group)
         if plans:
-            cost_us = min(map(_cost_us, plans))
+            cost_us = min(plan.cost_us for plan in plans if plan.cost_us is not None)
             proven = any(row.proven and row.cost_us == cost_us for row in plans)
             found[instance] = LeastCost(cost_us, proven, plans[0].unused_required)
     return found
@@ -55,42 +55,6 @@ def gap(row: Row, reference: Mapping[tuple[str, str], LeastCost]) -> float | Non
 
 def breaches(rows: Iterable[Row]) -> list[str]:
     """Every disagreement between planners and every plan that the judge refuses; empty if all is well."""
-    rows = list(rows)
-    found = [f"{_who(row)}: {text}" for row in rows for text in row.violations or ()]
-    for group in by_instance(rows).values():
-        found += _disagreements(group)
-    return found
-
-
-def _disagreements(rows: Sequence[Row]) -> Iterator[str]:
-    plans = _best_used(rows)
-    cheapest = min(plans, key=_cost_us, default=None)
-    for row in rows:
-        if row.has_plan and row.violations is None:
-            yield f"{_who(row)}: the plan was not judged"
-        if cheapest is not None:
-            least = f"{cheapest.planner} has a plan of {_cost_us(cheapest)} us"
-            if row in plans and row.proven and _cost_us(row) > _cost_us(cheapest):
-                yield f"{_who(row)}: says that {_cost_us(row)} us is the least, but {least}"
-            if row.bound_us > _cost_us(cheapest) and not row.unused_required:
-                yield f"{_who(row)}: says that none costs less than {row.bound_us} us, but {least}"
-        if row.outcome in REFUSED:
-            for other in rows:
-                if other.has_plan or (other.proven and other.outcome != row.outcome):
-                    yield f"{_who(row)}: says {row.outcome}, but {other.planner} says {other.outcome}"
-
-
-def _cost_us(row: Row) -> int:
-    assert row.cost_us is not None
-    return row.cost_us
-
-
-def _best_used(rows: Sequence[Row]) -> list[Row]:
-    """The judged plans that leave the fewest required transformations unused: only their costs compare."""
-    plans = [row for row in rows if row.has_plan and row.violations == ()]
-    fewest = min((row.unused_required for row in plans), default=0)
-    return [row for row in plans if row.unused_required == fewest]
-
-
-def _who(row: Row) -> str:
-    return f"{row.planner} on {row.instance}"
+    return [
+        f"{instance}: {text}" for (instance, _), group in by_instance(rows).items() for text in contradictions(group)
+    ]

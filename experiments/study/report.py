@@ -9,9 +9,10 @@ from math import exp, log
 from pathlib import Path
 from statistics import median
 
-from cfgplan.comparing.invariants import LeastCost, breaches, by_instance, gap, references
-from cfgplan.comparing.rows import PROVEN, Row, RunFailure
+from cfgplan.comparing.runs import PROVEN, RunFailure
 from cfgplan.planning import Status
+from experiments.study.invariants import LeastCost, breaches, by_instance, gap, references
+from experiments.study.rows import Row
 
 SHORTEST_PROOF_S = 1e-4
 """Times below are taken for this when ratios are formed."""
@@ -33,7 +34,7 @@ class Table:
 
 def write_report(rows: Sequence[Row], folder: Path) -> list[Path]:
     """Write `tables.md` and the plots into the folder; returns the files. Raises ImportError without matplotlib."""
-    from cfgplan.comparing.plots import write_plots
+    from experiments.study.plots import write_plots
 
     folder.mkdir(parents=True, exist_ok=True)
     tables = folder / "tables.md"
@@ -65,7 +66,7 @@ def head(rows: Sequence[Row]) -> str:
     runs = f"{len(rows)} runs, at most {', '.join(limits)} each, one at a time."
     return (
         f"{runs} Machine: {'; '.join(machines)}. Versions: {', '.join(versions)}.\n\n"
-        "Written by `cfgplan compare`; do not edit. Trust ratios of times, not the times.\n\n"
+        "Written by `python -m experiments.compare`; do not edit. Trust ratios of times, not the times.\n\n"
         f"### Contradictions\n\n{verdict}"
     )
 

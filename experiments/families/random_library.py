@@ -10,12 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from random import Random
 
-from cfgplan.comparing.families.configurations import cheap_configuration, wired_where_possible, without
-from cfgplan.costs import MILLISECONDS
 from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Target, Transformation
 from cfgplan.errors import InvalidValueError
 from cfgplan.planning import Problem
 from cfgplan.reasons import Givers, startable
+from experiments.families.configurations import MILLISECONDS, cheap_configuration, wired_where_possible, without
 
 CHILDREN = 4
 """Concepts of one parent."""

@@ -19,6 +19,9 @@ from cfgplan.domain import (
 )
 from cfgplan.reasons import Givers
 
+MILLISECONDS = 1000
+"""In microseconds, as costs are."""
+
 
 def cheap_configuration(environment: Environment, similarity: Similarity, horizon_s: int) -> Environment:
     """The environment with a valid wiring for its targets running, each demand fed by its cheapest chain alone.

@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
-from cfgplan.comparing.families.adversarial import adversarial
-from cfgplan.comparing.families.nao import nao
-from cfgplan.comparing.families.random_library import random_library, replanning
 from cfgplan.planning import Problem
+from experiments.families.adversarial import adversarial
+from experiments.families.nao import nao
+from experiments.families.random_library import random_library, replanning
 
 FAMILIES: Mapping[str, Callable[..., Problem]] = MappingProxyType(
     {

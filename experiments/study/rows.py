@@ -3,46 +3,20 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, asdict, dataclass, field, fields
-from enum import StrEnum
+from collections.abc import Mapping
+from dataclasses import MISSING, asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from cfgplan.comparing import Run
 from cfgplan.errors import Fault, InputError
-from cfgplan.planning import REFUSED, Status
-
-
-class RunFailure(StrEnum):
-    """How a run ended that gave no answer; the other outcomes are those of `planning.Status`."""
-
-    REFUSED = "refused"
-    """The planner said that it can't take this problem."""
-    UNAVAILABLE = "unavailable"
-    """A package that the planner needs is not installed."""
-    KILLED = "killed at the time limit"
-    OUT_OF_MEMORY = "out of memory"
-    CRASHED = "crashed"
-
-
-PROVEN = frozenset({Status.OPTIMAL, *REFUSED})
-
-Point = tuple[float, int | None, int]
-"""Seconds since the start, best cost so far, proven bound."""
 
 RunKey = tuple[str, str, str, float, int | None]
 
 
-@dataclass(frozen=True)
-class Row:
-    """One run of one planner on one instance; times are in seconds since the planner was called.
-
-    `outcome` is a `Status` or a `RunFailure`. `violations` is what the judge found, None where there
-    was no answer to judge. `peak_mb` is the largest resident memory of the process, the solver's own if it is
-    a process apart. `trace` tells the best cost and the bound over time. `proof_s` is when the planner had proven
-    its answer, that there is no plan or that none costs less; None if it has not. To break ties between equal costs
-    may take until `total_s`. `seconds` are the planner's phases; older files lack them.
-    """
+@dataclass(frozen=True, kw_only=True)
+class Row(Run):
+    """A run with the instance, the limits, the versions and the machine that it was made with."""
 
     instance: str
     family: str
@@ -50,38 +24,15 @@ class Row:
     seed: int | None
     digest: str
     transformations: int
-    planner: str
     time_limit_s: float
     memory_mb: int | None
-    outcome: str
-    cost_us: int | None
-    bound_us: int
-    unused_required: int
-    first_s: float | None
-    best_s: float | None
-    proof_s: float | None
-    total_s: float | None
-    trace: tuple[Point, ...]
-    counts: Mapping[str, int]
-    peak_mb: float | None
-    violations: tuple[str, ...] | None
-    message: str
     versions: Mapping[str, str]
     machine: Mapping[str, object]
-    seconds: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def key(self) -> RunKey:
         """What must be equal for a run to be the same one."""
         return (self.instance, self.digest, self.planner, self.time_limit_s, self.memory_mb)
-
-    @property
-    def proven(self) -> bool:
-        return self.proof_s is not None
-
-    @property
-    def has_plan(self) -> bool:
-        return self.outcome in (Status.OPTIMAL, Status.FEASIBLE)
 
 
 def read_rows(path: Path) -> list[Row]:
@@ -117,15 +68,6 @@ def append_row(path: Path, row: Row) -> None:
     except OSError as error:
         mend = "check that the folder may be written to"
         raise InputError.of(f"can't be written: {error.strerror}", file=str(path), mend=mend) from None
-
-
-def thinned(trace: Iterable[Point], most: int = 40) -> tuple[Point, ...]:
-    """At most about `most` points of a trace, evenly chosen, the first and the last among them."""
-    points = list(trace)
-    if len(points) <= most:
-        return tuple(points)
-    step = (len(points) - 1) / (most - 1)
-    return tuple(points[round(i * step)] for i in range(most))
 
 
 _FIELDS = frozenset(each.name for each in fields(Row))

@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
-from cfgplan.comparing.instances import Instance, generated
 from cfgplan.errors import InputError
-from cfgplan.formats.wsc import Objective
 from cfgplan.planning import Problem
+from experiments.families.wsc import Objective, read_wsc
+from experiments.study.instances import Instance, generated
 
 
 def tiny() -> Iterator[Instance]:
@@ -104,8 +104,6 @@ def wsc_sets(folder: Path) -> list[Instance]:
 
 def _instance(folder: Path, objective: Objective) -> Instance:
     def make() -> Problem:
-        from cfgplan.formats.wsc import read_wsc
-
         world, similarity = read_wsc(folder, objective)
         return Problem(world.environment, similarity, world.horizon_s, world.max_cost_us)
 

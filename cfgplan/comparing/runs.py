@@ -1,0 +1,261 @@
+"""Each planner on each problem in a process of its own, and what must hold between their answers."""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import signal
+import subprocess
+import sys
+from base64 import b64encode
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field, replace
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, TypeVar
+
+from cfgplan.comparing.entrants import Entrant
+from cfgplan.domain import Similarity
+from cfgplan.errors import InputError, InvalidValueError
+from cfgplan.planning import REFUSED, Problem, Status
+
+
+class RunFailure(StrEnum):
+    """How a run ended that gave no answer; the other outcomes are those of `planning.Status`."""
+
+    REFUSED = "refused"
+    """The planner said that it can't take this problem."""
+    UNAVAILABLE = "unavailable"
+    """A package that the planner needs is not installed."""
+    KILLED = "killed at the time limit"
+    OUT_OF_MEMORY = "out of memory"
+    CRASHED = "crashed"
+
+
+PROVEN = frozenset({Status.OPTIMAL, *REFUSED})
+
+Point = tuple[float, int | None, int]
+"""Seconds since the start, best cost so far, proven bound."""
+MOST_POINTS = 40
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run of one planner on one problem; times are in seconds since the planner was called.
+
+    `outcome` is a `Status` or a `RunFailure`. `violations` is what the judge found, None where there
+    was no answer to judge. `peak_mb` is the largest resident memory of the process, the solver's own if it is
+    a process apart. `trace` tells the best cost and the bound over time. `proof_s` is when the planner had proven
+    its answer, that there is no plan or that none costs less; None if it has not. To break ties between equal costs
+    may take until `total_s`. `seconds` are the planner's phases.
+    """
+
+    planner: str
+    outcome: str
+    cost_us: int | None
+    bound_us: int
+    unused_required: int
+    first_s: float | None
+    best_s: float | None
+    proof_s: float | None
+    total_s: float | None
+    trace: tuple[Point, ...]
+    counts: Mapping[str, int]
+    peak_mb: float | None
+    violations: tuple[str, ...] | None
+    message: str
+    seconds: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def proven(self) -> bool:
+        return self.proof_s is not None
+
+    @property
+    def has_plan(self) -> bool:
+        return self.outcome in (Status.OPTIMAL, Status.FEASIBLE)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a run may take.
+
+    The planner is told `time_limit_s`; `grace_s` after that (for the start of the process, the last step
+    and the judge) it is killed. `memory_mb` limits the process's address space.
+    """
+
+    time_limit_s: float = 10.0
+    grace_s: float = 10.0
+    memory_mb: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.time_limit_s <= 0 or self.grace_s < 0 or (self.memory_mb is not None and self.memory_mb <= 0):
+            raise InvalidValueError("the limits of a comparison must be positive")
+
+
+def run_one(problem: Problem, entrant: Entrant, limits: Limits) -> Run:
+    """Run one planner on one problem in a new process, and say how it ended, however it ends."""
+    trace, answer = _answer(entrant, limits, pickled(problem))
+    if trace and answer["outcome"] in (RunFailure.KILLED, RunFailure.OUT_OF_MEMORY):
+        answer |= {"cost_us": trace[-1][1], "bound_us": trace[-1][2]}
+    first_s, best_s = _times(trace, answer)
+    return Run(
+        planner=entrant.name,
+        outcome=answer["outcome"],
+        cost_us=answer.get("cost_us"),
+        bound_us=answer.get("bound_us", 0),
+        unused_required=answer.get("unused_required", 0),
+        first_s=first_s,
+        best_s=best_s,
+        proof_s=_proof_s(trace, answer),
+        total_s=answer.get("total_s"),
+        trace=thinned(trace),
+        counts=answer.get("counts", {}),
+        peak_mb=answer.get("peak_mb"),
+        violations=tuple(answer["violations"]) if "violations" in answer else None,
+        message=answer.get("message", ""),
+        seconds=answer.get("seconds", {}),
+    )
+
+
+def require(entrant: Entrant, limits: Limits) -> None:
+    """Find out, in a process like that of a run, whether there is such a planner. Raises InputError."""
+    _, answer = _answer(entrant, limits, None)
+    if answer["outcome"] != "ready":
+        why = answer.get("message") or answer["outcome"]
+        raise InputError.of(f"the planner {entrant.name!r} can't be used: {why}", mend="name it as module:function")
+
+
+def contradictions(runs: Sequence[Run]) -> Iterator[str]:
+    """What can't hold of runs on one problem, whoever is right: plans the judge refuses, and answers that disagree."""
+    for run in runs:
+        yield from (f"{run.planner}: {text}" for text in run.violations or ())
+    plans = best_used(runs)
+    cheapest = min(plans, key=lambda plan: plan.cost_us or 0, default=None)
+    for run in runs:
+        if run.has_plan and run.violations is None:
+            yield f"{run.planner}: the plan was not judged"
+        if cheapest is not None and cheapest.cost_us is not None:
+            least = f"{cheapest.planner} has a plan of {cheapest.cost_us} us"
+            if run in plans and run.proven and (run.cost_us or 0) > cheapest.cost_us:
+                yield f"{run.planner}: says that {run.cost_us} us is the least, but {least}"
+            if run.bound_us > cheapest.cost_us and not run.unused_required:
+                yield f"{run.planner}: says that none costs less than {run.bound_us} us, but {least}"
+        if run.outcome in REFUSED:
+            for other in runs:
+                if other.has_plan or (other.proven and other.outcome != run.outcome):
+                    yield f"{run.planner}: says {run.outcome}, but {other.planner} says {other.outcome}"
+
+
+AnyRun = TypeVar("AnyRun", bound=Run)
+
+
+def best_used(runs: Iterable[AnyRun]) -> list[AnyRun]:
+    """The judged plans that leave the fewest required transformations unused: only their costs compare."""
+    plans = [run for run in runs if run.has_plan and run.violations == ()]
+    fewest = min((run.unused_required for run in plans), default=0)
+    return [run for run in plans if run.unused_required == fewest]
+
+
+def pickled(problem: Problem) -> str:
+    """A problem on its way into another process, in base 64, without open pairs of tags."""
+    decided = Similarity(dict(problem.similarity.offers))
+    return b64encode(pickle.dumps(replace(problem, similarity=decided))).decode()
+
+
+def thinned(trace: Sequence[Point]) -> tuple[Point, ...]:
+    """At most about `MOST_POINTS` points of a trace, evenly chosen, the first and the last among them."""
+    if len(trace) <= MOST_POINTS:
+        return tuple(trace)
+    step = (len(trace) - 1) / (MOST_POINTS - 1)
+    return tuple(trace[round(i * step)] for i in range(MOST_POINTS))
+
+
+def _answer(entrant: Entrant, limits: Limits, problem: str | None) -> tuple[list[Point], dict[str, Any]]:
+    """The progress and the answer of a child process; how it failed where it gave none."""
+    task = {
+        "problem": problem,
+        "entrant": asdict(entrant),
+        "time_limit_s": limits.time_limit_s,
+        "memory_mb": limits.memory_mb,
+    }
+    out, err, code = _run_process(json.dumps(task), limits.time_limit_s + limits.grace_s)
+    trace, answer = _parsed(out)
+    return trace, answer or _failure(code, err)
+
+
+def _run_process(task: str, limit_s: float) -> tuple[str, str, int | None]:
+    """The output, the errors and the exit code of a child; no code if it had to be killed."""
+    path = os.pathsep.join(entry or str(Path.cwd()) for entry in sys.path)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "cfgplan.comparing.child"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        encoding="utf-8",
+        errors="replace",
+        env={**os.environ, "PYTHONPATH": path},
+        start_new_session=True,
+    )
+    try:
+        out, err = process.communicate(task, timeout=limit_s)
+    except subprocess.TimeoutExpired:
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        out, err = process.communicate()
+        return out, err, None
+    except BaseException:
+        with suppress(ProcessLookupError):  # Ctrl-C may come when it has just ended
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        raise
+    return out, err, process.returncode
+
+
+def _parsed(out: str) -> tuple[list[Point], dict[str, Any] | None]:
+    """The progress, that of the run that is answered for, and the answer, if one came.
+
+    A line that was cut short is passed over.
+    """
+    trace: list[Point] = []
+    for line in out.splitlines():
+        try:
+            data = json.loads(line)
+        except ValueError:
+            continue
+        if isinstance(data, dict):
+            told = data.get("trace", trace)
+            return [(round(when, 6), cost, bound) for when, cost, bound in told], data
+        trace.append((round(data[0], 6), data[1], data[2]))
+    return trace, None
+
+
+def _failure(code: int | None, err: str) -> dict[str, Any]:
+    if code is None:
+        return {"outcome": RunFailure.KILLED}
+    if "MemoryError" in err or "bad_alloc" in err:
+        return {"outcome": RunFailure.OUT_OF_MEMORY}
+    ending = err.strip().splitlines()[-1:] or [""]
+    how = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+    return {"outcome": RunFailure.CRASHED, "message": f"{how}: {ending[0]}"[:300]}
+
+
+def _times(trace: Sequence[Point], answer: dict[str, Any]) -> tuple[float | None, float | None]:
+    """When the first and when the best plan was known; a plan that was never reported came at the end."""
+    costs = [(when, cost) for when, cost, _ in trace if cost is not None]
+    end = answer.get("total_s")
+    if answer["outcome"] not in (Status.OPTIMAL, Status.FEASIBLE):
+        return (costs[0][0], costs[-1][0]) if costs and answer.get("cost_us") is not None else (None, None)
+    first_s = costs[0][0] if costs else end
+    best_s = next((when for when, cost in costs if cost == answer["cost_us"]), end)
+    return first_s, best_s
+
+
+def _proof_s(trace: Sequence[Point], answer: dict[str, Any]) -> float | None:
+    """When the answer was proven: for a plan, when the bound had reached its cost, whatever became of ties later."""
+    if answer["outcome"] == Status.OPTIMAL:
+        at_cost = (when for when, cost, bound in trace if cost == bound == answer["cost_us"])
+        return next(at_cost, float(answer["total_s"]))
+    return float(answer["total_s"]) if answer["outcome"] in PROVEN else None
