@@ -360,14 +360,14 @@ CLOSING = _room(
     ("tests/planners/test_support.py", "tests/planners/test_alike.py", "tests/planners/test_closing.py"),
     (
         "distinct inputs are fed by those alike",
-        "closing/alike.py",
+        "closing/program.py",
         "if distinct.isdisjoint(facts.tolist()):",
         "if True:",
     ),
-    ("free labels are alike", "closing/alike.py", "np.flatnonzero(cost).tolist()", "range(len(cost))"),
+    ("free labels are alike", "closing/program.py", "np.flatnonzero(cost).tolist()", "range(len(cost))"),
     (
         "the best plan is the last",
-        "closing/repairing.py",
+        "closing/gap.py",
         "if self._plan is not None and self._cost_of(self._plan) < self._cost_of(self.best):",
         "if self._plan is not None:",
     ),
@@ -385,7 +385,7 @@ CLOSING = _room(
     ),
     (
         "a label's charges are not paid back",
-        "closing/feeding.py",
+        "closing/program.py",
         "np.add.at(left, self._labels, paid[self._pair])",
         "pass",
     ),

@@ -12,8 +12,7 @@ from test_against_the_oracle import fewer
 from test_preprocessing import Stage
 from worlds import problems
 
-from cfgplan.planners.closing.alike import alike
-from cfgplan.planners.closing.program import LandmarkProgram
+from cfgplan.planners.closing.program import LandmarkProgram, alike
 from cfgplan.planners.exact.structure import Structure
 from cfgplan.planners.networks.core import Core, Rows
 from cfgplan.planners.networks.network import Graph

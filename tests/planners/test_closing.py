@@ -16,9 +16,8 @@ from worlds import problems
 from cfgplan.costs import start_cost_us
 from cfgplan.planners.bounding.bounds import Bound
 from cfgplan.planners.bounding.landmarks import Landmark, landmark_of
-from cfgplan.planners.closing.gap import Closing
+from cfgplan.planners.closing.gap import Closing, Repairs
 from cfgplan.planners.closing.program import LandmarkProgram
-from cfgplan.planners.closing.repairing import Repairs
 from cfgplan.planners.closing.separation import Separator
 from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planners.exact.structure import Structure

@@ -13,8 +13,7 @@ from test_closing import closing
 from test_preprocessing import Stage
 from worlds import fusions
 
-from cfgplan.planners.bounding.bounds import Bound, cheapest_way
-from cfgplan.planners.bounding.chains import chained_bound
+from cfgplan.planners.bounding.bounds import Bound, chained_bound, cheapest_way
 from cfgplan.planners.bounding.landmarks import Landmark
 from cfgplan.planners.closing.program import LandmarkProgram, charged
 from cfgplan.planners.closing.separation import Separator

@@ -14,15 +14,14 @@ from test_preprocessing import Stage
 from worlds import problems
 
 from cfgplan.planners.bounding.bounds import cheapest_way
-from cfgplan.planners.bounding.branching import Branching
-from cfgplan.planners.bounding.ways import LEFT_OUT, Links, Ways
+from cfgplan.planners.bounding.branching import LEFT_OUT, Branching, Links, Ways
 from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planners.exact.deciding import decide
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.exact.structure import Structure
 from cfgplan.planners.networks.greedy import is_plan
 from cfgplan.planners.networks.keys import Key
-from cfgplan.planners.networks.weighing import Weighing
+from cfgplan.planners.networks.network import Weighing
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import USUAL, Decide, Tuning
 from cfgplan.planning import Problem, Status

@@ -23,9 +23,8 @@ from cfgplan.domain import (
     Target,
     Transformation,
 )
-from cfgplan.planners.bounding.bounds import Bound, cheapest_way
+from cfgplan.planners.bounding.bounds import Bound, cheapest_way, tightened
 from cfgplan.planners.bounding.landmarks import ways_into
-from cfgplan.planners.bounding.tightening import tightened
 from cfgplan.planners.cpsat import plan
 from cfgplan.planners.exact import wiring
 from cfgplan.planners.networks.greedy import first_plan, plan_at

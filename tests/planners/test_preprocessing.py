@@ -9,15 +9,13 @@ from worlds import problems
 
 from cfgplan.costs import keep_cost_us, start_cost_us
 from cfgplan.planners import PLANNERS
-from cfgplan.planners.bounding.bounds import Bound, cheapest_way
-from cfgplan.planners.bounding.chains import chained_bound
+from cfgplan.planners.bounding.bounds import Bound, chained_bound, cheapest_way
 from cfgplan.planners.closing.program import charged
 from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planners.exact.candidates import Candidates, relevant
 from cfgplan.planners.exact.wiring import wire
 from cfgplan.planners.networks.greedy import first_plan, is_plan
-from cfgplan.planners.networks.network import Network
-from cfgplan.planners.networks.weighing import Weighing
+from cfgplan.planners.networks.network import Network, Weighing
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Plan, Problem, Status
 from cfgplan.reasons import Givers, startable

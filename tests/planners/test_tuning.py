@@ -13,8 +13,7 @@ from cfgplan.planners.tuning import USUAL
 ROOM = Path(cfgplan.planners.__file__).parent
 README = Path(__file__).parents[2] / "experiments" / "planning" / "README.md"
 NOT_TUNED = {
-    "networks/core.py": {"NEVER", "MOST_PASSES"},
-    "networks/crowds.py": {"MOST"},
+    "networks/core.py": {"NEVER", "MOST_PASSES", "MOST_CROWDS"},
     "networks/greedy.py": {"DEAREST", "FREE"},
     "closing/program.py": {"FROM_THE_LAST_BASIS", "FINE", "LARGEST_CHARGES"},
     "closing/separation.py": {"WHOLE", "CREEP"},

@@ -15,6 +15,7 @@ import numpy as np
 
 from cfgplan.planners.bounding.landmarks import Landmark, ways_into
 from cfgplan.planners.networks.core import MOST_PASSES, NEVER, Core, Flags, Ints
+from cfgplan.planners.solving.clock import Clock
 
 
 def cheapest_way(core: Core, cost: Ints, above: Ints | None = None) -> tuple[Ints, Ints]:
@@ -169,3 +170,69 @@ def _kept(number: Ints, rows: list[Ints]) -> list[Ints]:
     stays = items >= 0
     ends = np.cumsum([len(row) for row in rows])
     return np.split(items[stays], np.cumsum(stays)[ends - 1][:-1])
+
+
+def tightened(bound: Bound, enough: int, limit: int, clock: Clock, *, greedily: bool = False) -> Bound:
+    """Add landmarks to a bound for plans within `limit`, until it is `enough` or more of them no longer pay.
+
+    Where no plan is within `limit`, the value ends above it. With `greedily` it stops sooner, since `closing` follows.
+    """
+    rise = clock.tuning.rise
+    while bound.value < enough and not clock.is_over():
+        before = bound.value
+        keep = bound.may_be_used(limit)
+        if not keep.any():
+            bound.value = limit + 1
+            break
+        if keep.sum() < 0.8 * len(keep):
+            bound = bound.restricted(keep)
+        patience = (rise.patience if greedily else rise.last_patience) * bound.core.goal**1.5
+        each = rise.landmark + rise.need * len(bound.core.needs.items) + rise.link * bound.core.deep_links
+        bound.improve(enough, rise.landmarks, clock.is_over)
+        if bound.value < enough and not _pays(bound.value - before, enough - before, rise.landmarks * each, patience):
+            break
+    return bound
+
+
+def _pays(closed: int, gap: int, took: float, patience: float) -> bool:
+    """Whether the whole gap would be closed within `patience` at the pace of the last step."""
+    return closed * patience >= gap * took
+
+
+def chained_bound(core: Core, cost: Ints, certain: Sequence[int], is_over: Callable[[], bool]) -> int:
+    """A quick lower bound: the labels that are `certain` to run, plus the dearest chains, until the time is over.
+
+    h_max of a fact is a sum of landmarks, one for each level up to it. The zone of a level holds the facts at or above
+    it from which the fact comes by the dearest needs. All of them are charged at once, and another chain is charged
+    from what they leave. Where few labels need more than one fact at a time this meets the optimum after a few rounds.
+    """
+    residual, value = cost.copy(), int(cost[certain].sum())
+    residual[certain] = 0
+    wanted = core.needs[core.goal]
+    facts, before = cheapest_way(core, residual)
+    while len(wanted):
+        end = int(wanted[np.argmax(facts[wanted])])
+        level = int(facts[end])
+        value = min(value + level, int(NEVER))
+        if level == 0 or value == NEVER or is_over():
+            break
+        charges = _charges(core, facts, before, end)
+        # With crowds, the cheaper givers of a fact would be charged more than they have left.
+        residual -= charges if core.crowds is None else np.minimum(charges, residual)
+        facts, before = cheapest_way(core, residual, facts)
+    return value
+
+
+def _charges(core: Core, facts: Ints, before: Ints, end: int) -> Ints:
+    """The charge on each label by the landmarks of a chain: from the level of its needs to the level it enters."""
+    labels, dearest = core.needs_with(facts, before)
+    level = np.zeros_like(facts)
+    level[end] = facts[end]
+    while True:
+        entered = core.most_of_gifts(level)
+        higher = level.copy()
+        np.maximum.at(higher, dearest, np.minimum(entered, before)[labels])
+        if (higher == level).all():
+            charges: Ints = np.maximum(entered - before, 0)[:-1]
+            return charges
+        level = higher

@@ -7,20 +7,92 @@ dual simplex method goes on from there.
 from __future__ import annotations
 
 from itertools import repeat
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cfgplan.planners.bounding.bounds import Bound
 from cfgplan.planners.bounding.landmarks import Landmark
-from cfgplan.planners.closing.feeding import Feeding
 from cfgplan.planners.networks.core import Core, Floats, Ints
+from cfgplan.planners.networks.network import Graph
 from cfgplan.planners.solving.clock import Clock
+
+if TYPE_CHECKING:
+    from ortools.linear_solver import pywraplp  # type: ignore[import-untyped]
 
 FROM_THE_LAST_BASIS = "use_preprocessing: false use_dual_simplex: true initial_condition_number_threshold: 1e300"
 """With preprocessing, or doubts about the last basis, the engine would begin anew each time."""
 
 FINE, LARGEST_CHARGES = 1024, 2**58
 """Charges are integers in 1/FINE of a cost unit, or in coarser parts if their sum would exceed LARGEST."""
+
+
+def alike(network: Graph, cost: Ints) -> Ints:
+    """A number for each label, equal for those of which a cheapest plan has at most one: they meet the same demands.
+
+    If a plan had two, the later one in a grounded order could go: all that it gives is given by the earlier one. So the
+    later one must cost something, and nobody may want two different ones.
+    """
+    distinct = {network.fact_of_tag[p.tag] for t in network.transformations for p in t.inputs if p.distinct is not None}
+    gives = network.core.gives
+    first: dict[bytes, int] = {}
+    kinds = np.arange(len(cost))
+    for label in np.flatnonzero(cost).tolist():
+        facts = gives[label]
+        if distinct.isdisjoint(facts.tolist()):
+            kinds[label] = first.setdefault(facts.tobytes(), label)
+    return kinds
+
+
+class Feeding:
+    """The rows that say how used labels are fed; `uses` says how much of each label is used.
+
+    A fact is needed as much as labels that need it are used, and offered as much as its givers are used; labels that
+    are alike need it together. The prices of these rows are moved from facts to labels (Lagrangian relaxation:
+    Geoffrion 1974). Whatever the prices are, landmarks may be charged at the costs that are left.
+    """
+
+    def __init__(self, core: Core, kinds: Ints, engine: pywraplp.Solver, uses: list[pywraplp.Variable]) -> None:
+        self._core = core
+        needers = np.flatnonzero(core.needs.row_of_item < core.goal)
+        labels, facts = core.needs.row_of_item[needers], core.needs.items[needers]
+        pairs, self._pair = np.unique(kinds[labels] * len(core.givers) + facts, return_inverse=True)
+        self._labels, self._needed = labels, pairs % len(core.givers)
+        loops = np.isin(
+            core.givers.row_of_item * core.goal + core.givers.items,
+            facts * core.goal + labels,
+        )
+        self._fact_of_offer, self._offering = core.givers.row_of_item[~loops], core.givers.items[~loops]
+        self._takes = np.ones(len(core.givers), np.int64) if core.takes is None else core.takes
+        infinity = engine.infinity()
+        wanted = set(core.needs[core.goal].tolist())
+        needed = [
+            engine.NumVar(float(i in wanted), 1.0 if i in wanted else infinity, "") for i in range(len(core.givers))
+        ]
+        self._offered = [engine.RowConstraint(0.0, infinity, "") for _ in needed]
+        for row, needs, takes in zip(self._offered, needed, self._takes.tolist(), strict=True):
+            row.SetCoefficient(needs, -float(takes))
+        for fact, label in zip(self._fact_of_offer.tolist(), self._offering.tolist(), strict=True):
+            self._offered[fact].SetCoefficient(uses[label], 1.0)
+        self._together = [engine.RowConstraint(0.0, infinity, "") for _ in pairs]
+        for row, fact in zip(self._together, self._needed.tolist(), strict=True):
+            row.SetCoefficient(needed[fact], 1.0)
+        for pair, label in zip(self._pair.tolist(), labels.tolist(), strict=True):
+            self._together[pair].SetCoefficient(uses[label], -1.0)
+
+    def charged(self, cost: Ints, unit: float) -> tuple[int, Ints]:
+        """The bound by these rows alone at their prices in the last solution, and what is left of each label's cost."""
+        core = self._core
+        price = np.array([max(0, int(row.dual_value() * unit)) for row in self._offered], np.int64)
+        paid = np.array([max(0, int(row.dual_value() * unit)) for row in self._together], np.int64)
+        left = cost.copy()
+        np.subtract.at(left, self._offering, price[self._fact_of_offer])
+        np.add.at(left, self._labels, paid[self._pair])
+        price *= self._takes
+        np.subtract.at(price, self._needed, paid)
+        wanted = core.needs[core.goal]
+        value = int(price[wanted].sum() + np.minimum(np.delete(price, wanted), 0).sum() + np.minimum(left, 0).sum())
+        return value, np.maximum(left, 0)
 
 
 class LandmarkProgram:
@@ -30,7 +102,7 @@ class LandmarkProgram:
     """
 
     def __init__(self, core: Core, kinds: Ints, cost: Ints) -> None:
-        from ortools.linear_solver import pywraplp  # type: ignore[import-untyped]
+        from ortools.linear_solver import pywraplp
 
         self._optimal = pywraplp.Solver.OPTIMAL
         self._engine = pywraplp.Solver.CreateSolver("GLOP")

@@ -10,17 +10,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from cfgplan.planners.bounding.bounds import Bound
+from cfgplan.planners.bounding.bounds import Bound, chained_bound
 from cfgplan.planners.bounding.branching import Branching
-from cfgplan.planners.bounding.chains import chained_bound
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.prepared import Prepared
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.exact.structure import Structure
 from cfgplan.planners.networks.core import Core, Ints
 from cfgplan.planners.networks.greedy import first_plan, without_redundant
-from cfgplan.planners.networks.network import Network
-from cfgplan.planners.networks.weighing import Weighing
+from cfgplan.planners.networks.network import Network, Weighing
 
 
 def decide(standing: Standing, structure: Structure, among: Collection[str] | None = None) -> Candidates | None:

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cfgplan.planners.bounding.bounds import Bound, cheapest_way
-from cfgplan.planners.bounding.tightening import tightened
+from cfgplan.planners.bounding.bounds import Bound, cheapest_way, tightened
 from cfgplan.planners.exact.best_case import least_prices_us
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.first_plans import FirstPlans

@@ -7,8 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from cfgplan.planners.bounding.bounds import Bound
-from cfgplan.planners.bounding.tightening import tightened
+from cfgplan.planners.bounding.bounds import Bound, tightened
 from cfgplan.planners.closing.gap import Closing
 from cfgplan.planners.closing.separation import Separator
 from cfgplan.planners.exact.prepared import Prepared
@@ -16,7 +15,7 @@ from cfgplan.planners.exact.rest import Left
 from cfgplan.planners.exact.structure import Structure
 from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.greedy import FREE, plan_at
-from cfgplan.planners.networks.weighing import Weighing
+from cfgplan.planners.networks.network import Weighing
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import Close
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from cfgplan.planners.bounding.bounds import Bound
-from cfgplan.planners.bounding.tightening import tightened
+from cfgplan.planners.bounding.bounds import Bound, tightened
 from cfgplan.planners.exact.best_case import bound_by_price, is_one_stream_best_for_all, least_prices_us
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.first_plans import FirstPlans

@@ -11,8 +11,7 @@ from collections.abc import Collection
 
 import numpy as np
 
-from cfgplan.planners.bounding.bounds import Bound
-from cfgplan.planners.bounding.tightening import tightened
+from cfgplan.planners.bounding.bounds import Bound, tightened
 from cfgplan.planners.exact.prepared import Prepared
 from cfgplan.planners.exact.rest import Left
 from cfgplan.planners.exact.standing import Incumbent, Standing

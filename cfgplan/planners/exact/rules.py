@@ -331,7 +331,7 @@ def new_units_come_in_order(model: Model) -> None:
 def one_of_new_units_alike_is_enough(model: Model) -> None:
     """Of new units that meet the same demands at most one runs, and those that have a need share it.
 
-    It shortens the proof where nothing is asked beyond the paper; `closing.alike` says why it holds. Where
+    It shortens the proof where nothing is asked beyond the paper; `closing.program.alike` says why it holds. Where
     transformations are required two of them may be wanted.
     """
     if model.problem.notions or model.tracked:

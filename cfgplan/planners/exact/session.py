@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cfgplan.domain import Similarity
-from cfgplan.planners.bounding.bounds import Bound
-from cfgplan.planners.bounding.tightening import tightened
+from cfgplan.planners.bounding.bounds import Bound, tightened
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.deciding import decide
 from cfgplan.planners.exact.prepared import Prepared
@@ -28,8 +27,7 @@ from cfgplan.planners.exact.structure import Structure
 from cfgplan.planners.exact.wiring import what_runs
 from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.greedy import cost_of, first_plan, improved, is_plan, with_less
-from cfgplan.planners.networks.network import Network, costs
-from cfgplan.planners.networks.weighing import Weighing
+from cfgplan.planners.networks.network import Network, Weighing, costs
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import USUAL, Tuning
 from cfgplan.planners.undecided import Deciding

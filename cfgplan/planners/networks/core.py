@@ -5,23 +5,25 @@ See `network` for what labels and facts are.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from heapq import heappop, heappush
-from itertools import chain
+from itertools import chain, combinations
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from cfgplan.planners.networks.crowds import Crowds, Number
-
 Ints = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
+Number = TypeVar("Number", np.int64, np.float64)
 
 NEVER = np.int64(2**60)
 """A cost that no sum of real costs reaches."""
+MOST_CROWDS = 4
+"""A group that asks for more different things has crowds for single ones, pairs and all together only."""
 MOST_PASSES = 60
 """A core that takes more passes than this is deep: its facts are better followed one by one."""
 
@@ -79,6 +81,49 @@ class _Lists(dict[int, list[int]]):
 
 def _starts(counts: npt.ArrayLike) -> Ints:
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+
+
+class Crowds:
+    """The facts that take more than one giver; their givers are numbers below `labels`."""
+
+    def __init__(self, facts: npt.NDArray[np.int64], takes: Sequence[int], givers: Sequence[list[int]], labels: int):
+        self.facts = facts
+        most = max(*map(len, givers), *takes)
+        self._givers = np.array([row + [labels] * (most - len(row)) for row in givers])
+        self._is_padded = bool((self._givers == labels).any())
+        self._places = np.arange(len(takes)), np.array(takes) - 1
+
+    def least(self, of_label: npt.NDArray[Number]) -> npt.NDArray[Number]:
+        """For each of the facts the n-th least value of its givers, n being how many it takes."""
+        values: npt.NDArray[Number] = self._sorted(of_label)[self._places]
+        return values
+
+    def least_sums(self, of_label: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """For each of the facts the least sum over as many givers as it takes."""
+        sums: npt.NDArray[np.float64] = self._sorted(of_label).cumsum(axis=1)[self._places]
+        return sums
+
+    def _sorted(self, of_label: npt.NDArray[Number]) -> npt.NDArray[Number]:
+        if self._is_padded:
+            never = np.inf if of_label.dtype == np.float64 else np.iinfo(np.int64).max
+            of_label = np.append(of_label, np.array(never, of_label.dtype))
+        values: npt.NDArray[Number] = of_label[self._givers]
+        values.sort(axis=1)
+        return values
+
+
+def crowds_of_group(inputs: Mapping[tuple[int, ...], int]) -> Iterator[tuple[tuple[int, ...], int]]:
+    """The crowds of a distinct group: givers, and how many of them it takes.
+
+    A group can be fed by different transformations if and only if any n of its inputs have at least n givers together
+    (Hall 1935). `inputs` says how many inputs of the group each set of givers feeds.
+    """
+    sizes: Iterable[int] = range(1, len(inputs) + 1) if len(inputs) <= MOST_CROWDS else (1, 2, len(inputs))
+    for size in sizes:
+        for together in combinations(inputs, size):
+            givers = sorted(set().union(*together))
+            if size == 1 or len(givers) < sum(map(len, together)):
+                yield together[0] if size == 1 else tuple(givers), sum(inputs[one] for one in together)
 
 
 @dataclass(frozen=True)
