@@ -52,6 +52,11 @@ class _Steps:
         self._number = 0
         self.wirings = 0
 
+    def look(self) -> None:
+        """Look at the clock."""
+        if time.monotonic() >= self._until:
+            raise _TimeIsOverError
+
     def take(self) -> None:
         self._number += 1
         if self._number > MOST_STEPS:
@@ -59,8 +64,7 @@ class _Steps:
                 f"the exhaustive planner tries every wiring and {MOST_STEPS:,} steps were too few for it",
                 mend="use the planner cpsat",
             )
-        if time.monotonic() >= self._until:
-            raise _TimeIsOverError
+        self.look()
 
 
 def plan(
@@ -101,7 +105,8 @@ def _configurations(
     """The valid configurations with a rank that `may_do`; where a rank does not, no greater one does."""
     environment, similarity = problem.environment, problem.similarity
     pinned = _pinned(problem)
-    for least, units in sorted(_sets(problem), key=lambda entry: (entry[0], len(entry[1]), [u.id for u in entry[1]])):
+    sets = _sets(problem, steps)
+    for least, units in sorted(sets, key=lambda entry: (entry[0], len(entry[1]), [u.id for u in entry[1]])):
         if not may_do(least):
             return
         after = replace(environment, units=units)
@@ -168,7 +173,7 @@ def _pinned(problem: Problem) -> set[str]:
     return {unit.id for unit in pinned if unit.transformation in possible}
 
 
-def _sets(problem: Problem) -> list[tuple[OracleRank, Units]]:
+def _sets(problem: Problem, steps: _Steps) -> list[tuple[OracleRank, Units]]:
     """Every set of units that is allowed where it is, not wired yet, with the best rank that it could have."""
     environment = problem.environment
     running = [_wired(unit, ()) for unit in environment.units if _may_stay(problem, unit)]
@@ -194,8 +199,13 @@ def _sets(problem: Problem) -> list[tuple[OracleRank, Units]]:
     ]
     kept = chain.from_iterable(combinations(running, size) for size in range(len(running) + 1))
     sets = ((*one, *chain.from_iterable(others)) for one, others in product(list(kept), list(product(*new))))
-    afters = (replace(environment, units=units) for units in sets)
-    return [(_least(problem, after), after.units) for after in afters if _is_allowed(after)]
+    found = []
+    for units in sets:
+        steps.look()
+        after = replace(environment, units=units)
+        if _is_allowed(after):
+            found.append((_least(problem, after), units))
+    return found
 
 
 def _may_stay(problem: Problem, unit: ComputationUnit) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from threading import Event
 
@@ -249,6 +250,12 @@ def test_the_oracle_refuses_what_it_cannot_try(monkeypatch: pytest.MonkeyPatch) 
     wide = [make(f"f{i}", "A" * 3, "A") for i in range(5)]
     with pytest.raises(InputError, match="steps were too few"):
         PLANNERS["exhaustive"](world("A", make("s", gives="A"), make("r", gives="D", required=True), *wide))
+
+
+def test_the_oracle_keeps_a_time_limit_before_it_wires_anything() -> None:
+    problem, began = world("A", *(make(f"t{i}", gives="A") for i in range(17))), time.process_time()
+    assert PLANNERS["exhaustive"](problem, time_limit_s=0.2).status is Status.UNKNOWN
+    assert time.process_time() - began < 3  # the sets of units alone take 12 s
 
 
 @every_planner
