@@ -10,10 +10,21 @@ from unittest import mock
 
 import pytest
 from alone import search_alone
-from ortools.sat.python.cp_model import FEASIBLE, INFEASIBLE, MODEL_INVALID, OPTIMAL, CpModel, CpSolver
+from ortools.sat.python.cp_model import (
+    FEASIBLE,
+    INFEASIBLE,
+    MODEL_INVALID,
+    OPTIMAL,
+    CpModel,
+    CpSolver,
+    LinearExprT,
+)
 
 from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planners.exact import search
+from cfgplan.planners.exact.model import Model
+from cfgplan.planners.exact.survival import Missed, Survival
+from cfgplan.planners.solving.clock import ContradictionError
 from cfgplan.planners.tuning import USUAL
 from cfgplan.planning import Failures, PlannerFaultError, Problem, Status
 from cfgplan.validity import plan_violations
@@ -63,3 +74,26 @@ def test_an_engine_that_denies_the_plan_in_hand_is_an_error_that_carries_it(
     assert plan_violations(problem, raised.value.plan) == []
     elsewhere = pickle.loads(pickle.dumps(raised.value))  # as a pool of processes does
     assert (str(elsewhere), elsewhere.plan) == (str(raised.value), raised.value.plan)
+
+
+@pytest.mark.parametrize("problem", [instances.hosted(0, 30), instances.weighted(0, 30, 3)], ids=["hosts", "quality"])
+def test_a_model_that_reckons_a_plan_too_cheap_is_an_error_that_carries_it(problem: Problem) -> None:
+    def reckons(_: Model) -> LinearExprT:
+        return 0
+
+    with mock.patch.object(Model, "cost", reckons), pytest.raises(PlannerFaultError, match="than the model says"):
+        PlannerSession().plan(problem)
+
+
+def test_a_solution_that_is_no_plan_for_no_reason_is_an_error() -> None:
+    alone = search_alone(random_library(0, transformations=12, targets=1))
+    with mock.patch.object(search, "decode", lambda *_: None), pytest.raises(ContradictionError):
+        alone.run()
+
+
+def test_a_failure_that_is_not_survived_although_enough_is_demanded_is_an_error() -> None:
+    problem = replace(random_library(0, transformations=12, targets=1), survive=Failures.UNITS)
+    always = [Missed(frozenset({problem.environment.library[0].label}))]
+    alone = search_alone(problem)
+    with mock.patch.object(Survival, "missed", lambda *_: always), pytest.raises(ContradictionError):
+        alone.run()

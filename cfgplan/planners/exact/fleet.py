@@ -53,13 +53,15 @@ def _search(candidates: Candidates, standing: Standing, first: FirstPlans) -> No
     quality = QualityStart(candidates, standing, first)
     if not quality.is_asked or (not quality.is_weighed and len(candidates.network.labels) >= clock.tuning.fleet.many):
         look_among_few(candidates, standing, first)
-    slice_s = clock.tuning.fleet.round if quality.is_asked else inf
-    while not (standing.is_over or standing.is_infeasible):
+    tuning = clock.tuning.fleet
+    slices = [tuning.round * tuning.growth**number for number in range(tuning.rounds if quality.is_asked else 0)]
+    for slice_s in (*slices, inf):
+        if standing.is_over:
+            break
         left = left_by_bounds(quality.candidates, standing)
         clock.end("bounds")
         _solve(quality.candidates.among(left.labels), standing, left.landmarks, quality.cuts, slice_s)
-        slice_s *= clock.tuning.fleet.growth
-        if not (standing.is_over or standing.is_infeasible):
+        if not standing.is_over:
             quality.look_closer()
 
 

@@ -160,10 +160,10 @@ class Search:
         return scale if scale * (1 + largest_us) < LARGEST and scale * (1 + exact_us) < EXACT else 0
 
     def minimise(self, objective: LinearExprT, level_of: Callable[[Key], int], scale: int) -> bool:
-        """Solve and forbid in rounds. True if the incumbent is proven best in this objective.
+        """Solve and forbid in rounds. True if the incumbent is proven best in this objective; False if time is over.
 
         `level_of` gives the objective of a plan. A microsecond of cost weighs `scale` in it, 0 if it does not count.
-        Raises InfeasibleError if there is no plan at all.
+        Raises InfeasibleError if there is no plan at all. The rounds end: each forbids a solution.
         """
         self.model.cp.minimize(objective)
         standing = self.standing
@@ -190,10 +190,11 @@ class Search:
                 return False
             true = self.true_of(solver.boolean_value)
             key = self.consider(true)
-            if key is None:
-                self.forbid(true)
-            else:
-                return status == OPTIMAL and level_of(key) <= round(solver.objective_value)
+            if key is not None:
+                if level_of(key) > round(solver.objective_value):
+                    raise ContradictionError("a plan costs or changes more than the model says")
+                return status == OPTIMAL
+            self.forbid(true)
         return False
 
     def _refuse(self) -> None:
@@ -222,19 +223,22 @@ class Search:
         return self.consider(self.true_of(holds)) is not None or self._has_hosts
 
     def forbid(self, true: set[int]) -> None:
-        """Forbid a solution that is no plan, and all others that fail for the same reason."""
+        """Forbid a solution that is no plan, and all others that fail for the same reason.
+
+        Raises ContradictionError if there is no reason: the same solution would come again and again.
+        """
         model, cp, candidates = self.model, self.model.cp, self.model.candidates
         running = {i for i, runs in model.runs.items() if runs.index in true}
         if self._survival is not None and self._first is not None:
             units = decode(model, true)
-            if units is not None:
-                self._survival.demand(model, self._survival.missed(units))
+            if units is not None and self._survival.demand(model, self._survival.missed(units)):
                 self._first.offer(running)
                 return
         unfounded, ways_in = model.anywhere.cut(true, model.anywhere.grounded(true))
         if not unfounded:
             unfounded, ways_in = model.support.cut(true, model.support.grounded(true))
-        assert unfounded, "a solution without a plan has something that is not grounded"
+        if not unfounded or not true.isdisjoint(ways_in):
+            raise ContradictionError("a solution is no plan, though all of it is grounded")
         ways = [cp.get_bool_var_from_proto_index(way) for way in ways_in]
         for proposition in unfounded:
             model.needs_any(cp.get_bool_var_from_proto_index(proposition), ways)

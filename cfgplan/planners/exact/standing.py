@@ -45,7 +45,7 @@ class Standing:
     @property
     def is_over(self) -> bool:
         """Whether all is proven, or the time is over."""
-        return self.are_ties_proven or self.clock.is_over()
+        return self.are_ties_proven or self.is_infeasible or self.clock.is_over()
 
     @property
     def is_at_bound(self) -> bool:

@@ -51,18 +51,18 @@ class Survival:
         ]
         return list(dict.fromkeys(found))
 
-    def demand(self, model: Model, missed: Collection[Missed]) -> None:
-        """Demand enough units of every missed landmark."""
-        for each in missed:
-            if each in self._known:
-                continue
-            self._known.add(each)
+    def demand(self, model: Model, missed: Collection[Missed]) -> bool:
+        """Demand enough units of every missed landmark. Returns whether one of them is new."""
+        new = [each for each in missed if each not in self._known]
+        self._known.update(new)
+        for each in new:
             units = [i for i, c in enumerate(self.candidates.all) if c.transformation.label in each.labels]
             if each.host is None:
                 model.cp.add(LinearExpr.sum([model.is_there[i] for i in units]) >= 2)
             else:
                 places = [places for i in units for places in (model.runs_on[i], model.waits_on[i])]
                 model.cp.add_bool_or([there for on in places for host, there in on.items() if host != each.host])
+        return bool(new)
 
     def _landmark(self, target: Target, left: Collection[str]) -> frozenset[str]:
         """All transformations but a largest set that does not meet the target; the dear ones go into the set first."""
