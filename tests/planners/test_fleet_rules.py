@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
+from alone import search_alone
 from fixed import Apart, Hubs, kind, on, publishes, rewired, runs, unit, waits, world
 
 from cfgplan.domain import Host, OutputPort, Target, Transformation
@@ -448,3 +450,52 @@ def test_two_attributes_are_both_kept() -> None:
     fixed = Apart(world(targets, *library, middle, qualities=(LOW, error)))
     assert fixed.allows(runs("u.1"))
     assert not fixed.allows(~runs("u.1"))
+
+
+def told_apart(problem: Problem) -> set[str]:
+    """The inputs, by label and port, that have a boolean for each stream that may feed them."""
+    model = search_alone(problem).model
+    return {f"{model.candidates.all[i].transformation.label}/{port}" for i, port in model.connects}
+
+
+def of_error_and_latency(*library: Transformation) -> Problem:
+    """A sensor of A; C must have little error, D little latency, and nothing is asked of E."""
+    sensors = (kind("s", gives="A", output=states(1)), kind("t", gives="A", output=states(2)))
+    asked = {"C": (Wish("e", 60),), "D": (Wish("q", 60),)}
+    targets = tuple(Target(tag, tag, f"/{tag}", quality=asked.get(tag, ())) for tag in "CDE")
+    error = replace(LOW, name="e")
+    return world(targets, *sensors, *library, qualities=(LOW, error))
+
+
+def test_only_inputs_whose_stream_counts_for_two_attributes_are_told_apart() -> None:
+    ways = (kind("c", "B", "C"), kind("d", "F", "D"), kind("e", "BF", "E"))
+    assert told_apart(of_error_and_latency(*ways, kind("b", "A", "B"), kind("f", "A", "F"))) == {"b/in0", "f/in0"}
+    assert told_apart(of_error_and_latency(*ways, kind("b", "A", "B"), kind("f", gives="F"))) == set()
+    stated = OutputPort("x", "", (Contribution("e", QualityRule.SET, 3),))
+    assert told_apart(of_error_and_latency(*ways, kind("b", "A", "B", output=stated), kind("f", "A", "F"))) == set()
+
+
+@pytest.mark.parametrize(
+    ("stated", "apart"),
+    [
+        (states(5, QualityRule.ADD), set()),
+        (states(5, QualityRule.LIMIT), set()),
+        (states(5, QualityRule.SET), {"there/in0", "out/in0"}),  # what feeds `back` does not count
+        (states(MICRO // 2, QualityRule.SCALE), {"there/in0", "back/in0", "out/in0"}),
+        (states(2 * MICRO, QualityRule.SCALE), set()),
+    ],
+)
+def test_only_inputs_in_a_ring_that_makes_streams_better_are_told_apart(stated: OutputPort, apart: set[str]) -> None:
+    ring = (kind("there", "A", "B", output=states(1, QualityRule.ADD)), kind("back", "B", "A", output=stated))
+    after = (kind("s", gives="A", output=states(9)), kind("out", "A", "C"), kind("last", "C", "D"))
+    target = Target("D", "D", "/D", quality=(Wish("q", 60),))
+    assert told_apart(world((target,), *ring, *after, qualities=(LOW,))) == apart
+
+
+def test_what_is_distinct_required_or_a_feedback_input_tells_no_other_input_apart() -> None:
+    sensors = tuple(kind(label, gives="A", output=states(at)) for label, at in (("s", 1), ("t", 2)))
+    fused = kind("fused", "AA", "B", distinct=(0, 1))
+    looped = kind("looped", "BC", "C", feedback=(1,), required=True)
+    target = Target("D", "D", "/D", quality=(Wish("q", 60),))
+    found = told_apart(world((target,), *sensors, fused, looped, kind("last", "C", "D"), qualities=(LOW,)))
+    assert found == {"fused/in0", "fused/in1", "looped/in1", "last/in0"}

@@ -13,7 +13,7 @@ from cfgplan.errors import InputError
 from cfgplan.figures import qualities_of_targets
 from cfgplan.planners import PLANNERS
 from cfgplan.planners.bounding.bounds import Bound
-from cfgplan.planners.exact.best_case import is_one_stream_best_for_all, leave_out_what_is_too_bad
+from cfgplan.planners.exact.best_case import demands_of_quality, leave_out_what_is_too_bad
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.first_plans import FirstPlans
 from cfgplan.planners.exact.quality_chains import Chains
@@ -112,7 +112,7 @@ def test_a_plan_without_search_costs_what_it_says(problem: Problem) -> None:
     leave_out_what_is_too_bad(candidates)
     candidates = candidates.among(candidates.labels)
     asked = {wish.attribute for target in problem.environment.targets for wish in target.quality}
-    assume(asked and is_one_stream_best_for_all(candidates) and can_be_planned(candidates))
+    assume(len(asked) == 1 and can_be_planned(candidates) and not any(demands_of_quality(candidates).values()))
     assume(len(candidates.network.targets) == len(problem.environment.targets))
     planner = QualityPlanner(candidates, problem.environment.quality[asked.pop()], Clock())
     plan = planner.best([], np.zeros(len(candidates.all)))

@@ -1,19 +1,20 @@
 """How good streams can be at best, and how bad they may be at worst, attribute by attribute.
 
 The best values assume that all that can run runs. A stream that misses every bound even then is of no use anywhere.
-Mostly one stream is the best for all who want it, whoever runs.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
+from itertools import chain
 
 from cfgplan.domain import OutputPort, Stream, Transformation
 from cfgplan.planners.exact.candidates import Candidate, Candidates
-from cfgplan.planning import Notion
 from cfgplan.qualities import MICRO, Better, Contribution, Over, QualityAttribute, QualityRule, price_us, propagated
-from cfgplan.reasons import distinct_groups
+
+Demand = tuple[Stream, ...]
+"""What inputs or a target ask for: the streams that would do."""
 
 
 def leave_out_what_is_too_bad(candidates: Candidates) -> None:
@@ -209,30 +210,51 @@ def _allowed_before(attribute: QualityAttribute, candidate: Candidate, stated: C
             return attribute.worst
 
 
-def is_one_stream_best_for_all(candidates: Candidates) -> bool:
-    """Whether one stream can meet a demand for all who have it.
+def demands_of_quality(candidates: Candidates) -> dict[Demand, bool]:
+    """The demands whose stream is a part of what some target asks for, and whether it matters who has the demand.
 
-    With one attribute all want the best stream. Where no stream in a ring of demands is better than its inputs, the
-    best one is there before all that is made of it.
+    Mostly all who have a demand want the same stream, the best. Not so where two attributes count; nor in a ring of
+    demands with a stream that is better than its inputs: the best one may be made of what one who wants it makes.
     """
-    problem = candidates.problem
-    asked = {wish.attribute for target in problem.environment.targets for wish in target.quality}
-    transformations = {c.transformation.label: c.transformation for c in candidates.all}.values()
-    if (
-        Notion.SURVIVAL in problem.notions
-        or len(asked) > 1
-        or any(t.required or distinct_groups(t) or any(p.feedback for p in t.inputs) for t in transformations)
-    ):
-        return False
+    environment = candidates.environment
+    asked = sorted({wish.attribute for target in environment.targets for wish in target.quality})
+    counting = {name: _where_it_counts(candidates, environment.quality[name]) for name in asked}
+    found = {demand: sum(demand in these for these in counting.values()) > 1 for demand in chain(*counting.values())}
     better = [
-        (t, port)
+        (name, t.label, port)
         for name in asked
-        for t in transformations
+        for t in _transformations(candidates)
         for port in t.outputs
-        if t.inputs and not _is_no_better_than_its_inputs(problem.environment.quality[name], t, port)
+        if not _is_no_better_than_its_inputs(environment.quality[name], t, port)
     ]
     ring_of = _rings(candidates) if better else {}
-    return not any(ring_of[port.tag] == ring_of[one.tag] for t, port in better for one in t.inputs)
+    for name, label, port in better:
+        ring = ring_of[label, port.name]
+        found.update({demand: True for demand in counting[name] if ring_of.get(demand) == ring})
+    return found
+
+
+def _transformations(candidates: Candidates) -> list[Transformation]:
+    return list({c.transformation.label: c.transformation for c in candidates.all}.values())
+
+
+def _where_it_counts(candidates: Candidates, attribute: QualityAttribute) -> set[Demand]:
+    """The demands of targets that ask for an attribute, and of inputs of which such streams are made."""
+    ahead = [
+        target.tag
+        for target in candidates.environment.targets
+        if any(wish.attribute == attribute.name for wish in target.quality)
+    ]
+    seen = set(ahead)
+    for tag in ahead:
+        for stream in candidates.streams(tag):
+            t = candidates.all[candidates.index_of[stream.unit]].transformation
+            stated = {c.attribute: c for c in t.output[stream.port].quality}.get(attribute.name)
+            if stated is None or stated.rule is not QualityRule.SET:
+                new = {port.tag for port in t.inputs if not port.feedback} - seen
+                seen |= new
+                ahead += sorted(new)
+    return {candidates.streams(tag) for tag in ahead}
 
 
 def _is_no_better_than_its_inputs(attribute: QualityAttribute, of: Transformation, port: OutputPort) -> bool:
@@ -240,7 +262,9 @@ def _is_no_better_than_its_inputs(attribute: QualityAttribute, of: Transformatio
     if stated is None:
         return True
     is_low = attribute.better is Better.LOWER
-    if len(of.inputs) > 1 and not (stated.over is Over.WORST or (stated.over is Over.SUM and is_low)):
+    if sum(not port.feedback for port in of.inputs) > 1 and not (
+        stated.over is Over.WORST or (stated.over is Over.SUM and is_low)
+    ):
         return False
     match stated.rule:
         case QualityRule.LIMIT:
@@ -253,18 +277,18 @@ def _is_no_better_than_its_inputs(attribute: QualityAttribute, of: Transformatio
             return stated.value >= MICRO if is_low else stated.value <= MICRO
 
 
-def _rings(candidates: Candidates) -> dict[str, int]:
-    """The strongly connected component of each tag; an offered tag depends on the tags demanded to make it."""
+def _rings(candidates: Candidates) -> dict[Hashable, int]:
+    """The strongly connected component of each demand, and of each output, by label and port."""
     from networkx import DiGraph, strongly_connected_components
 
-    graph: DiGraph[str] = DiGraph()
-    graph.add_nodes_from(port.tag for candidate in candidates.all for port in candidate.transformation.outputs)
-    library = candidates.environment.transformation
-    for t in {candidate.transformation.label for candidate in candidates.all}:
-        for one in library[t].inputs:
-            graph.add_edges_from((one.tag, port.tag) for port in library[t].outputs)
-    demanded = {one.tag for candidate in candidates.all for one in candidate.transformation.inputs}
-    for tag in demanded:
-        graph.add_edges_from((offered, tag) for offered in candidates.problem.similarity.offers.get(tag, ()))
+    graph: DiGraph[Hashable] = DiGraph()
+    demands: set[Demand] = set()
+    for t in _transformations(candidates):
+        inputs = {candidates.streams(port.tag) for port in t.inputs if not port.feedback}
+        demands |= inputs
+        graph.add_nodes_from((t.label, port.name) for port in t.outputs)
+        graph.add_edges_from((one, (t.label, port.name)) for one in inputs for port in t.outputs)
+    for one in demands:
+        graph.add_edges_from(((candidates.label_of(stream), stream.port), one) for stream in one)
     parts = enumerate(strongly_connected_components(graph))
-    return {tag: number for number, part in parts for tag in part}
+    return {node: number for number, part in parts for node in part}

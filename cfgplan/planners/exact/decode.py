@@ -104,7 +104,7 @@ class _Decoding:
             return tuple(taken if model.tells_ports else [self._port_of(stream, port.tag, old) for stream in taken])
         if unit in model.stays and model.stays[unit].index in self.true and old:
             return old if all(self._place(stream, host) is not None for stream in old) else ()
-        if (key := model.hub_key(port.tag, host)) in model.meets:
+        if not port.feedback and (key := model.hub_key(port.tag, host)) in model.meets:
             there = [stream for stream, taken in model.meets[key].items() if taken.index in self.rank]
         else:
             limit = len(self.rank) if port.feedback else self._wired_at(unit)

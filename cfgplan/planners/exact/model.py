@@ -14,7 +14,7 @@ from ortools.sat.python.cp_model import CpModel, IntVar, LinearExpr, LinearExprT
 
 from cfgplan.costs import transfer_cost_us
 from cfgplan.domain import InputPort, Stream
-from cfgplan.planners.exact.best_case import is_one_stream_best_for_all
+from cfgplan.planners.exact.best_case import demands_of_quality
 from cfgplan.planners.exact.candidates import Candidates, HostName
 from cfgplan.planners.solving.engine import at_least
 from cfgplan.planners.solving.support import Support
@@ -26,7 +26,7 @@ ModelRule = Callable[["Model"], None]
 class Model:
     """The booleans of a problem's candidates, by their index; streams and ports by name.
 
-    Every input and target is told apart with `is_apart`, and where quality is asked for and no stream is best for all.
+    Every input and target is told apart with `is_apart`.
     """
 
     def __init__(self, candidates: Candidates, rules: Iterable[ModelRule], *, is_apart: bool = False) -> None:
@@ -34,7 +34,7 @@ class Model:
         self.problem = candidates.problem
         self.environment = candidates.environment
         self.asks_for_quality = Notion.QUALITY in self.problem.notions
-        self.is_apart = is_apart or (self.asks_for_quality and not is_one_stream_best_for_all(candidates))
+        self.is_apart = is_apart
         self.cp = CpModel()
         self.support = Support()
         self.anywhere = Support()
@@ -70,6 +70,11 @@ class Model:
         """Whether it matters which stream of a unit is taken."""
         self._any_stream = [Stream(candidate.id, "") for candidate in candidates.all]
         self.needing = self._units_by_demand()
+        of_quality = demands_of_quality(candidates) if self.asks_for_quality else {}
+        self.is_apart_for_quality = {
+            number: of_quality[streams] for number, streams in enumerate(self._streams) if streams in of_quality
+        }
+        """For the demands whose stream counts for the quality of a target: whether their inputs are told apart."""
         for rule in rules:
             rule(self)
 
@@ -127,10 +132,11 @@ class Model:
         return self.candidates.index_of[stream.unit]
 
     def is_told_apart(self, unit: int, port: InputPort) -> bool:
-        """Whether it matters who feeds the input: a distinct one, or one that a required unit could reach."""
+        """Whether it matters who feeds the input: for quality, as it is distinct, or as a required one can reach it."""
         return (
             self.is_apart
             or port.distinct is not None
+            or (not port.feedback and self.is_apart_for_quality.get(self.demand(port.tag), False))
             or (unit in self.tracked and not self.tracked.isdisjoint(self.candidates.feeders(port.tag)))
         )
 

@@ -20,15 +20,13 @@ from cfgplan.planners.networks.core import Floats, Ints
 from cfgplan.planners.networks.greedy import FREE
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import USUAL, Quality
+from cfgplan.planning import Notion
 from cfgplan.qualities import Better, QualityAttribute, is_met, price_us, propagated, worst_allowed
 
 
 def can_be_planned(candidates: Candidates) -> bool:
-    """Whether a plan is any set of units that are fed: there are no hosts, conflicts or numbers of instances."""
-    transformations = {c.transformation.label: c.transformation for c in candidates.all}.values()
-    return not candidates.environment.hosts and not any(
-        t.conflicts or t.min_instances or t.max_instances is not None for t in transformations
-    )
+    """Whether a plan is any set of units that are fed: nothing but quality is asked, and inputs are ordinary ones."""
+    return candidates.problem.notions == {Notion.QUALITY} and not candidates.network.special
 
 
 class QualityPlanner:

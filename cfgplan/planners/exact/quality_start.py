@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cfgplan.planners.bounding.bounds import Bound, tightened
-from cfgplan.planners.exact.best_case import bound_by_price, is_one_stream_best_for_all, least_prices_us
+from cfgplan.planners.exact.best_case import bound_by_price, demands_of_quality, least_prices_us
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.first_plans import FirstPlans
 from cfgplan.planners.exact.quality_chains import ChainCut
@@ -11,12 +11,13 @@ from cfgplan.planners.exact.quality_cuts import CLOSE, QUICK, Spreads, chain_cut
 from cfgplan.planners.exact.quality_plan import QualityPlanner, can_be_planned
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.networks.greedy import cost_of, first_plan
+from cfgplan.planning import Notion
 
 
 class QualityStart:
     """Offers a good plan, finds cuts on chains of streams, and bounds what targets weigh by the plan's cost.
 
-    It `is_asked` for where quality is asked for and one stream is best for all, and `is_weighed` if that has a price.
+    It `is_asked` for where one attribute counts and one stream is best for all, and `is_weighed` if that has a price.
     """
 
     def __init__(self, candidates: Candidates, standing: Standing, first: FirstPlans) -> None:
@@ -24,7 +25,11 @@ class QualityStart:
         self.cuts: list[ChainCut] = []
         wishes = [wish for target in candidates.environment.targets for wish in target.quality]
         self._asked = sorted({wish.attribute for wish in wishes})
-        self.is_asked = bool(wishes) and is_one_stream_best_for_all(candidates)
+        self.is_asked = (
+            len(self._asked) == 1
+            and Notion.SURVIVAL not in candidates.problem.notions
+            and not any(demands_of_quality(candidates).values())
+        )
         self.is_weighed = self.is_asked and any(wish.weight_us for wish in wishes)
         self._least_us, self._is_close = 0, False
         if self.is_weighed:

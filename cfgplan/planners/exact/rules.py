@@ -155,7 +155,7 @@ def a_demand_is_met_first_by_a_unit_that_does_not_need_it(model: Model) -> None:
     for (demand, host), hub in model.candidates.clock.each(model.hubs.items()):
         first = {stream: _first_ways(model, stream, demand, host) for stream in model.streams_of(demand)}
         ways = {way.index: way for these in first.values() for way in these}
-        if model.asks_for_quality and (host is not None or not model.is_carried(demand)):
+        if demand in model.is_apart_for_quality and (host is not None or not model.is_carried(demand)):
             model.needs_any(hub, list(ways.values()))
             one_stream_meets_a_demand(model, (demand, host), first)
         else:
