@@ -17,6 +17,7 @@ from typing import TypeVar
 from cfgplan.canonical import fields_of, refuse_duplicates, store_resources, store_sorted, store_whole
 from cfgplan.errors import InvalidValueError
 from cfgplan.qualities import MICRO, QualityAttribute, Wish
+from cfgplan.selectors import selector
 from cfgplan.transformations import CPU as CPU
 from cfgplan.transformations import MEMORY as MEMORY
 from cfgplan.transformations import START_MODES as START_MODES
@@ -123,7 +124,8 @@ class Host:
     """A computer: the CPU time (microseconds each second) and megabytes that units may take; None: no limit.
 
     `offers` says how much it has of other resources, in whole numbers: of what is not there it has nothing. A unit
-    takes the CPU time of its transformation divided by `speed`, which is in millionths.
+    takes the CPU time of its transformation divided by `speed`, which is in millionths. Selectors choose it by its name
+    and its `labels`.
     """
 
     name: str
@@ -131,12 +133,18 @@ class Host:
     memory_mb: int | None = None
     offers: Mapping[str, int] = field(default_factory=dict, hash=False)
     speed: int = MICRO
+    labels: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         store_whole(self, "speed")
+        store_sorted(self, "labels", dict.fromkeys(self.labels), str)
         if self.speed <= 0:
             raise InvalidValueError(f"the speed of host {self.name!r} is not above 0")
         store_resources(self, "offers", {CPU: "cpu_us", MEMORY: "memory_mb"})
+
+    def fits(self, text: str) -> bool:
+        """Whether a selector, an expression over labels, chooses the host. Raises TagError."""
+        return selector(text)((self.name, *self.labels))
 
     def room(self, resource: str) -> int | None:
         """How much units may take there in all of what `Transformation.takes` names; None: no limit."""
@@ -304,7 +312,11 @@ class Environment:
         if not self.hosts:
             return (None,)
         wanted = transformation.hosts if transformation.host is None else (transformation.host,)
-        return tuple(host.name for host in self.hosts if not wanted or host.name in wanted)
+        return tuple(
+            host.name
+            for host in self.hosts
+            if (not wanted or host.name in wanted) and (transformation.on is None or host.fits(transformation.on))
+        )
 
     def places_for(self, transformation: Transformation) -> tuple[Host | None, ...]:
         """The hosts where units of a transformation may run; only None if there are no hosts."""

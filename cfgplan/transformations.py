@@ -11,6 +11,7 @@ from types import MappingProxyType
 from cfgplan.canonical import fields_of, refuse_duplicates, store_resources, store_sorted, store_whole
 from cfgplan.errors import InvalidValueError
 from cfgplan.qualities import Contribution
+from cfgplan.selectors import check_selector
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -106,7 +107,8 @@ class Transformation:
     wherever that is possible at all (section V-C).
 
     Where an environment has hosts, units run on `host`, or on one of `hosts` if that is None, or anywhere if
-    both are empty, and take there what `takes` says: CPU time, memory and `needs`, whole numbers of other resources.
+    both are empty, but only where the host's labels and name fit the selector `on` (such as `robot and not spot`),
+    and take there what `takes` says: CPU time, memory and `needs`, whole numbers of other resources.
     On a host in `seen_us` they cost the labor and upkeep given there, instead of what its speed makes of `labor_us`
     and `upkeep_us`. No unit is there together with one of a transformation in `conflicts`, or on one host with one of a
     transformation in `conflicts_on_host`. At least `min_instances` units run; at
@@ -136,6 +138,7 @@ class Transformation:
     seen_us: Mapping[str, tuple[int, int]] = field(default_factory=dict, hash=False)
     per_host: int | None = None
     conflicts_on_host: tuple[str, ...] = ()
+    on: str | None = None
 
     def __post_init__(self) -> None:
         store_sorted(self, "inputs", self.inputs, attrgetter("name"))
@@ -162,6 +165,8 @@ class Transformation:
         store_resources(self, "needs", {MEMORY: "memory_mb"})
         if self.min_instances < 0 or (self.max_instances is not None and self.max_instances < self.min_instances):
             raise InvalidValueError(f"transformation {self.label!r} asks for more instances than it allows")
+        if self.on is not None:
+            check_selector(self.on)
         if self.per_host is not None and self.per_host < 1:
             raise InvalidValueError(f"transformation {self.label!r} allows no unit on any host")
 

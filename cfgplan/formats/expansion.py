@@ -124,7 +124,7 @@ class Expander:
             return
         ports = {key: tuple(self._ports(entry.at(key), key, part, filled, values)) for key in _PORT_TYPES}
         hosts = self._hosts(entry.at("host"), filled.host)
-        if not _is_well_numbered(entry, part):
+        if not (_is_well_numbered(entry, part) & self._fleet.is_selector(entry.at("on"), filled.on)):
             self._left_out.add("transformations", filled.label)
             return
         run = _run_options(entry.at("run", "start"), filled)

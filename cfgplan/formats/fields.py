@@ -33,6 +33,7 @@ from cfgplan.formats.schema_values import (
     Resources,
     RuleName,
     Seconds,
+    SelectorText,
     Speed,
     TagText,
     TimeSpan,
@@ -257,6 +258,7 @@ class TransformationPart(Part):
     )
     kind: Name | None = row("free text, the paper's type attribute", use=Use.RUNNING, xml="type")
     host: OneOrMoreNames | None = row("where its units run: a host, or a list to choose from", use=Use.BOTH, xml="host")
+    on: SelectorText | None = row("the hosts that its units may run on: an expression such as `robot and not spot`")
     params: Params = row("the configuration its units are started with", {}, use=Use.RUNNING, xml=ELEMENT)
     labor: Cost | None = row("CPU seconds of one start", to="labor_us")
     upkeep: Cost | None = row("CPU seconds that a running unit takes per second", to="upkeep_us")
@@ -319,6 +321,7 @@ class HostPart(Part):
     """A computer that units run on."""
 
     name: Name = row("unique", ...)
+    labels: list[Name] | None = row("what selectors such as `on` choose it by, beside its name")
     cpu: Cost | None = row("CPU seconds per second that units may take; no limit if absent", to="cpu_us")
     memory: int | None = row("megabytes that units may take; no limit if absent", to="memory_mb", ge=0)
     offers: Resources | None = row("how much it has of other resources, by name; nothing of what is absent")

@@ -6,13 +6,14 @@ from collections.abc import Mapping
 from typing import Any
 
 from cfgplan.domain import Host
-from cfgplan.errors import Fault, InvalidValueError, did_you_mean
+from cfgplan.errors import Fault, InvalidValueError, TagError, did_you_mean
 from cfgplan.formats.document import Document
 from cfgplan.formats.fields import ContributionPart, TargetPart, UnitPart, WishPart
 from cfgplan.formats.left_out import LeftOut
 from cfgplan.formats.places import Passage
 from cfgplan.planning import Failures
 from cfgplan.qualities import Better, Contribution, Over, QualityAttribute, QualityRule, Wish
+from cfgplan.selectors import selector
 
 
 class FleetReader:
@@ -60,6 +61,15 @@ class FleetReader:
             return
         if self.hosts or is_choice:
             entry.note(f"there is no host `{name}`", did_you_mean(name, self.hosts, "declare it under `hosts:`"))
+
+    def is_selector(self, entry: Passage, text: str | None) -> bool:
+        """Whether an expression over labels can be read; None can."""
+        try:
+            selector(text or "⊤")
+        except TagError as error:
+            entry.note(error.message, error.mend, text_column=error.column)
+            return False
+        return True
 
     def host_of(self, entry: Passage, part: UnitPart, only: str | None) -> str | None:
         """Where a unit runs: where it says, or the only host that its transformation allows."""

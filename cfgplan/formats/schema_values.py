@@ -203,6 +203,9 @@ PortName = Annotated[str, Field(pattern=PORT), AfterValidator(normal)]
 TagText = Annotated[
     str, Field(min_length=1, description="a concept in description logic, or the paper's P(a)"), AfterValidator(normal)
 ]
+SelectorText = Annotated[
+    str, Field(min_length=1, description="labels joined by and, or and not"), AfterValidator(normal)
+]
 _NUMBER = {"type": "number", "minimum": 0}
 Cost = Annotated[int, PlainValidator(_cost), WithJsonSchema(_NUMBER), Written(plain_cost)]
 Seconds = Annotated[int, PlainValidator(_seconds), WithJsonSchema(_NUMBER), Written(plain_cost)]

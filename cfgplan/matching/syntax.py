@@ -8,11 +8,10 @@ operand  = ¬ operand | (∃|∀) role . operand | (≥|≤|=) number role . ope
 
 from __future__ import annotations
 
-import re
+from collections.abc import Sequence
 from typing import Final
-from unicodedata import category
 
-from cfgplan.errors import TagError, UnknownNameError, did_you_mean
+from cfgplan.errors import UnknownNameError, did_you_mean
 from cfgplan.matching.concepts import (
     BOTTOM,
     TOP,
@@ -29,108 +28,51 @@ from cfgplan.matching.concepts import (
     some,
 )
 from cfgplan.matching.ontology import Ontology
-
-DEEPEST_CONCEPT: Final = 100
-"""How deeply a tag may be nested."""
+from cfgplan.selectors import NO_OPERAND, RESTRICTIONS, ExpressionReader
 
 SOURCE_ROLE: Final = "hasSource"
 """The property that the paper's form `P(a)` means: P ⊓ ∃hasSource.{a}."""
 
-_TOKEN: Final = r"<[^<>\s]+>|'[^']*'|:?[^\W](?:[{0}-]*[{0}])?(?::[{0}](?:[{0}-]*[{0}])?)?|\S"
-_PLAIN_TOKEN: Final = re.compile(_TOKEN.format(r"\w"))
-_JOINERS: Final = "\u200c\u200d"
-_WORDS: Final = {
-    "and": "⊓", "that": "⊓", "&": "⊓", "∧": "⊓", "or": "⊔", "|": "⊔", "∨": "⊔",
-    "not": "¬", "~": "¬", "!": "¬", "exists": "∃", "forall": "∀",
-    "Thing": "⊤", "owl:Thing": "⊤", "Nothing": "⊥", "owl:Nothing": "⊥",
-}  # fmt: skip
-_RESTRICTIONS: Final = frozenset({"some", "only", "value", "min", "max", "exactly"})
-_BETWEEN_NAMES: Final = (*sorted(_RESTRICTIONS), "and", "or")
-_NO_OPERAND: Final = frozenset("⊓⊔.,)}") | _RESTRICTIONS
+_BETWEEN_NAMES: Final = (*sorted(RESTRICTIONS), "and", "or")
 
 
 def parse_tag(text: str, ontology: Ontology) -> Concept:
     """The concept that a tag means. Raises TagError."""
-    return _Reader(text, ontology).tag()
+    return _TagReader(text, ontology).whole()
 
 
-class _Reader:
+class _TagReader(ExpressionReader[Concept]):
+    what = "tag"
+    wanted = "a concept"
+    examples = "a class, a restriction or {an individual}"
+    top, bottom = TOP, BOTTOM
+
     def __init__(self, text: str, ontology: Ontology) -> None:
-        self._text = text
+        super().__init__(text)
         self._ontology = ontology
-        words = _WORDS
-        self._token = _token_of(text)
-        self._tokens: list[str] = [words.get(token, token) for token in self._token.findall(text)]
-        self._tokens.append("")
-        self._at = 0
-        self._depth = 0
 
-    def tag(self) -> Concept:
-        if len(self._tokens) == 1:
-            raise TagError("the tag is empty", 1, "name a class, or write ⊤ for anything at all")
-        concept = self._or_list()
-        rest = self._tokens[self._at]
-        if rest:
-            mend = "remove it" if rest in ")}" else "join two concepts by ⊓ (and) or ⊔ (or)"
-            raise self._error(f"{self._written()!r} is not expected here", mend)
-        return concept
-
-    def _or_list(self) -> Concept:
-        concept = self._and_list()
-        if self._tokens[self._at] != "⊔":
-            return concept
-        parts = [concept]
-        while self._tokens[self._at] == "⊔":
-            self._at += 1
-            parts.append(self._and_list())
-        return disjunction(parts)
-
-    def _and_list(self) -> Concept:
-        concept = self._operand()
-        if self._tokens[self._at] != "⊓":
-            return concept
-        parts = [concept]
-        while self._tokens[self._at] == "⊓":
-            self._at += 1
-            parts.append(self._operand())
+    def all_of(self, parts: Sequence[Concept]) -> Concept:
         return conjunction(parts)
 
-    def _operand(self) -> Concept:
-        self._depth += 1
-        if self._depth > DEEPEST_CONCEPT:
-            raise self._error(f"the tag is nested more than {DEEPEST_CONCEPT} deep")
-        token = self._tokens[self._at]
-        if not token or token in _NO_OPERAND:
-            what = f"{self._written()!r} stands" if token else "the tag ends"
-            raise self._error(f"{what} where a concept is wanted", "write a class, a restriction or {an individual}")
-        self._at += 1
-        concept = self._compound(token)
-        self._depth -= 1
-        return concept
+    def any_of(self, parts: Sequence[Concept]) -> Concept:
+        return disjunction(parts)
 
-    def _compound(self, token: str) -> Concept:
+    def none_of(self, part: Concept) -> Concept:
+        return negation(part)
+
+    def other(self, token: str) -> Concept:
         if token == "∃" or token == "∀":
             role = self._role()
             self._expect(".", "between a property and its filler")
             filler = self._operand()
             return some(role, filler) if token == "∃" else Only(role, filler)
-        if token == "¬":
-            return negation(self._operand())
-        if token == "(":
-            concept = self._or_list()
-            self._expect(")", "to close '('")
-            return concept
         if token == "{":
             return self._nominals()
         if token in "≥≤=":
             number, role = self._number(), self._role()
             self._expect(".", "between a property and its filler")
             return _cardinality(token, number, role, self._operand())
-        if token == "⊤":
-            return TOP
-        if token == "⊥":
-            return BOTTOM
-        if self._tokens[self._at] in _RESTRICTIONS:
+        if self._tokens[self._at] in RESTRICTIONS:
             return self._restriction()
         if self._tokens[self._at] == "(":
             return self._predicate()
@@ -157,7 +99,7 @@ class _Reader:
             return Some(role, self._individual())
         number = self._number()
         follows = self._tokens[self._at]
-        filler = TOP if not follows or follows in _NO_OPERAND else self._operand()
+        filler = TOP if not follows or follows in NO_OPERAND else self._operand()
         return _cardinality({"min": "≥", "max": "≤", "exactly": "="}[word], number, role, filler)
 
     def _predicate(self) -> Concept:
@@ -217,47 +159,12 @@ class _Reader:
             raise self._error(error.message, mend, self._at - 2) from error
         return found[1] if found else ontology.free_iri(SOURCE_ROLE)
 
-    def _name(self, token: str, at: int) -> str:
-        first = token[:1]
-        if first == "'":
-            return token[1:-1]
-        if (first.isalnum() or (first in ("_", ":", "<") and len(token) > 1)) and token not in _RESTRICTIONS:
-            return token
-        what = f"{token!r} is no name" if token else "the tag ends where a name is wanted"
-        raise self._error(what, "names are letters, digits, _ and -; write others as 'name' or <IRI>", at)
-
     def _number(self) -> int:
         token = self._tokens[self._at]
         if not (token.isascii() and token.isdigit() and len(token) < 10):
             raise self._error(f"{token!r} is no number", "write how many, such as min 2")
         self._at += 1
         return int(token)
-
-    def _expect(self, token: str, purpose: str) -> None:
-        found = self._tokens[self._at]
-        if found != token:
-            stands = f", not {self._written()!r}" if found else ""
-            raise self._error(f"{token!r} is wanted {purpose}{stands}")
-        self._at += 1
-
-    def _written(self) -> str:
-        """The token that is to be read next, as it stands in the text."""
-        tokens: list[str] = self._token.findall(self._text)
-        return tokens[self._at]
-
-    def _error(self, message: str, mend: str | None = None, at: int | None = None) -> TagError:
-        index = self._at if at is None else at
-        starts = [found.start() for found in self._token.finditer(self._text)]
-        column = starts[index] if index < len(starts) else len(self._text.rstrip())
-        return TagError(message, column + 1, mend)
-
-
-def _token_of(text: str) -> re.Pattern[str]:
-    """What is one word of a text: vowel signs and accents, which are no letters, belong to the letter before them."""
-    if text.isascii():
-        return _PLAIN_TOKEN
-    marks = {character for character in text if category(character).startswith("M") or character in _JOINERS}
-    return re.compile(_TOKEN.format("\\w" + "".join(sorted(marks)))) if marks else _PLAIN_TOKEN
 
 
 def _cardinality(sign: str, number: int, role: str, filler: Concept) -> Concept:

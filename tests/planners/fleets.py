@@ -12,7 +12,12 @@ from cfgplan.planning import Failures, Notion, Problem
 from cfgplan.qualities import Better, Contribution, Over, QualityAttribute, QualityRule, Wish
 
 MICRO = 1_000_000
-HOSTS = (Host("h0", 9, 4, {"gpu": 1}), Host("h1", 6, None, {"gpu": 3}), Host("h2"))
+HOSTS = (
+    Host("h0", 9, 4, {"gpu": 1}, labels=("a",)),
+    Host("h1", 6, None, {"gpu": 3}, labels=("a", "b")),
+    Host("h2"),
+)
+SELECTORS = st.sampled_from([None, None, None, None, "a", "not a", "a and not b", "b or h2", "not (a or b)"])
 SPEEDS = st.sampled_from([MICRO, MICRO, MICRO // 2, 700_000, 3 * MICRO])
 VALUES = st.sampled_from([0, 1, 2, 3, 5, 8])
 FACTORS = st.sampled_from([0, MICRO // 3, MICRO // 2, MICRO, 3 * MICRO // 2])
@@ -84,6 +89,7 @@ def transformations(
         choice = draw(st.sampled_from(["any", "one", "some"]))
         changes["host"] = draw(st.sampled_from(names)) if choice == "one" else None
         changes["hosts"] = tuple(draw(st.sets(st.sampled_from(names), min_size=1))) if choice == "some" else ()
+        changes["on"] = draw(SELECTORS)
         changes["memory_mb"] = draw(st.sampled_from([None, 0, 1, 2, 3]))
         changes["seen_us"] = draw(st.sampled_from([{}, {}, {names[0]: (1, 2)}, {names[-1]: (3, 0)}]))
         changes["needs"] = draw(st.sampled_from([{}, {}, {}, {"gpu": 0}, {"gpu": 1}, {"gpu": 2}]))

@@ -41,6 +41,15 @@ def test_a_unit_is_on_a_host_that_its_transformation_allows(model: type[Hubs]) -
 
 
 @every_model
+def test_a_unit_is_on_a_host_that_its_selector_fits(model: type[Hubs]) -> None:
+    hosts = (Host("h0", labels=("robot", "spot")), Host("h1", labels=("robot",)), Host("h2"))
+    fixed = model(world("A", kind("s", gives="A", on="robot and not spot or h2"), hosts=hosts))
+    assert fixed.allows(on("s.1", "h1"))
+    assert fixed.allows(on("s.1", "h2"))
+    assert not fixed.allows(on("s.1", "h0"))
+
+
+@every_model
 def test_a_running_unit_stays_on_its_host(model: type[Hubs]) -> None:
     library = (kind("s", gives="A"), kind("t", gives="A"))
     fixed = model(world("A", *library, hosts=TWO, units=(unit("s", host="h1"),)))

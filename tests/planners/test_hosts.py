@@ -149,6 +149,11 @@ def test_a_unit_takes_more_of_a_slow_host(tuning: Tuning, speed: int, status: St
     assert PlannerSession(tuning).plan(problem).status is status
 
 
+def test_that_no_host_fits_a_selector_is_said() -> None:
+    found = PLANNERS["cpsat"](world("A", kind("web", gives="A", on="gpu and not spot"), hosts=(Host("h"),)))
+    assert found.reasons["A"] == "target A would have no stream: no host is one that web may run on: gpu and not spot"
+
+
 def test_which_replica_finds_no_host_is_said() -> None:
     hosts = (Host("a", memory_mb=1100), Host("b", memory_mb=500))
     for more, text in (

@@ -90,6 +90,8 @@ def _missing_host(problem: Problem) -> str | None:
 
 def _lack(environment: Environment, t: Transformation) -> str | None:
     hosts = [host for host in environment.places_for(t) if host is not None]
+    if environment.hosts and not hosts:
+        return f"no host is one that {t.label} may run on" + (f": {t.on}" if t.on else "")
     for resource in sorted(t.takes):
         lacks = [
             (amount := taken(t, host)[resource], room is not None and amount > room)

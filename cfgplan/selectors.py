@@ -1,0 +1,201 @@
+"""Expressions of names joined by and, or and not, in DL or Manchester syntax; selectors of hosts by their labels.
+
+expression = and-list { (⊔ | or) and-list }
+and-list   = operand { (⊓ | and | that) operand }
+operand    = ¬ operand | ( expression ) | ⊤ | ⊥ | name
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection, Sequence
+from functools import lru_cache
+from typing import ClassVar, Final, Generic, TypeVar
+from unicodedata import category
+
+from cfgplan.errors import InvalidValueError, TagError
+
+DEEPEST_EXPRESSION: Final = 100
+"""How deeply an expression may be nested."""
+
+_TOKEN: Final = r"<[^<>\s]+>|'[^']*'|:?[^\W](?:[{0}-]*[{0}])?(?::[{0}](?:[{0}-]*[{0}])?)?|\S"
+_PLAIN_TOKEN: Final = re.compile(_TOKEN.format(r"\w"))
+_JOINERS: Final = "\u200c\u200d"
+_WORDS: Final = {
+    "and": "⊓", "that": "⊓", "&": "⊓", "∧": "⊓", "or": "⊔", "|": "⊔", "∨": "⊔",
+    "not": "¬", "~": "¬", "!": "¬", "exists": "∃", "forall": "∀",
+    "Thing": "⊤", "owl:Thing": "⊤", "Nothing": "⊥", "owl:Nothing": "⊥",
+}  # fmt: skip
+RESTRICTIONS: Final = frozenset({"some", "only", "value", "min", "max", "exactly"})
+NO_OPERAND: Final = frozenset("⊓⊔.,)}") | RESTRICTIONS
+
+Meaning = TypeVar("Meaning")
+"""What an expression means to those who read it."""
+
+
+class ExpressionReader(Generic[Meaning]):
+    """Reads one text. What its operands mean, and how these are joined, is said by those who read more."""
+
+    what: ClassVar[str] = "expression"
+    wanted: ClassVar[str] = "a name"
+    examples: ClassVar[str] = "a name"
+    top: Meaning
+    bottom: Meaning
+
+    def __init__(self, text: str) -> None:
+        self._text = text
+        self._token = _token_of(text)
+        self._tokens: list[str] = [_WORDS.get(token, token) for token in self._token.findall(text)]
+        self._tokens.append("")
+        self._at = 0
+        self._depth = 0
+
+    def all_of(self, parts: Sequence[Meaning]) -> Meaning:
+        """What joining parts by `and` means."""
+        raise NotImplementedError
+
+    def any_of(self, parts: Sequence[Meaning]) -> Meaning:
+        """What joining parts by `or` means."""
+        raise NotImplementedError
+
+    def none_of(self, part: Meaning) -> Meaning:
+        """What `not` means."""
+        raise NotImplementedError
+
+    def other(self, token: str) -> Meaning:
+        """What an operand means that begins with a token that has just been read."""
+        raise NotImplementedError
+
+    def whole(self) -> Meaning:
+        """What the text means. Raises TagError."""
+        if len(self._tokens) == 1:
+            raise TagError(f"the {self.what} is empty", 1, f"name {self.examples}, or write ⊤ for anything at all")
+        found = self._or_list()
+        rest = self._tokens[self._at]
+        if rest:
+            mend = "remove it" if rest in ")}" else f"join two {self.wanted[2:]}s by ⊓ (and) or ⊔ (or)"
+            raise self._error(f"{self._written()!r} is not expected here", mend)
+        return found
+
+    def _or_list(self) -> Meaning:
+        found = self._and_list()
+        if self._tokens[self._at] != "⊔":
+            return found
+        parts = [found]
+        while self._tokens[self._at] == "⊔":
+            self._at += 1
+            parts.append(self._and_list())
+        return self.any_of(parts)
+
+    def _and_list(self) -> Meaning:
+        found = self._operand()
+        if self._tokens[self._at] != "⊓":
+            return found
+        parts = [found]
+        while self._tokens[self._at] == "⊓":
+            self._at += 1
+            parts.append(self._operand())
+        return self.all_of(parts)
+
+    def _operand(self) -> Meaning:
+        self._depth += 1
+        if self._depth > DEEPEST_EXPRESSION:
+            raise self._error(f"the {self.what} is nested more than {DEEPEST_EXPRESSION} deep")
+        token = self._tokens[self._at]
+        if not token or token in NO_OPERAND:
+            what = f"{self._written()!r} stands" if token else f"the {self.what} ends"
+            raise self._error(f"{what} where {self.wanted} is wanted", f"write {self.examples}")
+        self._at += 1
+        found = self._compound(token)
+        self._depth -= 1
+        return found
+
+    def _compound(self, token: str) -> Meaning:
+        if token == "¬":
+            return self.none_of(self._operand())
+        if token == "(":
+            found = self._or_list()
+            self._expect(")", "to close '('")
+            return found
+        if token == "⊤":
+            return self.top
+        if token == "⊥":
+            return self.bottom
+        return self.other(token)
+
+    def _name(self, token: str, at: int) -> str:
+        first = token[:1]
+        if first == "'":
+            return token[1:-1]
+        if (first.isalnum() or (first in ("_", ":", "<") and len(token) > 1)) and token not in RESTRICTIONS:
+            return token
+        what = f"{token!r} is no name" if token else f"the {self.what} ends where a name is wanted"
+        raise self._error(what, "names are letters, digits, _ and -; write others as 'name' or <IRI>", at)
+
+    def _expect(self, token: str, purpose: str) -> None:
+        found = self._tokens[self._at]
+        if found != token:
+            stands = f", not {self._written()!r}" if found else ""
+            raise self._error(f"{token!r} is wanted {purpose}{stands}")
+        self._at += 1
+
+    def _written(self) -> str:
+        """The token that is to be read next, as it stands in the text."""
+        tokens: list[str] = self._token.findall(self._text)
+        return tokens[self._at]
+
+    def _error(self, message: str, mend: str | None = None, at: int | None = None) -> TagError:
+        index = self._at if at is None else at
+        starts = [found.start() for found in self._token.finditer(self._text)]
+        column = starts[index] if index < len(starts) else len(self._text.rstrip())
+        return TagError(message, column + 1, mend)
+
+
+def _token_of(text: str) -> re.Pattern[str]:
+    """What is one word of a text: vowel signs and accents, which are no letters, belong to the letter before them."""
+    if text.isascii():
+        return _PLAIN_TOKEN
+    marks = {character for character in text if category(character).startswith("M") or character in _JOINERS}
+    return re.compile(_TOKEN.format("\\w" + "".join(sorted(marks)))) if marks else _PLAIN_TOKEN
+
+
+Selector = Callable[[Collection[str]], bool]
+"""Whether some labels fit."""
+
+
+@lru_cache(maxsize=4096)
+def selector(text: str) -> Selector:
+    """The selector that an expression over labels means. Raises TagError."""
+    return _SelectorReader(text).whole()
+
+
+def check_selector(text: str) -> None:
+    """Raises InvalidValueError if an expression over labels can't be read."""
+    try:
+        selector(text)
+    except TagError as error:
+        raise InvalidValueError(f"{text!r} selects no hosts: {error}") from error
+
+
+class _SelectorReader(ExpressionReader[Selector]):
+    what = "selector"
+    wanted = examples = "a label"
+
+    def top(self, _: Collection[str]) -> bool:
+        return True
+
+    def bottom(self, _: Collection[str]) -> bool:
+        return False
+
+    def all_of(self, parts: Sequence[Selector]) -> Selector:
+        return lambda labels: all(fits(labels) for fits in parts)
+
+    def any_of(self, parts: Sequence[Selector]) -> Selector:
+        return lambda labels: any(fits(labels) for fits in parts)
+
+    def none_of(self, part: Selector) -> Selector:
+        return lambda labels: not part(labels)
+
+    def other(self, token: str) -> Selector:
+        label = self._name(token, self._at - 1)
+        return lambda labels: label in labels

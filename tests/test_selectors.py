@@ -1,0 +1,40 @@
+"""Selectors of hosts: expressions over labels, decided by plain evaluation."""
+
+from __future__ import annotations
+
+import pytest
+
+from cfgplan.domain import Environment, Host, Transformation
+from cfgplan.errors import InvalidValueError
+
+
+@pytest.mark.parametrize(
+    ("text", "chosen"),
+    [
+        ("robot", "ab"),
+        ("not robot", "c"),
+        ("robot and gpu and not spot", "a"),
+        ("robot ⊓ ¬gpu ⊔ c", "bc"),
+        ("not (robot and gpu)", "bc"),
+        ("a or 'base station'", "ac"),
+        ("Thing", "abc"),
+        ("Nothing", ""),
+        ("unknown", ""),
+    ],
+)
+def test_a_selector_chooses_hosts_by_their_labels_and_names(text: str, chosen: str) -> None:
+    hosts = (Host("a", labels=("robot", "gpu")), Host("b", labels=("robot",)), Host("c", labels=("base station",)))
+    environment = Environment(hosts=hosts)
+    assert environment.hosts_for(Transformation("t", on=text)) == tuple(chosen)
+    assert Environment().hosts_for(Transformation("t", on=text)) == (None,)
+
+
+def test_a_selector_and_a_choice_of_hosts_both_hold() -> None:
+    environment = Environment(hosts=(Host("a", labels=("gpu",)), Host("b", labels=("gpu",)), Host("c")))
+    assert environment.hosts_for(Transformation("t", hosts=("b", "c"), on="gpu")) == ("b",)
+
+
+@pytest.mark.parametrize("text", ["", "robot and", "robot some gpu", "(robot", "robot gpu", "not"])
+def test_what_is_no_selector_is_refused(text: str) -> None:
+    with pytest.raises(InvalidValueError, match="selects no hosts"):
+        Transformation("t", on=text)
