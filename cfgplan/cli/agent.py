@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.screen import Screen
+from cfgplan.errors import InputError
+
+if TYPE_CHECKING:
+    from cfgplan_runtime.fleet.reached import ReachedFleet
 
 _EXAMPLE = """\
 example, on the base station, on the robot r1, and then on either:
@@ -36,16 +43,33 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=run)
 
 
-def add_links(parser: argparse.ArgumentParser) -> None:
-    """Options of whoever takes part in a fleet."""
+def add_links(parser: argparse.ArgumentParser, **more: Any) -> None:
+    """Options of whoever takes part in a fleet, or reaches it."""
     parser.add_argument(
         "--connect",
         action="append",
-        default=[],
         metavar="ENDPOINT",
-        help="another agent, such as tcp/127.0.0.1:7447 (several: once for each)",
+        help="an agent, such as tcp/127.0.0.1:7447 (several: once for each)",
+        **{"default": [], **more},
     )
-    parser.add_argument("--certificates", metavar="DIR", help="this computer's certificate and the run's authority")
+    parser.add_argument(
+        "--certificates", metavar="DIR", help="this computer's certificate and the run's authority", **more
+    )
+
+
+@contextmanager
+def reached(options: argparse.Namespace) -> Iterator[ReachedFleet | None]:
+    """The fleet that the options of `add_links` reach; None without any: a run on this computer is meant."""
+    if not options.connect:
+        if options.certificates is not None:
+            raise InputError.of("--certificates: of which fleet?", mend="name one of its agents by --connect")
+        yield None
+        return
+    from cfgplan_runtime.fleet.reached import ReachedFleet
+
+    certificates = None if options.certificates is None else Path(options.certificates)
+    with ReachedFleet(options.connect, certificates) as fleet:
+        yield fleet
 
 
 def run(options: argparse.Namespace, screen: Screen) -> Exit:

@@ -17,6 +17,7 @@ from rich.text import Text
 
 from cfgplan.canonical import normal
 from cfgplan.cli import options as shared
+from cfgplan.cli.agent import add_links, reached
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.run_output import printable
 from cfgplan.cli.screen import OUTPUT_VERSION, Screen
@@ -35,6 +36,7 @@ example:
   cfgplan ctl kill camera.1            (it is replaced at once)
   cfgplan ctl review
   cfgplan ctl stop
+  cfgplan ctl state --connect tls/10.0.0.3:7447 --certificates /etc/cfgplan/manager      (from another computer)
 
 What is added stays until it is withdrawn or the run ends, whatever becomes of the environment file.
 Exit codes: 0 done, 12 done and a target is not met, 30 refused, or no run."""
@@ -75,6 +77,7 @@ _COMMANDS = (
 def add_to(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _CTL_EXAMPLE
     parser.add_argument("--run", dest="run_id", metavar="ID", help="the run, if several are live")
+    add_links(parser)
     shared.add_json(parser)
     parser.set_defaults(run=run)
     commands = parser.add_subparsers(metavar="COMMAND", dest="command", required=True)
@@ -84,6 +87,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         )
         # Also behind the command, where people put them; absent there, what stands before it holds.
         each.add_argument("--run", dest="run_id", metavar="ID", default=argparse.SUPPRESS, help="the run")
+        add_links(each, default=argparse.SUPPRESS)
         each.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="print JSON for machines")
         if command.operand:
             kind = str if command.name == "add" else normal
@@ -105,7 +109,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan_runtime.operating.protocol import RefusedError
 
     text = _read(options.operand) if options.command == "add" else None
-    with connect(options.run_id) as control:
+    with reached(options) as fleet, connect(options.run_id, fleet) as control:
         try:
             match options.command:
                 case "state":
@@ -150,6 +154,9 @@ def _events(control: Control, screen: Screen) -> Exit:
 
 
 def _socket(control: Control, screen: Screen) -> Exit:
+    if control.path is None:
+        mend = "ask on the computer where `cfgplan run` is"
+        raise InputError.of(f"the socket of run {control.system.run} is on another computer", mend=mend)
     if screen.json:
         screen.show_json({"run": control.system.run, "socket": str(control.path)})
     else:

@@ -10,14 +10,20 @@ from typing import Any
 
 from cfgplan.canonical import normal
 from cfgplan.cli import options as shared
+from cfgplan.cli.agent import add_links, reached
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.screen import Screen
 
 _RATE_OVER = 20
+_LISTEN_EXAMPLE = """\
+example:
+  cfgplan listen /result
+  cfgplan listen /result --json --count 10
+  cfgplan listen /map --connect tls/10.0.0.3:7447 --certificates /etc/cfgplan/manager"""
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
-    parser.epilog = "example:\n  cfgplan listen /result\n  cfgplan listen /result --json --count 10"
+    parser.epilog = _LISTEN_EXAMPLE
     parser.add_argument("topic", type=normal, metavar="TOPIC", help="the topic of a target, such as /result")
     parser.add_argument("--run", dest="run_id", metavar="ID", help="the run, if several have the topic")
     parser.add_argument("--count", type=shared.count, metavar="N", help="end after N elements")
@@ -25,6 +31,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--wait", type=shared.duration, default=0.0, metavar="TIME", help="how long to wait for the topic (0)"
     )
+    add_links(parser)
     shared.add_json(parser)
     parser.set_defaults(run=run)
 
@@ -36,7 +43,11 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
     times: deque[float] = deque(maxlen=_RATE_OVER + 1)
     end = None if options.span is None else time.monotonic() + options.span
-    with subscribe(options.topic, run=options.run_id, wait_s=options.wait, timeout_s=options.span) as subscription:
+    asked: dict[str, Any] = {"run": options.run_id, "wait_s": options.wait, "timeout_s": options.span}
+    with (
+        reached(options) as fleet,
+        (subscribe if fleet is None else fleet.subscribe)(options.topic, **asked) as subscription,
+    ):
         try:
             for number, received in enumerate(subscription, 1):
                 latency_ms = (time.time_ns() - received.time_ns) / 1e6

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from cfgplan.canonical import normal
 from cfgplan.cli import options as shared
+from cfgplan.cli.agent import add_links, reached
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.screen import OUTPUT_VERSION, Screen, counted
 from cfgplan.errors import Fault, InputError, InvalidValueError
@@ -40,7 +41,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         "env",
         metavar="ENV",
         nargs="?",
-        help="environment file with what can be started; without it, or with --run, a run answers",
+        help="environment file with what can be started; without it, or with --run or --connect, a run answers",
     )
     parser.add_argument(
         "formula",
@@ -96,6 +97,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         metavar="TIME",
         help="how long to wait for features that nothing gives yet (0)",
     )
+    add_links(parser)
     parser.add_argument("--verbose", action="store_true", help="say what happens to the units")
     shared.add_json(parser)
     parser.set_defaults(run=run)
@@ -106,12 +108,12 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
     if options.env is None and os.path.isfile(options.formula):  # noqa: PTH113 - a long formula is no path
         raise InputError.of("a file is given and no formula", file=options.formula, mend="write FORMULA after ENV")
-    if options.env is None or options.run_id is not None:
+    if options.env is None or options.run_id is not None or options.connect:
         from cfgplan_runtime.operating.control_client import connect
         from cfgplan_runtime.reasoning.managed import RemoteSubscriptions
 
-        with _interruptible(), connect(options.run_id) as control:
-            remote = RemoteSubscriptions(control)
+        with _interruptible(), reached(options) as fleet, connect(options.run_id, fleet) as control:
+            remote = RemoteSubscriptions(control) if fleet is None else RemoteSubscriptions(control, fleet.subscribe)
             return _answered(options, screen, _read(options, screen, remote.declared()), remote)
     world = shared.load(options, screen)
     asked = _read(options, screen, features.of_targets(world.environment))

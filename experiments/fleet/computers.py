@@ -224,7 +224,7 @@ class Listener:
 
     def __init__(self, run: str | Path, topic: str = "/result", *, number: Callable[[Any], Any] = int) -> None:
         from cfgplan_runtime import subscribe
-        from cfgplan_runtime.streams.subscription import SubscriptionToTopic
+        from cfgplan_runtime.streams.subscription import RunPlace, SubscriptionToTopic
 
         self.values: list[Any] = []
         self.times_ns: list[int] = []
@@ -233,7 +233,7 @@ class Listener:
         subscription = (
             subscribe(topic, run=run, wait_s=PATIENCE_S)
             if isinstance(run, str)
-            else SubscriptionToTopic(topic, run, timeout_s=PATIENCE_S)
+            else SubscriptionToTopic(topic, RunPlace(run), timeout_s=PATIENCE_S)
         )
         threading.Thread(target=self._collect, args=(subscription,), daemon=True).start()
 

@@ -19,7 +19,7 @@ from cfgplan_runtime import Received, Runtime, subscribe
 from cfgplan_runtime.fleet.fleet_backend import FleetBackend
 from cfgplan_runtime.fleet.local import LocalAgents
 from cfgplan_runtime.streams.run_folder import RunFolder, base_folder, remove_dead_runs
-from cfgplan_runtime.streams.subscription import SubscriptionToTopic
+from cfgplan_runtime.streams.subscription import RunPlace, SubscriptionToTopic
 from cfgplan_runtime.supervision.events import Event
 
 from cfgplan.domain import (
@@ -143,7 +143,7 @@ class SmallFleet:
         """Who listens to a host's topic whatever manager there is."""
         number = list(self.agents.processes).index(host)
         (run,) = (self.run.path / str(number)).iterdir()
-        return Listener(SubscriptionToTopic(topic, run, timeout_s=PATIENCE_S))
+        return Listener(SubscriptionToTopic(topic, RunPlace(run), timeout_s=PATIENCE_S))
 
     def units(self) -> list[str]:
         """The units that really run, on all hosts."""

@@ -12,10 +12,10 @@ from typing import Any
 import pytest
 from cfgplan_runtime.errors import ControlError, NoSuchRunError
 from cfgplan_runtime.lifecycle import changes
-from cfgplan_runtime.operating.control_client import Control, connect
+from cfgplan_runtime.operating.control_client import Control, connect, connect_to
 from cfgplan_runtime.operating.control_server import MOST_CLIENTS, MOST_WAITING_EVENTS, ControlServer
-from cfgplan_runtime.operating.protocol import RefusedError, address
-from cfgplan_runtime.streams.run_folder import RunFolder
+from cfgplan_runtime.operating.protocol import RefusedError
+from cfgplan_runtime.streams.run_folder import RunFolder, control_address
 from fake_manager import FakeManager
 
 from cfgplan.errors import Fault, InputError
@@ -33,7 +33,7 @@ def talk(folder: RunFolder, *lines: str) -> list[dict[str, Any]]:
     """Say lines by hand, as a shell script would, and read as many and the greeting."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as end:
         end.settimeout(60)
-        end.connect(str(address(folder.path)))
+        end.connect(str(control_address(folder.path)))
         end.sendall(("\n".join(lines) + "\n").encode())
         with end.makefile("r") as file:
             return [json.loads(file.readline()) for _ in range(1 + len(lines))]
@@ -68,7 +68,7 @@ def test_what_is_added_while_connected_is_withdrawn_when_the_connection_ends(
 
 @pytest.mark.usefixtures("server")
 def test_only_the_user_can_reach_the_socket(run_folder: RunFolder) -> None:
-    assert stat.S_IMODE(address(run_folder.path).stat().st_mode) == 0o600
+    assert stat.S_IMODE(control_address(run_folder.path).stat().st_mode) == 0o600
     assert stat.S_IMODE(run_folder.path.stat().st_mode) == 0o700
 
 
@@ -246,7 +246,7 @@ def test_a_subscriber_that_does_not_listen_is_not_waited_for(server: ControlServ
 def test_a_client_that_goes_away_in_the_middle_harms_nobody(run_folder: RunFolder, control: Control) -> None:
     for text in (b"", b'{"id"', b'{"id": 1, "method": "state"}\n' * 100):
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as end:
-            end.connect(str(address(run_folder.path)))
+            end.connect(str(control_address(run_folder.path)))
             end.sendall(text)
     assert control.call("state")["phase"] == "stable"
 
@@ -255,7 +255,7 @@ def test_a_client_that_goes_away_in_the_middle_harms_nobody(run_folder: RunFolde
 def test_there_are_not_too_many_clients(run_folder: RunFolder) -> None:
     clients = [connect() for _ in range(MOST_CLIENTS)]
     with pytest.raises(ControlError, match="clients are connected already"):
-        Control(run_folder.path)
+        connect_to(run_folder.path)
     for client in clients:
         client.close()
 
@@ -265,7 +265,7 @@ def test_closing_ends_the_clients_and_removes_the_socket(run_folder: RunFolder, 
         server.close()
         with pytest.raises(ControlError, match="has ended"):
             control.call("state")
-    assert not address(run_folder.path).exists()
+    assert not control_address(run_folder.path).exists()
 
 
 def test_without_a_run_there_is_nothing_to_control() -> None:

@@ -46,12 +46,14 @@ from cfgplan_runtime.fleet.orders import (
     StopOrder,
     SwitchOrder,
     Talk,
+    TopicsTold,
     UsageTold,
     Welcome,
     read_session,
     told,
 )
 from cfgplan_runtime.fleet.relay import Relay
+from cfgplan_runtime.fleet.tunnels import TunnelServer
 from cfgplan_runtime.processes.process_backend import RELAY, ProcessBackend
 from cfgplan_runtime.streams.crossing import crossing_key
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
@@ -71,6 +73,11 @@ USAGE_PERIOD_S = 0.5
 def alive_key(host: str) -> str:
     """The key below which a host's agent is alive."""
     return f"cfgplan/{quote(host, safe='*')}/alive"
+
+
+def topics_key(host: str) -> str:
+    """The key at which an agent tells the topics that are on its host."""
+    return f"cfgplan/{quote(host, safe='*')}/topics"
 
 
 def clock_key(host: str) -> str:
@@ -146,7 +153,9 @@ class Agent:
                 self._answer()
                 self._backend.warm_up()
                 self._relay = Relay(name, self._link, self._backend.open_relay(), self._note_failure)
-                self._link.live(f"{alive_key(name)}/{secrets.token_hex(4)}")
+                life = secrets.token_hex(4)
+                self._tunnels = TunnelServer(self._link, name, life, self._backend.run_folder.path)
+                self._link.live(f"{alive_key(name)}/{life}")
             except BaseException:
                 self._link.close()
                 raise
@@ -161,6 +170,7 @@ class Agent:
                 self._step()
         finally:
             self._relay.close()
+            self._tunnels.close()
             self._link.close()
             self._backend.close()
 
@@ -175,9 +185,15 @@ class Agent:
     def _answer(self) -> None:
         offset_ns = self._backend.clock_offset_ns
         self._link.answer(clock_key(self.name), HostClock(lambda: time.monotonic_ns() + offset_ns).told)
+        self._link.answer(topics_key(self.name), self._topics_told)
         self._link.watch(f"{alive_key(MANAGER)}/*", self._note_manager)
         for kind in (SAY, HEARD):
             self._link.hear(crossing_key(MANAGER, kind, self.name, "*"), self._take)
+
+    def _topics_told(self) -> bytes:
+        """Called by threads of the link."""
+        talk = self._talk
+        return msgspec.json.encode(TopicsTold("" if talk is None else talk.session.manager, list(self._topics)))
 
     def _note_manager(self, key: str, is_alive: bool) -> None:
         """Called by threads of the link, as `_take` is."""

@@ -51,6 +51,7 @@ from cfgplan_runtime.fleet.orders import (
     read_session,
 )
 from cfgplan_runtime.fleet.routes import OrderTo, Routes
+from cfgplan_runtime.fleet.tunnels import RemoteTopics, TunnelClient, TunnelServer
 from cfgplan_runtime.streams.crossing import crossing_key
 from cfgplan_runtime.streams.run_folder import RunFolder, is_alive
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
@@ -164,6 +165,9 @@ class FleetBackend:
         for kind in (SAY, HEARD, REFUSE):
             self._link.hear(crossing_key("*", kind, MANAGER, "*"), lambda *came: self._inbox.put(came))
         self._link.watch(f"{alive_key('*')}/*", lambda *came: self._inbox.put(came))
+        self._tunnels = TunnelServer(self._link, MANAGER, self.id, run_folder.path)
+        self._reaching = TunnelClient(self._link)
+        self._topics_elsewhere = RemoteTopics(self._reaching, run_folder)
         self._link.live(f"{alive_key(MANAGER)}/{self.id}")
         try:
             self._await(hosts, wait_s)
@@ -250,7 +254,7 @@ class FleetBackend:
     def close_outlet(self, topic: str) -> None:
         _, there = self._topics.pop(topic, (None, ""))
         self._unplaced.discard(topic)
-        self.run_folder.forget(topic)
+        self._topics_elsewhere.hide(topic)
         self._say(there, CloseTopicOrder(topic))
 
     def renew(self, helper: str) -> None:
@@ -272,7 +276,8 @@ class FleetBackend:
         end_s = self.now() + _LEAVE_S
         while any(not host.talk.is_done for host in self._hosts.values()) and self.now() < end_s:
             self.wait(0.05)
-        self._link.close()
+        for end in (self._topics_elsewhere, self._reaching, self._tunnels, self._link):
+            end.close()
 
     def _await(self, hosts: Sequence[str], wait_s: float) -> None:
         """Wait until all hosts are there, at most `wait_s`, and tell of those that are not."""
@@ -359,6 +364,7 @@ class FleetBackend:
     def _lose(self, host: _HostState, cause: str) -> None:
         del self._hosts[host.name]
         host.gone.set()
+        self._reaching.lose(host.name, host.life)
         self._events += [HelperAlive(f"{host.name}: {helper}", inf) for helper in host.helpers]
         if not host.is_there:
             return
@@ -367,7 +373,7 @@ class FleetBackend:
         self._events.append(HostLost(host.name, cause))
         moved = [topic for topic, (asked, at) in self._topics.items() if at == host.name and asked is None]
         for topic in [topic for topic, (_, at) in self._topics.items() if at == host.name]:
-            self.run_folder.forget(topic)
+            self._topics_elsewhere.hide(topic)
             del self._topics[topic]
         for topic in moved:
             self.open_outlet(topic, None)
@@ -497,10 +503,12 @@ class FleetBackend:
         return host if self._is_there(host) else None
 
     def _show(self, topic: str, host: str) -> None:
-        """Have a topic be found in this run's folder, if its host is on this computer."""
-        run = self._hosts[host].run
-        if run is not None:
-            self.run_folder.show(topic, run)
+        """Have a topic be found in this run's folder."""
+        there = self._hosts[host]
+        if there.run is None:
+            self._topics_elsewhere.show(topic, host, there.life)
+        else:
+            self.run_folder.show(topic, there.run)
 
     def _host_of(self, inlet: Inlet) -> str | None:
         if inlet.is_outlet:

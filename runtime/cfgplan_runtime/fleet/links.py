@@ -14,6 +14,7 @@ LEASE_S = 2.0
 """Seconds of silence after which a host is taken for lost. With 1 s, a stalled machine was once taken for lost."""
 _SIGNS_PER_LEASE = 4
 _OPEN_MS = 1000
+_REACH_MS = 5000
 _LANES = {"interactive_high": 16, "data_high": 16, "data_low": 16}
 """Batches of 64 kB that wait in each of Zenoh's lanes for a full link, the most that it allows. In 2, its default, no
 image fits, and only 2 small elements: what has no room is dropped, and sent again a quarter of a second later.
@@ -31,7 +32,8 @@ def config(
 ) -> Config:
     """Zenoh's configuration of one session; endpoints are written `tcp/192.168.1.5:7447` or `unixsock-stream/PATH`.
 
-    In mode "peer" all have to be linked with all. A "router" also passes on between those that are not, but when others
+    A "client" goes through the first of the others that it reaches, and fails if that takes too long. In mode "peer"
+    all have to be linked with all. A "router" also passes on between those that are not, but when others
     come and go within 0.1 s, Zenoh's routers overlook some for good. With `certificates`, a host's folder, all links to
     other computers are written `tls/192.168.1.5:7447`. Raises InputError for an endpoint that strangers could reach
     without certificates.
@@ -51,8 +53,8 @@ def config(
         "listen": {"endpoints": list(listen)},
         "connect": {
             "endpoints": list(connect),
-            "timeout_ms": -1,
-            "exit_on_failure": False,
+            "timeout_ms": _REACH_MS if mode == "client" else -1,
+            "exit_on_failure": mode == "client",
             "retry": {"period_init_ms": 100, "period_max_ms": 200, "period_increase_factor": 1.5},
         },
         "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},

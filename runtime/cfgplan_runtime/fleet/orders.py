@@ -207,6 +207,13 @@ class UsageTold(msgspec.Struct, tag=True):
     usage: dict[str, Usage]
 
 
+class TopicsTold(msgspec.Struct):
+    """What an agent answers who asks: the run that it obeys, and the topics that are there."""
+
+    run: str
+    topics: list[str]
+
+
 FromAgent: TypeAlias = Welcome | EventTold | UsageTold | ImportUnused
 
 _EVENTS = {kind.__name__: kind for kind in get_args(events.Event)}

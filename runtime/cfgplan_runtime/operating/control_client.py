@@ -9,13 +9,16 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from cfgplan_runtime.errors import ControlError, NoSuchRunError
-from cfgplan_runtime.operating.protocol import VERSION, Record, address, line, refused
-from cfgplan_runtime.streams.run_folder import base_folder, live_runs
+from cfgplan_runtime.operating.protocol import VERSION, Record, line, refused
+from cfgplan_runtime.streams.run_folder import base_folder, control_address, live_runs
+
+if TYPE_CHECKING:
+    from cfgplan_runtime.fleet.reached import ReachedFleet
 
 _GREETING_S = 5.0
 
@@ -30,30 +33,29 @@ class RunningSystem:
 
 
 class Control:
-    """A connection to a run; a context manager."""
+    """A connection to a run; a context manager. `path` is of its socket, if that is on this computer."""
 
-    def __init__(self, folder: Path) -> None:
-        """Connect to the run in a folder. Raises ControlError if it does not answer, or refuses."""
-        self.path = address(folder)
-        self._end = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    def __init__(self, run: str, end: socket.socket, path: Path | None = None) -> None:
+        """Greet the run to whose control socket `end` leads. Raises ControlError if it does not answer, or refuses."""
+        self.path = path
+        self._end = end
         self._number = 0
         self._is_subscribed = False
         self._heard: deque[Record] = deque()
         """Events that arrived while waiting for a reply."""
         try:
             self._end.settimeout(_GREETING_S)
-            self._end.connect(str(self.path))
             self._lines = self._end.makefile("rb")
             hello = self._next()
         except (OSError, msgspec.DecodeError):
             self._end.close()
-            raise ControlError(f"run {folder.name} does not answer") from None
+            raise ControlError(f"run {run} does not answer") from None
         if "error" in hello:
             self.close()
             raise ControlError(hello["error"]["message"])
         if hello.get("cfgplan_control") != VERSION:
             self.close()
-            raise ControlError(f"run {folder.name} speaks another version of the control protocol than {VERSION}")
+            raise ControlError(f"run {run} speaks another version of the control protocol than {VERSION}")
         self.system = RunningSystem(hello["run"], hello["environment"], hello["pid"])
 
     def call(self, method: str, *, timeout_s: float | None = None, **params: Any) -> Record:
@@ -110,15 +112,17 @@ class Control:
         return told
 
 
-def connect(run: str | None = None) -> Control:
-    """Connect to a run of this user on this machine; the id is needed only if there are several.
+def connect(run: str | None = None, fleet: ReachedFleet | None = None) -> Control:
+    """Connect to a run of this user on this machine, or of a fleet; the id is needed only if there are several.
 
     Raises NoSuchRunError, which names the live runs, and ControlError if the run does not answer.
     """
-    folders = [folder for folder in live_runs(base_folder()) if address(folder).exists()]
+    if fleet is not None:
+        return Control(*fleet.control(run))
+    folders = [folder for folder in live_runs(base_folder()) if control_address(folder).exists()]
     found = [folder for folder in folders if run is None or folder.name == run]
     if len(found) == 1:
-        return Control(found[0])
+        return connect_to(found[0])
     if found:
         raise NoSuchRunError(f"several runs are live: name one by --run: {_listed(found)}")
     if folders:
@@ -126,11 +130,23 @@ def connect(run: str | None = None) -> Control:
     raise NoSuchRunError("no run is live: start one with `cfgplan run ENV`")
 
 
+def connect_to(folder: Path) -> Control:
+    """Connect to the run in a folder. Raises ControlError."""
+    path, end = control_address(folder), socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        end.settimeout(_GREETING_S)
+        end.connect(str(path))
+    except OSError:
+        end.close()
+        raise ControlError(f"run {folder.name} does not answer") from None
+    return Control(folder.name, end, path)
+
+
 def _listed(folders: list[Path]) -> str:
     parts = []
     for folder in folders:
         try:
-            with Control(folder) as control:
+            with connect_to(folder) as control:
                 parts.append(f"{folder.name} ({Path(control.system.environment).name}, pid {control.system.pid})")
         except ControlError:
             parts.append(folder.name)

@@ -19,13 +19,13 @@ from cfgplan_runtime.operating.protocol import (
     LONGEST_LINE,
     Record,
     RefusedError,
-    address,
     greeting,
     line,
     parse_request,
     refusal,
     result,
 )
+from cfgplan_runtime.streams.run_folder import control_address
 
 Method = Callable[[Mapping[str, Any]], Record]
 """Carries out a request with these params and returns the result; raises RefusedError."""
@@ -47,7 +47,7 @@ class ControlServer:
     def __init__(self, folder: Path, methods: Mapping[str, Method], about: Mapping[str, Any]) -> None:
         self._methods = methods
         self._greeting = line(greeting(folder.name, about))
-        self._path = address(folder)
+        self._path = control_address(folder)
         self._clients: set[_Client] = set()
         self._lock = threading.Lock()
         self._is_closed = False

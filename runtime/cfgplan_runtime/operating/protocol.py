@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any, TypeAlias
 
 import msgspec
@@ -37,11 +36,6 @@ class RefusedError(Exception):
         self.message = message
         self.mend = mend
         self.faults = tuple(faults)
-
-
-def address(run: Path) -> Path:
-    """Where the control socket of a run is; no topic's socket has this name."""
-    return run / "control"
 
 
 def line(record: Mapping[str, Any]) -> bytes:

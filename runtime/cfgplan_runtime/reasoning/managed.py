@@ -75,8 +75,9 @@ class ManagedSubscriptions:
 class RemoteSubscriptions:
     """Subscriptions that a run of another process sets up."""
 
-    def __init__(self, control: Control) -> None:
+    def __init__(self, control: Control, subscribe: Callable[..., SubscriptionToTopic] = subscribe) -> None:
         self._control = control
+        self._subscribe = subscribe
         self._names: dict[str, str] = {}
 
     def declared(self) -> DeclaredFeatures:
@@ -102,7 +103,7 @@ class RemoteSubscriptions:
             self._call("withdraw", name=name)
 
     def samples(self, topic: str, wait_s: float) -> SubscriptionToTopic:
-        return subscribe(topic, run=self._control.system.run, wait_s=wait_s, timeout_s=_SUBSCRIPTION_LOOK_S)
+        return self._subscribe(topic, run=self._control.system.run, wait_s=wait_s, timeout_s=_SUBSCRIPTION_LOOK_S)
 
     def listen(self, tell: Callable[[str], None]) -> None:
         """Nothing to report: events of another process are its operator's business."""

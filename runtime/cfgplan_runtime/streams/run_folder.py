@@ -140,6 +140,11 @@ def address(run: Path, topic: str) -> Path:
     return run / f"{name}.socket"
 
 
+def control_address(run: Path) -> Path:
+    """Where the control socket of a run is; no topic's socket has this name."""
+    return run / "control"
+
+
 @contextmanager
 def _alone(base: Path) -> Iterator[None]:
     """Hold the lock under which folders of runs are made and removed."""

@@ -8,7 +8,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from cfgplan_runtime.errors import NoSuchTopicError
 from cfgplan_runtime.streams.channel import Receiver
@@ -28,20 +28,56 @@ class Received:
     topic: str
 
 
+class TopicPlace(Protocol):
+    """Where topics are. A topic may go to another host meanwhile."""
+
+    @property
+    def name(self) -> str: ...
+
+    def connect(self, topic: str) -> socket.socket | None:
+        """A socket that gives the topic's elements from now on; None if the topic is not there."""
+
+    def is_alive(self) -> bool:
+        """Whether the topic may be there again if it is not."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunPlace:
+    """The folder of a run on this computer."""
+
+    run: Path
+
+    @property
+    def name(self) -> str:
+        return self.run.name
+
+    def connect(self, topic: str) -> socket.socket | None:
+        end = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            end.connect(str(address(self.run, topic)))
+        except OSError:
+            end.close()
+            return None
+        return end
+
+    def is_alive(self) -> bool:
+        return is_alive(self.run)
+
+
 class SubscriptionToTopic:
     """A connection to a topic. Iterate over it for the values that come, until the run ends."""
 
-    def __init__(self, topic: str, run: Path, *, timeout_s: float | None) -> None:
+    def __init__(self, topic: str, place: TopicPlace, *, timeout_s: float | None) -> None:
         self.topic = topic
         self.dropped = 0
         """How many elements were dropped because this consumer was slow."""
-        self._run = run
+        self._place = place
         self._timeout_s = timeout_s
         self._receiver: Receiver | None = None
         self._next_number = 0
         self._last: Moment | None = None
         if not self._connect():
-            raise NoSuchTopicError(f"topic {topic!r} of run {run.name} can't be connected to")
+            raise NoSuchTopicError(f"topic {topic!r} of run {place.name} can't be connected to")
 
     def __iter__(self) -> Iterator[Received]:
         """Values as they come. Ends with the run, or raises TimeoutError if nothing comes for `timeout_s`."""
@@ -95,17 +131,14 @@ class SubscriptionToTopic:
     def _reconnect(self) -> None:
         self._receiver = None
         since = time.monotonic()
-        while is_alive(self._run) and not self._connect():
+        while self._place.is_alive() and not self._connect():
             if self._timeout_s is not None and time.monotonic() - since > self._timeout_s:
                 raise TimeoutError(f"{self.topic} was gone for {self._timeout_s} s")
             time.sleep(_RETRY_S)
 
     def _connect(self) -> bool:
-        end = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        try:
-            end.connect(str(address(self._run, self.topic)))
-        except OSError:
-            end.close()
+        end = self._place.connect(self.topic)
+        if end is None:
             return False
         self._receiver = Receiver(end)
         self._next_number = 0
@@ -125,7 +158,7 @@ def subscribe(
         found = _runs_with(topic, run)
         if len(found) == 1:
             try:
-                return SubscriptionToTopic(topic, found[0], timeout_s=timeout_s)
+                return SubscriptionToTopic(topic, RunPlace(found[0]), timeout_s=timeout_s)
             except NoSuchTopicError:
                 if time.monotonic() >= deadline:
                     raise

@@ -51,9 +51,13 @@ class ZenohLink:
         try:
             self._session = zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
         except zenoh.ZError as error:
-            endpoints = ", ".join(config["listen"]["endpoints"]) or "nothing"
-            raise InputError.of(f"can't listen on {endpoints}: {_first_line(error)}") from None
+            listen, connect = (", ".join(config[way]["endpoints"]) for way in ("listen", "connect"))
+            if listen:
+                raise InputError.of(f"can't listen on {listen}: {_first_line(error)}") from None
+            mend = "see that one listens there, and that both have certificates of one authority, or none"
+            raise InputError.of(f"no agent can be reached at {connect}", mend=mend) from None
         self._is_closed = threading.Event()
+        self._tokens: list[zenoh.LivelinessToken] = []
         ports = _ports([*config["listen"]["endpoints"], *config["connect"]["endpoints"]])
         if ports and _GIVE_UP is not None:
             lease_ms = config["transport"]["link"]["tx"]["lease"]
@@ -88,7 +92,7 @@ class ZenohLink:
 
     def live(self, key: str) -> None:
         """Be alive under a key until the link is closed or cut."""
-        self._token = self._session.liveliness().declare_token(key)
+        self._tokens.append(self._session.liveliness().declare_token(key))
 
     def alive(self, keys: str) -> list[str]:
         """The keys that are alive now."""

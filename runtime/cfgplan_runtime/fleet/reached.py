@@ -1,0 +1,160 @@
+"""A fleet as commands reach it from any computer, through one of its agents: its runs and its topics."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from urllib.parse import unquote
+
+import msgspec
+
+from cfgplan_runtime.errors import NoSuchRunError, NoSuchTopicError
+from cfgplan_runtime.fleet.agent import alive_key, topics_key
+from cfgplan_runtime.fleet.certificates import MANAGER
+from cfgplan_runtime.fleet.links import config
+from cfgplan_runtime.fleet.orders import TopicsTold
+from cfgplan_runtime.fleet.tunnels import CONTROL, TunnelClient
+from cfgplan_runtime.streams.subscription import SubscriptionToTopic
+from cfgplan_runtime.streams.zenoh_link import ZenohLink
+
+_REACH_S = 5.0
+"""Seconds until the run that is asked for must have been found."""
+_TOPICS_S = 1.0
+_TOPIC_LOOK_S, _FIRST_TOPICS_S = 0.02, 0.5
+
+
+class ReachedFleet:
+    """A fleet, by the endpoints of some of its agents; a context manager. Raises InputError if none can be reached.
+
+    Where agents have certificates, `certificates` is the folder of the manager's.
+    """
+
+    def __init__(self, connect: Sequence[str], certificates: Path | None = None) -> None:
+        self._lives: dict[str, set[str]] = {}
+        """What tells agents, or managers, from others of their name, by name."""
+        self._lock = threading.Lock()
+        self._link = ZenohLink(config(connect=connect, certificates=certificates, mode="client"))
+        self._client = TunnelClient(self._link)
+        self._link.watch(f"{alive_key('*')}/*", self._note_life)
+
+    @property
+    def hosts(self) -> list[str]:
+        """The hosts whose agents are alive."""
+        with self._lock:
+            return sorted(name for name in self._lives if name != MANAGER)
+
+    @property
+    def runs(self) -> list[str]:
+        """The ids of the runs that are alive."""
+        with self._lock:
+            return sorted(self._lives.get(MANAGER, ()))
+
+    def control(self, run: str | None = None) -> tuple[str, socket.socket]:
+        """A run, and a socket that is connected to its control socket; the id is needed only if there are several.
+
+        Raises NoSuchRunError, which names the live runs.
+        """
+        _until(lambda: bool(self.runs) if run is None else run in self.runs, _REACH_S)
+        runs = self.runs
+        if not runs:
+            raise NoSuchRunError(f"no run has the hosts {', '.join(self.hosts)}: start one with `cfgplan run ENV`")
+        if run is None and len(runs) > 1:
+            raise NoSuchRunError(f"several runs are live: name one by --run: {', '.join(runs)}")
+        if run is not None and run not in runs:
+            raise NoSuchRunError(f"no run {run!r} is live; there is {', '.join(runs)}")
+        return run or runs[0], self._client.connect(MANAGER, run or runs[0], CONTROL)
+
+    def subscribe(
+        self, topic: str, *, run: str | None = None, timeout_s: float | None = None, wait_s: float = 0.0
+    ) -> SubscriptionToTopic:
+        """Subscribe to a topic of any host; see `cfgplan_runtime.subscribe`. Raises NoSuchTopicError."""
+        place = _FleetPlace(self, run)
+        _until(lambda: bool(self.places(topic, run)), max(wait_s, _FIRST_TOPICS_S))
+        found = self.places(topic, run)
+        if len({told for told, _ in found}) > 1:
+            runs = ", ".join(sorted(told for told, _ in found))
+            raise NoSuchTopicError(f"several runs have topic {topic!r}: name one of {runs} (--run)")
+        if not found:
+            there = ", ".join(sorted({name for told in self._told().values() for name in told.topics}))
+            raise NoSuchTopicError(f"nothing publishes topic {topic!r}; there is {there or 'no topic at all'}")
+        return SubscriptionToTopic(topic, place, timeout_s=timeout_s)
+
+    def places(self, topic: str, run: str | None) -> list[tuple[str, str]]:
+        """The runs, with the hosts, that have a topic."""
+        return [
+            (told.run, host)
+            for host, told in sorted(self._told().items())
+            if topic in told.topics and run in (None, told.run)
+        ]
+
+    def connect(self, host: str, topic: str) -> socket.socket | None:
+        """A socket that gives a topic of a host; None if the host is gone."""
+        with self._lock:
+            lives = sorted(self._lives.get(host, ()))
+        return self._client.connect(host, lives[0], topic) if lives else None
+
+    def close(self) -> None:
+        """Close all that is connected."""
+        self._client.close()
+        self._link.close()
+
+    def __enter__(self) -> ReachedFleet:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _told(self) -> dict[str, TopicsTold]:
+        """What each host tells of its topics."""
+        return {
+            unquote(key.split("/")[1]): msgspec.json.decode(answer, type=TopicsTold)
+            for key, answer in self._link.ask(topics_key("*"), _TOPICS_S)
+        }
+
+    def _note_life(self, key: str, is_alive: bool) -> None:
+        """Called by threads of the link."""
+        _, name, _, life = key.split("/")
+        host = unquote(name)
+        with self._lock:
+            lives = self._lives.setdefault(host, set())
+            (lives.add if is_alive else lives.discard)(life)
+            if not lives:
+                del self._lives[host]
+        if not is_alive:
+            self._client.lose(host, life)
+
+
+@dataclass(frozen=True, slots=True)
+class _FleetPlace:
+    """The hosts of a fleet that obey a run, or any."""
+
+    fleet: ReachedFleet
+    run: str | None
+
+    @property
+    def name(self) -> str:
+        return self.run or "of the fleet"
+
+    def connect(self, topic: str) -> socket.socket | None:
+        found = self.fleet.places(topic, self.run)
+        return self.fleet.connect(found[0][1], topic) if found else None
+
+    def is_alive(self) -> bool:
+        return bool(self.fleet.runs)
+
+
+def _until(is_so: Callable[[], bool], patience_s: float) -> bool:
+    """Wait until something is so. Returns whether it is."""
+    end_s = time.monotonic() + patience_s
+    while not is_so():
+        if time.monotonic() > end_s:
+            return False
+        time.sleep(_TOPIC_LOOK_S)
+    return True

@@ -1,0 +1,373 @@
+"""Tunnels: connections to the sockets of a run on another computer of the fleet.
+
+Who reaches out (a run's manager, or a command that steers it) has a connected socket at its end. At the other end an
+agent or a manager connects to a socket in its run's folder: a topic's, or the run's control socket. What is written at
+one end is read at the other, in order and once; a link that is cut or full makes the writer wait. Only who has the
+manager's certificate may reach out.
+"""
+
+from __future__ import annotations
+
+import secrets
+import selectors
+import socket
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from math import inf
+from pathlib import Path
+
+from cfgplan_runtime.errors import RuntimeFaultError
+from cfgplan_runtime.fleet.certificates import KEYS, MANAGER
+from cfgplan_runtime.streams.crossing import (
+    LAST_PIECE,
+    PIECES_UNDER_WAY,
+    Piece,
+    Receiving,
+    Sending,
+    crossing_key,
+    read_credit,
+    read_frame,
+)
+from cfgplan_runtime.streams.run_folder import RunFolder, address, control_address
+from cfgplan_runtime.streams.zenoh_link import ZenohLink
+
+CONTROL = ""
+"""What is asked for in place of a topic to reach the run's control socket."""
+_TUNNEL_IN, _TUNNEL_OUT = ("in", "in-credit"), ("out", "out-credit")
+"""Kinds of keys: of what goes from the one who reaches out, and comes back; of what it says, and has heard."""
+_TUNNEL_CHUNK = 1 << 18
+_MOST_TUNNEL_CHUNKS = 8
+_MOST_UNREAD = 1 << 20
+"""Bytes that wait to be taken from a tunnel's end; the other end waits meanwhile."""
+_LINGER_S = 2.0
+"""Seconds that the last of what was written may take after one end was closed."""
+
+_Put = Callable[[bytes, bytes], None]
+
+
+class _Tunnel:
+    """One end of a tunnel: a thread that lives until either end is closed. `find` connects when asked for something."""
+
+    def __init__(
+        self,
+        declare: Callable[[], tuple[_Put, _Put]],
+        ended: Callable[[], None],
+        find: Callable[[str], socket.socket | None] = lambda _: None,
+    ) -> None:
+        self._declare, self._ended, self._find = declare, ended, find
+        self._end: socket.socket | None = None
+        self._sending = Sending(blocks=True, most=_MOST_TUNNEL_CHUNKS, granted=PIECES_UNDER_WAY)
+        self._receiving = Receiving()
+        self._arrived: deque[tuple[bool, bytes, bytes]] = deque()
+        self._unread = bytearray()
+        self._is_closing = False
+        self._close_s = inf
+        self._bell, self._bell_rope = socket.socketpair()
+        self._selector = selectors.DefaultSelector()
+        for bell in (self._bell, self._bell_rope):
+            bell.setblocking(False)
+        self._selector.register(self._bell, selectors.EVENT_READ)
+
+    def start(self, end: socket.socket | None = None, wanted: str | None = None) -> None:
+        """Begin to carry, from and to `end`; the other end is asked for what is `wanted`."""
+        if end is not None:
+            self._join(end)
+        if wanted is not None:
+            self._sending.offer(Piece(0, 0, wanted.encode()))
+        threading.Thread(target=self._run, name="cfgplan-tunnel", daemon=True).start()
+
+    def take(self, is_credit: bool, head: bytes, payload: bytes) -> None:
+        """What has come from the other end; for any thread."""
+        self._arrived.append((is_credit, head, payload))
+        self._ring()
+
+    def close(self) -> None:
+        """The other end is gone; for any thread."""
+        self._is_closing = True
+        self._ring()
+
+    def _ring(self) -> None:
+        with suppress(OSError):
+            self._bell_rope.send(b"!")
+
+    def _run(self) -> None:
+        try:
+            with suppress(RuntimeFaultError):  # the link is closed
+                self._carry()
+        finally:
+            for one in (self._end, self._bell, self._bell_rope):
+                if one is not None:
+                    one.close()
+            self._selector.close()
+            self._ended()
+
+    def _carry(self) -> None:
+        put, put_credit = self._declare()
+        while not self._is_closing and time.monotonic() < self._close_s:
+            self._step(put, put_credit)
+            if self._close_s < inf and not (self._sending.depth or self._unread):
+                break
+        last = self._receiving.credit(inf)
+        if last is not None:
+            put_credit(b"", last.packed())
+
+    def _step(self, put: _Put, put_credit: _Put) -> None:
+        """Send what is due, then wait for more, and take it."""
+        now_s = time.monotonic()
+        for frame in self._sending.due(now_s):
+            put(frame.head(), b"" if frame.piece is None else bytes(frame.piece.payload))
+        credit = self._receiving.credit(now_s, has_room=len(self._unread) < _MOST_UNREAD)
+        if credit is not None:
+            put_credit(b"", credit.packed())
+        self._watch()
+        times = [due_s for due_s in (self._sending.due_s, self._receiving.due_s) if due_s is not None]
+        due_s = min([*times, self._close_s])
+        found = self._selector.select(None if due_s == inf else max(0.0, due_s - time.monotonic()))
+        with suppress(BlockingIOError):
+            self._bell.recv(4096)
+        while self._arrived:
+            self._understand(*self._arrived.popleft())
+        if any(key.fileobj is self._end and events & selectors.EVENT_READ for key, events in found):
+            self._read()
+        self._write()
+
+    def _watch(self) -> None:
+        """Read from the end unless the other one is behind; write as soon as there is room."""
+        if self._end is None:
+            return
+        is_read = self._close_s == inf and not self._sending.is_full
+        events = (selectors.EVENT_READ if is_read else 0) | (selectors.EVENT_WRITE if self._unread else 0)
+        is_known = self._end in self._selector.get_map()
+        if events and is_known:
+            self._selector.modify(self._end, events)
+        elif events:
+            self._selector.register(self._end, events)
+        elif is_known:
+            self._selector.unregister(self._end)
+
+    def _understand(self, is_credit: bool, head: bytes, payload: bytes) -> None:
+        if is_credit:
+            credit = read_credit(payload)
+            if credit is not None:
+                self._sending.hear(credit)
+            return
+        frame = read_frame(head, payload)
+        for piece in () if frame is None else self._receiving.take(frame, time.monotonic()):
+            if piece.is_last:
+                self._begin_close()
+            elif self._end is not None:
+                self._unread += piece.payload
+            else:
+                end = self._find(bytes(piece.payload).decode(errors="replace"))
+                if end is None:
+                    self._finish()
+                else:
+                    self._join(end)
+
+    def _join(self, end: socket.socket) -> None:
+        end.setblocking(False)
+        self._end = end
+
+    def _read(self) -> None:
+        assert self._end is not None
+        try:
+            chunk = self._end.recv(_TUNNEL_CHUNK)
+        except BlockingIOError:
+            return
+        except OSError:
+            chunk = b""
+        if chunk:
+            self._sending.offer(Piece(0, 0, chunk))
+        else:
+            self._finish()
+
+    def _write(self) -> None:
+        if self._end is None or not self._unread:
+            return
+        try:
+            del self._unread[: self._end.send(self._unread)]
+        except BlockingIOError:
+            pass
+        except OSError:
+            self._unread.clear()
+            self._finish()
+
+    def _finish(self) -> None:
+        """Our end is closed: have the other one told, after all that was written."""
+        if self._close_s == inf:
+            self._sending.offer(LAST_PIECE)
+            self._begin_close()
+
+    def _begin_close(self) -> None:
+        self._close_s = min(self._close_s, time.monotonic() + _LINGER_S)
+
+
+class TunnelServer:
+    """Lets others reach the sockets in the folder `run` of this computer.
+
+    `life` is what tells this host's agent, or this manager, from others of its name.
+    """
+
+    def __init__(self, link: ZenohLink, host: str, life: str, run: Path) -> None:
+        self._link, self._host, self._life, self._run = link, host, life, run
+        self._tunnels: dict[str, _Tunnel] = {}
+        self._ended: set[str] = set()
+        """The tunnels that were there, so that what is sent again makes no new one; until their client is gone."""
+        self._lock = threading.Lock()
+        for kind in _TUNNEL_IN:
+            link.hear(crossing_key(MANAGER, kind, host, f"{life}/*/*"), self._take)
+        link.watch(_client_key("*"), self._note_client)
+
+    def close(self) -> None:
+        """Close all tunnels."""
+        with self._lock:
+            tunnels = list(self._tunnels.values())
+        for tunnel in tunnels:
+            tunnel.close()
+
+    def _take(self, key: str, head: bytes, payload: bytes) -> None:
+        _, _, kind, _, _, client, number = key.split("/")
+        name = f"{client}/{number}"
+        with self._lock:
+            tunnel = self._tunnels.get(name)
+            if tunnel is None:
+                frame = read_frame(head, payload) if kind == _TUNNEL_IN[0] else None
+                if frame is None or frame.number or frame.piece is None or name in self._ended:
+                    return
+                tunnel = self._tunnels[name] = self._made(name)
+        tunnel.take(kind == _TUNNEL_IN[1], head, payload)
+
+    def _made(self, name: str) -> _Tunnel:
+        keys = [crossing_key(self._host, kind, MANAGER, f"{self._life}/{name}") for kind in _TUNNEL_OUT]
+        tunnel = _Tunnel(lambda: _declared(self._link, *keys), lambda: self._forget(name), self._connected)
+        tunnel.start()
+        return tunnel
+
+    def _connected(self, wanted: str) -> socket.socket | None:
+        end = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            end.connect(str(address(self._run, wanted) if wanted != CONTROL else control_address(self._run)))
+        except OSError:
+            end.close()
+            return None
+        return end
+
+    def _forget(self, name: str) -> None:
+        with self._lock:
+            self._tunnels.pop(name, None)
+            self._ended.add(name)
+
+    def _note_client(self, key: str, is_alive: bool) -> None:
+        if not is_alive:
+            client = key.rpartition("/")[2]
+            with self._lock:
+                gone = [tunnel for name, tunnel in self._tunnels.items() if name.startswith(f"{client}/")]
+                self._ended = {name for name in self._ended if not name.startswith(f"{client}/")}
+            for tunnel in gone:
+                tunnel.close()
+
+
+class TunnelClient:
+    """Reaches sockets of runs elsewhere in the fleet."""
+
+    def __init__(self, link: ZenohLink) -> None:
+        self._link = link
+        self._id = secrets.token_hex(4)
+        self._tunnels: dict[str, _Tunnel] = {}
+        self._hosts: dict[str, tuple[str, str]] = {}
+        """By tunnel: the host, and the life of its agent or manager."""
+        self._count = 0
+        self._lock = threading.Lock()
+        for kind in _TUNNEL_OUT:
+            link.hear(crossing_key("*", kind, MANAGER, f"*/{self._id}/*"), self._take)
+        link.live(_client_key(self._id))
+
+    def connect(self, host: str, life: str, wanted: str) -> socket.socket:
+        """A socket that is connected to a topic of a host, or to CONTROL; it ends at once if that is not there."""
+        ours, theirs = socket.socketpair()
+        self.join(theirs, host, life, wanted)
+        return ours
+
+    def join(self, end: socket.socket, host: str, life: str, wanted: str) -> None:
+        """Have `end` connected, and closed with the tunnel."""
+        with self._lock:
+            self._count += 1
+            name = str(self._count)
+            keys = [crossing_key(MANAGER, kind, host, f"{life}/{self._id}/{name}") for kind in _TUNNEL_IN]
+            tunnel = _Tunnel(lambda: _declared(self._link, *keys), lambda: self._forget(name))
+            self._tunnels[name], self._hosts[name] = tunnel, (host, life)
+        tunnel.start(end, wanted)
+
+    def lose(self, host: str, life: str) -> None:
+        """A host's agent, or a manager, is gone: its tunnels are too."""
+        with self._lock:
+            gone = [self._tunnels[name] for name, at in self._hosts.items() if at == (host, life)]
+        for tunnel in gone:
+            tunnel.close()
+
+    def close(self) -> None:
+        """Close all tunnels."""
+        with self._lock:
+            tunnels = list(self._tunnels.values())
+        for tunnel in tunnels:
+            tunnel.close()
+
+    def _take(self, key: str, head: bytes, payload: bytes) -> None:
+        _, _, kind, _, _, _, name = key.split("/")
+        with self._lock:
+            tunnel = self._tunnels.get(name)
+        if tunnel is not None:
+            tunnel.take(kind == _TUNNEL_OUT[1], head, payload)
+
+    def _forget(self, name: str) -> None:
+        with self._lock:
+            self._tunnels.pop(name, None)
+            self._hosts.pop(name, None)
+
+
+class RemoteTopics:
+    """Topics of other computers, at sockets in a run's folder, as if they were on this one; a thread for each."""
+
+    def __init__(self, client: TunnelClient, run: RunFolder) -> None:
+        self._client, self._run = client, run
+        self._listeners: dict[str, socket.socket] = {}
+
+    def show(self, topic: str, host: str, life: str) -> None:
+        """Have a topic of a host be found. Does nothing if there is no room for a socket."""
+        self.hide(topic)
+        with suppress(OSError):
+            listener = self._listeners[topic] = self._run.listen(topic)
+            arguments = (listener, topic, host, life)
+            threading.Thread(target=self._accept, args=arguments, name="cfgplan-topic", daemon=True).start()
+
+    def hide(self, topic: str) -> None:
+        """Have a topic not be found any more."""
+        self._run.forget(topic)
+        if topic in self._listeners:
+            listener = self._listeners.pop(topic)
+            with suppress(OSError):
+                listener.shutdown(socket.SHUT_RDWR)
+
+    def close(self) -> None:
+        """Hide all."""
+        for topic in list(self._listeners):
+            self.hide(topic)
+
+    def _accept(self, listener: socket.socket, topic: str, host: str, life: str) -> None:
+        with listener, suppress(OSError):
+            while True:
+                end, _ = listener.accept()
+                self._client.join(end, host, life, topic)
+
+
+def _declared(link: ZenohLink, data_key: str, credit_key: str) -> tuple[_Put, _Put]:
+    """What puts at the keys of a tunnel. What runs is not delayed by what is looked at."""
+    return link.publisher(data_key, "large"), link.publisher(credit_key, "orders")
+
+
+def _client_key(client: str) -> str:
+    """The key under which who reaches out is alive."""
+    return f"{KEYS}/{MANAGER}/reaches/{client}"
