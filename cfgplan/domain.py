@@ -293,6 +293,11 @@ class Environment:
         return tuple(transformation.label for transformation in self.library if transformation.required)
 
     @cached_property
+    def companions(self) -> frozenset[str]:
+        """The labels that other transformations run with."""
+        return frozenset(label for transformation in self.library for label in transformation.beside)
+
+    @cached_property
     def target(self) -> Mapping[str, Target]:
         """The targets by label."""
         return MappingProxyType({target.label: target for target in self.targets})

@@ -32,6 +32,7 @@ class Notion(StrEnum):
     QUALITY = "quality of streams"
     HOSTS = "hosts"
     CONFLICTS = "conflicts"
+    BESIDE = "units that run with others"
     INSTANCES = "numbers of instances"
     SURVIVAL = "survival of failures"
 
@@ -74,6 +75,7 @@ class Problem:
             Notion.QUALITY: any(target.quality for target in environment.targets),
             Notion.HOSTS: bool(environment.hosts),
             Notion.CONFLICTS: any(t.conflicts or t.conflicts_on_host for t in environment.library),
+            Notion.BESIDE: bool(environment.companions),
             Notion.INSTANCES: any(
                 t.min_instances or t.max_instances is not None or t.per_host is not None for t in environment.library
             ),
@@ -96,10 +98,15 @@ class Problem:
         return self.environment.update(plan.change_set)
 
     def most_new(self, transformation: Transformation) -> int:
-        """How many units of a transformation a plan may start: one, unless more are asked for or allowed."""
+        """How many units of a transformation a plan may start: one, unless more are asked for or allowed.
+
+        Of one that others run with it is one for each host.
+        """
         if transformation.max_instances is not None:
             return min(transformation.max_instances, MOST_INSTANCES)
         usual = 1 if self.survive is None else 2
+        if transformation.label in self.environment.companions:
+            usual = max(usual, len(self.environment.hosts_for(transformation)))
         return min(max(usual, transformation.min_instances), MOST_INSTANCES)
 
     def largest_cost_us(self, horizon_s: int) -> int:

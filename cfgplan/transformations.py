@@ -111,7 +111,8 @@ class Transformation:
     and take there what `takes` says: CPU time, memory and `needs`, whole numbers of other resources.
     On a host in `seen_us` they cost the labor and upkeep given there, instead of what its speed makes of `labor_us`
     and `upkeep_us`. No unit is there together with one of a transformation in `conflicts`, or on one host with one of a
-    transformation in `conflicts_on_host`. At least `min_instances` units run; at
+    transformation in `conflicts_on_host`;
+    on its host there runs a unit of each in `beside`. At least `min_instances` units run; at
     most `max_instances` are there, and at most `per_host` on one host, cold spares counted; without hosts all are on
     one. A cold spare takes `standby_us` each second; None: it has none.
     """
@@ -139,6 +140,7 @@ class Transformation:
     per_host: int | None = None
     conflicts_on_host: tuple[str, ...] = ()
     on: str | None = None
+    beside: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         store_sorted(self, "inputs", self.inputs, attrgetter("name"))
@@ -152,8 +154,8 @@ class Transformation:
         store_whole(self, "per_host")
         if self.labor_us < 0 or self.upkeep_us < 0:
             raise InvalidValueError(f"transformation {self.label!r} has a negative cost")
-        if self.hosts or self.conflicts or self.conflicts_on_host:
-            for name in ("hosts", "conflicts", "conflicts_on_host"):
+        if self.hosts or self.conflicts or self.conflicts_on_host or self.beside:
+            for name in ("hosts", "conflicts", "conflicts_on_host", "beside"):
                 store_sorted(self, name, getattr(self, name), str)
             refuse_duplicates(f"host of transformation {self.label!r}", list(self.hosts))
         if self.host is not None and self.hosts:

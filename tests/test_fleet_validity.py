@@ -124,6 +124,33 @@ def test_transformations_that_conflict_on_a_host_are_on_different_ones_whoever_s
         assert rules(beside) == {Broken.APART}
 
 
+DRIVER = Transformation("driver", standby_us=1)
+
+
+def test_a_unit_runs_with_its_company_which_is_not_needless() -> None:
+    library, driver = (replace(CAMERA, beside=("driver",)), DETECTOR, DRIVER), ComputationUnit("d.1", "driver")
+    here, there = replace(driver, host="robot"), replace(driver, id="d.2", host="base")
+    alone = replace(VALID, library=library)
+    assert rules(alone) == {Broken.BESIDE}
+    assert rules(replace(alone, units=(camera, detector, here))) == set()
+    assert rules(replace(alone, units=(camera, detector, there))) == {Broken.BESIDE, Broken.LEAN}
+    assert rules(replace(alone, units=(camera, detector, here, there))) == {Broken.LEAN}
+    assert rules(replace(alone, units=(camera, detector, here, replace(here, id="d.3")))) == {Broken.LEAN}
+    assert rules(replace(alone, units=(camera, detector, replace(here, standby=True)))) == {Broken.BESIDE, Broken.LEAN}
+
+
+def test_the_failure_of_its_company_is_a_unit_s_own() -> None:
+    camera_kind = replace(CAMERA, beside=("driver",), host=None, memory_mb=0)
+    detectors = tuple(replace(detector, id=f"detector.{n}", publications=detector.publications[n:]) for n in (0, 1))
+    cameras = tuple(replace(camera, id=f"camera.{n}") for n in (1, 2))
+    driver = ComputationUnit("d.1", "driver", host="robot")
+    two = replace(VALID, library=(camera_kind, DETECTOR, DRIVER), hosts=(Host("robot"), Host("base")))
+    one_driver = replace(two, units=(*cameras, *detectors, driver))
+    assert "if unit d.1 fails" in str([v.text for v in violations(one_driver, SIMILARITY, Failures.UNITS)])
+    on_each = (cameras[0], replace(cameras[1], host="base"), *detectors, driver, replace(driver, id="d.2", host="base"))
+    assert rules(replace(two, units=on_each), Failures.UNITS) == set()
+
+
 def test_a_unit_that_is_asked_for_by_number_is_not_needless() -> None:
     second = replace(camera, id="camera.2", host="robot")
     two = replace(VALID, units=(camera, second, detector), hosts=(Host("robot"), HOSTS[1]))

@@ -169,13 +169,22 @@ def _served(environment: Environment, units: Iterable[ComputationUnit], port: st
     topics = {p.topic for u in units for p in u.publications if port in (None, p.port)}
     seen: set[str] = set()
     ahead = [reader.rpartition("/")[0] for reader in _readers(environment, units, port)]
+    ahead += [] if port is not None else _running_with(environment, units)
     while ahead:
         unit = environment.unit[ahead.pop()]
         if unit.id not in seen:
             seen.add(unit.id)
             topics.update(p.topic for p in unit.publications)
             ahead += [reader.rpartition("/")[0] for reader in _readers(environment, [unit], None)]
+            ahead += _running_with(environment, [unit])
     return tuple(target.label for target in environment.targets if target.topic in topics)
+
+
+def _running_with(environment: Environment, units: Iterable[ComputationUnit]) -> list[str]:
+    """The ids of the running units that run with some units on their hosts."""
+    there, library = {(unit.transformation, unit.host) for unit in units}, environment.transformation
+    running = [unit for unit in environment.units if not unit.standby and unit.transformation in library]
+    return [u.id for u in running if any((label, u.host) in there for label in library[u.transformation].beside)]
 
 
 def _readers(environment: Environment, units: Iterable[ComputationUnit], port: str | None) -> tuple[str, ...]:

@@ -50,7 +50,7 @@ def _build(document: Document, vocabulary: TagVocabulary) -> EnvironmentFile:
         if names.is_new("unit", part.id, entry, "id")
     }
     units = UnitChecker(running, library, {target.topic for target in targets.values()}, fleet, left_out).units()
-    _check_conflicts(library, left_out, names.origins)
+    _check_named(library, left_out, names.origins)
     for file in document.files:
         _check_broken_tags(file, tags, faults)
     if faults:
@@ -102,10 +102,11 @@ class _Names:
         return False
 
 
-def _check_conflicts(
+def _check_named(
     library: dict[str, Transformation], left_out: LeftOut, origins: Mapping[tuple[str, str], Passage]
 ) -> None:
     for t in library.values():
+        _check_labels(origins["transformation", t.label].at("with"), t.beside, library, left_out)
         entry = origins["transformation", t.label].at("conflicts")
         in_all = entry.at("system") if t.conflicts_on_host else entry
         for other in {t.label}.intersection(t.conflicts):

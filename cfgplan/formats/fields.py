@@ -268,6 +268,9 @@ class TransformationPart(Part):
         "megabytes that a unit takes on its host; run.memory if absent", None, "memory_mb", ge=0, le=LONGEST_QUEUE
     )
     needs: Resources | None = row("how much of other resources of its host a unit takes, by name: whole numbers")
+    # `with` is a word of Python's, so that it can't be written as the others are.
+    __annotations__["with"] = "list[Name] | None"
+    locals()["with"] = row("transformations of each of which a unit runs on the host of a running unit", to="beside")
     conflicts: ConflictsGiven | None = row("transformations that may not be there together with it")
     min_instances: int = row("at least so many of its units run", 0, ge=0, le=MOST_INSTANCES)
     max_instances: int | None = row("at most so many of its units are there", ge=0)

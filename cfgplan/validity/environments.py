@@ -10,7 +10,7 @@ from cfgplan.domain import Environment, Similarity, Stream
 from cfgplan.planning import Failures
 from cfgplan.validity.hosts import company_violations, placing_violations
 from cfgplan.validity.quality import quality_violations
-from cfgplan.validity.reading import known_units, needed_by, publishers, tag_of
+from cfgplan.validity.reading import company_of, known_units, needed_by, publishers, tag_of
 from cfgplan.validity.rules import Rule, Violation
 from cfgplan.validity.survival import justified_spares, survival_violations
 
@@ -129,9 +129,10 @@ def _indistinct_feeds(environment: Environment) -> Iterator[Violation]:
 def _needless_units(environment: Environment, similarity: Similarity, survive: Failures | None) -> Iterator[Violation]:
     kept = {unit.id for unit, transformation in known_units(environment) if transformation.pinned and not unit.standby}
     kept |= asked_by_number(environment)
-    needed = needed_by(environment, publishers(environment) | kept)
+    company = company_of(environment)
+    needed = needed_by(environment, publishers(environment) | kept, company)
     if len(needed) < len(environment.units):
-        needed |= needed_by(environment, justified_spares(environment, similarity, survive))
+        needed |= needed_by(environment, justified_spares(environment, similarity, survive), company)
     for unit in environment.units:
         if unit.id not in needed:
             yield Violation(Rule.LEAN, f"unit {unit.id} runs, but no target needs it", unit.id)

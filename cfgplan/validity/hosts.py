@@ -38,10 +38,15 @@ def placing_violations(environment: Environment) -> Iterator[Violation]:
 
 
 def company_violations(environment: Environment) -> Iterator[Violation]:
-    """Units that may not be on one host with what else is there; where there are no hosts, all are on one."""
+    """Units that may not be on their host with what is there, or without what is not; without hosts all are on one."""
     at: dict[str | None, Counter[str]] = defaultdict(Counter)
+    running = {(unit.transformation, unit.host) for unit in environment.units if not unit.standby}
     for unit, transformation in known_units(environment):
         at[unit.host][transformation.label] += 1
+        for other in transformation.beside if not unit.standby else ():
+            if (other, unit.host) not in running:
+                where = "" if unit.host is None else f" on {unit.host}"
+                yield Violation(Rule.BESIDE, f"unit {unit.id} runs{where} without a unit of {other}", unit.id)
     for host, there in at.items():
         where = "there" if host is None else f"on {host}"
         for label, number in there.items():

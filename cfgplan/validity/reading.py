@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections import defaultdict
+from collections.abc import Collection, Iterator, Mapping
 
 from cfgplan.domain import ComputationUnit, Environment, Stream, Transformation
 
@@ -25,8 +26,24 @@ def publishers(environment: Environment) -> set[str]:
     return {unit.id for unit in environment.units if any(p.topic in topics for p in unit.publications)}
 
 
-def needed_by(environment: Environment, roots: Collection[str]) -> set[str]:
-    """The ids of `roots` and of all units whose streams they use, directly or through others."""
+NOBODY: Mapping[str, list[str]] = {}
+
+
+def company_of(environment: Environment) -> dict[str, list[str]]:
+    """The units that a running unit can't do without, by its id: each runs alone on its host of what it runs with."""
+    running: dict[tuple[str, str | None], list[str]] = defaultdict(list)
+    for unit in environment.units:
+        if not unit.standby:
+            running[unit.transformation, unit.host].append(unit.id)
+    found = {}
+    for unit, transformation in known_units(environment):
+        beside = [running[other, unit.host] for other in transformation.beside if not unit.standby]
+        found[unit.id] = [ids[0] for ids in beside if len(ids) == 1]
+    return found
+
+
+def needed_by(environment: Environment, roots: Collection[str], company: Mapping[str, list[str]] = NOBODY) -> set[str]:
+    """The ids of `roots` and of all units whose streams they use, directly or through others, and their `company`."""
     needed: set[str] = set()
     ahead = [root for root in roots if root in environment.unit]
     while ahead:
@@ -35,4 +52,5 @@ def needed_by(environment: Environment, roots: Collection[str]) -> set[str]:
             needed.add(unit_id)
             feeders = [s.stream.unit for s in environment.unit[unit_id].subscriptions]
             ahead += [feeder for feeder in feeders if feeder in environment.unit]
+            ahead += company.get(unit_id, ())
     return needed

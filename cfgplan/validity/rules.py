@@ -21,6 +21,7 @@ class Rule(StrEnum):
     PLACED = "every unit runs on a host that its transformation allows"
     CAPACITY = "the units on a host take no more of any resource than it has"
     APART = "units of transformations that conflict are not there together, or not on one host"
+    BESIDE = "on the host of a running unit there runs one of each transformation that it runs with"
     INSTANCES = "of each transformation as many units run as it asks for and allows, in all and on each host"
     SURVIVES = "no single failure leaves a target without a stream"
     PINNED = "a running unit of a pinned transformation is kept where it can be fed, and not stopped without a reason"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator
+from dataclasses import replace
 
 from cfgplan.domain import ComputationUnit, Environment, Similarity, Target, Transformation
 from cfgplan.planning import Failures
@@ -36,14 +37,7 @@ def justified_spares(environment: Environment, similarity: Similarity, survive: 
 
 
 def _without(environment: Environment, unit: ComputationUnit) -> Environment:
-    return Environment(
-        tuple(other for other in environment.units if other != unit),
-        environment.library,
-        environment.targets,
-        environment.hosts,
-        environment.qualities,
-        environment.transfer_us,
-    )
+    return replace(environment, units=tuple(other for other in environment.units if other != unit))
 
 
 def _failures(environment: Environment, survive: Failures | None) -> Iterator[tuple[str, set[str], tuple[Target, ...]]]:
@@ -66,7 +60,7 @@ def _unmet(
     while True:
         before: list[tuple[ComputationUnit, Transformation]] = []
         while True:
-            more = [one for one in anywhere if one not in before and _can_be_fed(one[1], before, anywhere, similarity)]
+            more = [one for one in anywhere if one not in before and _can_run(one, before, anywhere, similarity)]
             if not more:
                 break
             before += more
@@ -78,12 +72,14 @@ def _unmet(
             yield target
 
 
-def _can_be_fed(
-    kind: Transformation,
+def _can_run(
+    one: tuple[ComputationUnit, Transformation],
     before: list[tuple[ComputationUnit, Transformation]],
     anywhere: list[tuple[ComputationUnit, Transformation]],
     similarity: Similarity,
 ) -> bool:
+    unit, kind = one
+    there = {other.transformation for other, _ in anywhere if other.host == unit.host}
     groups: dict[str, dict[str, set[str]]] = defaultdict(dict)
     for port in kind.inputs:
         feeders = {
@@ -92,4 +88,4 @@ def _can_be_fed(
             if any(similarity.holds(output.tag, port.tag) for output in feeder.outputs)
         }
         groups[port.distinct if port.distinct is not None else f"\0{port.name}"][port.name] = feeders
-    return all(different_choices_exist(group) for group in groups.values())
+    return there.issuperset(kind.beside) and all(different_choices_exist(group) for group in groups.values())

@@ -230,6 +230,12 @@ MODEL = _room(
         "there = _on_hosts(model, other) if other != transformation.label else {}",
         "there = {}",
     ),
+    (
+        "a unit runs alone",
+        "rules.py",
+        "model.needs_any(runs, [there[host] for there in units if host in there])",
+        "pass",
+    ),
     ("too many units are on one host", "rules.py", "<= t.per_host)", "<= t.per_host + 1)"),
     (
         "cold spares count as running",
@@ -251,7 +257,7 @@ MODEL = _room(
         "self.rests_on_all(carried, [self.runs[unit]])",
         "self.rests_on_all(carried, [])",
     ),
-    ("a unit may fail alone", "survival.py", "for i in units]) >= 2)", "for i in units]) >= 1)"),
+    ("a unit may fail alone", "survival.py", "for _, literal in there]) >= 2)", "for _, literal in there]) >= 1)"),
     ("the failing host's units count", "survival.py", "if host != each.host])", "if host])"),
     ("a target of the failing host is to be met", "survivors.py", "if t.host != host.name))", "if t.host))"),
     ("a bound on quality is one too lax", "quality.py", "scaled.at_most(wish.bound)", "scaled.at_most(wish.bound) + 1"),
@@ -328,6 +334,9 @@ JUDGE = _room(
         "there[label] < 0:",
     ),
     ("units that conflict are on one host", "hosts.py", "if other in there and other != label:", "if False:"),
+    ("a unit runs alone", "hosts.py", "if (other, unit.host) not in running:", "if False:"),
+    ("company is needless", "reading.py", "if len(ids) == 1]", "if len(ids) == 9]"),
+    ("the failure of its company is not a unit's", "survival.py", "there.issuperset(kind.beside) and ", ""),
     ("too many units are on one host", "hosts.py", "number > most:", "number < 0:"),
     ("too few units run", "environments.py", "if len(running[label]) < transformation.min_instances:", "if False:"),
 )

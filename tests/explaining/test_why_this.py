@@ -121,3 +121,11 @@ def test_a_stream_is_told_by_who_reads_it() -> None:
     found = why_stream(problem, cpsat, plan, "x", "b")
     assert (found.choice, found.consumers, found.targets) == (Choice.FORCED, ("relay.1/in",), ("t",))
     assert why_stream(problem, cpsat, plan, "x", "c").choice is Choice.UNREAD
+
+
+def test_what_others_run_with_serves_their_targets() -> None:
+    web = Transformation("web", (), (OutputPort("page", "Page"),), labor_us=1, beside=("kernel",))
+    environment = Environment((), (web, Transformation("kernel")), (Target("t", "Page", "/t"),))
+    problem = Problem(environment, Similarity({"Page": frozenset({"Page"})}), 1)
+    why = why_transformation(problem, cpsat, cpsat(problem), "kernel")
+    assert (why.units, why.targets, why.choice) == (("kernel.1",), ("t",), Choice.FORCED)

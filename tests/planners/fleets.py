@@ -96,6 +96,8 @@ def transformations(
     if Notion.CONFLICTS in notions:
         changes["conflicts"] = tuple(draw(st.sets(st.sampled_from(labels), max_size=1)) - {plain.label})
         changes["conflicts_on_host"] = tuple(draw(st.sets(st.sampled_from(labels), max_size=1)) - {plain.label})
+    if Notion.BESIDE in notions:
+        changes["beside"] = tuple(draw(st.sets(st.sampled_from(labels), max_size=1)))
     if Notion.INSTANCES in notions:
         least = draw(st.sampled_from([0, 0, 0, 0, 1]))
         changes["min_instances"] = least

@@ -59,6 +59,7 @@ def of_open_pairs(case: tuple[Problem, Similarity]) -> list[str]:
 
 
 HOSTS, QUALITY, SURVIVAL = (frozenset({notion}) for notion in (Notion.HOSTS, Notion.QUALITY, Notion.SURVIVAL))
+BESIDE = frozenset({Notion.BESIDE})
 NUMBERS = frozenset({Notion.CONFLICTS, Notion.INSTANCES})
 
 KINDS: Mapping[str, Kind] = MappingProxyType(
@@ -66,6 +67,12 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         "plain": Kind(st.one_of(problems(special=False), problems(most=5), fusions()), of_one),
         "replanning": Kind(histories(), of_a_history),
         "hosts": Kind(st.one_of(fleets(HOSTS), fleets(HOSTS | NUMBERS)), of_one),
+        "company": Kind(
+            st.one_of(
+                fleets(BESIDE | HOSTS), fleets(BESIDE | HOSTS | NUMBERS), fleets(BESIDE | SURVIVAL | HOSTS, most=2)
+            ),
+            of_one,
+        ),
         "quality": Kind(st.one_of(fleets(QUALITY), fleets(QUALITY | HOSTS, most=2)), of_one),
         "survival": Kind(st.one_of(fleets(SURVIVAL), fleets(SURVIVAL | HOSTS, most=2)), of_one),
         "undecided": Kind(

@@ -193,6 +193,31 @@ def test_a_cold_spare_conflicts_on_its_host_too() -> None:
 
 
 @every_model
+def test_beside_a_unit_run_those_that_it_runs_with(model: type[Hubs]) -> None:
+    library = (kind("s", gives="A", beside=("t", "s")), kind("t", gives="B"), kind("u", gives="A"))
+    fixed = model(world("A", *library, hosts=TWO))
+    assert fixed.allows(on("s.1", "h0"), on("t.1", "h0"))
+    assert fixed.allows(on("s.1", "h0"), on("t.1", "h0"), on("t.2", "h1"))
+    assert not fixed.allows(on("s.1", "h0"), on("t.1", "h1"), ~runs("t.2"))
+    assert not fixed.allows(runs("s.1"), ~runs("t.1"))
+    assert not model(world("A", *library)).allows(runs("s.1"), ~runs("t.1"))
+    assert not model(world("A", library[0], library[2], hosts=TWO)).allows(runs("s.1"))
+
+
+@every_model
+def test_units_that_run_with_each_other_may_feed_each_other_in_one_direction(model: type[Hubs]) -> None:
+    library = (kind("s", gives="A", beside=("f",)), kind("f", "A", "B", beside=("s",)))
+    assert model(world("B", *library, hosts=TWO)).allows(on("s.1", "h1"), on("f.1", "h1"))
+
+
+def test_a_cold_spare_is_no_company_and_needs_none() -> None:
+    library = (kind("s", gives="A", standby_us=1, beside=("t",)), kind("t", gives="B", standby_us=1))
+    fixed = Apart(world("A", *library, kind("u", gives="A", max_instances=2), hosts=TWO, survive=Failures.UNITS))
+    assert fixed.allows(runs("u.1"), waits("s.1"), waits("t.1"))
+    assert not fixed.allows(on("s.1", "h0"), runs("s.1"), waits("t.1"), waits("t.2"))
+
+
+@every_model
 def test_as_many_units_run_as_are_asked_for(model: type[Hubs]) -> None:
     fixed = model(world("A", kind("s", gives="A", min_instances=2)))
     assert fixed.allows(runs("s.1"), runs("s.2"))

@@ -154,6 +154,19 @@ def test_that_no_host_fits_a_selector_is_said() -> None:
     assert found.reasons["A"] == "target A would have no stream: no host is one that web may run on: gpu and not spot"
 
 
+def test_that_no_host_bears_a_unit_and_its_company_is_said() -> None:
+    library = (
+        kind("web", gives="A", beside=("db",), memory_mb=3),
+        kind("db", gives="B", memory_mb=3, on="big or small"),
+    )
+    small, big = Host("h", 5, 5, labels=("small",)), Host("i", memory_mb=6, labels=("big",))
+    found = PLANNERS["cpsat"](world("A", *library, hosts=(small, Host("j"))))
+    assert found.reasons["A"] == "target A would have no stream: no host bears web together with db"
+    found = PLANNERS["cpsat"](world("A", *library, hosts=(small, big)))
+    assert found.change_set is not None
+    assert {(unit.transformation, unit.host) for unit in found.change_set.started} == {("web", "i"), ("db", "i")}
+
+
 def test_which_replica_finds_no_host_is_said() -> None:
     hosts = (Host("a", memory_mb=1100), Host("b", memory_mb=500))
     for more, text in (

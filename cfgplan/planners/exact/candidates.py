@@ -272,18 +272,32 @@ def relevant(environment: Environment, givers: Givers, possible: frozenset[str],
     library = environment.transformation
     asked = {t.label for t in environment.library if t.min_instances}
     asked |= {u.transformation for u in environment.units if u.transformation in library}
-    found = {label for label in asked & possible if library[label].pinned or library[label].min_instances}
+    asked = {label for label in asked & possible if library[label].pinned or library[label].min_instances}
+    found = set(with_companions(environment, asked))
     ahead = [target.tag for target in environment.targets]
     ahead += [port.tag for label in sorted(found) for port in library[label].inputs]
     seen = set(ahead)
     for tag in clock.each(ahead):
         for label in givers.of(tag):
             if label in possible and label not in found:
-                found.add(label)
-                new = [port.tag for port in library[label].inputs if port.tag not in seen]
+                more = with_companions(environment, [label])
+                found.update(more)
+                new = [port.tag for one in more for port in library[one].inputs if port.tag not in seen]
                 seen.update(new)
                 ahead += new
-    return frozenset(found)
+    return frozenset(found & possible)
+
+
+def with_companions(environment: Environment, labels: Iterable[str]) -> list[str]:
+    """Some transformations and those that they run with, directly or through others."""
+    found, library = list(labels), environment.transformation
+    if environment.companions:
+        seen = set(found)
+        for label in found:
+            new = [other for other in library[label].beside if other in library and other not in seen]
+            seen.update(new)
+            found += new
+    return found
 
 
 def _candidates(problem: Problem, labels: frozenset[str], clock: Clock) -> Iterator[Candidate]:

@@ -16,7 +16,7 @@ from cfgplan.planners.exact.decode import lean, named
 from cfgplan.planners.exact.grounded import Grounded
 from cfgplan.planners.exact.places import Places
 from cfgplan.planners.exact.reach import Reach
-from cfgplan.planners.exact.survivors import Failure, unmet
+from cfgplan.planners.exact.survivors import Failure, Site, site_of, unmet
 from cfgplan.planners.networks.core import Floats
 from cfgplan.planners.networks.greedy import FREE, plan_at
 from cfgplan.planning import Failures
@@ -115,10 +115,15 @@ class Configuration:
     def _labels(self, units: Collection[int]) -> frozenset[str]:
         return frozenset(self.candidates.all[i].transformation.label for i in units)
 
+    def _sites(self, units: Collection[int]) -> frozenset[Site]:
+        all_of, host_of = self.candidates.all, self._places.host_of
+        labels = {i: all_of[i].transformation.label for i in units}
+        return frozenset(site_of(self.candidates.environment, label, host_of.get(i)) for i, label in labels.items())
+
     def _bears(self, host: str | None, left: Collection[int], targets: tuple[Target, ...]) -> bool:
         """Add spares that meet the targets together with the units `left` after a failure. False if there are none."""
         candidates, labels = self.candidates, self._labels(left)
-        if not unmet(candidates, Failure(host, labels, targets)):
+        if not unmet(candidates, Failure(host, self._sites(left), targets)):
             return True
         if self._is_quick and self._doubled(labels, host):
             return True

@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from cfgplan.domain import ComputationUnit, InputPort, Publication, Stream, Subscription, Target
+from cfgplan.domain import ComputationUnit, Environment, InputPort, Publication, Stream, Subscription, Target
 from cfgplan.planners.exact.candidates import Candidates, HostName
 from cfgplan.planners.exact.survivors import can_do_without
 from cfgplan.planners.exact.wiring import published_stream
@@ -16,7 +16,7 @@ from cfgplan.planning import Notion, Problem, fresh_units
 if TYPE_CHECKING:
     from cfgplan.planners.exact.model import Model  # the solver takes long to import
 
-MAY_RUN_FOR_NOBODY = {Notion.SURVIVAL, Notion.INSTANCES}
+MAY_RUN_FOR_NOBODY = {Notion.SURVIVAL, Notion.INSTANCES, Notion.BESIDE}
 
 
 def decode(model: Model, true: Collection[int]) -> list[ComputationUnit] | None:
@@ -58,7 +58,7 @@ class _Decoding:
             label = all_of[i].transformation.label
             found[i] = ComputationUnit(all_of[i].id, label, subscriptions, tuple(topics[i]), self.host_of[i])
             ahead += [model.unit_of(s.stream) for s in subscriptions]
-        if not self._are_enough(found):
+        if not self._are_enough(found) or not have_company(model.environment, found.values()):
             return None
         return [*found.values(), *self._spares()]
 
@@ -138,7 +138,7 @@ def lean(candidates: Candidates, units: Collection[ComputationUnit]) -> list[Com
     spares: set[str] = set()
     while True:
         roots = [u for u in left if u.publications or u.id in spares or _is_asked_for(problem, left, u)]
-        needed = _needed(left, roots)
+        needed = _needed(problem.environment, left, roots)
         needless = [unit for unit in left if unit.id not in needed]
         if not needless:
             return left
@@ -172,15 +172,39 @@ def _is_asked_for(problem: Problem, units: Iterable[ComputationUnit], unit: Comp
     return number <= transformation.min_instances
 
 
-def _needed(units: Iterable[ComputationUnit], roots: Iterable[ComputationUnit]) -> set[str]:
+def _needed(environment: Environment, units: Iterable[ComputationUnit], roots: Iterable[ComputationUnit]) -> set[str]:
     by_id = {unit.id: unit for unit in units}
+    running = _running_on(by_id.values()) if environment.companions else {}
     ahead = [root.id for root in roots]
     needed = set(ahead)
     for unit_id in ahead:
-        new = {s.stream.unit for s in by_id[unit_id].subscriptions} - needed
+        unit = by_id[unit_id]
+        beside = environment.transformation[unit.transformation].beside if not unit.standby else ()
+        company = [running.get((unit.host, label), ()) for label in beside]
+        new = {s.stream.unit for s in unit.subscriptions} | {ids[0] for ids in company if len(ids) == 1}
+        ahead += sorted(new - needed)
         needed |= new
-        ahead += sorted(new)
     return needed
+
+
+def have_company(environment: Environment, units: Collection[ComputationUnit]) -> bool:
+    """Whether on the host of each running unit there runs one of each transformation that it runs with."""
+    running = _running_on(units) if environment.companions else {}
+    return not environment.companions or all(
+        (unit.host, label) in running
+        for unit in units
+        if not unit.standby
+        for label in environment.transformation[unit.transformation].beside
+    )
+
+
+def _running_on(units: Iterable[ComputationUnit]) -> dict[tuple[HostName, str], list[str]]:
+    """The ids of the running units of each transformation on each host."""
+    found: dict[tuple[HostName, str], list[str]] = defaultdict(list)
+    for unit in units:
+        if not unit.standby:
+            found[unit.host, unit.transformation].append(unit.id)
+    return found
 
 
 def named(candidates: Candidates, units: list[ComputationUnit]) -> list[ComputationUnit]:

@@ -12,8 +12,9 @@ import numpy as np
 
 from cfgplan.domain import ComputationUnit
 from cfgplan.figures import qualities_of_targets
-from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.exact.candidates import Candidates, with_companions
 from cfgplan.planners.exact.configuration import Configuration, spare_prices
+from cfgplan.planners.exact.decode import have_company
 from cfgplan.planners.exact.places import Rooms
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.exact.survivors import bears_all_failures
@@ -105,10 +106,25 @@ class FirstPlans:
             labels = {self.network.labels[n] for n in support}
             dearer = self._dearer_in_conflict(labels)
             if dearer is None:
-                return self.offer(self.units_of(labels))
+                return self.offer(self.units_of(self._with_companions(labels, price)))
             price = price.copy()
             price[dearer] = np.inf
         return False
+
+    def _with_companions(self, labels: Collection[str], price: Floats) -> Collection[str]:
+        """Some labels, those that they run with, and the cheapest that feed these."""
+        environment, number = self.candidates.environment, self.network.number
+        found = set(with_companions(environment, labels)) & number.keys()
+        ahead = sorted(found.difference(labels))
+        for label in ahead:
+            for port in environment.transformation[label].inputs:
+                givers = [giver for giver in self.candidates.givers.of(port.tag) if giver in number]
+                if givers and found.isdisjoint(givers):
+                    cheapest = min(givers, key=lambda giver: (price[number[giver]], giver))
+                    new = [one for one in with_companions(environment, [cheapest]) if one not in found]
+                    found.update(new)
+                    ahead += new
+        return found & number.keys()
 
     def _dearer_in_conflict(self, labels: Collection[str]) -> int | None:
         number, library = self.network.number, self.candidates.environment.transformation
@@ -155,6 +171,7 @@ class FirstPlans:
                 for wish in target.quality
             )
             and all(rooms.put(environment.transformation[unit.transformation], unit.host) for unit in units)
+            and have_company(environment, units)
             and all(running[t.label] >= t.min_instances for t in self._numbered)
             and all(t.max_instances is None or there[t.label] <= t.max_instances for t in kinds)
             and not any(other != t.label and other in there for t in kinds for other in t.conflicts)

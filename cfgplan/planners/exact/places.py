@@ -44,6 +44,12 @@ class Rooms:
             ):
                 yield f"no unit of {other}"
 
+    def strangers(self, kind: Transformation, name: HostName) -> int:
+        """How many transformations that a unit runs with are not on a host; less than 0 where it is waited for."""
+        there, library = self._there[name], self._environment.transformation
+        is_awaited = not there[kind.label] and any(kind.label in library[label].beside for label in there)
+        return sum(not there[other] for other in kind.beside) - is_awaited
+
     def _takes(self, kind: Transformation, name: HostName) -> Mapping[str, int]:
         return {} if name is None else taken(kind, self._environment.host[name])
 
@@ -81,9 +87,14 @@ class Places:
         return False
 
     def _by_price(self, grounded: Grounded, unit: int, hosts: Iterable[HostName]) -> list[HostName]:
-        """Hosts by what it costs to run a unit there, and to carry its inputs there."""
-        places = self.candidates.all[unit].places
-        return sorted(hosts, key=lambda h: (places[h].cost_us + self._carry_us(grounded, unit, h), h or ""))
+        """Hosts by the company they keep, then by what it costs to run a unit there, and to carry its inputs there."""
+        candidate, strangers = self.candidates.all[unit], self._rooms.strangers
+
+        def price(host: HostName) -> tuple[int, int, str]:
+            carry_us = self._carry_us(grounded, unit, host)
+            return strangers(candidate.transformation, host), candidate.places[host].cost_us + carry_us, host or ""
+
+        return sorted(hosts, key=price)
 
     def _carry_us(self, grounded: Grounded, unit: int, host: HostName) -> int:
         """The cost to carry a unit's inputs to a host from those of their feeders that are placed."""

@@ -92,6 +92,11 @@ def _lack(environment: Environment, t: Transformation) -> str | None:
     hosts = [host for host in environment.places_for(t) if host is not None]
     if environment.hosts and not hosts:
         return f"no host is one that {t.label} may run on" + (f": {t.on}" if t.on else "")
+    for label in t.beside if hosts else ():
+        other = environment.transformation.get(label)
+        both = [] if other is None else [h.name for h in hosts if h.name in environment.hosts_for(other)]
+        if other is None or not any((room := Rooms(environment)).put(t, h) and room.put(other, h) for h in both):
+            return f"no host bears {t.label} together with {label}"
     for resource in sorted(t.takes):
         lacks = [
             (amount := taken(t, host)[resource], room is not None and amount > room)

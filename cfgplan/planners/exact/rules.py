@@ -303,6 +303,14 @@ def units_that_conflict_are_not_on_one_host(model: Model) -> None:
                 _are_apart(model, these, there.get(host, ()))
 
 
+def beside_a_running_unit_run_those_that_it_runs_with(model: Model) -> None:
+    for i, places in model.runs_on.items():
+        for other in model.candidates.all[i].transformation.beside:
+            units = [model.runs_on[j] for j in model.candidates.units_of(other)]
+            for host, runs in places.items():
+                model.needs_any(runs, [there[host] for there in units if host in there])
+
+
 def _on_hosts(model: Model, label: str) -> dict[HostName, list[IntVar]]:
     """For each host the booleans that a unit of a transformation is there, running or as a cold spare."""
     found: dict[HostName, list[IntVar]] = defaultdict(list)
@@ -387,6 +395,7 @@ RULES: Final[tuple[ModelRule, ...]] = (
     there_are_as_many_units_as_asked_for_and_allowed,
     no_host_has_more_units_of_a_transformation_than_it_allows,
     units_that_conflict_are_not_on_one_host,
+    beside_a_running_unit_run_those_that_it_runs_with,
     new_units_come_in_order,
     one_of_new_units_alike_is_enough,
     targets_get_the_quality_they_ask_for,

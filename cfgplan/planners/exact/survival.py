@@ -1,9 +1,10 @@
 """Single failures in the constraint model, as landmarks that have to be hit twice.
 
-A landmark of a target is a set of transformations of which every way to meet the target runs one. After the failure of
-a unit the others can still meet all targets exactly if every landmark has two units there: one of them may be the
-failing one, and a lone cold spare does not meet the target now. After the failure of a host every landmark needs a unit
-on another one. There are too many landmarks to name, so those that a solution misses are added, round by round.
+A landmark of a target is a set of sites (transformations, and hosts where these matter) of which every way to meet the
+target runs one. After the failure of a unit the others can still meet all targets exactly if every landmark has two
+units there: one of them may be the failing one, and a lone cold spare does not meet the target now. After the failure
+of a host every landmark needs a unit on another one. There are too many landmarks to name, so those that a solution
+misses are added, round by round.
 """
 
 from __future__ import annotations
@@ -17,14 +18,14 @@ from cfgplan.domain import ComputationUnit, Target
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.model import Model
 from cfgplan.planners.exact.reach import Reach
-from cfgplan.planners.exact.survivors import failures, is_met, unmet
+from cfgplan.planners.exact.survivors import Site, failures, is_met, site_of, unmet
 
 
 @dataclass(frozen=True)
 class Missed:
     """A landmark that has too few units: one in all or, with a `host`, none on another host."""
 
-    labels: frozenset[str]
+    sites: frozenset[Site]
     host: str | None = None
 
 
@@ -33,11 +34,12 @@ class Survival:
 
     def __init__(self, candidates: Candidates) -> None:
         self.candidates = candidates
-        dear: dict[str, int] = {}
+        dear: dict[Site, int] = {}
         for candidate in candidates.all:
-            label = candidate.transformation.label
-            dear[label] = max(dear.get(label, 0), candidate.cost_us)
-        self._by_cost = sorted(dear, key=lambda label: (-dear[label], label))
+            for host in candidate.hosts:
+                site = site_of(candidates.environment, candidate.transformation.label, host)
+                dear[site] = max(dear.get(site, 0), candidate.cost_us)
+        self._by_cost = sorted(dear, key=lambda site: (-dear[site], site[0], site[1] or ""))
         self._known: set[Missed] = set()
 
     def missed(self, units: Collection[ComputationUnit]) -> list[Missed]:
@@ -56,25 +58,29 @@ class Survival:
         new = [each for each in missed if each not in self._known]
         self._known.update(new)
         for each in new:
-            units = [i for i, c in enumerate(self.candidates.all) if c.transformation.label in each.labels]
+            there = [
+                (host, literal)
+                for i, c in enumerate(self.candidates.all)
+                for host, literal in (*model.runs_on[i].items(), *model.waits_on[i].items())
+                if site_of(self.candidates.environment, c.transformation.label, host) in each.sites
+            ]
             if each.host is None:
-                model.cp.add(LinearExpr.sum([model.is_there[i] for i in units]) >= 2)
+                model.cp.add(LinearExpr.sum([literal for _, literal in there]) >= 2)
             else:
-                places = [places for i in units for places in (model.runs_on[i], model.waits_on[i])]
-                model.cp.add_bool_or([there for on in places for host, there in on.items() if host != each.host])
+                model.cp.add_bool_or([literal for host, literal in there if host != each.host])
         return bool(new)
 
-    def _landmark(self, target: Target, left: Collection[str]) -> frozenset[str]:
-        """All transformations but a largest set that does not meet the target; the dear ones go into the set first."""
+    def _landmark(self, target: Target, left: Collection[Site]) -> frozenset[Site]:
+        """All sites but a largest set that does not meet the target; the dear ones go into the set first."""
         candidates = self.candidates
         without = set(left)
-        reach = Reach(candidates.network, candidates.numbers(left))
-        for label in candidates.clock.each(self._by_cost, 1):
-            if label not in without:
-                without.add(label)
-                for number in candidates.numbers([label]):
+        reach = Reach(candidates.network, candidates.numbers(label for label, _ in left))
+        for site in candidates.clock.each(self._by_cost, 1):
+            if site not in without:
+                without.add(site)
+                for number in candidates.numbers([site[0]]):
                     reach.add(number)
                 if is_met(candidates, reach, without, target):
-                    without.remove(label)
+                    without.remove(site)
                     reach.take_back()
         return frozenset(self._by_cost) - without
