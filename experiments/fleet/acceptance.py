@@ -38,6 +38,7 @@ from computers import (
     targets,
     unit,
 )
+from fleet_storm import faults_after
 from network import Network, NotAllowedError
 
 SKIPPED = 77
@@ -351,6 +352,12 @@ def partition(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
     return Seen(f"{text}; there are {', '.join(units)}", is_refused and units == ["count", "same"])
 
 
+def storm(fleet: Fleet, short: bool) -> Seen:
+    """200 perturbations, links cut and hosts lost: what runs then costs what a fresh plan does, without orphans."""
+    happened, faults = faults_after(fleet, seed=0, perturbations=20 if short else 200)
+    return Seen(f"{happened}: {'; '.join(faults) or 'as good as a fresh plan, no orphan'}", not faults)
+
+
 def images_lost(values: Sequence[int]) -> int:
     """How many images are missing, by their numbers modulo 256."""
     return sum((after - before) % 256 - 1 for before, after in pairwise(list(values)))
@@ -377,6 +384,7 @@ CASES: dict[str, tuple[Callable[[Fleet, bool], Seen], float]] = {
     "agent killed": (agent_killed, 2.0),
     "clocks": (clocks, 2.0),
     "load": (load, 2.0),
+    "storm": (storm, 2.0),
     "host returns": (returning, 1.0),
     "cut for good": (cut_for_good, 1.0),
     "source swapped in a cut": (source_in_cut, 4.0),

@@ -23,6 +23,7 @@ HOSTS = ("base", "r1", "r2")
 UNITS = Path(__file__).parents[1] / "runtime"
 RATE_HZ = 200
 PATIENCE_S = 30.0
+HELPERS = ("nursery", "outlets")
 
 _COMMAND = """
 import sys, time
@@ -106,12 +107,20 @@ class Fleet:
 
     def units(self, host: str) -> dict[str, int]:
         """The units that really run on a host, with their process ids."""
+        return {name: pid for name, pid in self._processes(host).items() if name not in HELPERS}
+
+    def helpers(self, host: str) -> dict[str, int]:
+        """The processes of an agent that are no units."""
+        return {name: pid for name, pid in self._processes(host).items() if name in HELPERS}
+
+    def _processes(self, host: str) -> dict[str, int]:
         found = {}
-        for child in psutil.Process(self.agents[host].pid).children(recursive=True):
-            with contextlib.suppress(psutil.Error):  # it has just ended
-                words = " ".join(child.cmdline()).split()
-                if len(words) == 3 and words[2] not in ("nursery", "outlets", "relay"):
-                    found[words[2]] = child.pid
+        with contextlib.suppress(psutil.NoSuchProcess):  # a killed agent has none
+            for child in psutil.Process(self.agents[host].pid).children(recursive=True):
+                with contextlib.suppress(psutil.Error):  # it has just ended
+                    words = " ".join(child.cmdline()).split()
+                    if len(words) == 3:
+                        found[words[2]] = child.pid
         return found
 
     def _base(self, name: str) -> Path:

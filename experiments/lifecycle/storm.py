@@ -16,7 +16,6 @@ import os
 import random
 import signal
 import sys
-import tempfile
 import threading
 import time
 from collections import Counter
@@ -51,26 +50,13 @@ from cfgplan.planning import Problem, Status
 from cfgplan.validity import Rule, violations
 
 LAYERS = "ABCD"
-HOSTS = (Host("near", cpu_us=2000), Host("far", cpu_us=3000), Host("base"))
-PLACES: tuple[tuple[str, ...], ...] = ((), (), ("near",), ("far",))
-CHOICES: tuple[tuple[str, ...], ...] = ((), ("near", "far"), ("near", "base"), ("far", "base"), ("base",))
+HOSTS = (Host("r1", cpu_us=2000), Host("r2", cpu_us=3000), Host("base"))
+PLACES: tuple[tuple[str, ...], ...] = ((), (), ("r1",), ("r2",))
+CHOICES: tuple[tuple[str, ...], ...] = ((), ("r1", "r2"), ("r1", "base"), ("r2", "base"), ("base",))
 TRANSFER_US = 1000
 PATIENCE_S = 60.0
 HORIZON_S = 300
-UNITS = """
-import time
-
-def give0(seed=0):
-    while True:
-        time.sleep(0.02)
-        yield 1
-
-def give1(x0, seed=0):
-    return x0
-
-def give2(x0, x1, seed=0):
-    return x0 + x1
-"""
+UNITS = Path(__file__).parent / "storm_units.py"
 
 
 def library(
@@ -89,7 +75,7 @@ def library(
                     (OutputPort("y", f"{letter}{number % 2}", rate_uhz=10_000_000, size_bytes=1000 * number),),
                     0 if is_free_to_start else randoms.randrange(1, 1000) * 1000,
                     randoms.randrange(1, 1000),
-                    source=f"storm_units.py:give{width}",
+                    source=f"{UNITS}:give{width}",
                     host=hosts[0] if len(hosts) == 1 else None,
                     hosts=hosts if len(hosts) > 1 else (),
                 )
@@ -133,7 +119,7 @@ class Storm:
         choices.append(AddTransformations((replace(changed, upkeep_us=randoms.randrange(1, 1000)),)))
         choices.append(AddTransformations((replace(changed, params={"seed": randoms.random()}),)))
         lost = seen.lost_hosts
-        choices.append(RegainHost(lost[0]) if lost else LoseHost(randoms.choice(("near", "far"))))
+        choices.append(RegainHost(lost[0]) if lost else LoseHost(randoms.choice(("r1", "r2"))))
         return randoms.choice(choices)
 
 
@@ -182,7 +168,7 @@ def in_thought(seed: int, perturbations: int, hosts: tuple[Host, ...] = ()) -> l
     runtime = SimulatedRuntime()
     decisions: Counter[str] = Counter()
     costs = DeclaredCosts(failure_us=0)  # what crashed is to be as good as before in the end
-    manager = Manager(world, runtime, clock=runtime.clock, estimator=costs, report=_counting(decisions))
+    manager = Manager(world, runtime, clock=runtime.clock, estimator=costs, report=counting(decisions))
     manager.run(1.0)
     storm = Storm(seed, known, targets())
     for _ in range(perturbations):
@@ -219,26 +205,26 @@ def on_processes(seed: int, perturbations: int) -> list[str]:
     world = api.world(Environment((), tuple(known), tuple(targets())), horizon_s=HORIZON_S)
     storm = Storm(seed, known, targets())
     decisions: Counter[str] = Counter()
-    with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "storm_units.py").write_text(UNITS)
-        costs = DeclaredCosts(failure_us=0)
-        with (
-            Runtime(folder=folder) as runtime,
-            Manager(world, runtime, estimator=costs, report=_counting(decisions)) as manager,
-        ):
-            manager.settle(PATIENCE_S)
-            for _ in range(perturbations):
-                if storm.randoms.random() < 0.3:
-                    _kill(runtime, storm.randoms)
-                else:
-                    _await(manager.request(storm.change(manager)), storm.randoms.choice((0.01, PATIENCE_S)))
-            manager.settle(PATIENCE_S)
-            _await(manager.request(ReviewNow()), PATIENCE_S)
-            manager.settle(PATIENCE_S)
-            print(f"seed {seed}: {dict(decisions)}")
-            found = faults(manager, runtime.environment, is_free_to_start=is_free_to_start)
-            met = [view.topic for view in manager.snapshot().targets if view.is_met]
-            return [*found, *(f"nothing comes on {topic}" for topic in met if not _gives(topic, runtime.id))]
+    costs = DeclaredCosts(failure_us=0)
+    with Runtime() as runtime, Manager(world, runtime, estimator=costs, report=counting(decisions)) as manager:
+        manager.settle(PATIENCE_S)
+        for _ in range(perturbations):
+            if storm.randoms.random() < 0.3:
+                _kill(runtime, storm.randoms)
+            else:
+                await_answer(manager.request(storm.change(manager)), storm.randoms.choice((0.01, PATIENCE_S)))
+        print(f"seed {seed}: {dict(decisions)}")
+        return faults_at_rest(manager, runtime, is_free_to_start=is_free_to_start)
+
+
+def faults_at_rest(manager: Manager, runtime: Runtime, *, is_free_to_start: bool) -> list[str]:
+    """The faults once everything has been answered, and that nothing comes for a target that is met."""
+    manager.settle(PATIENCE_S)
+    await_answer(manager.request(ReviewNow()), PATIENCE_S)
+    manager.settle(PATIENCE_S)
+    found = faults(manager, runtime.environment, is_free_to_start=is_free_to_start)
+    met = [view.topic for view in manager.snapshot().targets if view.is_met]
+    return [*found, *(f"nothing comes on {topic}" for topic in met if not _gives(topic, runtime.id))]
 
 
 def _kill(runtime: Runtime, randoms: random.Random) -> None:
@@ -261,13 +247,13 @@ def _gives(topic: str, run: str) -> bool:
     return bool(received)
 
 
-def _await(outcome: Outcome, patience_s: float) -> None:
+def await_answer(outcome: Outcome, patience_s: float) -> None:
     """Wait for an answer, not for ever; a request that came too late for what it was about is refused."""
     with suppress(InputError, TimeoutError):
         outcome.result(patience_s)
 
 
-def _counting(decisions: Counter[str]) -> Callable[[object], None]:
+def counting(decisions: Counter[str]) -> Callable[[object], None]:
     def count(report: object) -> None:
         if isinstance(report, Reviewed):
             decisions[report.review.decision.value] += 1
