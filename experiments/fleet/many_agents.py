@@ -154,15 +154,16 @@ def name_of(number: int) -> str:
     return f"h{number:03}"
 
 
-def environment(count: int) -> Environment:
+def environment(count: int, places: int = 2) -> Environment:
     """For each host a chain of units to a topic; each unit may run on that host or on the next."""
 
     def link(host: int, place: int) -> Transformation:
         label = f"t{host}_{place}"
         inputs = (InputPort("x", f"T{host}_{place - 1}"),) if place else ()
         outputs = (OutputPort("y", f"T{host}_{place}", rate_uhz=10_000_000, size_bytes=1000),)
-        hosts = (name_of(host), name_of((host + 1) % count))
-        return Transformation(label, inputs, outputs, 100_000, 1000, source="simulated:unit", hosts=hosts)
+        hosts = tuple(name_of((host + number) % count) for number in range(places))
+        one, more = (hosts[0], ()) if places == 1 else (None, hosts)
+        return Transformation(label, inputs, outputs, 100_000, 1000, source="simulated:unit", host=one, hosts=more)
 
     library = tuple(link(host, place) for host in range(count) for place in range(UNITS))
     targets = tuple(Target(f"r{host}", f"T{host}_{UNITS - 1}", f"/r{host}") for host in range(count))
