@@ -110,15 +110,22 @@ class _Search:
         return self._left_s() == 0.0
 
     def look_at_what_runs(self) -> None:
-        """After the time limit: add the targets one by one, the most important first, keeping each that the planner
-        can still meet without search.
+        """After the time limit: take the targets, the most important first, that the planner can still meet together
+        without search.
         """
-        chosen: frozenset[Target] = frozenset()
-        for target in self._targets:
-            if self._is_met(chosen | {target}):
-                chosen |= {target}
+        chosen = self._also_met(frozenset(), self._targets)
         if self._is_better(chosen):
             self.best = chosen
+
+    def _also_met(self, chosen: frozenset[Target], ahead: Sequence[Target]) -> frozenset[Target]:
+        """`chosen`, which can be met, and each of `ahead` that can be met too; asked in halves, as most of them can."""
+        everything = chosen.union(ahead)
+        if not ahead or self._is_met(everything):
+            return everything
+        if len(ahead) == 1:
+            return chosen
+        half = len(ahead) // 2
+        return self._also_met(self._also_met(chosen, ahead[:half]), ahead[half:])
 
     def best_plan(self) -> Plan:
         """The plan for the best set. Its status is UNKNOWN if time ran out before any target was met."""

@@ -9,6 +9,7 @@ import os
 from collections import Counter
 from dataclasses import replace
 from itertools import combinations
+from typing import Any
 
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -157,6 +158,23 @@ def test_without_time_targets_that_are_met_and_required_transformations_that_are
     assert not found.exact
     assert not found.plan.change_set
     assert "time ran out" in found.plan.reasons["b"]
+
+
+def test_without_time_few_questions_find_what_runs_of_many_targets() -> None:
+    labels = [f"t{number}" for number in range(64)]
+    library = tuple(Transformation(label, outputs=(OutputPort("out", label),)) for label in labels)
+    targets = tuple(Target(label, label, f"/{label}") for label in labels)
+    similarity = Similarity({label: frozenset({label}) for label in labels})
+    problem = Problem(Environment((), library, targets), similarity, 1)
+    running = problem.after(cpsat(problem)).units
+    asked: list[Problem] = []
+
+    def planner(problem: Problem, **more: Any) -> Plan:
+        asked.append(problem)
+        return cpsat(problem, **more)
+
+    found = best_effort(problem.with_parts(units=running[1:]), planner, time_limit_s=0)
+    assert (len(found.problem.environment.targets), len(asked) < 20) == (63, True)
 
 
 @many

@@ -19,6 +19,7 @@ CASES = (
     "unit killed",
     "agent killed",
     "clocks",
+    "storm",
     "cut for good",
 )
 

@@ -15,6 +15,7 @@ from test_fleets_against_the_oracle import EXAMPLES, agree_with_the_explicit_mod
 
 from cfgplan.domain import Environment, Host, InputPort, OutputPort, Similarity, Target, Transformation
 from cfgplan.planners import PLANNERS
+from cfgplan.planners.exact import fleet
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.first_plans import FirstPlans
 from cfgplan.planners.exact.kernels import left_by_bounds
@@ -85,6 +86,20 @@ def test_a_dearer_unit_on_the_target_s_host_beats_a_cheap_one_and_a_transfer() -
     assert found.cost_us == 30
     assert found.change_set is not None
     assert {unit.transformation[:4] for unit in found.change_set.started} == {"near", "sink"}
+
+
+def test_a_repair_that_rewires_only_what_has_lost_its_feed_is_proven_without_search(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    library = kind("s", gives="A", labor_us=9), kind("f", "A", "B", labor_us=9)
+    problem = world("B", *library, hosts=(Host("h0"), Host("h1")))
+    monkeypatch.delattr(fleet, "_search")
+    running = problem.after(PlannerSession().plan(problem)).units
+    (left,) = (replace(unit, subscriptions=()) for unit in running if unit.transformation == "f")
+    found = PlannerSession().plan(problem.with_parts(units=(left,)))
+    assert (found.status, found.cost_us, found.ties_proven) == (Status.OPTIMAL, 9, True)
+    assert found.change_set is not None
+    assert [unit.id for unit in found.change_set.rewired] == [left.id]
 
 
 def test_what_nothing_grounds_on_any_host_is_cut_by_who_has_to_run() -> None:

@@ -51,17 +51,29 @@ def least_prices_us(candidates: Candidates) -> dict[tuple[str, str], int]:
     return prices
 
 
-def least_of_all(candidates: Candidates) -> tuple[int, int]:
-    """The least cost of any plan, and the least number of units that it starts.
+def least_of_all(candidates: Candidates) -> tuple[int, int, int]:
+    """The least cost of any plan, and the least numbers of units that a plan of this cost rewires and starts.
 
     Every plan runs a unit of each transformation that no plan does without, and no target gets more than the best
-    quality.
+    quality. At the least cost it runs the cheapest of these units, which is rewired if it runs and has lost a feed.
     """
     network = candidates.network
     indispensable = [[c for c in candidates.of(network.labels[n]) if c.may_run] for n in network.pinned]
-    cost_us = sum(min((c.cost_us for c in units), default=0) for units in indispensable)
+    least_us = [min((c.cost_us for c in units), default=0) for units in indispensable]
+    rewired = sum(
+        all(_has_lost_a_feed(c) for c in units if c.cost_us == least)
+        for units, least in zip(indispensable, least_us, strict=True)
+        if units
+    )
     started = sum(all(c.running is None for c in units) for units in indispensable if units)
-    return cost_us + sum(least_prices_us(candidates).values()), started
+    return sum(least_us) + sum(least_prices_us(candidates).values()), rewired, started
+
+
+def _has_lost_a_feed(candidate: Candidate) -> bool:
+    unit = candidate.running
+    if unit is None or unit.standby:
+        return False
+    return any(port.name not in unit.feeds for port in candidate.transformation.inputs)
 
 
 def bound_by_price(candidates: Candidates, most_us: int) -> None:

@@ -26,7 +26,7 @@ def plan_fleet(candidates: Candidates, standing: Standing, last: Collection[str]
     if clock.tuning.is_solver_only:
         _solve(candidates, standing)
         return
-    least_us, started = least_of_all(candidates)
+    least_us, rewired, started = least_of_all(candidates)
     standing.raise_bound(least_us)
     clock.end("closure")
     first = FirstPlans(candidates, standing)
@@ -35,7 +35,7 @@ def plan_fleet(candidates: Candidates, standing: Standing, last: Collection[str]
     attempts = 0 if problem.survive is not None or is_known else clock.tuning.begin.attempts
     first.look(attempts)  # each attempt needs spares where failures are to be survived
     clock.end("first plans")
-    if standing.best is not None and standing.best.key == (standing.fewest_unused, least_us, 0, started):
+    if standing.best is not None and standing.best.key == (standing.fewest_unused, least_us, rewired, started):
         standing.prove_cost()
         standing.are_ties_proven = True
         return
