@@ -13,7 +13,7 @@ from test_preprocessing import Stage
 from worlds import problems
 
 from cfgplan.planners.closing.program import LandmarkProgram, alike
-from cfgplan.planners.exact.structure import Structure
+from cfgplan.planners.exact.memory import Structure
 from cfgplan.planners.networks.core import Core, Rows
 from cfgplan.planners.networks.network import Graph
 from cfgplan.planners.solving.clock import Clock

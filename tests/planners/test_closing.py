@@ -20,7 +20,7 @@ from cfgplan.planners.closing.gap import Closing, Repairs
 from cfgplan.planners.closing.program import LandmarkProgram
 from cfgplan.planners.closing.separation import Separator
 from cfgplan.planners.cpsat import PlannerSession
-from cfgplan.planners.exact.structure import Structure
+from cfgplan.planners.exact.memory import Structure
 from cfgplan.planners.networks.core import Core, Rows
 from cfgplan.planners.networks.greedy import first_plan, is_plan
 from cfgplan.planners.networks.network import Graph

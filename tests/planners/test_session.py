@@ -36,7 +36,7 @@ from cfgplan.domain import (
 from cfgplan.planners import PLANNERS
 from cfgplan.planners.cpsat import PlannerSession, plan
 from cfgplan.planners.exact.first_plans import FirstPlans
-from cfgplan.planners.exact.structure import Structure
+from cfgplan.planners.exact.memory import Structure
 from cfgplan.planning import Problem, Progress, Status
 from cfgplan.validity import plan_violations
 from experiments.fleet import instances

@@ -12,105 +12,91 @@ import numpy as np
 
 from cfgplan.planners.bounding.bounds import Bound, chained_bound
 from cfgplan.planners.bounding.branching import Branching
-from cfgplan.planners.exact.candidates import Candidates
-from cfgplan.planners.exact.prepared import Prepared
-from cfgplan.planners.exact.standing import Standing
-from cfgplan.planners.exact.structure import Structure
+from cfgplan.planners.exact.run import Left, Run, numbers
 from cfgplan.planners.networks.core import Core, Ints
 from cfgplan.planners.networks.greedy import first_plan, without_redundant
 from cfgplan.planners.networks.network import Network, Weighing
 
 
-def decide(standing: Standing, structure: Structure, among: Collection[str] | None = None) -> Candidates | None:
+def decide(run: Run, among: Collection[str] | None = None) -> bool:
     """Search for a better plan for some steps; with `among`, no other labels can be in one.
 
-    If all is proven, returns the candidates of the plan; if only the cost is, all candidates that a better plan can
-    have. Returns None if more is open. Nothing is done if the network is large, or if distinct or feedback inputs make
-    a plan more than its labels.
+    True if that proves the cost; the solver has then broken ties if it had to. Nothing is done if the network is large,
+    or if distinct or feedback inputs make a plan more than its labels.
     """
-    network, tuning = structure.network, standing.clock.tuning.decide
+    standing, network, tuning = run.standing, run.structure.network, run.clock.tuning.decide
     is_large = len(network.labels) > tuning.labels if among is None else len(among) > tuning.left
     if not tuning.steps or is_large or network.special:
-        return None
-    weighing = Weighing.with_changes(standing.problem, network, structure.pinned)
+        return False
+    weighing = Weighing.with_changes(run.problem, network, run.structure.pinned)
     if weighing is None:
-        return None
+        return False
     plans: list[set[int]] = []
     if standing.best is not None:
         plans.append({network.number[unit.transformation] for unit in standing.best.units}.union(network.pinned))
     if among is None:
-        first = first_plan(network, weighing.weight, 0, standing.clock)
+        first = first_plan(network, weighing.weight, 0, run.clock)
         plans += [] if first is None else [first]
     if not plans:
-        return None
-    plan = min(plans, key=lambda one: weighing.of_plan(_numbers(one)))
-    return _Deciding(standing, structure, weighing, among).run(plan)
+        return False
+    is_proven = _Deciding(run, weighing, among).proves(min(plans, key=lambda one: weighing.of_plan(numbers(one))))
+    run.clock.end("bounds")
+    if is_proven and not standing.is_over:
+        run.search().run()
+        run.clock.end("search")
+    return is_proven
 
 
 class _Deciding:
     """Searches for a plan that weighs less, and brings the standing forward by the answer."""
 
-    def __init__(
-        self, standing: Standing, structure: Structure, weighing: Weighing, among: Collection[str] | None
-    ) -> None:
-        self._standing, self._structure, self._weighing = standing, structure, weighing
-        self._core, self._weight = structure.network.core, weighing.weight
-        self._tuning = standing.clock.tuning.decide
+    def __init__(self, run: Run, weighing: Weighing, among: Collection[str] | None) -> None:
+        self._run, self._weighing = run, weighing
+        self._network = network = run.structure.network
+        self._core, self._weight = network.core, weighing.weight
+        self._tuning = run.clock.tuning.decide
         self._is_part = among is not None
         if among is not None:
             keep = np.zeros(self._core.goal, np.bool_)
-            keep[[structure.network.number[label] for label in among]] = True
+            keep[[network.number[label] for label in among]] = True
             self._core, self._weight = self._core.restricted(keep), self._weight[keep]
 
-    def run(self, plan: set[int]) -> Candidates | None:
-        network, weighing, standing, tuning = self._structure.network, self._weighing, self._standing, self._tuning
-        limit, nodes = weighing.of_plan(_numbers(plan)), 0
-        least, is_proven = limit, False
-        if not self._is_part and self._core.goal > self._tuning.chained:
-            chained = chained_bound(self._core, self._weight, network.pinned, standing.clock.is_over)
+    def proves(self, plan: set[int]) -> bool:
+        """Search below the plan. True if the cost is proven; what is left may then differ in changes only."""
+        run, network, weighing, tuning = self._run, self._network, self._weighing, self._tuning
+        limit = least = weighing.of_plan(numbers(plan))
+        is_proven = False
+        if not self._is_part and self._core.goal > tuning.chained:
+            chained = chained_bound(self._core, self._weight, network.pinned, run.clock.is_over)
             is_proven = weighing.least(chained) >= limit
+        run.standing.counts["nodes"] = 0
         if not is_proven:
             core, search = self._below(limit)
             first, more = min(tuning.steps, tuning.first), max(0, tuning.steps - tuning.first)
             is_proven = search.run(first) or (search.done >= tuning.soon and search.run(more))
-            nodes, least = search.nodes, search.least
-            if not self._structure.has_landmarks:
-                self._structure.remember(search.bound, weighing.scale)
+            run.standing.counts["nodes"], least = search.nodes, search.least
+            if not run.memory.has_landmarks:
+                run.memory.keep_landmarks(search.bound, weighing.scale)
             if search.best is not None:
                 plan = set(core.labels[sorted(search.best)].tolist()).union(network.pinned)
         plan = _lean(network, weighing.weight, plan)
-        value = weighing.of_plan(_numbers(plan)) if is_proven else weighing.least(least)
-        labels = [network.labels[i] for i in sorted(plan)]
-        prepared = Prepared(
-            labels,
-            labels,
-            bound_us=weighing.cost_us(value),
-            counts={"nodes": nodes, "left by bounds": len(labels)},
-            fewest_changes=weighing.changes(value),
-            is_complete=False,
-        )
-        candidates = self._told(prepared)
-        if not is_proven:
-            return None
-        return candidates if standing.is_over else self._all(prepared, plan)
+        labels = numbers(plan)
+        value = weighing.of_plan(labels) if is_proven else weighing.least(least)
+        left = Left(network, weighing, labels, value, labels, is_complete=False)
+        run.take(left)
+        return is_proven and (run.standing.is_over or self._takes_others(left, plan))
 
-    def _told(self, prepared: Prepared) -> Candidates:
-        candidates = self._structure.candidates(self._standing.problem, prepared.labels)
-        prepared.tell(self._standing, candidates)
-        return candidates
-
-    def _all(self, prepared: Prepared, plan: set[int]) -> Candidates | None:
-        """The candidates of all plans that may change less than the incumbent, a cheapest plan; None if not known."""
-        network, standing = self._structure.network, self._standing
-        if standing.best is None:
-            return None
-        core, search = self._below(self._weighing.of_key(standing.best.key))
-        others = search.others(np.flatnonzero(np.isin(core.labels, _numbers(plan))).tolist(), self._tuning.steps)
-        if others is None:
-            return None
-        labels = [network.labels[i] for i in sorted(plan.union(core.labels[sorted(others)].tolist()))]
-        counts = {**prepared.counts, "left by bounds": len(labels)}
-        return self._told(replace(prepared, labels=labels, counts=counts, is_complete=True))
+    def _takes_others(self, left: Left, plan: set[int]) -> bool:
+        """Take the labels of all plans that may change less than the incumbent, which costs least. False if unknown."""
+        run = self._run
+        if run.standing.best is None:
+            return False
+        core, search = self._below(self._weighing.of_key(run.standing.best.key))
+        others = search.others(np.flatnonzero(np.isin(core.labels, left.labels)).tolist(), self._tuning.steps)
+        if others is not None:
+            labels = plan.union(core.labels[sorted(others)].tolist())
+            run.take(replace(left, labels=numbers(labels), is_complete=True))
+        return others is not None
 
     def _below(self, limit: int) -> tuple[Core, Branching]:
         """The core to search, and a search in it for plans that weigh less than `limit`."""
@@ -119,16 +105,12 @@ class _Deciding:
             bound = Bound(core, weight)
             part = bound.restricted(bound.may_be_used(limit - step))
             core, weight = part.core, part.cost
-        return core, Branching(core, weight, limit, step, self._standing.clock.is_over)
-
-
-def _numbers(labels: set[int]) -> Ints:
-    return np.array(sorted(labels), np.int64)
+        return core, Branching(core, weight, limit, step, self._run.clock.is_over)
 
 
 def _lean(network: Network, weight: Ints, plan: set[int]) -> set[int]:
     """Drop redundant members from a plan that has members of no weight."""
-    while not weight[_numbers(plan)].all():
+    while not weight[numbers(plan)].all():
         lean = without_redundant(network, weight, plan)
         if lean == plan:
             break

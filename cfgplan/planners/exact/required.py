@@ -7,43 +7,24 @@ finds without bounds how many can be used.
 from __future__ import annotations
 
 import heapq
-from collections.abc import Collection
 
 import numpy as np
 
 from cfgplan.planners.bounding.bounds import Bound, tightened
-from cfgplan.planners.exact.prepared import Prepared
-from cfgplan.planners.exact.rest import Left
+from cfgplan.planners.exact.memory import Structure
+from cfgplan.planners.exact.rest import Part
+from cfgplan.planners.exact.run import Left, Run
 from cfgplan.planners.exact.standing import Incumbent, Standing
-from cfgplan.planners.exact.structure import Structure
-from cfgplan.planners.exact.wiring import wire
 from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.greedy import first_plan, support_of
-from cfgplan.planners.networks.network import Network, costs
+from cfgplan.planners.networks.network import Network, Weighing, costs
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Problem
 
 
-def offer_any_plan(standing: Standing, structure: Structure) -> None:
-    """Offer a greedy plan, if one is found, whatever required transformations it uses."""
-    network, problem = structure.network, standing.problem
-    plan = first_plan(network, costs(problem, network, structure.pinned)[1], 0, standing.clock)
-    if plan is not None:
-        offer(plan, standing, structure)
-
-
-def offer(plan: Collection[int], standing: Standing, structure: Structure) -> None:
-    """Offer a plan of labels, by their numbers. Raises OutOfTimeError."""
-    labels = [structure.network.labels[i] for i in sorted(plan)]
-    candidates = structure.candidates(standing.problem, labels, standing.clock)
-    units = wire(candidates, candidates.first_of_each(labels))
-    if units is not None:
-        standing.offer(units)
-
-
-def prepared_with_all(standing: Standing, structure: Structure) -> Prepared:
+def left_with_all(run: Run) -> Left:
     """What may be in a plan that uses all required transformations; if such a plan is found it is offered."""
-    problem, clock = standing.problem, standing.clock
+    problem, clock, structure, standing = run.problem, run.clock, run.structure, run.standing
     required = frozenset(t.label for t in structure.network.transformations if t.required)
     network = structure.network_with(problem, required, clock)
     fixed_us, cost = costs(problem, network, structure.pinned)
@@ -58,16 +39,10 @@ def prepared_with_all(standing: Standing, structure: Structure) -> Prepared:
     best = standing.best
     incumbent = best if best is not None and best.key.unused == structure.hopeless_required else None
     limit = int(cost.sum()) if incumbent is None else incumbent.key.cost_us - fixed_us
-    bound = tightened(Bound(network.core, cost), limit, limit, clock)
-    left = Left.by(bound, limit)
-    labels = np.union1d(left.labels, np.array(network.pinned, np.int64))
-    return Prepared(
-        [network.labels[i] for i in labels.tolist()],
-        bound_us=left.value + fixed_us,
-        landmarks=lambda: left.landmarks(labels, network.labels),
-        counts={"landmarks": left.known, "left by bounds": len(labels)},
-        holds_for=structure.hopeless_required,
-    )
+    part = Part.by(tightened(Bound(network.core, cost), limit, limit, clock), limit)
+    labels = np.union1d(part.labels, np.array(network.pinned, np.int64))
+    weighing = Weighing(cost, 1, 1, fixed_us)
+    return Left(network, weighing, labels, part.value, bound=part.bound, holds_for=structure.hopeless_required)
 
 
 def _few(

@@ -37,6 +37,8 @@ LARGEST = 2**62
 """No sum of the solver's integers may exceed this."""
 Landmarks = Iterable[tuple[Iterable[str], int]]
 """Labels of which every plan has so many or more; each counts as often as it is named."""
+Missed = Callable[[Collection[str], Clock], Landmarks]
+"""Finds landmarks that the transformations of a solution do not hit."""
 
 
 class InfeasibleError(Exception):
@@ -55,13 +57,12 @@ class Search:
         is_apart: bool = False,
         landmarks: Landmarks = (),
         cuts: Iterable[ChainCut] = (),
-        missed: Callable[[Collection[str], Clock], Landmarks] = lambda *_: (),
+        missed: Missed = lambda *_: (),
         rules: Sequence[ModelRule] = RULES,
     ) -> None:
         """With `is_all` false some candidates are left out: the search gives plans, but no bounds.
 
-        `is_apart` is the model's. `landmarks` hold of every plan that may be optimal. `missed` finds landmarks that the
-        transformations of a solution do not hit.
+        `is_apart` is the model's. `landmarks` hold of every plan that may be optimal.
         """
         self.problem = candidates.problem
         self.standing = standing

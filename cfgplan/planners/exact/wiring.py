@@ -6,25 +6,16 @@ from collections import defaultdict
 from collections.abc import Collection
 from heapq import heappop, heappush
 
-from cfgplan.domain import (
-    ComputationUnit,
-    Environment,
-    InputPort,
-    Publication,
-    Stream,
-    Subscription,
-    Target,
-    Transformation,
-)
-from cfgplan.planners.exact.candidates import Candidates, Closure
-from cfgplan.planning import Problem
-from cfgplan.reasons import Givers, assign_different, distinct_groups, startable
+from cfgplan.domain import ComputationUnit, InputPort, Publication, Stream, Subscription, Target
+from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.reasons import assign_different, distinct_groups
 
 
 def wire(candidates: Candidates, chosen: Collection[int]) -> list[ComputationUnit] | None:
-    """The chosen candidates wired, less those that nothing needs; None if they do not ground each other.
+    """The chosen candidates wired, kept ones on their hosts; None if they do not ground each other.
 
-    For problems that ask nothing beyond the paper. Raises OutOfTimeError by the candidates' clock.
+    Where nothing is asked beyond the paper, those that nothing needs are left out. Raises OutOfTimeError by the
+    candidates' clock.
     """
     ordering = _Ordering(candidates, chosen)
     is_grounded = ordering.run()
@@ -37,7 +28,7 @@ def wire(candidates: Candidates, chosen: Collection[int]) -> list[ComputationUni
         who = publisher[target.topic]
         assert who is not None
         topics[who].append(Publication(published_stream(candidates, who, target).port, target.topic))
-    ahead = sorted({*topics, *filter(candidates.is_pinned, chosen)})
+    ahead = sorted({*topics, *filter(candidates.is_pinned, chosen)} if candidates.problem.is_plain else chosen)
     units: dict[int, ComputationUnit] = {}
     for i in ahead:
         if i not in units:
@@ -48,30 +39,11 @@ def wire(candidates: Candidates, chosen: Collection[int]) -> list[ComputationUni
                 Subscription(p.name, candidates.stream_of(placed[p.name], p.tag, feeds.get(p.name, ())))
                 for p in candidate.transformation.inputs
             )
-            units[i] = ComputationUnit(candidate.id, candidate.transformation.label, subscriptions, tuple(topics[i]))
+            host = None if candidate.running is None else candidate.running.host
+            label = candidate.transformation.label
+            units[i] = ComputationUnit(candidate.id, label, subscriptions, tuple(topics[i]), host)
             ahead += placed.values()
     return list(units.values())
-
-
-def what_runs(problem: Problem) -> list[ComputationUnit] | None:
-    """The running units that targets and pinned units need, rewired where they have to be; None if they are too few.
-
-    They are valid where nothing is asked beyond the paper. Offered first, they keep any plan from being worse than to
-    change nothing.
-    """
-    library = running_library(problem.environment)
-    givers = Givers(library, problem.similarity)
-    possible = startable(Environment((), library), givers)
-    if not possible.issuperset(t.label for t in library if t.pinned):
-        return None
-    candidates = Candidates(problem, Closure(givers, possible, possible))
-    return wire(candidates, [i for i, candidate in enumerate(candidates.all) if candidate.running is not None])
-
-
-def running_library(environment: Environment) -> tuple[Transformation, ...]:
-    """The transformations that have a unit, in the library's order."""
-    labels = {unit.transformation for unit in environment.units}
-    return tuple(t for t in environment.library if t.label in labels)
 
 
 def forced_changes(candidates: Candidates, chosen: Collection[int]) -> int:

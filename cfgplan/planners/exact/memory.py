@@ -1,0 +1,198 @@
+"""What a session keeps between plans: closure and network of the library, landmarks, the last plan, what is at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from cfgplan.domain import Environment, Similarity, Transformation
+from cfgplan.planners.bounding.bounds import Bound, tightened
+from cfgplan.planners.bounding.landmarks import Landmark
+from cfgplan.planners.exact.candidates import Candidates, Closure
+from cfgplan.planners.exact.rest import Rest
+from cfgplan.planners.exact.standing import Standing
+from cfgplan.planners.networks.core import Ints
+from cfgplan.planners.networks.network import Network, costs
+from cfgplan.planners.solving.clock import Clock
+from cfgplan.planning import Problem
+
+
+@dataclass(frozen=True)
+class Structure:
+    """What depends on library, matching and targets alone, whatever runs and whatever it costs.
+
+    `network` is that of what is relevant.
+    """
+
+    environment: Environment
+    similarity: Similarity
+    pinned: frozenset[str]
+    closure: Closure
+    network: Network
+
+    @classmethod
+    def of(cls, problem: Problem, old: Structure | None, clock: Clock) -> Structure:
+        """The structure of a problem; what still holds is taken from an `old` one. Raises OutOfTimeError."""
+        environment = problem.environment
+        is_known = old is not None and old.similarity == problem.similarity and _alike(old.environment, environment)
+        closure = Closure.of(problem, clock, old.closure if old is not None and is_known else None)
+        network = _network(environment, closure, closure.relevant, frozenset(), clock)
+        return cls(environment, problem.similarity, _pinned(environment), closure, network)
+
+    @property
+    def meets_targets(self) -> bool:
+        """Whether each target by itself can be met."""
+        return len(self.network.targets) == len(self.environment.targets)
+
+    def candidates(self, problem: Problem, labels: Iterable[str], clock: Clock | None = None) -> Candidates:
+        """The units that a plan may have of some labels; the problem must be one that this serves."""
+        return Candidates(problem, self.closure, frozenset(labels), clock)
+
+    def counts(self) -> dict[str, int]:
+        """How many transformations and demands are left, step by step."""
+        return {
+            "transformations": len(self.environment.library),
+            "startable": len(self.closure.possible),
+            "relevant": len(self.network.labels),
+            "demands": len(self.network.fact_of_tag),
+            "merged demands": len(self.network.core.givers),
+        }
+
+    def network_with(self, problem: Problem, wanted: frozenset[str], clock: Clock) -> Network:
+        """The network with some labels that have to run, as pinned ones do; raises OutOfTimeError."""
+        return _network(problem.environment, self.closure, frozenset(self.network.labels), wanted, clock)
+
+    @cached_property
+    def has_required(self) -> bool:
+        """Whether some transformation that may be of use is required to be used."""
+        return any(t.required for t in self.network.transformations)
+
+    @cached_property
+    def hopeless_required(self) -> int:
+        """How many required transformations can never be used, whatever is planned."""
+        return len(self.environment.required) - sum(t.required for t in self.network.transformations)
+
+    def serves(self, problem: Problem) -> bool:
+        """Whether the problem differs in nothing but running units and costs."""
+        return (
+            (self.similarity is problem.similarity or self.similarity == problem.similarity)
+            and _alike(self.environment, problem.environment)
+            and self.environment.targets == problem.environment.targets
+            and self.pinned == _pinned(problem.environment)
+        )
+
+
+class Memory:
+    """What a session keeps of the problems with one matching. Each stage of a plan may add to it."""
+
+    def __init__(self, structure: Structure, last: frozenset[str] = frozenset(), aside: Memory | None = None) -> None:
+        """`last` are the transformations of the last plan. `aside` is what is kept of another matching.
+
+        That is there as none and all of the open pairs match by turns.
+        """
+        self.structure, self.last, self._aside = structure, last, aside
+        self.rest: Rest | None = None
+        self._landmarks: list[Landmark] = []
+        self._weights: list[int] = []
+        self._found: tuple[Callable[[], Bound], int] | None = None
+
+    @classmethod
+    def of(cls, problem: Problem, known: Memory | None, clock: Clock) -> Memory:
+        """What holds of a problem out of what is `known`; raises OutOfTimeError."""
+        last, aside = (frozenset[str](), None) if known is None else (known.last, known._aside)
+        if known is not None and known.structure.similarity != problem.similarity:
+            known._aside = None
+            if aside is None or aside.structure.similarity != problem.similarity:
+                return cls(Structure.of(problem, None, clock), last, known)
+            known, last, aside = aside, aside.last, known
+            known._aside = aside
+        if known is not None and known.structure.serves(problem):
+            return known
+        return cls(Structure.of(problem, None if known is None else known.structure, clock), last, aside)
+
+    def keep_plan(self, standing: Standing) -> None:
+        """Keep the transformations of the best plan so far."""
+        if standing.best is not None:
+            self.last = frozenset(unit.transformation for unit in standing.best.units if not unit.standby)
+
+    def keep_landmarks(self, bound: Callable[[], Bound], scale: int) -> None:
+        """Keep a bound's landmarks that have a charge. In the bound a microsecond weighs `scale`."""
+        self._found = bound, scale
+
+    @property
+    def has_landmarks(self) -> bool:
+        return self._found is not None or bool(self._landmarks)
+
+    def bound(self, weight: Ints, scale: int = 1) -> Bound:
+        """The bound by the landmarks that are kept, charged as before as far as that goes."""
+        core = self.structure.network.core
+        if self._found is not None:
+            (found, old_scale), self._found = self._found, None
+            old = found()
+            known = {landmark.key: landmark for landmark in self._landmarks}
+            counted = [
+                (landmark.outside(old.core), charge // old_scale)
+                for landmark, charge in zip(old.landmarks, old.weights, strict=True)
+                if charge
+            ]
+            self._landmarks = [known.get(one.key) or one.made_again(core) for one, _ in counted]
+            self._weights = [charge for _, charge in counted]
+        bound = Bound(core, weight, list(self._landmarks))
+        bound.recharge([charge * scale for charge in self._weights])
+        return bound
+
+    def settle(self, problem: Problem, clock: Clock) -> None:
+        """After a proven plan that changes nothing, prepare for the next one: keep its `Rest`."""
+        network = self.structure.network
+        _, cost = costs(problem, network, self.structure.pinned)
+        plan = np.array(sorted({network.number[label] for label in self.last} | set(network.pinned)), np.int64)
+        if self.rest is not None and np.array_equal(self.rest.cost, cost) and np.array_equal(self.rest.plan, plan):
+            return
+        library = problem.environment.transformation
+        dearest = max((library[network.labels[i]].labor_us for i in plan.tolist()), default=0)
+        value = int(cost[plan].sum())
+        limit = value + dearest
+        self.rest = self.rest and self.rest.moved(plan, cost, limit, clock)
+        if self.rest is None:
+            close = tightened(self.bound(cost), value, value, clock)
+            self.keep_landmarks(lambda: close, 1)
+            self.rest = Rest.of(plan, cost, int(clock.tuning.rest.room * limit), self.bound(cost), clock)
+
+
+def _network(
+    environment: Environment, closure: Closure, labels: frozenset[str], wanted: frozenset[str], clock: Clock
+) -> Network:
+    givers, possible = closure.givers, closure.possible
+    return Network(
+        [t for t in environment.library if t.label in labels],
+        [target.tag for target in environment.targets if not possible.isdisjoint(givers.of(target.tag))],
+        (_pinned(environment) & possible) | wanted,
+        givers,
+        clock.each,
+    )
+
+
+def _pinned(environment: Environment) -> frozenset[str]:
+    """The labels of pinned transformations that have running units."""
+    library = environment.transformation
+    return frozenset(
+        unit.transformation
+        for unit in environment.units
+        if unit.transformation in library and library[unit.transformation].pinned
+    )
+
+
+def _alike(one: Environment, other: Environment) -> bool:
+    """Whether the libraries differ in nothing but costs."""
+    return one.library == other.library or (
+        len(one.library) == len(other.library)
+        and all(a is b or _ports(a) == _ports(b) for a, b in zip(one.library, other.library, strict=True))
+    )
+
+
+def _ports(transformation: Transformation) -> tuple[object, ...]:
+    t = transformation
+    return t.label, t.inputs, t.outputs, t.pinned, t.required, t.min_instances

@@ -1,0 +1,158 @@
+"""What one plan works on: the incumbent and what is proven, what the session keeps, and what bounds leave."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cfgplan.planners.bounding.bounds import Bound
+from cfgplan.planners.closing.gap import Closing
+from cfgplan.planners.closing.separation import Separator
+from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.exact.memory import Memory
+from cfgplan.planners.exact.rest import Part
+from cfgplan.planners.exact.standing import Standing
+from cfgplan.planners.exact.wiring import forced_changes, wire
+from cfgplan.planners.networks.core import Ints
+from cfgplan.planners.networks.network import Network, Weighing
+from cfgplan.planners.solving.clock import Clock
+
+if TYPE_CHECKING:
+    from cfgplan.planners.exact.search import Landmarks, Missed, Search
+
+
+@dataclass(frozen=True)
+class Left:
+    """What bounds leave of a network: the labels that a better plan may have, and a plan if one is known.
+
+    No plan weighs less than `value`. With `is_complete` no other labels can be in a better plan. With `holds_for` all
+    this holds only for plans that leave no more required transformations unused.
+    """
+
+    network: Network
+    weighing: Weighing
+    labels: Ints
+    value: int
+    plan: Ints | None = None
+    bound: Bound | None = None
+    is_complete: bool = True
+    holds_for: int | None = None
+
+    @classmethod
+    def by(cls, part: Part, network: Network, weighing: Weighing, plan: Ints | None, *, is_over: bool) -> Left:
+        """What is left by a bound; if the time `is_over`, no labels but the plan's."""
+        value, labels = weighing.least(part.value), part.labels
+        if plan is not None and is_over and value < weighing.of_plan(plan):
+            labels = plan
+        return cls(network, weighing, labels, value, plan, part.bound)
+
+    @property
+    def names(self) -> list[str]:
+        return [self.network.labels[i] for i in self.labels.tolist()]
+
+    @property
+    def counts(self) -> dict[str, int]:
+        known = {} if self.bound is None else {"landmarks": len(self.bound.landmarks)}
+        return {**known, "left by bounds": len(self.labels)}
+
+    def landmarks(self) -> list[tuple[list[str], int]]:
+        """Short landmarks for plans that have no other labels, as (labels, number).
+
+        A plan has so many of the labels or more, a label counts as often as it is named.
+        """
+        if self.bound is None:
+            return []
+        part = self.bound.restricted(np.isin(self.bound.core.labels, self.labels))
+        labels, names = part.core.labels, self.network.labels
+        return [([names[i] for i in labels[one.counted].tolist()], one.least) for one in part.short()]
+
+
+class Run:
+    """One plan on its way: each stage goes on from what the one before it has left."""
+
+    left: Left
+    candidates: Candidates
+    """The units of the labels that are left."""
+
+    def __init__(self, standing: Standing, memory: Memory) -> None:
+        self.standing, self.memory, self.structure = standing, memory, memory.structure
+        self.problem, self.clock = standing.problem, standing.clock
+        self.is_new = not memory.has_landmarks
+        """Whether no landmarks are known yet."""
+        self.closing: Closing | None = None
+
+    def offer(self, plan: Collection[int]) -> None:
+        """Offer a plan of labels, by their numbers. Raises OutOfTimeError."""
+        labels = [self.structure.network.labels[i] for i in sorted(plan)]
+        candidates = self.structure.candidates(self.problem, labels, self.clock)
+        units = wire(candidates, candidates.first_of_each(labels))
+        if units is not None:
+            self.standing.offer(units)
+
+    def take(self, left: Left) -> None:
+        """Go on with what is left: raise the proven bound, offer the plan, and see whether all is proven."""
+        standing, weighing = self.standing, left.weighing
+        self.left, self.candidates = left, self.structure.candidates(self.problem, left.names)
+        standing.counts |= left.counts
+        if left.holds_for != standing.holds_for:
+            standing.holds_for, standing.bound_us = left.holds_for, 0
+        standing.raise_bound(weighing.cost_us(left.value))
+        if left.plan is None:
+            return
+        cost_us = weighing.cost_us(weighing.of_plan(left.plan))
+        if standing.best is not None and standing.best.key.cost_us == cost_us and self.clock.is_over():
+            return
+        chosen = self.candidates.first_of_each(left.network.labels[i] for i in left.plan.tolist())
+        units = wire(self.candidates, chosen)
+        if units is not None:
+            standing.offer(units)
+        if self._proves_all(chosen):
+            standing.prove_all()
+
+    def _proves_all(self, chosen: set[int]) -> bool:
+        """Whether the incumbent can't be beaten in changes, or is the only choice of units at its cost.
+
+        An only choice must not rewire more than it has to. A choice is the only one if it has all candidates and each
+        of them costs something, or has to run: one that costs nothing might be left out.
+        """
+        standing, candidates, best = self.standing, self.candidates, self.standing.best
+        if best is None:
+            return False
+        fewest_changes = self.left.weighing.changes(self.left.value)
+        if fewest_changes is not None and best.key == (0, standing.bound_us, *fewest_changes):
+            return True
+        return (
+            self.left.is_complete
+            and best.key[:2] == (0, standing.bound_us)
+            and len(chosen) == len(candidates.all) == len(best.units)
+            and all(c.cost_us or candidates.is_pinned(i) for i, c in enumerate(candidates.all))
+            and best.key.rewired == forced_changes(candidates, chosen)
+        )
+
+    def search(self, landmarks: Landmarks = (), missed: Missed = lambda *_: ()) -> Search:
+        """A search among the candidates in the constraint model, which is built here; raises OutOfTimeError."""
+        from cfgplan.planners.exact.search import Search  # the solver takes long to import
+
+        self.candidates.clock = self.clock
+        return Search(self.candidates, self.standing, landmarks=landmarks, missed=missed)
+
+    def missed(self, labels: Collection[str], clock: Clock) -> list[tuple[list[str], int]]:
+        """Landmarks that these labels do not hit; none if the labels are grounded and meet what is wanted."""
+        network = self.structure.network
+        uses = np.zeros(len(network.labels))
+        uses[[network.number[label] for label in labels]] = 1.0
+        found = self._separator.missed(uses, np.random.default_rng(len(labels)), is_over=clock.is_over)
+        return [([network.labels[i] for i in one.counted.tolist()], one.least) for one in found]
+
+    @cached_property
+    def _separator(self) -> Separator:
+        return Separator(self.structure.network.core, self.clock.tuning.close)
+
+
+def numbers(labels: Iterable[int]) -> Ints:
+    """Labels in order, as an array."""
+    return np.array(sorted(labels), np.int64)

@@ -1,0 +1,180 @@
+"""The stages of a plan, in order. Each returns whether the plan is finished."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Final
+
+import numpy as np
+
+from cfgplan.planners.bounding.bounds import Bound, tightened
+from cfgplan.planners.closing.gap import Closing
+from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.exact.deciding import decide
+from cfgplan.planners.exact.required import left_with_all
+from cfgplan.planners.exact.rest import Part
+from cfgplan.planners.exact.run import Left, Run, numbers
+from cfgplan.planners.networks.core import Ints
+from cfgplan.planners.networks.greedy import FREE, cost_of, first_plan, improved, is_plan, plan_at, with_less
+from cfgplan.planners.networks.network import Network, Weighing, costs
+from cfgplan.reasons import unmet_reasons
+
+Stage = Callable[[Run], bool]
+
+
+def see_what_can_be_met(run: Run) -> bool:
+    """By itself each target must have a stream."""
+    standing, structure = run.standing, run.structure
+    if structure.meets_targets:
+        standing.counts = structure.counts()
+        standing.fewest_unused = structure.hopeless_required
+        return False
+    standing.is_infeasible = True
+    standing.reasons = unmet_reasons(run.problem, possible=structure.closure.possible)
+    return True
+
+
+def plan_fleet(run: Run) -> bool:
+    """What asks for more than the paper is planned in stages of its own."""
+    if run.problem.is_plain and not run.clock.tuning.is_solver_only:
+        return False
+    from cfgplan.planners.exact import fleet
+
+    candidates = Candidates(run.problem, run.structure.closure, clock=run.clock)
+    fleet.plan_fleet(candidates, run.standing, run.memory.last)
+    return True
+
+
+def use_all_required(run: Run) -> bool:
+    """Try to use all required transformations; only if that is impossible, see how many can be used."""
+    structure, network = run.structure, run.structure.network
+    if not structure.has_required:
+        return False
+    fixed_us, cost = costs(run.problem, network, structure.pinned)
+    plan = first_plan(network, cost, 0, run.clock)
+    if plan is not None:
+        run.offer(plan)
+    run.take(left_with_all(run))
+    run.clock.end("bounds")
+    if not run.search(run.left.landmarks()).run_with_all_required():
+        run.take(Left(network, Weighing(cost, 1, 1, fixed_us), np.arange(len(network.labels)), 0))
+        run.clock.end("bounds")
+        run.search().run()
+    return True
+
+
+def decide_all(run: Run) -> bool:
+    """Search a structure of which nothing is known yet without the solver."""
+    return run.is_new and (decide(run) or (run.clock.is_over() and run.standing.best is not None))
+
+
+def raise_bound(run: Run) -> bool:
+    """Find a plan and a bound, and leave out labels by reduced costs.
+
+    The plan is that at rest or the last one, mended where units died. It is a new one if that no longer is a plan, or
+    in a session's first call, where the last plan is what runs; then ways to do without members are tried too.
+    """
+    standing, memory, clock, network = run.standing, run.memory, run.clock, run.structure.network
+    is_first = not memory.last
+    memory.keep_plan(standing)
+    weighing = Weighing.of(run.problem, network, run.structure.pinned)
+    plan = _mended(run, network, weighing.weight)
+    is_new = plan is None or is_first
+    if is_new:
+        found = (plan, first_plan(network, weighing.weight, 0, clock))
+        plan = min((one for one in found if one is not None), key=partial(cost_of, weighing.weight), default=None)
+    if plan is not None and standing.best is None:
+        run.offer(plan)
+    if is_new and plan is not None:
+        plan = with_less(network, weighing.weight, plan, clock.tuning.begin.attempts, clock)
+    labels, part = None if plan is None else numbers(plan), None
+    if labels is not None and memory.rest is not None and not weighing.counts_starts:
+        part = memory.rest.left(weighing.weight, weighing.step, labels, clock)
+    if part is None:
+        labels, part = _bounded(run, weighing, labels)
+    run.take(Left.by(part, network, weighing, labels, is_over=clock.is_over()))
+    return False
+
+
+def _mended(run: Run, network: Network, cost: Ints) -> set[int] | None:
+    """The plan at rest or the last one, less what is not worth it any more; None if it no longer is a plan."""
+    known, memory = set(network.pinned), run.memory
+    if memory.rest is not None:
+        known |= set(memory.rest.plan.tolist())
+    else:
+        known |= {network.number[label] for label in memory.last if label in network.number}
+    if not is_plan(network, known):
+        return None
+    running = {unit.transformation for unit in run.problem.environment.units}
+    return improved(network, cost, known, {i for i in known if network.labels[i] not in running}, run.clock)
+
+
+def _bounded(run: Run, weighing: Weighing, plan: Ints | None) -> tuple[Ints | None, Part]:
+    """Raise the bound by landmarks, less long if closing may follow and there are no crowds. Returns the plan too.
+
+    With crowds (distinct inputs) the labels that a good bound charges in full often make a cheaper plan.
+    """
+    network, clock = run.structure.network, run.clock
+    limit = int(weighing.weight.sum()) if plan is None else weighing.of_plan(plan)
+    is_crowded = network.core.crowds is not None
+    bound = run.memory.bound(weighing.weight, weighing.scale)
+    bound = tightened(bound, limit - weighing.step + 1, limit, clock, greedily=plan is not None and not is_crowded)
+    if plan is not None and bound.value <= limit - weighing.step and is_crowded and not clock.is_over():
+        plan = _at_what_is_left(network, weighing, bound, plan)
+        limit = weighing.of_plan(plan)
+    run.memory.keep_landmarks(lambda: bound, weighing.scale)
+    if plan is not None and weighing.least(bound.value) < limit and not clock.is_over():
+        run.closing = Closing(network, bound, weighing.weight, plan, weighing.step, clock.tuning)
+    return plan, Part.by(bound, limit)
+
+
+def _at_what_is_left(network: Network, weighing: Weighing, bound: Bound, plan: Ints) -> Ints:
+    """The plan, or a cheaper one that is made at residual costs."""
+    price = np.full(len(weighing.weight), np.inf)
+    price[bound.core.labels] = bound.residual + FREE
+    found = plan_at(network, weighing.weight, price)
+    return plan if found is None else min(plan, numbers(found), key=weighing.of_plan)
+
+
+def decide_what_is_left(run: Run) -> bool:
+    """Search without the solver if bounds have left less than half, or at once if landmarks were known."""
+    left, is_finished = run.left, False
+    is_less = 2 * len(left.labels) <= len(run.structure.network.labels)
+    if (is_less or not run.is_new) and not run.standing.is_over:
+        is_finished = decide(run, left.names)
+        if not is_finished:
+            run.take(left)
+    run.clock.end("bounds")
+    return is_finished
+
+
+def close_gap(run: Run) -> bool:
+    """Bring bound and plan closer."""
+    closing, left, clock = run.closing, run.left, run.clock
+    if closing is not None and not closing.is_closed and not run.standing.is_over:
+        closing.go_on(clock)
+        part = Part.by(closing.bound.restricted(closing.bound.may_be_used(closing.limit)), closing.limit)
+        run.take(Left.by(part, left.network, left.weighing, closing.plan, is_over=clock.is_over()))
+        clock.end("bounds")
+    return False
+
+
+def solve(run: Run) -> bool:
+    """Leave to the solver what is still open."""
+    if not run.standing.is_over:
+        run.search(run.left.landmarks(), run.missed).run()
+    return True
+
+
+STAGES: Final[tuple[Stage, ...]] = (
+    see_what_can_be_met,
+    plan_fleet,
+    use_all_required,
+    decide_all,
+    raise_bound,
+    decide_what_is_left,
+    close_gap,
+    solve,
+)
+"""What is done for a plan once it is offered what runs, and the closure of the library is known."""
