@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
+from fixed import kind, unit
+from fixed import world as fixed_world
 from fleets import fleets
 from hypothesis import assume, given
 from hypothesis import strategies as st
@@ -12,12 +14,13 @@ from test_fleets_against_the_oracle import some
 from test_planners import make, world
 from worlds import problems
 
-from cfgplan.domain import Environment, InputPort
+from cfgplan.domain import ComputationUnit, Environment, Host, InputPort
 from cfgplan.planners import PLANNERS
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.first_plans import FirstPlans
 from cfgplan.planners.exact.grounded import Grounded
 from cfgplan.planners.exact.reach import Reach
+from cfgplan.planners.exact.running import offer_what_runs
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import USUAL
@@ -50,6 +53,33 @@ def test_first_plans_are_valid_and_no_cheaper_than_the_optimum(problem: Problem)
 def test_first_plans_are_valid_beyond_the_oracles_reach(problem: Problem) -> None:
     assume(not unmet_reasons(problem))
     assert plan_violations(problem, first(problem)) == []
+
+
+def what_runs(problem: Problem) -> Plan:
+    standing = Standing(problem, Clock(), None)
+    offer_what_runs(standing)
+    return standing.plan()
+
+
+@some
+@given(st.frozensets(st.sampled_from(Notion)).flatmap(lambda notions: fleets(notions, most=9)))
+def test_what_runs_is_a_valid_plan_or_none(problem: Problem) -> None:
+    found = what_runs(problem)
+    assert plan_violations(problem, found) == []
+    if found.change_set is not None:
+        assert not found.change_set.started
+
+
+def test_what_runs_is_rewired_where_a_feeder_is_gone_and_keeps_its_hosts_and_spares() -> None:
+    two, cold = (Host("h0"), Host("h1")), ComputationUnit("s.3", "s", host="h0", standby=True)
+    library = (kind("s", gives="A", standby_us=1), kind("f", "A", "B", max_instances=2))
+    there = (unit("s", host="h1", number=2), unit("f", "s.1/x0", topic="B", host="h0"), cold)
+    other = unit("f", "s.2/x0", host="h1", number=2)
+    problem = fixed_world("B", *library, units=(*there, other), hosts=two, survive=Failures.HOSTS)
+    changes = what_runs(problem).change_set
+    assert changes is not None
+    assert [one.id for one in changes.rewired] == ["f.1"]
+    assert (changes.started, changes.stopped) == ((), ())
 
 
 def test_a_unit_runs_only_if_its_feedback_inputs_are_fed_too() -> None:
