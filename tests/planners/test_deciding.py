@@ -18,8 +18,8 @@ from cfgplan.planners.bounding.branching import LEFT_OUT, Branching, Links, Ways
 from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planners.exact.deciding import decide
 from cfgplan.planners.exact.memory import Memory, Structure
-from cfgplan.planners.exact.run import Run
 from cfgplan.planners.exact.standing import Standing
+from cfgplan.planners.exact.work import Work
 from cfgplan.planners.networks.greedy import is_plan
 from cfgplan.planners.networks.keys import Key
 from cfgplan.planners.networks.network import Weighing
@@ -180,7 +180,7 @@ def test_a_small_problem_is_decided_without_the_solver_and_with_too_few_steps_by
     assert "rounds" not in quick.counts
     structure = Structure.of(problem, None, Clock())
     hasty, patient = (Standing(problem, Clock(tuning=Tuning(Decide(steps=steps))), None) for steps in (1, 100))
-    assert not decide(Run(hasty, Memory(structure)))
+    assert not decide(Work(hasty, Memory(structure)))
     assert not hasty.is_over
-    assert decide(Run(patient, Memory(structure)))
+    assert decide(Work(patient, Memory(structure)))
     assert patient.is_over

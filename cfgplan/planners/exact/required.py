@@ -12,9 +12,9 @@ import numpy as np
 
 from cfgplan.planners.bounding.bounds import Bound, tightened
 from cfgplan.planners.exact.memory import Structure
-from cfgplan.planners.exact.rest import Part
-from cfgplan.planners.exact.run import Left, Run
+from cfgplan.planners.exact.rest import Remainder
 from cfgplan.planners.exact.standing import Incumbent, Standing
+from cfgplan.planners.exact.work import Left, Work
 from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.greedy import first_plan, support_of
 from cfgplan.planners.networks.network import Network, Weighing, costs
@@ -22,9 +22,9 @@ from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Problem
 
 
-def left_with_all(run: Run) -> Left:
+def left_with_all(work: Work) -> Left:
     """What may be in a plan that uses all required transformations; if such a plan is found it is offered."""
-    problem, clock, structure, standing = run.problem, run.clock, run.structure, run.standing
+    problem, clock, structure, standing = work.problem, work.clock, work.structure, work.standing
     required = frozenset(t.label for t in structure.network.transformations if t.required)
     network = structure.network_with(problem, required, clock)
     fixed_us, cost = costs(problem, network, structure.pinned)
@@ -39,7 +39,7 @@ def left_with_all(run: Run) -> Left:
     best = standing.best
     incumbent = best if best is not None and best.key.unused == structure.hopeless_required else None
     limit = int(cost.sum()) if incumbent is None else incumbent.key.cost_us - fixed_us
-    part = Part.by(tightened(Bound(network.core, cost), limit, limit, clock), limit)
+    part = Remainder.by(tightened(Bound(network.core, cost), limit, limit, clock), limit)
     labels = np.union1d(part.labels, np.array(network.pinned, np.int64))
     weighing = Weighing(cost, 1, 1, fixed_us)
     return Left(network, weighing, labels, part.value, bound=part.bound, holds_for=structure.hopeless_required)

@@ -19,7 +19,7 @@ from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.solving.clock import Clock
 
 
-class Part(NamedTuple):
+class Remainder(NamedTuple):
     """The labels that bounds leave of a network, a bound on cost, and what has its landmarks if there are any."""
 
     labels: Ints
@@ -27,7 +27,7 @@ class Part(NamedTuple):
     bound: Bound | None = None
 
     @classmethod
-    def by(cls, bound: Bound, limit: int) -> Part:
+    def by(cls, bound: Bound, limit: int) -> Remainder:
         """What may be in a plan that costs at most `limit`."""
         return cls(bound.core.labels[bound.may_be_used(limit)], bound.value, bound)
 
@@ -70,7 +70,7 @@ class Rest:
         share = float((cost[fallen] / self.cost[fallen]).min(initial=1.0))
         return max(self.limit - less, int(self.limit * share * (1 - 1e-9)) if share else -1)
 
-    def left(self, cost: Ints, step: int, plan: Ints, clock: Clock) -> Part | None:
+    def left(self, cost: Ints, step: int, plan: Ints, clock: Clock) -> Remainder | None:
         """What may be in a plan as good as this one at these costs; None if the costs differ too much.
 
         The costs of all plans are multiples of `step`.
@@ -83,13 +83,13 @@ class Rest:
         others = np.setdiff1d(bound.core.labels, self.plan)
         cheaper = others[cost[others] < self.cost[others]]
         if len(dearer) + len(cheaper) > clock.tuning.rest.cases:
-            return Part.by(tightened(bound, limit - step + 1, limit, clock), limit)
+            return Remainder.by(tightened(bound, limit - step + 1, limit, clock), limit)
         lefts = [_without(label, bound, limit, clock) for label in dearer.tolist()]
         lefts += [_with(label, bound, limit, clock) for label in cheaper.tolist()]
         value = int(cost[self.plan].sum())
         if value <= limit:
-            lefts.append(Part(np.union1d(self.plan, self.rivals), value))
-        return Part(
+            lefts.append(Remainder(np.union1d(self.plan, self.rivals), value))
+        return Remainder(
             np.unique(np.concatenate([one.labels for one in lefts])),
             min(one.value for one in lefts),
             lefts[0].bound if len(lefts) == 1 else bound,
@@ -105,22 +105,22 @@ def _charged(bound: Bound, enough: int, limit: int, clock: Clock) -> Bound:
     return bound if bound.value >= enough else tightened(charged(bound, clock), enough, limit, clock)
 
 
-def _without(label: int, bound: Bound, limit: int, clock: Clock) -> Part:
+def _without(label: int, bound: Bound, limit: int, clock: Clock) -> Remainder:
     """What may be in a plan that lacks a label and costs at most `limit`."""
     cost = np.where(bound.core.labels == label, np.maximum(limit + 1, bound.cost), bound.cost)
-    return Part.by(tightened(bound.at(cost), limit + 1, limit, clock), limit)
+    return Remainder.by(tightened(bound.at(cost), limit + 1, limit, clock), limit)
 
 
-def _with(label: int, bound: Bound, limit: int, clock: Clock) -> Part:
+def _with(label: int, bound: Bound, limit: int, clock: Clock) -> Remainder:
     """What may be in a plan that has a label and costs at most `limit`: the label is paid, and then free."""
     is_it = bound.core.labels == label
     own = int(bound.cost[is_it][0])
     if not bound.may_be_used(limit)[is_it][0]:
-        return Part(bound.core.labels[:0], limit + 1)
+        return Remainder(bound.core.labels[:0], limit + 1)
     for_others = limit - own
     free = bound.at(np.where(is_it, 0, bound.cost))
-    left = Part.by(tightened(free, for_others + 1, for_others, clock), for_others)
-    return Part(np.union1d(left.labels, [label]), left.value + own, left.bound)
+    left = Remainder.by(tightened(free, for_others + 1, for_others, clock), for_others)
+    return Remainder(np.union1d(left.labels, [label]), left.value + own, left.bound)
 
 
 def _is_without_rival(bound: Bound, plan: Ints, limit: int, clock: Clock) -> bool:

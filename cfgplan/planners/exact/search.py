@@ -37,7 +37,7 @@ LARGEST = 2**62
 """No sum of the solver's integers may exceed this."""
 Landmarks = Iterable[tuple[Iterable[str], int]]
 """Labels of which every plan has so many or more; each counts as often as it is named."""
-Missed = Callable[[Collection[str], Clock], Landmarks]
+LandmarkFinder = Callable[[Collection[str], Clock], Landmarks]
 """Finds landmarks that the transformations of a solution do not hit."""
 
 
@@ -57,7 +57,7 @@ class Search:
         is_apart: bool = False,
         landmarks: Landmarks = (),
         cuts: Iterable[ChainCut] = (),
-        missed: Missed = lambda *_: (),
+        missed: LandmarkFinder = lambda *_: (),
         rules: Sequence[ModelRule] = RULES,
     ) -> None:
         """With `is_all` false some candidates are left out: the search gives plans, but no bounds.

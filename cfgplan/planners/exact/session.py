@@ -12,10 +12,10 @@ from functools import partial
 from threading import Event
 
 from cfgplan.planners.exact.memory import Memory
-from cfgplan.planners.exact.run import Run
 from cfgplan.planners.exact.running import offer_what_runs
 from cfgplan.planners.exact.stages import STAGES
 from cfgplan.planners.exact.standing import Standing
+from cfgplan.planners.exact.work import Work
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import USUAL, Tuning
 from cfgplan.planners.undecided import Deciding
@@ -56,9 +56,9 @@ class PlannerSession:
         offer_what_runs(standing)
         self._memory = Memory.of(standing.problem, self._memory, standing.clock)
         standing.clock.end("closure")
-        run = Run(standing, self._memory)
+        work = Work(standing, self._memory)
         for stage in standing.clock.each(STAGES, 1):
-            if stage(run):
+            if stage(work):
                 break
 
 

@@ -13,120 +13,120 @@ from cfgplan.planners.closing.gap import Closing
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.deciding import decide
 from cfgplan.planners.exact.required import left_with_all
-from cfgplan.planners.exact.rest import Part
-from cfgplan.planners.exact.run import Left, Run, numbers
+from cfgplan.planners.exact.rest import Remainder
+from cfgplan.planners.exact.work import Left, Work, numbers
 from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.greedy import FREE, cost_of, first_plan, improved, is_plan, plan_at, with_less
 from cfgplan.planners.networks.network import Network, Weighing, costs
 from cfgplan.reasons import unmet_reasons
 
-Stage = Callable[[Run], bool]
+Stage = Callable[[Work], bool]
 
 
-def see_what_can_be_met(run: Run) -> bool:
+def see_what_can_be_met(work: Work) -> bool:
     """By itself each target must have a stream."""
-    standing, structure = run.standing, run.structure
+    standing, structure = work.standing, work.structure
     if structure.meets_targets:
         standing.counts = structure.counts()
         standing.fewest_unused = structure.hopeless_required
         return False
     standing.is_infeasible = True
-    standing.reasons = unmet_reasons(run.problem, possible=structure.closure.possible)
+    standing.reasons = unmet_reasons(work.problem, possible=structure.closure.possible)
     return True
 
 
-def plan_fleet(run: Run) -> bool:
+def plan_fleet(work: Work) -> bool:
     """What asks for more than the paper is planned in stages of its own."""
-    if run.problem.is_plain and not run.clock.tuning.is_solver_only:
+    if work.problem.is_plain and not work.clock.tuning.is_solver_only:
         return False
     from cfgplan.planners.exact import fleet
 
-    candidates = Candidates(run.problem, run.structure.closure, clock=run.clock)
-    fleet.plan_fleet(candidates, run.standing, run.memory.last)
+    candidates = Candidates(work.problem, work.structure.closure, clock=work.clock)
+    fleet.plan_fleet(candidates, work.standing, work.memory.last)
     return True
 
 
-def use_all_required(run: Run) -> bool:
+def use_all_required(work: Work) -> bool:
     """Try to use all required transformations; only if that is impossible, see how many can be used."""
-    structure, network = run.structure, run.structure.network
+    structure, network = work.structure, work.structure.network
     if not structure.has_required:
         return False
-    fixed_us, cost = costs(run.problem, network, structure.pinned)
-    plan = first_plan(network, cost, 0, run.clock)
+    fixed_us, cost = costs(work.problem, network, structure.pinned)
+    plan = first_plan(network, cost, 0, work.clock)
     if plan is not None:
-        run.offer(plan)
-    run.take(left_with_all(run))
-    run.clock.end("bounds")
-    if not run.search(run.left.landmarks()).run_with_all_required():
-        run.take(Left(network, Weighing(cost, 1, 1, fixed_us), np.arange(len(network.labels)), 0))
-        run.clock.end("bounds")
-        run.search().run()
+        work.offer(plan)
+    work.take(left_with_all(work))
+    work.clock.end("bounds")
+    if not work.search(work.left.landmarks()).run_with_all_required():
+        work.take(Left(network, Weighing(cost, 1, 1, fixed_us), np.arange(len(network.labels)), 0))
+        work.clock.end("bounds")
+        work.search().run()
     return True
 
 
-def decide_all(run: Run) -> bool:
+def decide_all(work: Work) -> bool:
     """Search a structure of which nothing is known yet without the solver."""
-    return run.is_new and (decide(run) or (run.clock.is_over() and run.standing.best is not None))
+    return work.is_new and (decide(work) or (work.clock.is_over() and work.standing.best is not None))
 
 
-def raise_bound(run: Run) -> bool:
+def raise_bound(work: Work) -> bool:
     """Find a plan and a bound, and leave out labels by reduced costs.
 
     The plan is that at rest or the last one, mended where units died. It is a new one if that no longer is a plan, or
     in a session's first call, where the last plan is what runs; then ways to do without members are tried too.
     """
-    standing, memory, clock, network = run.standing, run.memory, run.clock, run.structure.network
+    standing, memory, clock, network = work.standing, work.memory, work.clock, work.structure.network
     is_first = not memory.last
     memory.keep_plan(standing)
-    weighing = Weighing.of(run.problem, network, run.structure.pinned)
-    plan = _mended(run, network, weighing.weight)
+    weighing = Weighing.of(work.problem, network, work.structure.pinned)
+    plan = _mended(work, network, weighing.weight)
     is_new = plan is None or is_first
     if is_new:
         found = (plan, first_plan(network, weighing.weight, 0, clock))
         plan = min((one for one in found if one is not None), key=partial(cost_of, weighing.weight), default=None)
     if plan is not None and standing.best is None:
-        run.offer(plan)
+        work.offer(plan)
     if is_new and plan is not None:
         plan = with_less(network, weighing.weight, plan, clock.tuning.begin.attempts, clock)
     labels, part = None if plan is None else numbers(plan), None
     if labels is not None and memory.rest is not None and not weighing.counts_starts:
         part = memory.rest.left(weighing.weight, weighing.step, labels, clock)
     if part is None:
-        labels, part = _bounded(run, weighing, labels)
-    run.take(Left.by(part, network, weighing, labels, is_over=clock.is_over()))
+        labels, part = _bounded(work, weighing, labels)
+    work.take(Left.by(part, network, weighing, labels, is_over=clock.is_over()))
     return False
 
 
-def _mended(run: Run, network: Network, cost: Ints) -> set[int] | None:
+def _mended(work: Work, network: Network, cost: Ints) -> set[int] | None:
     """The plan at rest or the last one, less what is not worth it any more; None if it no longer is a plan."""
-    known, memory = set(network.pinned), run.memory
+    known, memory = set(network.pinned), work.memory
     if memory.rest is not None:
         known |= set(memory.rest.plan.tolist())
     else:
         known |= {network.number[label] for label in memory.last if label in network.number}
     if not is_plan(network, known):
         return None
-    running = {unit.transformation for unit in run.problem.environment.units}
-    return improved(network, cost, known, {i for i in known if network.labels[i] not in running}, run.clock)
+    running = {unit.transformation for unit in work.problem.environment.units}
+    return improved(network, cost, known, {i for i in known if network.labels[i] not in running}, work.clock)
 
 
-def _bounded(run: Run, weighing: Weighing, plan: Ints | None) -> tuple[Ints | None, Part]:
+def _bounded(work: Work, weighing: Weighing, plan: Ints | None) -> tuple[Ints | None, Remainder]:
     """Raise the bound by landmarks, less long if closing may follow and there are no crowds. Returns the plan too.
 
     With crowds (distinct inputs) the labels that a good bound charges in full often make a cheaper plan.
     """
-    network, clock = run.structure.network, run.clock
+    network, clock = work.structure.network, work.clock
     limit = int(weighing.weight.sum()) if plan is None else weighing.of_plan(plan)
     is_crowded = network.core.crowds is not None
-    bound = run.memory.bound(weighing.weight, weighing.scale)
+    bound = work.memory.bound(weighing.weight, weighing.scale)
     bound = tightened(bound, limit - weighing.step + 1, limit, clock, greedily=plan is not None and not is_crowded)
     if plan is not None and bound.value <= limit - weighing.step and is_crowded and not clock.is_over():
         plan = _at_what_is_left(network, weighing, bound, plan)
         limit = weighing.of_plan(plan)
-    run.memory.keep_landmarks(lambda: bound, weighing.scale)
+    work.memory.keep_landmarks(lambda: bound, weighing.scale)
     if plan is not None and weighing.least(bound.value) < limit and not clock.is_over():
-        run.closing = Closing(network, bound, weighing.weight, plan, weighing.step, clock.tuning)
-    return plan, Part.by(bound, limit)
+        work.closing = Closing(network, bound, weighing.weight, plan, weighing.step, clock.tuning)
+    return plan, Remainder.by(bound, limit)
 
 
 def _at_what_is_left(network: Network, weighing: Weighing, bound: Bound, plan: Ints) -> Ints:
@@ -137,33 +137,33 @@ def _at_what_is_left(network: Network, weighing: Weighing, bound: Bound, plan: I
     return plan if found is None else min(plan, numbers(found), key=weighing.of_plan)
 
 
-def decide_what_is_left(run: Run) -> bool:
+def decide_what_is_left(work: Work) -> bool:
     """Search without the solver if bounds have left less than half, or at once if landmarks were known."""
-    left, is_finished = run.left, False
-    is_less = 2 * len(left.labels) <= len(run.structure.network.labels)
-    if (is_less or not run.is_new) and not run.standing.is_over:
-        is_finished = decide(run, left.names)
+    left, is_finished = work.left, False
+    is_less = 2 * len(left.labels) <= len(work.structure.network.labels)
+    if (is_less or not work.is_new) and not work.standing.is_over:
+        is_finished = decide(work, left.names)
         if not is_finished:
-            run.take(left)
-    run.clock.end("bounds")
+            work.take(left)
+    work.clock.end("bounds")
     return is_finished
 
 
-def close_gap(run: Run) -> bool:
+def close_gap(work: Work) -> bool:
     """Bring bound and plan closer."""
-    closing, left, clock = run.closing, run.left, run.clock
-    if closing is not None and not closing.is_closed and not run.standing.is_over:
+    closing, left, clock = work.closing, work.left, work.clock
+    if closing is not None and not closing.is_closed and not work.standing.is_over:
         closing.go_on(clock)
-        part = Part.by(closing.bound.restricted(closing.bound.may_be_used(closing.limit)), closing.limit)
-        run.take(Left.by(part, left.network, left.weighing, closing.plan, is_over=clock.is_over()))
+        part = Remainder.by(closing.bound.restricted(closing.bound.may_be_used(closing.limit)), closing.limit)
+        work.take(Left.by(part, left.network, left.weighing, closing.plan, is_over=clock.is_over()))
         clock.end("bounds")
     return False
 
 
-def solve(run: Run) -> bool:
+def solve(work: Work) -> bool:
     """Leave to the solver what is still open."""
-    if not run.standing.is_over:
-        run.search(run.left.landmarks(), run.missed).run()
+    if not work.standing.is_over:
+        work.search(work.left.landmarks(), work.missed).run()
     return True
 
 

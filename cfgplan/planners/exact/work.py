@@ -14,7 +14,7 @@ from cfgplan.planners.closing.gap import Closing
 from cfgplan.planners.closing.separation import Separator
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.memory import Memory
-from cfgplan.planners.exact.rest import Part
+from cfgplan.planners.exact.rest import Remainder
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.exact.wiring import forced_changes, wire
 from cfgplan.planners.networks.core import Ints
@@ -22,7 +22,7 @@ from cfgplan.planners.networks.network import Network, Weighing
 from cfgplan.planners.solving.clock import Clock
 
 if TYPE_CHECKING:
-    from cfgplan.planners.exact.search import Landmarks, Missed, Search
+    from cfgplan.planners.exact.search import LandmarkFinder, Landmarks, Search
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Left:
     holds_for: int | None = None
 
     @classmethod
-    def by(cls, part: Part, network: Network, weighing: Weighing, plan: Ints | None, *, is_over: bool) -> Left:
+    def by(cls, part: Remainder, network: Network, weighing: Weighing, plan: Ints | None, *, is_over: bool) -> Left:
         """What is left by a bound; if the time `is_over`, no labels but the plan's."""
         value, labels = weighing.least(part.value), part.labels
         if plan is not None and is_over and value < weighing.of_plan(plan):
@@ -71,7 +71,7 @@ class Left:
         return [([names[i] for i in labels[one.counted].tolist()], one.least) for one in part.short()]
 
 
-class Run:
+class Work:
     """One plan on its way: each stage goes on from what the one before it has left."""
 
     left: Left
@@ -133,7 +133,7 @@ class Run:
             and best.key.rewired == forced_changes(candidates, chosen)
         )
 
-    def search(self, landmarks: Landmarks = (), missed: Missed = lambda *_: ()) -> Search:
+    def search(self, landmarks: Landmarks = (), missed: LandmarkFinder = lambda *_: ()) -> Search:
         """A search among the candidates in the constraint model, which is built here; raises OutOfTimeError."""
         from cfgplan.planners.exact.search import Search  # the solver takes long to import
 
