@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from dataclasses import replace
 from types import TracebackType
 from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.live import Live
 
+from cfgplan.cli.plan_text import with_the_stream
 from cfgplan.cli.run_output import fetched, show_files, show_ledger
 from cfgplan.cli.run_picture import LogLine, RunPicture
 from cfgplan.cli.screen import Screen, counted
 
 if TYPE_CHECKING:
+    from cfgplan_runtime.lifecycle.reports import Snapshot, UnitView
     from cfgplan_runtime.operating.operation import Operation
 
 _REFRESH_S = 0.25
@@ -83,14 +86,16 @@ class LiveView:
         show_files(operation, screen)
 
     def _draw(self) -> None:
+        from cfgplan_runtime.operating.records import snapshot_record
+
         began_s = time.monotonic()
         operation = self._operation
+        snapshot = operation.manager.snapshot()
         picture = RunPicture(
             run=operation.id,
             environment=operation.environment,
             elapsed_s=time.monotonic() - self._since_s,
-            snapshot=operation.manager.snapshot(),
-            flows=operation.flows.now(),
+            state=snapshot_record(replace(snapshot, units=_with_the_stream(snapshot)), operation.flows.records()),
             lines=tuple(self._lines),
             recorded=operation.recorder.recording.written if operation.recorder else None,
             note=self._note,
@@ -99,3 +104,9 @@ class LiveView:
             self._live.update(picture, refresh=True)
         now_s = time.monotonic()
         self._draw_at_s = now_s + max(_REFRESH_S, (now_s - began_s) / _LARGEST_SHARE)
+
+
+def _with_the_stream(snapshot: Snapshot) -> tuple[UnitView, ...]:
+    """The units from sources to targets."""
+    views = {view.unit.id: view for view in snapshot.units}
+    return tuple(views[unit.id] for unit in with_the_stream(snapshot.environment) if unit.id in views)

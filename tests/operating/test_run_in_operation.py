@@ -124,7 +124,7 @@ def test_people_are_shown_the_state(capsys: pytest.CaptureFixture[str]) -> None:
     eventually(lambda: all("upkeep_us" in unit for unit in state_now(capsys)["units"]))
     assert main(["ctl", "state"]) == 0
     out = capsys.readouterr().out
-    for part in ("Run ", "env.yaml", "ball", "/result", " Hz", "image <- camera(piff).1/image", "Review 1: started"):
+    for part in ("Run ", "env.yaml", "ball", "/result", " Hz", "image ← camera(piff).1/image", "Review 1: started"):
         assert part in out
     assert main(["ctl", "kill", "camera(piff).1"]) == 0
     assert "started camera(piff)." in capsys.readouterr().out

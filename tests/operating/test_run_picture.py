@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 import pty
+import re
 import select
 import struct
 import termios
@@ -14,10 +15,12 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 from cfgplan_runtime.children.messages import Flow
 from cfgplan_runtime.lifecycle.perturbations import SubscriptionLost, UnitGone
 from cfgplan_runtime.lifecycle.reports import Decision, Snapshot, TargetView, UnitView
+from cfgplan_runtime.operating.records import snapshot_record
 from fake_manager import CAMERA, DETECTOR, REVIEW, SNAPSHOT, observation
 from operated_world import PATIENCE_S, command, write_world
 from rich.console import Console
@@ -29,9 +32,10 @@ from cfgplan.errors import Fault
 FLOWS = {"/result": Flow(29.97, 12.4, 300, 0, 0.01)}
 
 
-def drawn(snapshot: Snapshot = SNAPSHOT, *, width: int = 120, height: int = 40, **more: Any) -> list[str]:
+def drawn(snapshot: Snapshot = SNAPSHOT, *, width: int = 140, height: int = 40, **more: Any) -> list[str]:
     console = Console(file=StringIO(), width=width, height=height, record=True)
-    picture = RunPicture("ab12cd34", "env.yaml", 75.0, snapshot, more.pop("flows", FLOWS), **more)
+    flows = {topic: msgspec.structs.asdict(flow) for topic, flow in more.pop("flows", FLOWS).items()}
+    picture = RunPicture("ab12cd34", "env.yaml", 75.0, snapshot_record(snapshot, flows), **more)
     console.print(picture, end="")
     return console.export_text().splitlines()
 
@@ -57,10 +61,10 @@ def large() -> Snapshot:
 def test_it_shows_targets_units_reviews_and_the_log() -> None:
     text = "\n".join(drawn(lines=[LogLine(0.0, 4, "camera.1 coughs"), LogLine(0.0, 2, "a review", is_review=True)]))
     for part in (
-        "env.yaml", "run ab12cd34", "00:01:15", "stable", "1 of 2 met", "30.0 Hz", "12 ms", "detector.1/ball",
-        "nothing gives Goal", "2.0 %", "25 MB", "running on nao1", "image ← camera.1/image", "segmenter",
-        "not started for 4.0 s, failed 3 times: exited with 3", "detector.1 died, asked for",
-        "started detector.1; goal not met", "13 ms", "camera.1 coughs", "Ctrl-C stops",
+        "Run ab12cd34 of env.yaml", "00:01:15", "stable", "1 of 2 met", "30.0 Hz", "12 ms", "detector.1/ball",
+        "nothing gives Goal", "2.0 %", "25 MB", "nao1", "image ← camera.1/image", "segmenter",
+        "not started for 4.0 s, failed 3 times: exited with 3", "cause: detector.1 died, asked for",
+        "started detector.1; goal is not met", "13 ms", "camera.1 coughs", "Ctrl-C stops",
     ):  # fmt: skip
         assert part in text
     assert "a review" not in text
@@ -102,13 +106,13 @@ def test_a_cold_spare_is_told_from_what_runs() -> None:
     units = (*SNAPSHOT.environment.units, spare)
     snapshot = replace(SNAPSHOT, environment=replace(SNAPSHOT.environment, units=units, hosts=(Host("nao2"),)))
     text = "\n".join(drawn(replace(snapshot, units=(*SNAPSHOT.units, UnitView(spare, "nao2")))))
-    assert "a cold spare on nao2" in text
+    assert re.search(r"detector.2 +nao2 .* a cold spare", text)
     assert "nothing feeds" not in text
 
 
 def test_what_is_lost_by_a_death_is_not_told_as_another_reason() -> None:
     review = replace(REVIEW, perturbations=(SubscriptionLost("b.1", "x"), UnitGone("a.1", "a", "died", "")))
-    assert "a.1 died  " in "\n".join(drawn(replace(SNAPSHOT, reviews=(review,))))
+    assert "cause: a.1 died; " in "\n".join(drawn(replace(SNAPSHOT, reviews=(review,))))
     failed = replace(
         REVIEW, decision=Decision.FAILED, cause="camera.1 Traceback (most recent call last):\n x\nOSError: no"
     )

@@ -14,7 +14,7 @@ from typing import Any
 
 import msgspec
 
-from cfgplan.domain import ChangeSet, ComputationUnit, Stream
+from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Stream
 from cfgplan.formats.dump import one_or_more
 from cfgplan_runtime.lifecycle.reports import (
     Observed,
@@ -40,7 +40,7 @@ def snapshot_record(snapshot: Snapshot, flows: Mapping[str, Record] | None = Non
         "cost_us": snapshot.cost_us,
         "saving_us": snapshot.saving_us,
         "targets": [_target(target, (flows or {}).get(target.topic)) for target in snapshot.targets],
-        "units": [_unit(unit) for unit in snapshot.units],
+        "units": [_unit(unit, snapshot.environment) for unit in snapshot.units],
         "transformations": [transformation.label for transformation in snapshot.environment.library],
         "pending": [plain(perturbation) for perturbation in snapshot.pending],
         "reviews": [review_record(review) for review in snapshot.reviews],
@@ -128,8 +128,11 @@ def _target(target: TargetView, flow: Record | None) -> Record:
     return {**record, **(flow or {})}
 
 
-def _unit(view: UnitView) -> Record:
+def _unit(view: UnitView, environment: Environment) -> Record:
     record = {**_wired(view.unit), "host": view.host}
+    transformation = environment.transformation.get(view.unit.transformation)
+    if transformation is not None and not view.unit.standby:
+        record["unfed"] = sorted(transformation.input.keys() - view.unit.feeds.keys())
     seen = view.observation
     if seen is not None:
         record |= {

@@ -100,6 +100,7 @@ def review_sentence(review: Review) -> str:
         (offered, demanded), more = review.undecided[0], len(review.undecided) - 1
         others = f", nor of {more} more such pairs" if more else ""
         parts.append(f"nobody knows whether {offered} is {demanded}{others}: if so, there may be a better update")
+    parts.append(f"cause: {_because(review)}")
     took = {phase: seconds for phase, seconds in review.seconds.items() if seconds >= 0.0005}
     if took:
         total = sum(took.values())
@@ -119,7 +120,7 @@ def named(names: Iterable[str]) -> str:
     return ", ".join(some[:_MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
-def because(review: Review) -> str:
+def _because(review: Review) -> str:
     """Why a review was made, in a few words. Inputs that are lost since a unit died are not mentioned."""
     gone = any(isinstance(perturbation, kinds.UnitGone) for perturbation in review.perturbations)
     told = [p for p in review.perturbations if not (gone and isinstance(p, kinds.SubscriptionLost))]
