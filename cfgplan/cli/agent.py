@@ -49,7 +49,7 @@ def add_links(parser: argparse.ArgumentParser, **more: Any) -> None:
         "--connect",
         action="append",
         metavar="ENDPOINT",
-        help="an agent, such as tcp/127.0.0.1:7447 (several: once for each)",
+        help="an agent, such as tcp/127.0.0.1:7447 (several: once for each; not one that connects to this one)",
         **{"default": [], **more},
     )
     parser.add_argument(

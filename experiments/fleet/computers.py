@@ -81,8 +81,8 @@ class Fleet:
             eventually(lambda said=said: "listens on" in said.read_text())
 
     def start_agent(self, host: str, *, ahead_ns: int = 0) -> None:
-        """Start a host's agent, with its clock ahead; it reaches all others by itself."""
-        others = [f"--connect={endpoint}" for other, endpoint in self.endpoints.items() if other != host]
+        """Start a host's agent, with its clock ahead. Each pair of hosts is named once: see the runtime's README."""
+        others = [f"--connect={self.endpoints[other]}" for other in HOSTS[: HOSTS.index(host)]]
         arguments = ["agent", f"--name={host}", f"--listen={self.endpoints[host]}", *others, f"--folder={UNITS}"]
         self.agents[host] = self._start(host, arguments, self._secrets / host, self._base(host), ahead_ns=ahead_ns)
 

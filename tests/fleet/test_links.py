@@ -6,7 +6,7 @@ import socket
 import sys
 
 import pytest
-from cfgplan_runtime.fleet.links import config
+from cfgplan_runtime.fleet.links import LEASE_S, Pulse, config, sign_period_s
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
 
 from cfgplan.errors import InputError
@@ -34,3 +34,24 @@ def test_an_address_that_is_taken_is_told() -> None:
         endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
         with pytest.raises(InputError, match=f"can't listen on {endpoint}"):
             ZenohLink(config([endpoint]))
+
+
+def pulse(*signs_s: float) -> Pulse:
+    made = Pulse(0.0, 0.0)
+    for at_s in signs_s:
+        made.note(at_s)
+    return made
+
+
+def test_a_host_is_lost_after_a_lease_without_a_sign_of_life() -> None:
+    heard = pulse(1.0)
+    assert not heard.is_lost(1.0 + 0.9 * LEASE_S)
+    assert heard.is_lost(1.0 + LEASE_S)
+
+
+def test_an_agent_whose_signs_came_in_time_up_to_now_has_ended_if_its_links_are_gone() -> None:
+    period_s = sign_period_s()
+    in_time = [number * period_s for number in range(1, 20)]
+    assert pulse(*in_time).is_steady(in_time[-1] + period_s)
+    assert not pulse(*in_time).is_steady(in_time[-1] + 3 * period_s), "its link is silent"
+    assert not pulse(in_time[-1]).is_steady(in_time[-1]), "its signs were late: this process, or the link, was stalled"

@@ -114,6 +114,18 @@ def test_a_dead_agent_is_noticed_and_its_units_are_replaced_elsewhere() -> None:
         assert listener.longest_silence_s(began_s) < 2.0, "as long as a lease, at which a silent host is lost"
 
 
+def test_an_agent_that_zenoh_does_not_tell_of_is_found_and_lost_by_its_signs_of_life(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(ZenohLink, "watch", lambda *_: None)
+    with small_fleet("r1", "r2") as fleet, fleet.runtime(source(), worker()) as runtime:
+        runtime.apply(ChangeSet(started=(COUNT, WORK)))
+        fleet.agents.processes["r2"].kill()
+        eventually(lambda: bool(seen(runtime, HostLost)))
+        (lost,) = seen(runtime, HostLost)
+        assert lost.host == "r2" and lost.cause.startswith("nothing was heard of it for")
+
+
 def test_the_end_of_a_wire_from_a_dead_host_is_told_to_units_elsewhere() -> None:
     from_r2 = replace(COUNT, host="r2")
     at_r1 = replace(WORK, host="r1")

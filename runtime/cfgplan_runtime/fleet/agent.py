@@ -19,7 +19,7 @@ from cfgplan.errors import InputError
 from cfgplan_runtime.children.messages import Export, Import, Release
 from cfgplan_runtime.fleet.certificates import MANAGER
 from cfgplan_runtime.fleet.clocks import HostClock
-from cfgplan_runtime.fleet.links import LEASE_S, config
+from cfgplan_runtime.fleet.links import LEASE_S, config, sign_period_s
 from cfgplan_runtime.fleet.orders import (
     HEARD,
     REFUSE,
@@ -71,7 +71,7 @@ USAGE_PERIOD_S = 0.5
 
 
 def alive_key(host: str) -> str:
-    """The key below which a host's agent is alive."""
+    """The key below which a host's agent is alive, and gives signs of life."""
     return f"cfgplan/{quote(host, safe='*')}/alive"
 
 
@@ -156,6 +156,7 @@ class Agent:
                 life = secrets.token_hex(4)
                 self._tunnels = TunnelServer(self._link, name, life, self._backend.run_folder.path)
                 self._link.live(f"{alive_key(name)}/{life}")
+                self._link.give_signs(f"{alive_key(name)}/{life}", sign_period_s())
             except BaseException:
                 self._link.close()
                 raise

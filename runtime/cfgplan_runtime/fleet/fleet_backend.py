@@ -24,7 +24,7 @@ from cfgplan_runtime.fleet.adoption import adopt
 from cfgplan_runtime.fleet.agent import alive_key, clock_key, digest_of, source_file
 from cfgplan_runtime.fleet.certificates import MANAGER
 from cfgplan_runtime.fleet.clocks import CALLS, CALLS_AGAIN, CLOCK_S, HostClock, Reading, corrected, has_moved
-from cfgplan_runtime.fleet.links import config
+from cfgplan_runtime.fleet.links import MISSED_SIGNS, Pulse, config, sign_period_s
 from cfgplan_runtime.fleet.orders import (
     HEARD,
     REFUSE,
@@ -86,6 +86,7 @@ class _HostState:
     life: str
     """What tells this agent from one of the same name before it."""
     talk: Talk[FromAgent]
+    pulse: Pulse
     is_there: bool = False
     reading: Reading | None = None
     """What its clock said last."""
@@ -110,7 +111,7 @@ class _Measured:
     reading: Reading | None
 
 
-_Arrival: TypeAlias = "tuple[str, bytes, bytes] | tuple[str, bool] | _Measured | None"
+_Arrival: TypeAlias = "tuple[str, bytes, bytes] | tuple[str, bool] | tuple[str, float] | _Measured | None"
 
 
 class FleetBackend:
@@ -158,6 +159,10 @@ class FleetBackend:
         self._seen: dict[str, str] = {}
         """The hosts that were alive before any was greeted, and what tells their agents from earlier ones."""
         self._is_greeting = False
+        self._round_s = inf
+        """When it was last looked what had arrived."""
+        self._left_alone: set[str] = set()
+        """Agents that are alive and can't be given orders; what tells them from others, as in `_seen`."""
         self._rival = ""
         """A host that obeys another manager."""
         self.run_folder = run_folder
@@ -165,6 +170,7 @@ class FleetBackend:
         for kind in (SAY, HEARD, REFUSE):
             self._link.hear(crossing_key("*", kind, MANAGER, "*"), lambda *came: self._inbox.put(came))
         self._link.watch(f"{alive_key('*')}/*", lambda *came: self._inbox.put(came))
+        self._link.hear(f"{alive_key('*')}/*", lambda key, *_: self._inbox.put((key, self.now())))
         self._tunnels = TunnelServer(self._link, MANAGER, self.id, run_folder.path)
         self._reaching = TunnelClient(self._link)
         self._topics_elsewhere = RemoteTopics(self._reaching, run_folder)
@@ -198,10 +204,8 @@ class FleetBackend:
         end_s = inf if timeout_s is None else self.now() + timeout_s
         is_awake = self._hear_all()
         while not (is_awake or self._events or self.now() >= end_s):
-            due_s = min((host.talk.due_s() for host in self._hosts.values()), default=inf)
-            left_s = min(end_s, due_s) - self.now()
             with suppress(queue.Empty):
-                arrival = self._inbox.get(timeout=None if left_s == inf else max(0.0, left_s))
+                arrival = self._inbox.get(timeout=self._patience_s(end_s))
                 is_awake = self._hear(arrival)
             is_awake = self._hear_all() or is_awake
         events, self._events = self._events, []
@@ -306,10 +310,14 @@ class FleetBackend:
 
     def _hear_once(self, end_s: float) -> None:
         """Wait for something to arrive, or for something to be sent, and handle it."""
-        due_s = min((host.talk.due_s() for host in self._hosts.values()), default=inf)
         with suppress(queue.Empty):
-            self._hear(self._inbox.get(timeout=max(0.0, min(end_s, due_s) - self.now())))
+            self._hear(self._inbox.get(timeout=self._patience_s(end_s)))
         self._hear_all()
+
+    def _patience_s(self, end_s: float) -> float:
+        """Seconds until something is to be sent, but never longer than signs of life take."""
+        due_s = min((host.talk.due_s() for host in self._hosts.values()), default=inf)
+        return max(0.0, min(min(end_s, due_s) - self.now(), sign_period_s()))
 
     def _hear_all(self) -> bool:
         """Handle what has arrived, then send what is due. Returns whether to return to the caller."""
@@ -321,7 +329,17 @@ class FleetBackend:
             host.talk.pump(self.now())
             if host.talk.is_broken:
                 self._greet(host.name, host.life, "messages were lost")
+        self._lose_silent()
         return is_awake
+
+    def _lose_silent(self) -> None:
+        """Lose hosts of which nothing was heard for a lease, unless it was this process that heard nothing."""
+        now_s, before_s, self._round_s = self.now(), self._round_s, self.now()
+        for host in list(self._hosts.values()):
+            if now_s - before_s >= MISSED_SIGNS * sign_period_s():
+                host.pulse.note(now_s)
+            elif host.pulse.is_lost(now_s):
+                self._lose(host, f"nothing was heard of it for {now_s - host.pulse.last_s:.1f} s")
 
     def _hear(self, arrival: _Arrival) -> bool:
         match arrival:
@@ -333,6 +351,8 @@ class FleetBackend:
                 self._greet(host.name, host.life, "its clock does not answer")
             case (str(key), bool(is_alive)):
                 self._note_life(key, is_alive)
+            case (str(key), float(at_s)):
+                self._note_sign(key, at_s)
             case (str(key), bytes(head), bytes(payload)):
                 self._hear_agent(key, head, payload)
         return False
@@ -349,8 +369,19 @@ class FleetBackend:
                 self._seen.pop(unquote(name), None)
         elif is_alive and (host is None or host.life != life):
             self._greet(unquote(name), life, "its agent was started again")
-        elif not is_alive and host is not None and host.life == life:
-            self._lose(host, "its agent is gone, or can't be reached")
+        elif is_alive and host is not None:
+            host.pulse.note(self.now())
+        elif not is_alive and host is not None and host.life == life and host.pulse.is_steady(self.now()):
+            self._lose(host, "its agent is gone")
+
+    def _note_sign(self, key: str, at_s: float) -> None:
+        """Note a sign of life. It is told of who is alive by Zenoh too, but not of everyone after a link was cut."""
+        _, name, _, life = key.split("/")
+        if life not in self._left_alone:
+            self._note_life(key, is_alive=True)
+        host = self._hosts.get(unquote(name))
+        if host is not None and host.life == life:
+            host.pulse.note(at_s)
 
     def _greet(self, name: str, life: str, cause: str) -> None:
         """Begin anew with a host."""
@@ -358,7 +389,8 @@ class FleetBackend:
             self._lose(self._hosts[name], cause)
         self._serial += 1
         session = Session(self._term, self.id, self._serial)
-        host = self._hosts[name] = _HostState(name, life, Talk(self._link, MANAGER, name, session, FromAgent))
+        talk: Talk[FromAgent] = Talk(self._link, MANAGER, name, session, FromAgent)
+        host = self._hosts[name] = _HostState(name, life, talk, Pulse(self.now(), self.now()))
         host.talk.say(GreetOrder(adopts=self._is_beginning), self.now())
 
     def _lose(self, host: _HostState, cause: str) -> None:
@@ -393,6 +425,7 @@ class FleetBackend:
             for message in host.talk.hear(kind, head, payload, self.now()):
                 self._understand(host, message)
         except msgspec.MsgspecError as error:
+            self._left_alone.add(host.life)
             self._lose(host, f"its agent is of another version of cfgplan: {error}")
 
     def _heed(self, host: _HostState, refusal: bytes) -> None:
@@ -404,6 +437,7 @@ class FleetBackend:
         if is_obeyed and not self._takes_over:
             self._rival = host.name
             self.wake()
+            self._left_alone.add(host.life)
             self._lose(host, "it obeys a later manager")
         else:
             self._term = max(self._term, term + 1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,13 @@ from cfgplan_runtime.fleet.certificates import access_control, tls
 
 LEASE_S = 2.0
 """Seconds of silence after which a host is taken for lost. With 1 s, a stalled machine was once taken for lost."""
-_SIGNS_PER_LEASE = 4
-_OPEN_MS = 1000
+_SIGNS_PER_LEASE = 8
+_LINK_LEASES = 2
+"""A link that is silent for half a lease is made anew: the kernel waits longer and longer until it tries it again."""
+_LATE_SIGNS, MISSED_SIGNS = 2, 4
+"""A sign of life that comes after so many periods is late. Who did not look for so many may have missed some."""
+_OPEN_MS = 400
+"""Who is cut off gives up an attempt after so long: one that began too early can't succeed once the link is mended."""
 _REACH_MS = 5000
 _LANES = {"interactive_high": 16, "data_high": 16, "data_low": 16}
 """Batches of 64 kB that wait in each of Zenoh's lanes for a full link, the most that it allows. In 2, its default, no
@@ -43,7 +49,11 @@ def config(
     secured = {} if certificates is None else {"access_control": access_control(certificates)}
     socket_options = {"so_sndbuf": _SEND_BUFFER}
     link: Config = {
-        "tx": {"lease": round(LEASE_S * 1000), "keep_alive": _SIGNS_PER_LEASE, "queue": {"size": _LANES}},
+        "tx": {
+            "lease": round(LEASE_S * 1000) // _LINK_LEASES,
+            "keep_alive": _SIGNS_PER_LEASE // _LINK_LEASES,
+            "queue": {"size": _LANES},
+        },
         "tcp": socket_options,
     }
     if certificates is not None:
@@ -60,13 +70,39 @@ def config(
         "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
         "transport": {
             "link": link,
-            # Who is cut off tries again soon, instead of waiting for a longer and longer time for the first answer.
             "unicast": {"open_timeout": _OPEN_MS},
             # Containers of one computer share it, but not always what is needed to read it.
             "shared_memory": {"enabled": False},
         },
         **secured,
     }
+
+
+def sign_period_s() -> float:
+    """Seconds from one of an agent's signs of life to the next."""
+    return LEASE_S / _SIGNS_PER_LEASE
+
+
+@dataclass(slots=True)
+class Pulse:
+    """When a host's signs of life came, in seconds of this process's clock."""
+
+    last_s: float
+    steady_s: float
+    """Since when none was late."""
+
+    def note(self, now_s: float) -> None:
+        """Note a sign of life."""
+        if now_s - self.last_s > _LATE_SIGNS * sign_period_s():
+            self.steady_s = now_s
+        self.last_s = max(self.last_s, now_s)
+
+    def is_steady(self, now_s: float) -> bool:
+        """Whether no sign is late, or was within half a lease: if its links are gone nevertheless, its agent is too."""
+        return now_s - self.last_s <= _LATE_SIGNS * sign_period_s() and now_s - self.steady_s >= LEASE_S / _LINK_LEASES
+
+    def is_lost(self, now_s: float) -> bool:
+        return now_s - self.last_s >= LEASE_S
 
 
 def _refuse_strangers(endpoint: str) -> None:

@@ -25,7 +25,7 @@ MOST_PIECES = 4096
 _TOLD_EVERY, _TOLD_EVERY_BYTES = PIECES_UNDER_WAY // 8, BYTES_UNDER_WAY // 8
 _LATEST_CREDIT_S = 0.05
 """A piece that came is acknowledged so much later at most."""
-_RESEND_S, _MOST_RESEND_S = 0.25, 1.0
+_RESEND_S, _MOST_RESEND_S = 0.25, 0.5
 """Seconds without any acknowledgement until a piece is sent again, doubled each time up to the second value."""
 _ASK_AGAIN_S = 0.1
 _MOST_MISSING = 64

@@ -94,6 +94,17 @@ class ZenohLink:
         """Be alive under a key until the link is closed or cut."""
         self._tokens.append(self._session.liveliness().declare_token(key))
 
+    def give_signs(self, key: str, period_s: float) -> None:
+        """Put a sign of life at a key again and again, until the link is closed."""
+        put = self.publisher(key, "orders")
+
+        def run() -> None:
+            with suppress(RuntimeFaultError):  # it was closed
+                while not self._is_closed.wait(period_s):
+                    put(b"", b"")
+
+        threading.Thread(target=run, daemon=True).start()
+
     def alive(self, keys: str) -> list[str]:
         """The keys that are alive now."""
         return [str(reply.ok.key_expr) for reply in self._session.liveliness().get(keys) if reply.ok is not None]
