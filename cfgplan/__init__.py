@@ -46,7 +46,6 @@ if TYPE_CHECKING:
     from cfgplan.domain import Subscription as Subscription
     from cfgplan.domain import Target as Target
     from cfgplan.domain import Transformation as Transformation
-    from cfgplan.drawing import computation_graph as computation_graph
     from cfgplan.errors import CfgplanError as CfgplanError
     from cfgplan.errors import Fault as Fault
     from cfgplan.errors import InputError as InputError
@@ -77,7 +76,6 @@ __all__, __getattr__, __dir__ = exports(
         "domain": "ChangeSet ComputationUnit Environment Host InputPort OutputPort Publication Similarity Stream "
         "Subscription Target Transformation",
         "errors": "CfgplanError Fault InputError InvalidValueError",
-        "drawing": "computation_graph",
         "planning": "Failures Notion Plan Planner Problem Progress Status",
         "qualities": "Better Contribution Over QualityAttribute Wish",
         "validity": "Rule Violation",

@@ -12,15 +12,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment
 from cfgplan.figures import qualities_of_targets
 from cfgplan.qualities import QualityAttribute
 from cfgplan.qualities import units as units_of
-
-if TYPE_CHECKING:
-    from networkx import MultiDiGraph
 
 _SPECIAL_IN_MERMAID = '"#<>&%$`\\'
 FORMATS = ("svg", "png", "dot", "mermaid")
@@ -257,23 +254,3 @@ def _silent_stderr() -> Iterator[None]:
     finally:
         os.dup2(saved, 2)
         os.close(saved)
-
-
-def computation_graph(environment: Environment) -> MultiDiGraph[str]:
-    """Units as nodes (attribute `transformation`) and subscriptions as edges from the unit that feeds.
-
-    An edge's key is the input port; its attributes are `stream` and whether it is `feedback`. A feeder that is
-    gone is a node without attributes.
-    """
-    from networkx import MultiDiGraph
-
-    graph: MultiDiGraph[str] = MultiDiGraph()
-    for unit in environment.units:
-        graph.add_node(unit.id, transformation=unit.transformation)
-    for unit in environment.units:
-        transformation = environment.transformation.get(unit.transformation)
-        for s in unit.subscriptions:
-            port = transformation.input.get(s.port) if transformation else None
-            is_feedback = port is not None and port.feedback
-            graph.add_edge(s.stream.unit, unit.id, key=s.port, stream=str(s.stream), feedback=is_feedback)
-    return graph

@@ -8,7 +8,6 @@ import os
 import pickle
 from pathlib import Path
 
-import networkx
 import pytest
 
 import cfgplan
@@ -16,20 +15,6 @@ from cfgplan.api import plan_text, write_file
 from cfgplan.errors import InputError
 
 NAO = Path(__file__).parent.parent / "models" / "nao"
-
-
-def test_the_case_study_is_an_acyclic_graph_with_an_edge_for_each_subscription() -> None:
-    environment = cfgplan.load(NAO / "3-puff-registered.yaml").environment
-    graph = cfgplan.computation_graph(environment)
-    assert networkx.is_directed_acyclic_graph(graph)
-    assert set(graph) == set(environment.unit)
-    assert graph.number_of_edges() == sum(len(unit.subscriptions) for unit in environment.units)
-    assert graph.edges["segmenter(piff).1", "ball_detector(piff).1", "hull"]["stream"] == "segmenter(piff).1/hull"
-
-
-def test_a_gap_has_no_edge() -> None:
-    graph = cfgplan.computation_graph(cfgplan.load(NAO / "2-segmenter-lost.yaml").environment)
-    assert {key for _, _, key in graph.in_edges("ball_detector(piff).1", keys=True)} == {"fine", "coarse"}
 
 
 def test_every_name_that_the_package_promises_is_there() -> None:

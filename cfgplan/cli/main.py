@@ -47,7 +47,11 @@ VERBS: Mapping[str, str] = MappingProxyType(
     }
 )
 """What each verb does. Its module, or the function of `_OTHER_HOMES`, is imported only when the verb is called."""
-_OTHER_HOMES = {"import": "exchange:add_import", "export": "exchange:add_export"}
+_OTHER_HOMES = {
+    "certificates": "agent:add_certificates",
+    "import": "exchange:add_import",
+    "export": "exchange:add_export",
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
