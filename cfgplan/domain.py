@@ -125,7 +125,7 @@ class Host:
 
     `offers` says how much it has of other resources, in whole numbers: of what is not there it has nothing. A unit
     takes the CPU time of its transformation divided by `speed`, which is in millionths. Selectors choose it by its name
-    and its `labels`.
+    and its `labels`. While a unit is there, running or as a cold spare, it costs `rent_us` each second at any speed.
     """
 
     name: str
@@ -134,12 +134,16 @@ class Host:
     offers: Mapping[str, int] = field(default_factory=dict, hash=False)
     speed: int = MICRO
     labels: tuple[str, ...] = ()
+    rent_us: int = 0
 
     def __post_init__(self) -> None:
         store_whole(self, "speed")
+        store_whole(self, "rent_us")
         store_sorted(self, "labels", dict.fromkeys(self.labels), str)
         if self.speed <= 0:
             raise InvalidValueError(f"the speed of host {self.name!r} is not above 0")
+        if self.rent_us < 0:
+            raise InvalidValueError(f"the rent of host {self.name!r} is negative")
         store_resources(self, "offers", {CPU: "cpu_us", MEMORY: "memory_mb"})
 
     def fits(self, text: str) -> bool:

@@ -6,11 +6,11 @@ For planners and for those who show plans; the judge reckons for itself.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 
 from cfgplan.costs import keep_cost_us, labor_us, standby_cost_us, taken, transfer_cost_us
-from cfgplan.domain import CPU, MEMORY, ComputationUnit, Environment, Stream
+from cfgplan.domain import CPU, MEMORY, ComputationUnit, Environment, Host, Stream
 from cfgplan.planning import Problem
 from cfgplan.qualities import QualityAttribute, price_us, propagated
 
@@ -24,10 +24,12 @@ class CostParts:
     standby_us: int = 0
     transfer_us: int = 0
     quality_us: int = 0
+    rent_us: int = 0
 
     @property
     def total_us(self) -> int:
-        return self.labor_us + self.upkeep_us + self.standby_us + self.transfer_us + self.quality_us
+        kept_us = self.upkeep_us + self.standby_us + self.transfer_us + self.rent_us
+        return self.labor_us + kept_us + self.quality_us
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +60,14 @@ def cost_parts(problem: Problem, units: Collection[ComputationUnit]) -> CostPart
         sum(standby_cost_us(library[u.transformation], horizon_s, place_of(u)) for u in units if u.standby),
         sum(transfer.cost_us for transfer in transfers(problem, units)),
         prices,
+        sum(host.rent_us for host in used_hosts(environment, units)) * horizon_s,
     )
+
+
+def used_hosts(environment: Environment, units: Iterable[ComputationUnit]) -> list[Host]:
+    """The hosts that units are on, running or as cold spares."""
+    used = {unit.host for unit in units}
+    return [host for host in environment.hosts if host.name in used]
 
 
 def transfers(problem: Problem, units: Collection[ComputationUnit]) -> list[Transfer]:

@@ -133,7 +133,8 @@ class Problem:
             for attribute in [environment.quality[wish.attribute]]
         )
         units = copies + len(environment.units)
-        return copies * once_us + units * len(environment.hosts) * carried + prices
+        rents = sum(host.rent_us for host in environment.hosts) * horizon_s
+        return rents + copies * once_us + units * len(environment.hosts) * carried + prices
 
 
 Pair = tuple[str, str]

@@ -22,7 +22,7 @@ from cfgplan.domain import (
 )
 from cfgplan.drawing import picture
 from cfgplan.errors import InvalidValueError
-from cfgplan.figures import qualities_of_targets
+from cfgplan.figures import cost_parts, qualities_of_targets
 from cfgplan.planning import Failures, Plan, Problem, Status
 from cfgplan.qualities import Better, Contribution, QualityAttribute, QualityRule, Wish
 from cfgplan.validity import Rule as Broken
@@ -193,6 +193,15 @@ PROBLEM = Problem(replace(VALID, units=()), SIMILARITY, horizon_s=10)
 # Labor 5 + 3, upkeep 6 x 10, 2.5 MB/s x 10 s x 3, and 0.1 x 1 s for what the ball's error misses.
 COST = 8 + 60 + 75 + 100_000
 PLAN = Plan("test", Status.OPTIMAL, ChangeSet(started=(camera, detector)), COST, COST)
+
+
+def test_the_cost_counts_the_rent_of_hosts_where_something_is() -> None:
+    hosts = (Host("robot", 5, 50, rent_us=2), Host("base", rent_us=30), Host("empty", rent_us=500))
+    rented = replace(PROBLEM, environment=replace(PROBLEM.environment, hosts=hosts))
+    dearer = COST + 10 * (2 + 30)
+    assert plan_violations(rented, replace(PLAN, cost_us=dearer, bound_us=dearer)) == []
+    assert cost_parts(rented, VALID.units).rent_us == 320
+    assert cost_parts(rented, VALID.units).total_us == dearer
 
 
 def test_the_cost_counts_transfers_and_missed_quality() -> None:

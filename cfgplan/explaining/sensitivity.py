@@ -13,7 +13,7 @@ from cfgplan.domain import Environment, Transformation
 from cfgplan.errors import InputError
 from cfgplan.planning import Plan, Planner, Problem, Status
 from cfgplan.qualities import MICRO
-from cfgplan.validity.hosts import carried_us
+from cfgplan.validity.hosts import carried_us, rents_us
 
 
 @dataclass(frozen=True, order=True)
@@ -88,7 +88,7 @@ def horizon_sensitivity(problem: Problem, planner: Planner) -> Sensitivity:
             (standby_cost_us if u.standby else keep_cost_us)(library[u.transformation], 1, after.place_of(u))
             for u in after.units
         )
-        return units + carried_us(after, 1)
+        return units + carried_us(after, 1) + rents_us(after)
 
     # Beyond all that is paid once no saving of it is worth a microsecond more each second.
     once_us = problem.largest_cost_us(0)

@@ -191,6 +191,7 @@ def _figures(problem: Problem, after: Environment) -> dict[str, Any]:
             "standby": parts.standby_us,
             "transfers": parts.transfer_us,
             "quality": parts.quality_us,
+            **({"rent": parts.rent_us} if parts.rent_us else {}),
         },
         "quality": {
             label: {name: float(units(value)) for name, value in values.items()} for label, values in reached.items()

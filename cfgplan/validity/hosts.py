@@ -71,6 +71,12 @@ def costs_there(
     return (*transformation.seen_us.get(host.name, (labor_us, upkeep_us)), standby_us)
 
 
+def rents_us(environment: Environment) -> int:
+    """What the hosts where something is cost each second."""
+    there = {unit.host for unit in environment.units}
+    return sum(host.rent_us for host in environment.hosts if host.name in there)
+
+
 def carried_us(environment: Environment, horizon_s: int) -> int:
     """The cost to carry streams to other hosts; a stream is paid once for each host that it is wanted on."""
     at = {unit.id: unit.host for unit in environment.units}

@@ -236,6 +236,7 @@ MODEL = _room(
         "model.needs_any(runs, [there[host] for there in units if host in there])",
         "pass",
     ),
+    ("hosts are free", "rules.py", "model.cp.add_implication(places[host.name], used)", "pass"),
     ("too many units are on one host", "rules.py", "<= t.per_host)", "<= t.per_host + 1)"),
     (
         "cold spares count as running",

@@ -29,7 +29,8 @@ def fleets(draw: st.DrawFn, notions: frozenset[Notion], *, most: int = 3) -> Pro
     plain = draw(problems(most=most, special=draw(st.booleans())))
     environment = plain.environment
     hosts = HOSTS[: draw(st.integers(1, 3))] if Notion.HOSTS in notions else ()
-    hosts = tuple(replace(host, speed=draw(SPEEDS)) for host in hosts)
+    rents = st.sampled_from([0, 0, 1, 4])
+    hosts = tuple(replace(host, speed=draw(SPEEDS), rent_us=draw(rents)) for host in hosts)
     qualities = draw(attributes()) if Notion.QUALITY in notions else ()
     labels = [t.label for t in environment.library]
     library = [draw(transformations(t, labels, hosts, qualities, notions)) for t in environment.library]

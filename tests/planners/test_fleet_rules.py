@@ -74,6 +74,26 @@ def test_a_host_bears_its_units(model: type[Hubs], small: Host, takes: dict[str,
 
 
 @every_model
+def test_a_host_is_paid_while_something_is_there(model: type[Hubs]) -> None:
+    library = (kind("s", gives="A", max_instances=2), kind("t", gives="A"))
+    rented = (Host("h0", rent_us=3, speed=2 * MICRO), Host("h1", rent_us=50))
+    fixed = model(world("A", *library, hosts=rented, horizon_s=10))
+    assert fixed.least_us(on("s.1", "h0")) == 1 + 30
+    assert fixed.least_us(on("s.1", "h0"), on("s.2", "h0")) == 2 + 30
+    assert fixed.least_us(on("s.1", "h0"), on("s.2", "h1")) == 2 + 30 + 500
+    running = model(world("A", *library, hosts=rented, horizon_s=10, units=(unit("s", topic="A", host="h1"),)))
+    assert running.least_us(on("s.1", "h1"), ~on("t.1", "h0")) == 500
+    assert running.least_us() == 1 + 30
+
+
+def test_the_host_of_a_cold_spare_is_paid() -> None:
+    fixed = Apart(
+        world("A", kind("s", gives="A", standby_us=1), hosts=(TWO[0], Host("h1", rent_us=7)), survive=Failures.UNITS)
+    )
+    assert fixed.least_us(on("s.1", "h0"), waits("s.2"), on("s.2", "h1")) == 1 + 1 + 7
+
+
+@every_model
 def test_what_a_host_does_not_offer_it_has_not(model: type[Hubs]) -> None:
     fixed = model(world("A", kind("s", gives="A", needs={"gpu": 1}), hosts=(Host("h0"), Host("h1", offers={"gpu": 1}))))
     assert fixed.allows(on("s.1", "h1"))

@@ -50,6 +50,10 @@ class Rooms:
         is_awaited = not there[kind.label] and any(kind.label in library[label].beside for label in there)
         return sum(not there[other] for other in kind.beside) - is_awaited
 
+    def rent_us(self, name: HostName) -> int:
+        """What a host where nothing is yet would cost each second; 0 for others."""
+        return 0 if name is None or self._there[name].total() else self._environment.host[name].rent_us
+
     def _takes(self, kind: Transformation, name: HostName) -> Mapping[str, int]:
         return {} if name is None else taken(kind, self._environment.host[name])
 
@@ -89,10 +93,12 @@ class Places:
     def _by_price(self, grounded: Grounded, unit: int, hosts: Iterable[HostName]) -> list[HostName]:
         """Hosts by the company they keep, then by what it costs to run a unit there, and to carry its inputs there."""
         candidate, strangers = self.candidates.all[unit], self._rooms.strangers
+        horizon_s = self.candidates.problem.horizon_s
 
         def price(host: HostName) -> tuple[int, int, str]:
             carry_us = self._carry_us(grounded, unit, host)
-            return strangers(candidate.transformation, host), candidate.places[host].cost_us + carry_us, host or ""
+            cost_us = candidate.places[host].cost_us + carry_us + self._rooms.rent_us(host) * horizon_s
+            return strangers(candidate.transformation, host), cost_us, host or ""
 
         return sorted(hosts, key=price)
 

@@ -266,6 +266,16 @@ def hosts_bear_their_units(model: Model) -> None:
                 model.cp.add(LinearExpr.sum(taken) <= room)
 
 
+def a_host_is_paid_while_something_is_there(model: Model) -> None:
+    for host in model.environment.hosts:
+        if host.rent_us:
+            used = model.boolean()
+            model.more_costs.append(host.rent_us * model.problem.horizon_s * used)
+            for places in (*model.runs_on.values(), *model.waits_on.values()):
+                if host.name in places:
+                    model.cp.add_implication(places[host.name], used)
+
+
 def units_that_conflict_are_not_there_together(model: Model) -> None:
     there = _by_label(model, model.is_there)
     for transformation in model.environment.library:
@@ -391,6 +401,7 @@ RULES: Final[tuple[ModelRule, ...]] = (
     pinned_units_run,
     required_transformations_serve_a_target,
     hosts_bear_their_units,
+    a_host_is_paid_while_something_is_there,
     units_that_conflict_are_not_there_together,
     there_are_as_many_units_as_asked_for_and_allowed,
     no_host_has_more_units_of_a_transformation_than_it_allows,
