@@ -37,7 +37,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         help="where others reach this agent (tcp/127.0.0.1:7447; with certificates tls/0.0.0.0:7447)",
     )
     parser.add_argument(
-        "--pass-on", action="store_true", help="let hosts that are not linked reach each other through this one"
+        "--through", metavar="ENDPOINT", help="reach all others through this agent alone, in place of --connect"
     )
     parser.add_argument("--folder", default=".", metavar="DIR", help="what `source: units.py:Class` is relative to (.)")
     parser.add_argument("--preload", action="append", default=[], metavar="MODULE", help="import it before units start")
@@ -77,6 +77,9 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan_runtime.fleet.agent import Agent
 
     certificates = None if options.certificates is None else Path(options.certificates)
+    if options.through is not None and (options.connect or options.listen):
+        mend = "leave them out: others reach it through that agent too"
+        raise InputError.of("--through is in place of --connect and --listen", mend=mend)
     listen = options.listen or ["tcp/127.0.0.1:7447" if certificates is None else "tls/0.0.0.0:7447"]
     agent = Agent(
         options.name,
@@ -85,11 +88,12 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         certificates=certificates,
         folder=Path(options.folder),
         preload=options.preload,
-        passes_on=options.pass_on,
+        through=options.through,
         say=screen.note,
     )
     safety = "; without certificates on loopback only" if certificates is None else ""
-    screen.note(f"agent {options.name} listens on {', '.join(listen)}{safety}")
+    way = f"listens on {', '.join(listen)}" if options.through is None else f"is reached through {options.through}"
+    screen.note(f"agent {options.name} {way}{safety}")
     agent.run()
     return Exit.OK
 

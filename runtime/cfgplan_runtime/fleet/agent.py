@@ -19,7 +19,7 @@ from cfgplan.errors import InputError
 from cfgplan_runtime.children.messages import Export, Import, Release
 from cfgplan_runtime.fleet.certificates import MANAGER
 from cfgplan_runtime.fleet.clocks import HostClock
-from cfgplan_runtime.fleet.links import LEASE_S, config, sign_period_s
+from cfgplan_runtime.fleet.links import LEASE_S, Config, config, sign_period_s
 from cfgplan_runtime.fleet.orders import (
     HEARD,
     REFUSE,
@@ -102,9 +102,9 @@ def source_file(source: str, folder: Path) -> Path | None:
 class Agent:
     """One host's part of a fleet, for the thread that made it.
 
-    `folder` is what `units.py:Class` is relative to here, `base` where the folder of its topics is made. With
-    `passes_on`, hosts that are not linked reach each other through this one. Raises InputError if it can't listen, or
-    if the fleet has an agent of that name.
+    `folder` is what `units.py:Class` is relative to here, `base` where the folder of its topics is made. It is
+    linked with all others, or reaches them `through` the agent at this endpoint, for which it waits. Raises InputError
+    if it can't listen, or if the fleet has an agent of that name.
     """
 
     def __init__(
@@ -117,7 +117,7 @@ class Agent:
         folder: Path | None = None,
         preload: Sequence[str] = (),
         base: Path | None = None,
-        passes_on: bool = False,
+        through: str | None = None,
         say: Callable[[str], None] = lambda _: None,
     ) -> None:
         if name == MANAGER:
@@ -143,11 +143,15 @@ class Agent:
         self._usage_due_s = 0.0
         self._failure: BaseException | None = None
         """What has ended the relay."""
-        mode = "router" if passes_on else "peer"
-        given = config(listen, connect, certificates, mode=mode)  # refused before a process is made
+        # What is wrong with it is refused before a process is made.
+        given = (
+            config(listen, connect, certificates, mode="peer")
+            if through is None
+            else config(connect=[through], certificates=certificates, mode="client")
+        )
         self._backend = ProcessBackend(folder=folder, preload=preload, base=base)
         try:
-            self._link = ZenohLink(given)
+            self._link = ZenohLink(given) if through is None else self._awaited(given)
             try:
                 self._refuse_twin()
                 self._answer()
@@ -174,6 +178,14 @@ class Agent:
             self._tunnels.close()
             self._link.close()
             self._backend.close()
+
+    def _awaited(self, given: Config) -> ZenohLink:
+        """A link through another agent, as soon as that is there."""
+        while True:
+            try:
+                return ZenohLink(given)
+            except InputError as error:
+                self._tell_user(f"{error.faults[0].message}: waiting")
 
     def _refuse_twin(self) -> None:
         """Raise InputError if the fleet has this host already. One that was killed just now may seem to be there."""

@@ -166,7 +166,7 @@ class FleetBackend:
         self._rival = ""
         """A host that obeys another manager."""
         self.run_folder = run_folder
-        self._link = ZenohLink(config(connect=connect, certificates=certificates, mode="peer"))
+        self._link = _linked(connect, certificates, wait_s)
         for kind in (SAY, HEARD, REFUSE):
             self._link.hear(crossing_key("*", kind, MANAGER, "*"), lambda *came: self._inbox.put(came))
         self._link.watch(f"{alive_key('*')}/*", lambda *came: self._inbox.put(came))
@@ -548,3 +548,11 @@ class FleetBackend:
         if inlet.is_outlet:
             return self._topics[inlet.port][1] if inlet.port in self._topics else None
         return self._units.get(inlet.unit)
+
+
+def _linked(connect: Sequence[str], certificates: Path | None, wait_s: float) -> ZenohLink:
+    """A link with the agents at these endpoints; through the only one to all others, if it is there in time."""
+    if len(connect) == 1:
+        with suppress(InputError):
+            return ZenohLink(config(connect=connect, certificates=certificates, mode="client", reach_s=wait_s))
+    return ZenohLink(config(connect=connect, certificates=certificates, mode="peer"))

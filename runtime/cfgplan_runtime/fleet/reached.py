@@ -62,7 +62,8 @@ class ReachedFleet:
         _until(lambda: bool(self.runs) if run is None else run in self.runs, _REACH_S)
         runs = self.runs
         if not runs:
-            raise NoSuchRunError(f"no run has the hosts {', '.join(self.hosts)}: start one with `cfgplan run ENV`")
+            mend = "start one with `cfgplan run ENV`; with certificates, --connect an agent that may pass on"
+            raise NoSuchRunError(f"no run is seen that has the hosts {', '.join(self.hosts)}: {mend}")
         if run is None and len(runs) > 1:
             raise NoSuchRunError(f"several runs are live: name one by --run: {', '.join(runs)}")
         if run is not None and run not in runs:
