@@ -28,7 +28,7 @@ from typing import Any
 import yaml
 from cfgplan_runtime import Manager, Policy, Runtime, subscribe, watch_file
 from cfgplan_runtime.lifecycle.back_off import BackOffRules
-from cfgplan_runtime.lifecycle.changes import AddTargets, AddTransformations, RemoveTargets, RemoveTransformations
+from cfgplan_runtime.lifecycle.changes import Add, Remove
 from cfgplan_runtime.lifecycle.reports import PHASES, Decision, Report, Review, Reviewed
 from cfgplan_runtime.lifecycle.seams import DeclaredCosts
 
@@ -135,15 +135,15 @@ class Run:
     def remove(self) -> None:
         label = self.runtime.environment.unit[self.unit_at(2)].transformation
         self.removed: Transformation = self.manager.world.environment.transformation[label]
-        self.manager.request(RemoveTransformations((label,)))
+        self.manager.request(Remove(transformations=(label,)))
 
     def give_back(self) -> None:
-        self.manager.request(AddTransformations((self.removed,))).result(PATIENCE_S)
+        self.manager.request(Add(transformations=(self.removed,))).result(PATIENCE_S)
 
     def change_params(self) -> None:
         label = self.runtime.environment.unit[self.unit_at(2)].transformation
         changed = replace(self.manager.world.environment.transformation[label], params={"seed": time.time_ns()})
-        self.manager.request(AddTransformations((changed,)))
+        self.manager.request(Add(transformations=(changed,)))
 
     def edit(self) -> None:
         """Change the params of the unit of stage 2 in the file."""
@@ -158,10 +158,10 @@ class Run:
         new.replace(self.file)
 
     def add_target(self) -> None:
-        self.manager.request(AddTargets((Target("other", f"Stage{STAGES - 1}", "/other"),)))
+        self.manager.request(Add(targets=(Target("other", f"Stage{STAGES - 1}", "/other"),)))
 
     def remove_target(self) -> None:
-        self.manager.request(RemoveTargets(("other",))).result(PATIENCE_S)
+        self.manager.request(Remove(targets=("other",))).result(PATIENCE_S)
 
 
 def _stage(label: str) -> int:

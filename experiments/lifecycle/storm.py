@@ -26,14 +26,12 @@ from pathlib import Path
 
 from cfgplan_runtime import Manager, Runtime, SimulatedRuntime, subscribe
 from cfgplan_runtime.lifecycle.changes import (
-    AddTargets,
-    AddTransformations,
+    Add,
     Change,
     KillUnit,
     LoseHost,
     RegainHost,
-    RemoveTargets,
-    RemoveTransformations,
+    Remove,
     ReviewNow,
 )
 from cfgplan_runtime.lifecycle.inbox import Outcome
@@ -108,16 +106,16 @@ class Storm:
         choices: list[Change] = [ReviewNow()]
         choices += [KillUnit(randoms.choice(seen.units).unit.id)] * 4 if seen.units else []
         if len(world.library) > 8:
-            choices += [RemoveTransformations((randoms.choice(world.library).label,))] * 2
+            choices += [Remove(transformations=(randoms.choice(world.library).label,))] * 2
         if gone:
-            choices += [AddTransformations((self._known[randoms.choice(gone)],))] * 2
+            choices += [Add(transformations=(self._known[randoms.choice(gone)],))] * 2
         if len(world.targets) > 1:
-            choices.append(RemoveTargets((randoms.choice(world.targets).label,)))
+            choices.append(Remove(targets=(randoms.choice(world.targets).label,)))
         if unwanted:
-            choices.append(AddTargets((self._wanted[randoms.choice(unwanted)],)))
+            choices.append(Add(targets=(self._wanted[randoms.choice(unwanted)],)))
         changed = randoms.choice(world.library)
-        choices.append(AddTransformations((replace(changed, upkeep_us=randoms.randrange(1, 1000)),)))
-        choices.append(AddTransformations((replace(changed, params={"seed": randoms.random()}),)))
+        choices.append(Add(transformations=(replace(changed, upkeep_us=randoms.randrange(1, 1000)),)))
+        choices.append(Add(transformations=(replace(changed, params={"seed": randoms.random()}),)))
         lost = seen.lost_hosts
         choices.append(RegainHost(lost[0]) if lost else LoseHost(randoms.choice(("r1", "r2"))))
         return randoms.choice(choices)

@@ -6,7 +6,7 @@ from math import inf
 
 from cfgplan_runtime import Patience, Policy
 from cfgplan_runtime.lifecycle.back_off import BackOffRules, BackOffs
-from cfgplan_runtime.lifecycle.changes import AddTargets, AddTransformations, ReviewNow, Stop
+from cfgplan_runtime.lifecycle.changes import Add, ReviewNow, Stop
 from cfgplan_runtime.lifecycle.deliberation import without_stopping
 from cfgplan_runtime.lifecycle.perturbations import MayStartAgain, UpdateFailed
 from cfgplan_runtime.lifecycle.reports import BackedOff, Decision, Phase
@@ -40,7 +40,7 @@ def test_what_became_cheaper_while_it_was_left_alone_is_used_when_it_may_start_a
     life = started(source(), worker(), SPARE, estimator=DeclaredCosts(failure_us=0), horizon_s=600)
     for _ in range(2):
         life.fail("work.1")
-    life.ask(AddTransformations((worker(upkeep_us=1),)))
+    life.ask(Add(transformations=(worker(upkeep_us=1),)))
     assert life.units == {"count.1", "spare.1"}
     life.pass_time(1.1)
     assert life.units == {"count.1", "work.1"}
@@ -148,7 +148,7 @@ def test_without_unit_code_a_transformation_is_left_alone_until_it_changes() -> 
     assert only.reviews[-1].unmet["result"].startswith("left out for now: work (it has no unit code: add `source:")
     life.ask(ReviewNow())
     assert life.units == {"count.1", "spare.1"}
-    life.ask(AddTransformations((worker(),)))
+    life.ask(Add(transformations=(worker(),)))
     life.ask(ReviewNow())
     assert life.manager.snapshot().backing_off == ()
     assert life.units == {"count.1", "spare.1"}  # starting the cheaper one does not pay
@@ -166,7 +166,7 @@ def test_other_code_is_a_new_chance() -> None:
     life = started(behaviours=DYING)
     life.pass_time(10)
     life.runtime.backend.behaviours.clear()
-    life.ask(AddTransformations((worker(params={"fixed": True}),)))
+    life.ask(Add(transformations=(worker(params={"fixed": True}),)))
     assert life.met == {"result"}
 
 
@@ -193,8 +193,8 @@ def test_a_slow_start_does_not_hold_up_a_repair() -> None:
     life = Life(source(), worker(), behaviours={"slow": Behaviour(start_s=20.0), "work": Behaviour(dies_s=5.0)})
     life.settle()
     life.runtime.backend.behaviours.pop("work")
-    life.manager.request(AddTransformations((slow,)))
-    life.manager.request(AddTargets((other,)))
+    life.manager.request(Add(transformations=(slow,)))
+    life.manager.request(Add(targets=(other,)))
     life.manager.step()
     repair, failed = next(review for review in life.reviews if review.decision is Decision.FAILED), life.now
     assert "it was given up while slow.1 was starting" in repair.cause

@@ -12,12 +12,12 @@ import pytest
 from cfgplan_runtime import ApplyError, Policy, StaleChangeSetError
 from cfgplan_runtime.errors import AbandonedError, NoSourceError
 from cfgplan_runtime.lifecycle.changes import (
-    AddTargets,
+    Add,
     Change,
     KillUnit,
     LoseHost,
     RegainHost,
-    RemoveTargets,
+    Remove,
     ReviewNow,
     Stop,
 )
@@ -439,10 +439,10 @@ def test_a_bad_request_is_refused_at_once(change: Change, part: str) -> None:
 
 
 def test_a_world_is_matched_before_anything_else_is_decided() -> None:
-    state, request = stable(), asked(RemoveTargets(("result",)))
+    state, request = stable(), asked(Remove(targets=("result",)))
     state, effects = after(state, 1.0, request)
     assert effects == [Match(state.living, request, request.change)]  # type: ignore[arg-type]
-    gone, effects = after(state, 1.0, Matched(request, state.living.after(RemoveTargets(("result",))), 0.25))
+    gone, effects = after(state, 1.0, Matched(request, state.living.after(Remove(targets=("result",))), 0.25))
     assert [type(one).__name__ for one in perturbations(effects)] == ["WorldChanged"]
     assert (gone.living.world.environment.targets, gone.match_s) == ((), 0.25)
     _, effects = after(state, 1.0, Matched(request, InputError.of("bad")))
@@ -571,7 +571,7 @@ class Deciding(RuleBasedStateMachine):
     @rule(target_number=st.integers(0, 2), comes=st.booleans())
     def somebody_asks_for_a_target(self, target_number: int, comes: bool) -> None:
         target = OTHERS[target_number]
-        self.ask(AddTargets((target,)) if comes else RemoveTargets((target.label,)))
+        self.ask(Add(targets=(target,)) if comes else Remove(targets=(target.label,)))
 
     @precondition(lambda self: not self.state.is_over)
     @rule(change=st.sampled_from([ReviewNow(), LoseHost("far"), KillUnit("nobody.1")]))

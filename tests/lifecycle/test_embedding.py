@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from cfgplan_runtime import Manager, Policy, Runtime, SimulatedRuntime, testing
 from cfgplan_runtime.errors import ApplyError, RuntimeFaultError, StaleChangeSetError
-from cfgplan_runtime.lifecycle.changes import AddTargets, KillUnit
+from cfgplan_runtime.lifecycle.changes import Add, KillUnit
 from cfgplan_runtime.lifecycle.reports import Decision, Ended, Report
 from cfgplan_runtime.streams.run_folder import base_folder, topics_of
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
@@ -101,7 +101,7 @@ def test_a_foreign_middleware_is_kept_the_best_it_can_be() -> None:
         assert manager.settle(60)
         assert set(robot.loaded) == {"count.1", "work.1"}
         assert manager.request(KillUnit("work.1")).result(60).decision is Decision.APPLIED  # type: ignore[union-attr]
-        manager.request(AddTargets((Target("numbers", "N", "/numbers"),))).result(60)
+        manager.request(Add(targets=(Target("numbers", "N", "/numbers"),))).result(60)
         assert robot.wires["/numbers"] == "count.1/n"
     assert robot.loaded == {}
 
@@ -276,7 +276,7 @@ def test_without_its_middleware_a_manager_ends_and_tells_who_waits() -> None:
 
         middleware.apply = closed
         with pytest.raises(RuntimeFaultError, match="the manager has ended"):
-            manager.request(AddTargets((Target("numbers", "N", "/numbers"),))).result(60)
+            manager.request(Add(targets=(Target("numbers", "N", "/numbers"),))).result(60)
         assert manager.wait(60)
     assert reports[-1] == Ended("the runtime is closed")
 
@@ -291,7 +291,7 @@ def test_who_asked_together_with_what_goes_wrong_is_told_too() -> None:
         raise RuntimeFaultError("the robot is gone")
 
     middleware.kill = closed
-    outcomes = [manager.request(change) for change in (KillUnit("work.1"), AddTargets(()), KillUnit("count.1"))]
+    outcomes = [manager.request(change) for change in (KillUnit("work.1"), Add(targets=()), KillUnit("count.1"))]
     manager.start()
     for outcome in outcomes:
         with pytest.raises(RuntimeFaultError, match="the manager has ended"):

@@ -7,18 +7,14 @@ from pathlib import Path
 import pytest
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.lifecycle.changes import (
-    AddIndividuals,
-    AddTargets,
-    AddTransformations,
+    Add,
     Change,
     Declare,
     Individual,
     KillUnit,
     LoseHost,
     RegainHost,
-    RemoveIndividuals,
-    RemoveTargets,
-    RemoveTransformations,
+    Remove,
     ReplaceWorld,
     Restore,
     Stop,
@@ -67,13 +63,13 @@ def robots(tmp_path: Path) -> Life:
     ("change", "part"),
     [
         (KillUnit("nobody.1"), "no unit 'nobody.1' runs"),
-        (RemoveTargets(("nothing",)), "there is no target 'nothing' (choose one of result)"),
-        (RemoveTransformations(("nothing",)), "there is no transformation 'nothing'"),
-        (RemoveIndividuals(("nobody",)), "there is no individual 'nobody'"),
-        (AddIndividuals((Individual("me"),)), "without an ontology there are no individuals"),
-        (AddTargets((Target("other", "Y and", "/other"),)), "target 'other'"),
-        (AddTargets((Target("other", "Y", "/result"),)), "topic"),
-        (AddTransformations((worker("bad", needs="some ("),)), "input x of transformation 'bad'"),
+        (Remove(targets=("nothing",)), "there is no target 'nothing' (choose one of result)"),
+        (Remove(transformations=("nothing",)), "there is no transformation 'nothing'"),
+        (Remove(individuals=("nobody",)), "there is no individual 'nobody'"),
+        (Add(individuals=(Individual("me"),)), "without an ontology there are no individuals"),
+        (Add(targets=(Target("other", "Y and", "/other"),)), "target 'other'"),
+        (Add(targets=(Target("other", "Y", "/result"),)), "topic"),
+        (Add(transformations=(worker("bad", needs="some ("),)), "input x of transformation 'bad'"),
         (LoseHost("far"), "there is no host 'far'"),
         (RegainHost("far"), "host 'far' was not given up"),
         (Withdraw("robot"), "there is no declaration 'robot'"),
@@ -95,7 +91,7 @@ def test_a_bad_request_is_refused_with_a_reason_and_changes_nothing(change: Chan
 
 def test_what_changes_nothing_needs_no_review() -> None:
     life = started()
-    assert life.ask(AddTargets((RESULT,))) is None
+    assert life.ask(Add(targets=(RESULT,))) is None
     assert len(life.reviews) == 1
 
 
@@ -103,7 +99,11 @@ def test_requests_that_come_together_are_answered_by_one_review() -> None:
     life = started()
     outcomes = [
         life.manager.request(change)
-        for change in (AddTransformations((worker("more"),)), AddTargets((Target("n", "N", "/n"),)), KillUnit("work.1"))
+        for change in (
+            Add(transformations=(worker("more"),)),
+            Add(targets=(Target("n", "N", "/n"),)),
+            KillUnit("work.1"),
+        )
     ]
     life.settle()
     assert outcomes[0].result(0) == outcomes[1].result(0) == outcomes[2].result(0) == life.reviews[-1]
@@ -111,8 +111,8 @@ def test_requests_that_come_together_are_answered_by_one_review() -> None:
 
 def test_of_file_and_requests_the_later_word_holds() -> None:
     life = started()
-    life.ask(AddTransformations((worker(params={"by": "request"}),)))
-    life.ask(RemoveTransformations(("count",)))
+    life.ask(Add(transformations=(worker(params={"by": "request"}),)))
+    life.ask(Remove(transformations=("count",)))
 
     def say(*library: object) -> None:
         environment = Environment((), library, (RESULT,))  # type: ignore[arg-type]
@@ -127,27 +127,27 @@ def test_of_file_and_requests_the_later_word_holds() -> None:
 
 
 def test_an_individual_that_comes_fills_the_templates(robots: Life) -> None:
-    review = robots.reviewed(AddIndividuals((Individual("r2", ("Flying",), (("follows", "r1"),)),)))
+    review = robots.reviewed(Add(individuals=(Individual("r2", ("Flying",), (("follows", "r1"),)),)))
     (changed,) = review.perturbations
     assert isinstance(changed, WorldChanged)
     assert changed.difference.added_individuals == ("r2",)
     assert changed.difference.added_transformations == ("camera(r2)",)
-    robots.ask(AddTargets((SEES_R2,)))
+    robots.ask(Add(targets=(SEES_R2,)))
     assert robots.met == {"seen", "seen2"}
-    robots.ask(RemoveTargets(("seen2",)))
-    robots.ask(RemoveIndividuals(("r2",)))
+    robots.ask(Remove(targets=("seen2",)))
+    robots.ask(Remove(individuals=("r2",)))
     assert set(robots.manager.world.environment.transformation) == {"camera(r1)"}
 
 
 def test_an_individual_of_the_ontology_file_can_go(robots: Life) -> None:
-    robots.ask(AddIndividuals((Individual("r2", ("Robot",)),)))
-    outcome = robots.manager.request(RemoveIndividuals(("r1",)))
+    robots.ask(Add(individuals=(Individual("r2", ("Robot",)),)))
+    outcome = robots.manager.request(Remove(individuals=("r1",)))
     robots.settle()
     with pytest.raises(InputError, match="r1"):
         outcome.result(timeout=0)  # a target of the file needs it
-    robots.ask(RemoveTargets(("seen",)))
+    robots.ask(Remove(targets=("seen",)))
     with pytest.raises(InputError, match="r1"):  # its tag is still checked, as it stands in the file
-        robots.ask(RemoveIndividuals(("r1",)))
+        robots.ask(Remove(individuals=("r1",)))
 
 
 def test_a_robot_registers_itself_and_leaves(robots: Life) -> None:
@@ -180,8 +180,8 @@ def test_what_was_removed_of_a_declaration_stays_away_until_it_is_declared_again
     }
     register = Declare("r2", document, (Individual("r2", ("Flying",)),))
     robots.ask(register)
-    robots.ask(RemoveTargets(("seen2",)))
-    robots.ask(RemoveTransformations(("film(r2)",)))
+    robots.ask(Remove(targets=("seen2",)))
+    robots.ask(Remove(transformations=("film(r2)",)))
     assert set(robots.manager.world.environment.transformation) == {"camera(r1)", "camera(r2)"}
     robots.ask(register)
     assert set(robots.manager.world.environment.transformation) == {"camera(r1)", "camera(r2)", "film(r2)"}
@@ -189,8 +189,8 @@ def test_what_was_removed_of_a_declaration_stays_away_until_it_is_declared_again
 
 
 def test_what_was_removed_can_be_restored(robots: Life) -> None:
-    robots.ask(RemoveTargets(("seen",)))
-    robots.ask(RemoveTransformations(("camera(r1)",)))
+    robots.ask(Remove(targets=("seen",)))
+    robots.ask(Remove(transformations=("camera(r1)",)))
     assert robots.manager.snapshot().removed == ("camera(r1)", "seen")
     robots.ask(Restore(("seen", "camera(r1)")))
     assert (robots.met, robots.manager.snapshot().removed) == ({"seen"}, ())
@@ -200,18 +200,18 @@ def test_what_was_removed_can_be_restored(robots: Life) -> None:
 
 def test_an_individual_that_was_declared_can_be_removed_unless_it_is_needed(robots: Life) -> None:
     robots.ask(Declare("r2", {}, (Individual("r2", ("Robot",)),)))
-    robots.ask(RemoveIndividuals(("r2",)))
+    robots.ask(Remove(individuals=("r2",)))
     assert set(robots.manager.world.environment.transformation) == {"camera(r1)"}
     robots.ask(
         Declare("r2", {"targets": [{"label": "seen2", "topic": "/seen2", "tag": SEES_R2.tag}]}, (Individual("r2"),))
     )
     with pytest.raises(InputError, match="no individual 'r2'"):
-        robots.ask(RemoveIndividuals(("r2",)))
+        robots.ask(Remove(individuals=("r2",)))
 
 
 def test_an_individual_with_an_unknown_class_is_refused(robots: Life) -> None:
     with pytest.raises(InputError, match=r"no class 'Robto' \(did you mean `Robot`"):
-        robots.ask(AddIndividuals((Individual("r2", ("Robto",)),)))
+        robots.ask(Add(individuals=(Individual("r2", ("Robto",)),)))
 
 
 def test_a_world_that_contradicts_itself_is_refused_and_the_old_one_holds(robots: Life, tmp_path: Path) -> None:

@@ -9,13 +9,11 @@ from typing import Any
 import pytest
 from cfgplan_runtime import Policy, SimulatedRuntime
 from cfgplan_runtime.lifecycle.changes import (
-    AddTargets,
-    AddTransformations,
+    Add,
     KillUnit,
     LoseHost,
     RegainHost,
-    RemoveTargets,
-    RemoveTransformations,
+    Remove,
     ReplaceWorld,
     ReviewNow,
 )
@@ -100,7 +98,7 @@ def test_a_lost_subscription_is_made_anew() -> None:
 
 def test_a_cheaper_transformation_is_used_at_the_horizon_and_not_before() -> None:
     life = started()
-    review = life.reviewed(AddTransformations((CHEAP,)))
+    review = life.reviewed(Add(transformations=(CHEAP,)))
     assert review.decision is Decision.DEFERRED
     assert life.manager.snapshot().saving_us == 99 * HORIZON_S - 10
     life.pass_time(HORIZON_S - 1)
@@ -113,14 +111,14 @@ def test_a_cheaper_transformation_is_used_at_the_horizon_and_not_before() -> Non
 
 def test_a_requested_review_does_not_wait_for_the_horizon() -> None:
     life = started()
-    life.ask(AddTransformations((CHEAP,)))
+    life.ask(Add(transformations=(CHEAP,)))
     assert life.reviewed(ReviewNow()).decision is Decision.APPLIED
     assert "cheap.1" in life.units
 
 
 def test_a_repair_uses_what_is_cheapest_by_then() -> None:
     life = started()
-    life.ask(AddTransformations((CHEAP,)))
+    life.ask(Add(transformations=(CHEAP,)))
     life.fail("work.1")
     assert life.units == {"count.1", "cheap.1"}
 
@@ -149,7 +147,7 @@ def test_without_a_horizon_nothing_is_reviewed_for_its_sake() -> None:
 def test_an_impossible_target_leaves_the_others_alone() -> None:
     life = started()
     calls = list(life.runtime.backend.calls)
-    review = life.reviewed(AddTargets((IMPOSSIBLE,)))
+    review = life.reviewed(Add(targets=(IMPOSSIBLE,)))
     assert review.unmet == {"impossible": "target impossible wants Z, but no output matches"}
     assert life.met == {"result"}
     assert [call for call in life.runtime.backend.calls[len(calls) :] if call[0] != "open"] == []
@@ -157,27 +155,27 @@ def test_an_impossible_target_leaves_the_others_alone() -> None:
 
 def test_a_target_is_met_as_soon_as_it_can_be() -> None:
     life = started(targets=(RESULT, IMPOSSIBLE))
-    assert life.reviewed(AddTransformations((worker("late", gives="Z"),))).decision is Decision.APPLIED
+    assert life.reviewed(Add(transformations=(worker("late", gives="Z"),))).decision is Decision.APPLIED
     assert life.met == {"result", "impossible"}
 
 
 def test_what_only_a_removed_target_needed_is_stopped() -> None:
     other = Target("other", "N", "/other")
     life = started(targets=(RESULT, other))
-    life.ask(RemoveTargets(("result",)))
+    life.ask(Remove(targets=("result",)))
     assert life.units == {"count.1"}
     assert life.runtime.backend.topics.keys() == {"/other"}
 
 
 def test_a_removed_transformation_is_replaced_where_it_was_used() -> None:
     life = started(source(), worker(), DEAR)
-    life.ask(RemoveTransformations(("work",)))
+    life.ask(Remove(transformations=("work",)))
     assert life.units == {"count.1", "dear.1"}
 
 
 def test_where_nothing_can_replace_it_the_target_waits_with_a_reason() -> None:
     life = started()
-    review = life.reviewed(RemoveTransformations(("work",)))
+    review = life.reviewed(Remove(transformations=("work",)))
     assert (life.units, life.met) == (set(), set())
     (view,) = life.manager.snapshot().targets
     assert view.reason == review.unmet["result"] == "target result wants Y, but no output matches"
@@ -185,7 +183,7 @@ def test_where_nothing_can_replace_it_the_target_waits_with_a_reason() -> None:
 
 def test_units_of_a_transformation_with_other_params_are_replaced() -> None:
     life = started()
-    review = life.reviewed(AddTransformations((worker(params={"threshold": 3}),)))
+    review = life.reviewed(Add(transformations=(worker(params={"threshold": 3}),)))
     assert isinstance(review.perturbations[0], WorldChanged)
     assert review.perturbations[0].difference.replaced_transformations == ("work",)
     assert life.units == {"count.1", "work.2"}
@@ -194,7 +192,7 @@ def test_units_of_a_transformation_with_other_params_are_replaced() -> None:
 
 def test_units_go_on_where_only_costs_and_flags_change() -> None:
     life = started()
-    review = life.reviewed(AddTransformations((worker(upkeep_us=5, pinned=True),)))
+    review = life.reviewed(Add(transformations=(worker(upkeep_us=5, pinned=True),)))
     assert review.decision is Decision.KEPT
     assert life.units == {"count.1", "work.1"}
 
@@ -202,7 +200,7 @@ def test_units_go_on_where_only_costs_and_flags_change() -> None:
 def test_a_new_version_that_cannot_start_leaves_the_old_one_running() -> None:
     life = started()
     life.runtime.backend.behaviours["work"] = Behaviour(dies_at_start="no such parameter")
-    life.ask(AddTransformations((worker(params={"threshold": 3}),)))
+    life.ask(Add(transformations=(worker(params={"threshold": 3}),)))
     life.pass_time(30)
     assert (life.met, life.units) == ({"result"}, {"count.1", "work.1"})
     assert life.manager.snapshot().backing_off[0].transformation == "work"
@@ -247,7 +245,7 @@ def test_a_perturbation_during_planning_is_part_of_the_same_review() -> None:
         life.runtime.supervisor.pump(0.01)
 
     planner.deed, planner.plans = kill, 0
-    review = life.reviewed(AddTargets((Target("other", "N", "/other"),)))
+    review = life.reviewed(Add(targets=(Target("other", "N", "/other"),)))
     assert [type(p) for p in review.perturbations] == [WorldChanged, UnitGone]
     assert (planner.plans, life.met) == (2, {"result", "other"})
 
@@ -257,10 +255,10 @@ def test_a_bad_request_during_planning_does_not_cost_the_plan() -> None:
     life = started(planner=planner)
 
     def ask() -> None:
-        life.manager.request(RemoveTargets(("nothing",)))
+        life.manager.request(Remove(targets=("nothing",)))
 
     planner.deed, planner.plans = ask, 0
-    assert life.reviewed(AddTargets((Target("other", "N", "/other"),))).met == ("other", "result")
+    assert life.reviewed(Add(targets=(Target("other", "N", "/other"),))).met == ("other", "result")
     assert planner.plans == 2  # the first may have been stopped for it
 
 
@@ -269,12 +267,12 @@ def test_what_happens_during_every_plan_does_not_keep_a_review_from_its_end() ->
     life = started(planner=planner)
 
     def ask() -> None:
-        life.manager.request(AddTargets((Target(f"more{planner.plans}", "N", f"/more{planner.plans}"),)))
+        life.manager.request(Add(targets=(Target(f"more{planner.plans}", "N", f"/more{planner.plans}"),)))
         if planner.plans < 10:
             planner.deed = ask
 
     planner.deed, planner.plans = ask, 0
-    life.ask(AddTargets((Target("other", "N", "/other"),)))
+    life.ask(Add(targets=(Target("other", "N", "/other"),)))
     assert life.met == {"result", "other", *(f"more{number}" for number in range(1, 11))}
     assert [len(review.perturbations) for review in life.reviews] == [1, 4, 4, 3]
 
@@ -379,7 +377,7 @@ class Meddling:
 def test_a_review_says_why_a_pinned_unit_was_stopped() -> None:
     other = Target("other", "W", "/other")
     life = started(source(), worker("sim", pinned=True), source("give", tag="W"), targets=(RESULT, other))
-    review = life.reviewed(RemoveTransformations(("count",)))
+    review = life.reviewed(Remove(transformations=("count",)))
     assert life.units == {"give.1"}
     assert review.warnings == ("pinned unit sim.1 can't be fed: its input x wants N, but no output matches",)
     assert review_record(review)["warnings"] == [*review.warnings]

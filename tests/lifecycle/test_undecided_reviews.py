@@ -11,7 +11,7 @@ from typing import NoReturn
 
 import pytest
 from cfgplan_runtime import Policy
-from cfgplan_runtime.lifecycle.changes import AddTargets, AddTransformations, ReplaceWorld, ReviewNow
+from cfgplan_runtime.lifecycle.changes import Add, ReplaceWorld, ReviewNow
 from cfgplan_runtime.lifecycle.reports import Decision
 from cfgplan_runtime.lifecycle.warm_matching import WarmMatching
 from cfgplan_runtime.operating.records import review_record
@@ -59,7 +59,7 @@ def test_a_review_names_what_is_not_decided_and_calls_nothing_proven() -> None:
 
 def test_what_only_saves_cost_is_asked_when_a_review_optimises() -> None:
     life = living(DEAR)
-    review = life.reviewed(AddTransformations((CHEAP,)))
+    review = life.reviewed(Add(transformations=(CHEAP,)))
     assert (review.decision, review.undecided) == (Decision.KEPT, (("C", "W"),))
     review = life.reviewed(ReviewNow("test"))
     assert (review.decision, review.cost_us, review.is_proven, review.undecided) == (Decision.APPLIED, 10, True, ())
@@ -68,7 +68,7 @@ def test_what_only_saves_cost_is_asked_when_a_review_optimises() -> None:
 
 def test_what_a_target_can_be_met_by_alone_is_asked_at_once() -> None:
     life = living(CHEAP, targets=())
-    review = life.reviewed(AddTargets((TARGET,)))
+    review = life.reviewed(Add(targets=(TARGET,)))
     assert (review.decision, review.met, review.is_proven) == (Decision.APPLIED, ("t",), True)
 
 

@@ -95,9 +95,9 @@ def test_the_state_is_plain_json(control: Control) -> None:
     ("method", "params", "change"),
     [
         ("withdraw", {"name": "robot2"}, changes.Withdraw("robot2")),
-        ("remove_target", {"label": "ball"}, changes.RemoveTargets(("ball",))),
-        ("remove_transformation", {"label": "camera"}, changes.RemoveTransformations(("camera",))),
-        ("remove_individual", {"name": "piff"}, changes.RemoveIndividuals(("piff",))),
+        ("remove_target", {"label": "ball"}, changes.Remove(targets=("ball",))),
+        ("remove_transformation", {"label": "camera"}, changes.Remove(transformations=("camera",))),
+        ("remove_individual", {"name": "piff"}, changes.Remove(individuals=("piff",))),
         ("restore", {"name": "ball"}, changes.Restore(("ball",))),
         ("kill", {"unit": "camera.1"}, changes.KillUnit("camera.1")),
         ("lose_host", {"host": "nao1"}, changes.LoseHost("nao1", "told through the control socket")),

@@ -11,34 +11,6 @@ from cfgplan.domain import Target, Transformation
 
 
 @dataclass(frozen=True, slots=True)
-class AddTargets:
-    """Targets to be met from now on; one of a known label replaces it."""
-
-    targets: tuple[Target, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class RemoveTargets:
-    """Labels of targets that nobody wants any more, wherever they were declared."""
-
-    labels: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class AddTransformations:
-    """Transformations that may be used from now on; one of a known label replaces it."""
-
-    transformations: tuple[Transformation, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class RemoveTransformations:
-    """Labels of transformations that may not be used any more, wherever they were declared."""
-
-    labels: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
 class Individual:
     """An individual of the ontology: the classes it belongs to, and its relations as (property, individual).
 
@@ -51,17 +23,21 @@ class Individual:
 
 
 @dataclass(frozen=True, slots=True)
-class AddIndividuals:
-    """Individuals that exist from now on; one of a known name replaces it."""
+class Add:
+    """What is there from now on; what has a known label or name replaces the old one."""
 
-    individuals: tuple[Individual, ...]
+    targets: tuple[Target, ...] = ()
+    transformations: tuple[Transformation, ...] = ()
+    individuals: tuple[Individual, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
-class RemoveIndividuals:
-    """Names of individuals that are gone, wherever they were declared."""
+class Remove:
+    """Labels of targets and transformations and names of individuals that are gone, wherever they were declared."""
 
-    names: tuple[str, ...]
+    targets: tuple[str, ...] = ()
+    transformations: tuple[str, ...] = ()
+    individuals: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -133,16 +109,5 @@ class Stop:
     """Stop every unit, then the manager."""
 
 
-WorldChange: TypeAlias = (
-    AddTargets
-    | RemoveTargets
-    | AddTransformations
-    | RemoveTransformations
-    | AddIndividuals
-    | RemoveIndividuals
-    | Declare
-    | Withdraw
-    | Restore
-    | ReplaceWorld
-)
+WorldChange: TypeAlias = Add | Remove | Declare | Withdraw | Restore | ReplaceWorld
 Change: TypeAlias = WorldChange | KillUnit | LoseHost | RegainHost | ReviewNow | Stop

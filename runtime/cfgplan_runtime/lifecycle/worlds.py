@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 from cfgplan import api
 from cfgplan.api import World
@@ -17,14 +17,10 @@ from cfgplan.formats import Document, read_declared, read_document
 from cfgplan.formats.fields import FORMAT, EnvironmentPart
 from cfgplan.matching import Ontology, TagError, check_tag
 from cfgplan_runtime.lifecycle.changes import (
-    AddIndividuals,
-    AddTargets,
-    AddTransformations,
+    Add,
     Declare,
     Individual,
-    RemoveIndividuals,
-    RemoveTargets,
-    RemoveTransformations,
+    Remove,
     ReplaceWorld,
     Restore,
     Withdraw,
@@ -36,6 +32,30 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True)
+class Requested(Generic[T]):
+    """What was requested of one kind of thing: values that were added, and what was removed, by label. Immutable."""
+
+    added: Mapping[str, T] = field(default_factory=dict)
+    removed: frozenset[str] = frozenset()
+
+    def adding(self, values: Mapping[str, T]) -> Requested[T]:
+        return Requested({**self.added, **values}, self.removed.difference(values))
+
+    def removing(self, labels: Iterable[str]) -> Requested[T]:
+        return Requested(_without(self.added, labels), self.removed.union(labels))
+
+    def restoring(self, labels: Iterable[str]) -> Requested[T]:
+        return Requested(self.added, self.removed.difference(labels))
+
+    def forgetting(self, labels: Iterable[str]) -> Requested[T]:
+        return Requested(_without(self.added, labels), self.removed.difference(labels))
+
+    def on(self, base: Mapping[str, T]) -> tuple[T, ...]:
+        """The values of the base with all that was requested."""
+        return tuple({**_without(base, self.removed), **self.added}.values())
+
+
+@dataclass(frozen=True)
 class LivingWorld:
     """A world and the changes requested since. Immutable: `after` returns the next one.
 
@@ -44,13 +64,10 @@ class LivingWorld:
     """
 
     base: World
-    targets: Mapping[str, Target] = field(default_factory=dict)
-    transformations: Mapping[str, Transformation] = field(default_factory=dict)
-    individuals: Mapping[str, Individual] = field(default_factory=dict)
+    targets: Requested[Target] = Requested()
+    transformations: Requested[Transformation] = Requested()
+    individuals: Requested[Individual] = Requested()
     declared: Mapping[str, Declare] = field(default_factory=dict)
-    without_targets: frozenset[str] = frozenset()
-    without_transformations: frozenset[str] = frozenset()
-    without_individuals: frozenset[str] = frozenset()
     refuses_hosts: bool = False
 
     def after(self, change: WorldChange) -> LivingWorld:
@@ -63,22 +80,17 @@ class LivingWorld:
     def removed(self) -> tuple[str, ...]:
         """Labels and names that were removed on request and would otherwise be there."""
         _, said = self._said
-        gone = self.without_targets & said.target.keys() | self.without_transformations & said.transformation.keys()
-        return tuple(sorted(gone | self.without_individuals))
+        gone = self.targets.removed & said.target.keys() | self.transformations.removed & said.transformation.keys()
+        return tuple(sorted(gone | self.individuals.removed))
 
     @cached_property
     def world(self) -> World:
         """The base with all changes. Raises InputError."""
         ontology, environment = self._said
-        library = _changed(
-            {t.label: t for t in environment.library}, self.transformations, self.without_transformations
-        )
-        targets = _changed({t.label: t for t in environment.targets}, self.targets, self.without_targets)
-        _check_tags(self.transformations.values(), self.targets.values(), ontology)
+        library, targets = self.transformations.on(environment.transformation), self.targets.on(environment.target)
+        _check_tags(self.transformations.added.values(), self.targets.added.values(), ontology)
         try:
-            environment = replace(
-                environment, units=(), library=tuple(library.values()), targets=tuple(targets.values())
-            )
+            environment = replace(environment, units=(), library=library, targets=targets)
         except InvalidValueError as error:
             raise InputError.of(str(error)) from None
         if self.refuses_hosts:
@@ -94,8 +106,9 @@ class LivingWorld:
     def _said(self) -> tuple[Ontology, Environment]:
         """The ontology, and the environment of base and declarations without other requests. Raises InputError."""
         declared = [one for each in self.declared.values() for one in each.individuals]
-        come = [*self.individuals.values(), *(one for one in declared if one.name not in self.without_individuals)]
-        ontology = with_individuals(self.base.ontology, come, self.without_individuals)
+        gone = self.individuals.removed
+        come = [*self.individuals.added.values(), *(one for one in declared if one.name not in gone)]
+        ontology = with_individuals(self.base.ontology, come, gone)
         if self.declared or ontology is not self.base.ontology:
             return ontology, self._rebuilt(ontology)
         return ontology, self.base.environment
@@ -127,35 +140,25 @@ class LivingWorld:
     def _changed(self, change: WorldChange) -> LivingWorld:
         world = self.world.environment
         match change:
-            case AddTargets(targets):
-                more = {**self.targets, **{target.label: target for target in targets}}
-                return replace(self, targets=more, without_targets=self.without_targets - set(more))
-            case RemoveTargets(labels):
-                _check_known("target", labels, world.target)
-                gone = self.without_targets | set(labels)
-                return replace(self, targets=_without(self.targets, labels), without_targets=gone)
-            case AddTransformations(transformations):
-                made = {**self.transformations, **{t.label: t for t in transformations}}
-                gone = self.without_transformations - set(made)
-                return replace(self, transformations=made, without_transformations=gone)
-            case RemoveTransformations(labels):
-                _check_known("transformation", labels, world.transformation)
-                left = _without(self.transformations, labels)
+            case Add(targets, transformations, individuals):
                 return replace(
-                    self, transformations=left, without_transformations=self.without_transformations | set(labels)
+                    self,
+                    targets=self.targets.adding({each.label: each for each in targets}),
+                    transformations=self.transformations.adding({each.label: each for each in transformations}),
+                    individuals=self.individuals.adding({each.name: each for each in individuals}),
                 )
-            case AddIndividuals(individuals):
-                come = {**self.individuals, **{one.name: one for one in individuals}}
-                return replace(self, individuals=come, without_individuals=self.without_individuals - set(come))
-            case RemoveIndividuals(names):
+            case Remove(labels, of_library, names):
+                _check_known("target", labels, world.target)
+                _check_known("transformation", of_library, world.transformation)
                 _check_known("individual", names, self.world.ontology.individuals)
-                added = _without(self.individuals, names)
-                known = {
-                    *self.base.ontology.individuals,
-                    *(o.name for d in self.declared.values() for o in d.individuals),
-                }
-                beyond = self.without_individuals | known.intersection(names)
-                return replace(self, individuals=added, without_individuals=beyond)
+                declared = {one.name for each in self.declared.values() for one in each.individuals}
+                only_added = set(names) - declared - set(self.base.ontology.individuals)
+                return replace(
+                    self,
+                    targets=self.targets.removing(labels),
+                    transformations=self.transformations.removing(of_library),
+                    individuals=self.individuals.removing(names).restoring(only_added),
+                )
             case Declare(name):
                 return self._declaring(name, change)
             case Withdraw(name):
@@ -163,38 +166,36 @@ class LivingWorld:
                 return replace(self, declared=_without(self.declared, [name]))
             case Restore(names):
                 _check_known("removed name", names, dict.fromkeys(self.removed))
-                return replace(
-                    self,
-                    without_targets=self.without_targets.difference(names),
-                    without_transformations=self.without_transformations.difference(names),
-                    without_individuals=self.without_individuals.difference(names),
-                )
+                return self._restoring(names, names, names)
             case ReplaceWorld(base):
                 old, new = self.base.environment, base.environment
-                told, told_of_library = _told(old.target, new.target), _told(old.transformation, new.transformation)
                 return replace(
                     self,
                     base=base,
-                    targets=_without(self.targets, told),
-                    transformations=_without(self.transformations, told_of_library),
-                    without_targets=self.without_targets - told,
-                    without_transformations=self.without_transformations - told_of_library,
-                    without_individuals=self.without_individuals.intersection(base.ontology.individuals),
+                    targets=self.targets.forgetting(_told(old.target, new.target)),
+                    transformations=self.transformations.forgetting(_told(old.transformation, new.transformation)),
+                    individuals=self.individuals.restoring(self.individuals.removed - set(base.ontology.individuals)),
                 )
+
+    def _restoring(
+        self, targets: Iterable[str], transformations: Iterable[str], individuals: Iterable[str]
+    ) -> LivingWorld:
+        return replace(
+            self,
+            targets=self.targets.restoring(targets),
+            transformations=self.transformations.restoring(transformations),
+            individuals=self.individuals.restoring(individuals),
+        )
 
     def _declaring(self, name: str, change: Declare) -> LivingWorld:
         """Add a declaration. What it declares comes back, even if a request had removed it."""
-        back = self.without_individuals.difference(one.name for one in change.individuals)
-        after = replace(self, declared={**self.declared, name: change}, without_individuals=back)
-        if not (self.without_targets or self.without_transformations):
+        declared = replace(self, declared={**self.declared, name: change})
+        after = declared._restoring((), (), [one.name for one in change.individuals])
+        if not (self.targets.removed or self.transformations.removed):
             return after
         (_, said), (_, besides) = after._said, replace(after, declared=_without(after.declared, [name]))._said
-        return replace(
-            after,
-            without_targets=self.without_targets - (said.target.keys() - besides.target.keys()),
-            without_transformations=self.without_transformations
-            - (said.transformation.keys() - besides.transformation.keys()),
-        )
+        new, of_library = said.target.keys() - besides.target.keys(), said.transformation.keys()
+        return after._restoring(new, of_library - besides.transformation.keys(), ())
 
 
 def refuse_hosts(world: World) -> None:
@@ -209,10 +210,6 @@ def refuse_hosts(world: World) -> None:
 def _told(old: Mapping[str, object], new: Mapping[str, object]) -> set[str]:
     """The labels whose values differ between the old base and the new one."""
     return {label for label in {*old, *new} if old.get(label) != new.get(label)}
-
-
-def _changed(base: Mapping[str, T], more: Mapping[str, T], without: frozenset[str]) -> Mapping[str, T]:
-    return {**{label: value for label, value in base.items() if label not in without}, **more}
 
 
 def _without(known: Mapping[str, T], names: Iterable[str]) -> Mapping[str, T]:

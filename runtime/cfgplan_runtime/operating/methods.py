@@ -14,9 +14,7 @@ from cfgplan_runtime.lifecycle.changes import (
     KillUnit,
     LoseHost,
     RegainHost,
-    RemoveIndividuals,
-    RemoveTargets,
-    RemoveTransformations,
+    Remove,
     Restore,
     ReviewNow,
     Stop,
@@ -54,9 +52,9 @@ class Methods:
         """The methods for the control server; `runtime/CONTROL.md` has their params and results."""
         one_name: dict[str, tuple[str, Callable[[str], Change]]] = {
             "withdraw": ("name", Withdraw),
-            "remove_target": ("label", lambda label: RemoveTargets((label,))),
-            "remove_transformation": ("label", lambda label: RemoveTransformations((label,))),
-            "remove_individual": ("name", lambda name: RemoveIndividuals((name,))),
+            "remove_target": ("label", lambda label: Remove(targets=(label,))),
+            "remove_transformation": ("label", lambda label: Remove(transformations=(label,))),
+            "remove_individual": ("name", lambda name: Remove(individuals=(name,))),
             "restore": ("name", lambda name: Restore((name,))),
             "kill": ("unit", KillUnit),
             "lose_host": ("host", lambda host: LoseHost(host, "told through the control socket")),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from cfgplan.domain import Target
 from cfgplan.errors import Fault, InputError
-from cfgplan_runtime.lifecycle.changes import AddTargets, Change, RemoveTargets
+from cfgplan_runtime.lifecycle.changes import Add, Change, Remove
 from cfgplan_runtime.lifecycle.reports import Decision, Report, Review, Reviewed, Snapshot, UnitEvent
 from cfgplan_runtime.operating.sentences import decision, milliseconds, sentence
 from cfgplan_runtime.reasoning.features import DeclaredFeatures, Feature
@@ -48,7 +48,7 @@ class ManagedSubscriptions:
 
     def add(self, targets: Sequence[Target]) -> None:
         with suppress(FutureTimeoutError):
-            self._manager.request(AddTargets(tuple(targets))).result(_PATIENCE_S)
+            self._manager.request(Add(targets=tuple(targets))).result(_PATIENCE_S)
         if self.unmet([target.label for target in targets]):
             self._manager.settle(_SETTLE_S)
 
@@ -58,7 +58,7 @@ class ManagedSubscriptions:
 
     def remove(self, labels: Sequence[str]) -> None:
         with suppress(FutureTimeoutError):
-            self._manager.request(RemoveTargets(tuple(labels))).result(_PATIENCE_S)
+            self._manager.request(Remove(targets=tuple(labels))).result(_PATIENCE_S)
 
     def samples(self, topic: str, wait_s: float) -> SubscriptionToTopic:
         return subscribe(topic, run=self._run, wait_s=wait_s, timeout_s=_SUBSCRIPTION_LOOK_S)
