@@ -94,7 +94,7 @@ def plain_environment(
         max_cost=None if max_cost_us is None else plain_cost(max_cost_us),
         defaults=None,
         include=None,
-        hosts=[HostPart.written(host) for host in environment.hosts],
+        hosts=[HostPart.written(host, copies=None) for host in environment.hosts],
         qualities=[_attribute(attribute) for attribute in environment.qualities],
         survive=None if survive is None else survive.value,
         transformations=[_transformation(t, environment) for t in environment.library],

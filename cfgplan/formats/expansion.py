@@ -133,10 +133,12 @@ class Expander:
         yield Transformation(**{**self._costs_us, **filled.values(), **ports, **hosts, **said, "run": run})
 
     def _hosts(self, entry: Passage, written: str | list[str] | None) -> dict[str, Any]:
-        if isinstance(written, list):
-            for index, name in enumerate(written):
-                self._fleet.check_host(entry.at(index), name, is_choice=True)
-            return {"host": None, "hosts": tuple(dict.fromkeys(written))}
+        if isinstance(written, list) or written in self._fleet.copies:
+            named = written if isinstance(written, list) else [written]
+            for index, name in enumerate(named):
+                if name not in self._fleet.copies:
+                    self._fleet.check_host(entry.at(index), name, is_choice=True)
+            return {"host": None, "hosts": self._fleet.choice(named)}
         if written is not None:
             self._fleet.check_host(entry, written)
         return {}

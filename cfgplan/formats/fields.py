@@ -47,6 +47,7 @@ from cfgplan.planning import MOST_INSTANCES
 FORMAT: Final = "cfgplan/1"
 LONGEST_HORIZON_S = 1_000_000_000
 LONGEST_QUEUE = 1_000_000
+MOST_COPIES = 1000
 
 DEFAULT_HORIZON_S = 600
 DEFAULT_LABOR_US = 1_000_000
@@ -324,6 +325,13 @@ class HostPart(Part):
     """A computer that units run on."""
 
     name: Name = row("unique", ...)
+    copies: int = row(
+        "so many identical hosts name.1, name.2 and so on; each has the name without number as a label",
+        1,
+        use=Use.NONE,
+        ge=1,
+        le=MOST_COPIES,
+    )
     labels: list[Name] | None = row("what selectors such as `on` choose it by, beside its name")
     cpu: Cost | None = row("CPU seconds per second that units may take; no limit if absent", to="cpu_us")
     memory: int | None = row("megabytes that units may take; no limit if absent", to="memory_mb", ge=0)

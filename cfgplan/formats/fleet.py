@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any
 
 from cfgplan.domain import Host
 from cfgplan.errors import Fault, InvalidValueError, TagError, did_you_mean
 from cfgplan.formats.document import Document
-from cfgplan.formats.fields import ContributionPart, TargetPart, UnitPart, WishPart
+from cfgplan.formats.fields import ContributionPart, HostPart, TargetPart, UnitPart, WishPart
 from cfgplan.formats.left_out import LeftOut
 from cfgplan.formats.places import Passage
 from cfgplan.planning import Failures
@@ -22,6 +22,8 @@ class FleetReader:
     def __init__(self, document: Document, left_out: LeftOut, faults: list[Fault]) -> None:
         self._left_out = left_out
         self.hosts: dict[str, Host] = {}
+        self.copies: dict[str, tuple[str, ...]] = {}
+        """The hosts that a name stands for which was given to several."""
         self.attributes: dict[str, QualityAttribute] = {}
         header = document.header
         main = Passage(document.files[0].source, (), faults) if document.files else None
@@ -30,12 +32,15 @@ class FleetReader:
             return
         for index, host in enumerate(header.hosts or ()):
             entry = main.at("hosts", index)
-            if self._is_new(entry, host.name, self.hosts):
+            names, known = _names_of(host), {*self.hosts, *self.copies}
+            if all(self._is_new(entry, name, known) for name in dict.fromkeys((host.name, *names))):
                 try:
-                    self.hosts[host.name] = Host(**host.values())
+                    self.hosts |= {name: _made(host, name) for name in names}
                 except InvalidValueError as error:
                     entry.at("offers").note(str(error), "remove one of the two")
                     left_out.add("hosts", host.name)
+                if host.copies > 1:
+                    self.copies[host.name] = names
         for index, part in enumerate(header.qualities or ()):
             entry = main.at("qualities", index)
             if self._is_new(entry, part.name, self.attributes):
@@ -55,11 +60,19 @@ class FleetReader:
             return Failures.HOSTS if has_hosts else Failures.UNITS
         return Failures(written) if isinstance(written, str) else None
 
+    def choice(self, names: Iterable[str]) -> tuple[str, ...]:
+        """The hosts that some names stand for, the name of several copies for all of them."""
+        return tuple(dict.fromkeys(host for name in names for host in self.copies.get(name, (name,))))
+
     def check_host(self, entry: Passage, name: str, *, is_choice: bool = False) -> None:
         """Note a host that is not declared. If none are declared, the host of a transformation is free text."""
         if name in self.hosts or self._left_out.any_of("hosts"):
             return
-        if self.hosts or is_choice:
+        if name in self.copies:
+            entry.note(
+                f"`{name}` is {len(self.copies[name])} hosts", f"write which one, such as {self.copies[name][0]}"
+            )
+        elif self.hosts or is_choice:
             entry.note(f"there is no host `{name}`", did_you_mean(name, self.hosts, "declare it under `hosts:`"))
 
     def is_selector(self, entry: Passage, text: str | None) -> bool:
@@ -140,7 +153,18 @@ class FleetReader:
             entry.note(f"there is no quality attribute `{name}`", mend, at_key=True)
         return self.attributes.get(name)
 
-    def _is_new(self, entry: Passage, name: str, known: Mapping[str, object]) -> bool:
+    def _is_new(self, entry: Passage, name: str, known: Collection[str]) -> bool:
         if name in known:
             entry.at("name").note(f"`{name}` stands here twice", "remove one of them")
         return name not in known
+
+
+def _names_of(part: HostPart) -> tuple[str, ...]:
+    """The names of the hosts that a part of the file stands for."""
+    return (part.name,) if part.copies == 1 else tuple(f"{part.name}.{n}" for n in range(1, part.copies + 1))
+
+
+def _made(part: HostPart, name: str) -> Host:
+    said = {key: value for key, value in part.values().items() if key != "copies"}
+    group = () if name == part.name else (part.name,)
+    return Host(**{**said, "name": name, "labels": (*said.get("labels", ()), *group)})

@@ -44,7 +44,7 @@ HOLDERS: dict[type[Part], tuple[Any, list[str]]] = {
 }
 """The domain's value of each part, and the way to it from an environment."""
 COMPUTED = ("labor", "upkeep", "worst", "best", "run")
-ROWS = [(part, key) for part in HOLDERS for key in part.rows()]
+ROWS = [(part, key) for part in HOLDERS for key in part.rows() if (part, key) != (fields.HostPart, "copies")]
 
 
 @cache

@@ -201,3 +201,32 @@ def test_the_xml_format_says_memory_instances_and_standby(tmp_path: Path) -> Non
     path = tmp_path / "a.xml"
     path.write_text(dump_xml(plain_environment(world.environment, horizon_s=world.horizon_s)))
     assert load(path).environment == world.environment
+
+
+def test_copies_are_hosts_with_numbers_whose_name_stands_for_all(tmp_path: Path) -> None:
+    text = "hosts: [{name: web, copies: 3, memory: 9, labels: [spot]}, {name: base}]\n"
+    more = "transformations: [{label: t, host: web}, {label: u, host: [base, web]}, {label: v, on: web}]\n"
+    world = load_text(tmp_path, "format: cfgplan/1\n" + text + more).environment
+    webs = ("web.1", "web.2", "web.3")
+    assert world.hosts == (Host("base"), *(Host(name, memory_mb=9, labels=("spot", "web")) for name in webs))
+    assert [world.hosts_for(t) for t in world.library] == [webs, ("base", *webs), webs]
+    assert load_text(tmp_path, dump_yaml(plain_environment(world, horizon_s=1))).environment == world
+
+
+@pytest.mark.parametrize(
+    ("line", "message", "mend"),
+    [
+        ("hosts: [{name: a, copies: 2}, {name: a.2}]", "`a.2` stands here twice", "remove one of them"),
+        ("hosts: [{name: a, copies: 2}, {name: a}]", "`a` stands here twice", "remove one of them"),
+        (
+            "hosts: [{name: a, copies: 2}]\ntargets: [{label: t, topic: /t, tag: T, host: a}]",
+            "`a` is 2 hosts",
+            "write which one, such as a.1",
+        ),
+    ],
+)
+def test_a_name_of_several_hosts_is_taken_and_is_no_one_host(
+    tmp_path: Path, line: str, message: str, mend: str
+) -> None:
+    fault = only_fault(tmp_path, f"format: cfgplan/1\n{line}\n")
+    assert (fault.message, fault.mend) == (message, mend)
