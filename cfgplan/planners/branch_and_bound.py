@@ -24,6 +24,7 @@ from dataclasses import dataclass, field
 
 from cfgplan.costs import keep_cost_us, start_cost_us
 from cfgplan.domain import ComputationUnit, Publication, Stream, Subscription, Transformation
+from cfgplan.planners.networks.keys import key_of, unused_required
 from cfgplan.planning import Plan, Problem, Progress, Status, fresh_unit_ids, refuse_notions
 from cfgplan.reasons import Givers, startable, unmet_reasons
 from cfgplan.validity import plan_violations
@@ -31,10 +32,10 @@ from cfgplan.validity import plan_violations
 
 @dataclass(eq=False)
 class TreeNode:
-    """A unit, or a transformation to instantiate, or (with neither) the root or a target.
+    """A unit, or a transformation to instantiate, or (with neither) the root.
 
-    `slots` are what has to be fed: (name, demanded tag, feedback). `cost_us` is its own, `forward_us`
-    the sum from the root to it; `best` is the cheapest complete option of each slot so far.
+    `slots` are what has to be fed: (name, demanded tag, feedback). `cost_us` is its own, `forward_us` the sum from the
+    root to it; `best` has the cost of the cheapest complete option of each slot so far, and that option.
     """
 
     parent: TreeNode | None = None
@@ -45,15 +46,18 @@ class TreeNode:
     cost_us: int = 0
     forward_us: int = 0
     above: TreeNode | None = None
-    best: dict[int, TreeNode] = field(default_factory=dict)
-    best_us: dict[int, int] = field(default_factory=dict)
+    best: dict[int, tuple[int, TreeNode]] = field(default_factory=dict)
 
     @property
-    def name(self) -> str:
+    def name(self) -> tuple[str, bool]:
         """What duplicates share: the id of a running unit, else the label to instantiate."""
-        if self.unit is not None:
-            return f"unit {self.unit.id}"
-        return f"new {self.transformation.label}" if self.transformation is not None else ""
+        assert self.transformation is not None, "the root has no duplicate"
+        return (self.transformation.label, False) if self.unit is None else (self.unit.id, True)
+
+    @property
+    def options(self) -> list[TreeNode]:
+        """The best option of each slot."""
+        return [self.best[i][1] for i in range(len(self.slots))]
 
 
 def plan(
@@ -73,9 +77,9 @@ def plan(
     seconds = {"explore": time.monotonic() - began}
     if len(root.best) < len(root.slots):
         return _unknown("no complete tree was found within the time limit and the largest cost", tree, seconds)
-    units = Compilation(problem, root).units()
-    cost_us = sum(tree.cost_us(u.transformation, running=u.id in problem.environment.unit) for u in units)
-    unused = _unused_required(problem, units)
+    units = compiled(problem, root)
+    cost_us = key_of(problem, units).cost_us
+    unused = unused_required(problem, units)
     answer = Plan(
         "branch-and-bound",
         Status.of_plan(cost_us, 0),
@@ -105,26 +109,25 @@ class SearchTree:
         self._rows: dict[str, list[tuple[Transformation, ComputationUnit | None]]] = {}
 
     def explore(self) -> TreeNode:
-        """The root with the best option of every target (and pinned unit that can be fed) that was completed."""
-        root = TreeNode()
+        """The root with the best options that were completed: pinned units that can be fed, then targets."""
+        environment, root = self.problem.environment, TreeNode()
         queue: deque[TreeNode] = deque()
-        for target in self.problem.environment.targets:
-            node = TreeNode(root, len(root.slots), slots=[(target.topic, target.tag, False)])
-            root.slots.append((target.topic, target.tag, False))
-            queue.append(node)
-        environment = self.problem.environment
         possible = startable(environment, Givers(environment.library, self.problem.similarity))
         for unit in environment.units:
             transformation = self.library.get(unit.transformation)
             if transformation is not None and transformation.pinned and unit.transformation in possible:
                 root.slots.append(("", "", False))
                 self.add_option(root, len(root.slots) - 1, transformation, unit, queue)
+        pinned = len(root.slots)
+        root.slots += [(target.topic, target.tag, False) for target in environment.targets]
+        self.expand(root, queue, pinned)
         while queue and (self.deadline is None or time.monotonic() < self.deadline):
             self.expand(queue.popleft(), queue)
         return root
 
-    def expand(self, node: TreeNode, queue: deque[TreeNode]) -> None:
-        for i, (_, tag, feedback) in enumerate(node.slots):
+    def expand(self, node: TreeNode, queue: deque[TreeNode], first: int = 0) -> None:
+        """Queue the options of a node's slots from the `first` on."""
+        for i, (_, tag, feedback) in enumerate(node.slots[first:], first):
             for transformation, unit in self.candidates(tag):
                 twin, below_feedback = _twin_above(node, feedback, transformation)
                 if twin is not None and below_feedback:
@@ -170,8 +173,8 @@ class SearchTree:
         limit = self.problem.max_cost_us
         best = float("inf") if limit is None else limit + 1
         while at is not None:
-            if slot in at.best_us:
-                best = min(best, at.forward_us + at.best_us[slot])
+            if slot in at.best:
+                best = min(best, at.forward_us + at.best[slot][0])
             slot, at = at.slot, at.parent
         return best
 
@@ -196,79 +199,49 @@ def _twin_above(node: TreeNode, feedback: bool, transformation: Transformation) 
 def _propagate(node: TreeNode, total_us: int) -> None:
     """Tell the parents of a completed subtree, as long as it improves on what they had."""
     parent = node.parent
-    while parent is not None and total_us < parent.best_us.get(node.slot, total_us + 1):
-        parent.best[node.slot] = node
-        parent.best_us[node.slot] = total_us
+    while parent is not None and (node.slot not in parent.best or total_us < parent.best[node.slot][0]):
+        parent.best[node.slot] = total_us, node
         if len(parent.best) < len(parent.slots):
             return
-        node, total_us = parent, parent.cost_us + sum(parent.best_us.values())
+        node, total_us = parent, parent.cost_us + sum(us for us, _ in parent.best.values())
         parent = node.parent
 
 
-class Compilation:
-    """Merging of duplicate subtrees, then the units with their subscriptions and topics (COMPILER)."""
+def compiled(problem: Problem, root: TreeNode) -> list[ComputationUnit]:
+    """The units, with their subscriptions and topics, after duplicate subtrees were merged from the root down."""
+    merged: dict[tuple[str, bool], TreeNode] = {}
+    ahead = [root]
+    for node in ahead:
+        for option in node.options:
+            if option.above is None and option.name not in merged:
+                merged[option.name] = option
+                ahead.append(option)
+    fresh = fresh_unit_ids(problem.environment, sorted(name for name, is_running in merged if not is_running))
+    ids = {(name, is_running): name if is_running else fresh[name] for name, is_running in merged}
+    topics: dict[tuple[str, bool], list[Publication]] = {name: [] for name in merged}
+    for (topic, tag, _), publisher in zip(root.slots, root.options, strict=True):
+        if topic:
+            old = [p.port for p in (publisher.unit.publications if publisher.unit else ()) if p.topic == topic]
+            topics[publisher.name].append(Publication(_port(problem, publisher, tag, old), topic))
 
-    def __init__(self, problem: Problem, root: TreeNode) -> None:
-        self.problem = problem
-        self.root = root
-        self.merged: dict[str, TreeNode] = {}
-        queue = deque([root])
-        while queue:
-            for child in _best_options(queue.popleft()):
-                if child.name and child.above is None and child.name not in self.merged:
-                    self.merged[child.name] = child
-                    queue.append(child)
-                elif not child.name:
-                    queue.append(child)
-
-    def units(self) -> list[ComputationUnit]:
-        new = [n.transformation.label for n in self.merged.values() if n.unit is None and n.transformation is not None]
-        fresh = fresh_unit_ids(self.problem.environment, sorted(new))
-        ids = {name: node.unit.id if node.unit else fresh[name[4:]] for name, node in self.merged.items()}
-        topics: dict[str, list[Publication]] = {name: [] for name in self.merged}
-        for target in _best_options(self.root):
-            if not target.name:
-                (topic, tag, _), publisher = target.slots[0], target.best[0]
-                old = [p.port for p in (publisher.unit.publications if publisher.unit else ()) if p.topic == topic]
-                topics[publisher.name].append(Publication(self.port(publisher, tag, old), topic))
-        return [
-            ComputationUnit(
-                ids[name],
-                node.transformation.label,
-                tuple(self.subscriptions(node, ids)),
-                tuple(topics[name]),
-            )
-            for name, node in self.merged.items()
-            if node.transformation is not None
-        ]
-
-    def subscriptions(self, node: TreeNode, ids: dict[str, str]) -> Iterator[Subscription]:
-        for i, (port, tag, _) in enumerate(node.slots):
-            feeder = node.best[i]
-            feeder_id = ids[feeder.name]
+    def subscriptions(node: TreeNode) -> Iterator[Subscription]:
+        for (port, tag, _), feeder in zip(node.slots, node.options, strict=True):
             old = node.unit.feeds.get(port, ()) if node.unit else ()
-            prefer = [stream.port for stream in old if stream.unit == feeder_id]
-            yield Subscription(port, Stream(feeder_id, self.port(feeder, tag, prefer)))
+            prefer = [stream.port for stream in old if stream.unit == ids[feeder.name]]
+            yield Subscription(port, Stream(ids[feeder.name], _port(problem, feeder, tag, prefer)))
 
-    def port(self, feeder: TreeNode, tag: str, prefer: list[str]) -> str:
-        """The output of the feeder for a demand: one of those to prefer if it matches, else the first."""
-        assert feeder.transformation is not None
-        fit = [p.name for p in feeder.transformation.outputs if self.problem.similarity.holds(p.tag, tag)]
-        return next((name for name in prefer if name in fit), fit[0])
-
-
-def _best_options(node: TreeNode) -> list[TreeNode]:
-    """The best option of each slot; at the root these are the targets and pinned units."""
-    return [node.best[i] for i in range(len(node.slots))]
+    return [
+        ComputationUnit(ids[name], node.transformation.label, tuple(subscriptions(node)), tuple(topics[name]))
+        for name, node in merged.items()
+        if node.transformation is not None
+    ]
 
 
-def _unused_required(problem: Problem, units: list[ComputationUnit]) -> tuple[str, ...]:
-    by_id = {unit.id: unit for unit in units}
-    serving = [unit.id for unit in units if unit.publications]
-    for unit_id in serving:
-        serving += sorted({s.stream.unit for s in by_id[unit_id].subscriptions} - set(serving))
-    used = {by_id[unit_id].transformation for unit_id in serving}
-    return tuple(t.label for t in problem.environment.library if t.required and t.label not in used)
+def _port(problem: Problem, feeder: TreeNode, tag: str, prefer: list[str]) -> str:
+    """The output of the feeder for a demand: one of those to prefer if it matches, else the first."""
+    assert feeder.transformation is not None
+    fit = [p.name for p in feeder.transformation.outputs if problem.similarity.holds(p.tag, tag)]
+    return next((name for name in prefer if name in fit), fit[0])
 
 
 def _unknown(why: str, tree: SearchTree, seconds: dict[str, float]) -> Plan:
