@@ -39,7 +39,6 @@ class Decide:
 
     labels: int = said(600, "labels", "Networks of up to this size are searched before all else.", LIBRARIES)
     left: int = said(200, "labels", "What bounds leave of a larger network is searched up to this size.", LIBRARIES)
-    filtered: int = said(120, "labels", "Above this size, labels too dear by themselves are dropped first.", LIBRARIES)
     chained: int = said(
         16, "labels", "Above this size, dearest chains are charged before the search.", "NAO, 20 robots"
     )

@@ -10,10 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from cfgplan.planners.bounding.bounds import Bound, chained_bound
+from cfgplan.planners.bounding.bounds import chained_bound
 from cfgplan.planners.bounding.branching import Branching
 from cfgplan.planners.exact.work import Left, Work, numbers
-from cfgplan.planners.networks.core import Core, Ints
+from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.greedy import first_plan, without_redundant
 from cfgplan.planners.networks.network import Network, Weighing
 
@@ -71,14 +71,14 @@ class _Deciding:
             is_proven = weighing.least(chained) >= limit
         work.standing.counts["nodes"] = 0
         if not is_proven:
-            core, search = self._below(limit)
+            search = self._below(limit)
             first, more = min(tuning.steps, tuning.first), max(0, tuning.steps - tuning.first)
             is_proven = search.run(first) or (search.done >= tuning.soon and search.run(more))
             work.standing.counts["nodes"], least = search.nodes, search.least
             if not work.memory.has_landmarks:
                 work.memory.keep_landmarks(search.bound, weighing.scale)
             if search.best is not None:
-                plan = set(core.labels[sorted(search.best)].tolist()).union(network.pinned)
+                plan = set(self._core.labels[sorted(search.best)].tolist()).union(network.pinned)
         plan = _lean(network, weighing.weight, plan)
         labels = numbers(plan)
         value = weighing.of_plan(labels) if is_proven else weighing.least(least)
@@ -91,21 +91,16 @@ class _Deciding:
         work = self._work
         if work.standing.best is None:
             return False
-        core, search = self._below(self._weighing.of_key(work.standing.best.key))
+        core, search = self._core, self._below(self._weighing.of_key(work.standing.best.key))
         others = search.others(np.flatnonzero(np.isin(core.labels, left.labels)).tolist(), self._tuning.steps)
         if others is not None:
             labels = plan.union(core.labels[sorted(others)].tolist())
             work.take(replace(left, labels=numbers(labels), is_complete=True))
         return others is not None
 
-    def _below(self, limit: int) -> tuple[Core, Branching]:
-        """The core to search, and a search in it for plans that weigh less than `limit`."""
-        core, weight, step = self._core, self._weight, self._weighing.step
-        if not self._is_part and core.goal > self._tuning.filtered:
-            bound = Bound(core, weight)
-            part = bound.restricted(bound.may_be_used(limit - step))
-            core, weight = part.core, part.cost
-        return core, Branching(core, weight, limit, step, self._work.clock.is_over)
+    def _below(self, limit: int) -> Branching:
+        """A search for plans that weigh less than `limit`."""
+        return Branching(self._core, self._weight, limit, self._weighing.step, self._work.clock.is_over)
 
 
 def _lean(network: Network, weight: Ints, plan: set[int]) -> set[int]:
