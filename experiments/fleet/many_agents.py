@@ -122,10 +122,9 @@ class Simulated:
     def heard_from_relay(self) -> Sequence[Any]:
         return ()
 
-    def _ignored(self, *_: object) -> None:
-        pass
-
-    warm_up = disconnect = end_wire = switch_now = open_outlet = close_outlet = renew = tell_relay = _ignored
+    def __getattr__(self, _: str) -> Callable[..., None]:
+        """All else has no effect."""
+        return lambda *_, **__: None
 
 
 def be_agents(count: int, folder: Path, *, are_linked: bool) -> None:
