@@ -1,6 +1,8 @@
-"""Streams between two computers: cfgplan's against bare Zenoh and plain TCP, with and without TLS; what agents cost.
+"""Streams between two computers: cfgplan's against bare Zenoh, NATS and TCP, with and without TLS; what agents cost.
 
 python experiments/fleet/crossing.py [--seconds 5]
+
+NATS is measured if it is there: `apt install nats-server`, `pip install nats-py`.
 
 The computers are network namespaces on a bridge (`network.py`). Latency is from unit code to unit code, at the median,
 on clocks that are one; flat out a source gives as fast as it can, and what came is counted.
@@ -9,28 +11,37 @@ on clocks that are one; flat out a source gives as fast as it can, and what came
 from __future__ import annotations
 
 import argparse
+import asyncio
 import itertools
 import json
 import os
+import shutil
 import socket
+import ssl
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import psutil
 from acceptance import SKIPPED
+from cfgplan_runtime.processes.nursery import die_with_parent
 from computers import HOSTS, PATIENCE_S, Fleet, Listener, eventually, unit
 from network import Network, NotAllowedError
 
 SIZES = {100: 200.0, 10_000: 200.0, 460_000: 40.0}
 """Bytes of an element, and how many a second where latency is measured."""
 PORT = 7500
+NATS_BATCH = 65_536
+"""Bytes that its client gathers where elements come faster than 1,000 a second."""
 _STAMP = 8
+Take: TypeAlias = Callable[[bytes | bytearray], None]
 
 
 def stamped(size: int) -> bytes:
@@ -52,7 +63,7 @@ def ticks(rate_hz: float, seconds: float) -> Iterator[None]:
 
 def send(way: str, secrets: Path, address: str, size: int, rate_hz: float, seconds: float) -> None:
     """Send over a way for some seconds, then tell that this was all."""
-    put = _tcp_sender(address) if way == "TCP" else _zenoh_sender(way, secrets, address)
+    put = _SENDERS[way.partition(",")[0]](way, secrets, address)
     for _ in ticks(rate_hz, seconds):
         put(stamped(size))
     put(b"last")
@@ -73,27 +84,81 @@ def receive(way: str, secrets: Path, address: str) -> None:
         begun or begun.append(time.monotonic())
         ages_us.append((time.monotonic_ns() - int.from_bytes(data[:_STAMP], "little")) / 1000)
 
-    if way == "TCP":
-        _receive_tcp(address, take)
-    else:
-        with _session(way, secrets / "base", listen=address) as session:
-            session.declare_subscriber("cfgplan/r1/data", lambda sample: take(sample.payload.to_bytes()))
-            print("ready", flush=True)
-            time.sleep(600)
+    _RECEIVERS[way.partition(",")[0]](way, secrets, address, take)
 
 
-def _tcp_sender(address: str) -> Callable[[bytes], None]:
+def _tcp_sender(way: str, secrets: Path, address: str) -> Callable[[bytes], None]:
     connection = socket.create_connection((address, PORT))
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    if way.endswith("TLS"):
+        connection = _tls(secrets / "r1", ssl.Purpose.SERVER_AUTH).wrap_socket(connection, server_hostname=address)
     return lambda data: connection.sendall(len(data).to_bytes(4, "little") + data)
 
 
-def _receive_tcp(address: str, take: Callable[[bytes | bytearray], None]) -> None:
+def _receive_tcp(way: str, secrets: Path, address: str, take: Take) -> None:
     server = socket.create_server((address, PORT))
     print("ready", flush=True)
-    with server.accept()[0].makefile("rb") as stream:
+    connection = server.accept()[0]
+    if way.endswith("TLS"):
+        connection = _tls(secrets / "base", ssl.Purpose.CLIENT_AUTH).wrap_socket(connection, server_side=True)
+    with connection.makefile("rb") as stream:
         while head := stream.read(4):
             take(stream.read(int.from_bytes(head, "little")))
+
+
+def _tls(folder: Path, purpose: ssl.Purpose) -> ssl.SSLContext:
+    """Both sides show a certificate of a host's folder."""
+    context = ssl.create_default_context(purpose, cafile=str(folder / "authority.pem"))
+    context.load_cert_chain(folder / "host.pem", folder / "host.key")
+    context.verify_mode = ssl.CERT_REQUIRED
+    return context
+
+
+async def _nats_client(way: str, folder: Path, address: str) -> Any:
+    import nats
+
+    tls = _tls(folder, ssl.Purpose.SERVER_AUTH) if way.endswith("TLS") else None
+    return await nats.connect(f"nats://{address}:{PORT}", tls=tls)
+
+
+def _nats_sender(way: str, secrets: Path, address: str) -> Callable[[bytes], None]:
+    loop = asyncio.new_event_loop()
+    client = loop.run_until_complete(_nats_client(way, secrets / "r1", address))
+
+    waiting, last_s = 0, 0.0
+
+    async def put(data: bytes) -> None:
+        nonlocal waiting, last_s
+        await client.publish("data", data)
+        waiting, before_s, last_s = waiting + len(data), last_s, time.monotonic()
+        if waiting > NATS_BATCH or last_s - before_s > 0.001 or len(data) < _STAMP:
+            await client.flush()
+            waiting = 0
+
+    return lambda data: loop.run_until_complete(put(data))
+
+
+def _receive_nats(way: str, secrets: Path, address: str, take: Take) -> None:
+    """By a server beside the receiver."""
+
+    async def listen() -> None:
+        async def hear(message: Any) -> None:
+            take(message.data)
+
+        client = await _nats_client(way, secrets / "base", address)
+        await client.subscribe("data", cb=hear)
+        await client.flush()
+        print("ready", flush=True)
+        await asyncio.sleep(600)
+
+    base = secrets / "base"
+    shown = [f"--tlscert={base}/host.pem", f"--tlskey={base}/host.key", f"--tlscacert={base}/authority.pem"]
+    secured = ["--tlsverify", *shown] if way.endswith("TLS") else []
+    server = ["nats-server", f"--addr={address}", f"--port={PORT}", *secured]
+    process = subprocess.Popen(server, stderr=subprocess.DEVNULL, preexec_fn=partial(die_with_parent, os.getpid()))
+    eventually(lambda: socket.socket().connect_ex((address, PORT)) == 0)
+    asyncio.run(listen())
+    process.kill()
 
 
 def _zenoh_sender(way: str, secrets: Path, address: str) -> Callable[[bytes], None]:
@@ -111,6 +176,13 @@ def _zenoh_sender(way: str, secrets: Path, address: str) -> Callable[[bytes], No
     return put
 
 
+def _receive_zenoh(way: str, secrets: Path, address: str, take: Take) -> None:
+    with _session(way, secrets / "base", listen=address) as session:
+        session.declare_subscriber("cfgplan/r1/data", lambda sample: take(sample.payload.to_bytes()))
+        print("ready", flush=True)
+        time.sleep(600)
+
+
 def _session(way: str, secrets: Path, *, listen: str | None = None, connect: str | None = None) -> Any:
     import zenoh
     from cfgplan_runtime.fleet import links
@@ -120,6 +192,10 @@ def _session(way: str, secrets: Path, *, listen: str | None = None, connect: str
     ends = [[] if end is None else [f"{'tls' if is_secured else 'tcp'}/{end}:{PORT}"] for end in (listen, connect)]
     given = links.config(*ends, secrets if is_secured else None, mode="peer")
     return zenoh.open(zenoh.Config.from_json5(json.dumps(given)))
+
+
+_SENDERS = {"TCP": _tcp_sender, "Zenoh": _zenoh_sender, "NATS": _nats_sender}
+_RECEIVERS = {"TCP": _receive_tcp, "Zenoh": _receive_zenoh, "NATS": _receive_nats}
 
 
 def bare(network: Network, way: str, secrets: Path, size: int, rate_hz: float, seconds: float) -> tuple[float, float]:
@@ -213,7 +289,8 @@ def measure(network: Network, seconds: float) -> None:
         make(secrets, {host: [network.address[host]] for host in HOSTS}, days=1)
         print("| | " + " | ".join(f"{size:,} B | flat out" for size in SIZES) + " |")
         print("|---" * (2 * len(SIZES) + 1) + "|")
-        for way in ("TCP", "Zenoh", "Zenoh, TLS"):
+        has_nats = shutil.which("nats-server") and find_spec("nats")
+        for way in (name + how for name in _SENDERS if name != "NATS" or has_nats for how in ("", ", TLS")):
             tell(way, lambda *which, way=way: bare(network, way, secrets, *which, seconds))
         for way, is_secured in (("cfgplan", False), ("cfgplan, TLS", True)):
             start = time.monotonic()
