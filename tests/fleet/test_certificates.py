@@ -11,6 +11,7 @@ import socket
 import time
 from collections.abc import Callable, Iterator
 from datetime import datetime, timedelta, tzinfo
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -20,7 +21,7 @@ from cfgplan_runtime.fleet.certificates import make
 from cfgplan_runtime.fleet.links import config
 from cfgplan_runtime.streams.zenoh_link import Lane, ZenohLink
 from cryptography import x509
-from small_fleet import eventually, small_fleet, source, unit
+from small_fleet import Listener, eventually, small_fleet, source, unit, worker
 
 from cfgplan.cli import main
 from cfgplan.domain import ChangeSet
@@ -28,6 +29,7 @@ from cfgplan.errors import InputError
 
 PATIENCE_S = 10.0
 ADDRESS = ["127.0.0.1"]
+PUBLISHER = ZenohLink.publisher
 
 
 @pytest.fixture(scope="module")
@@ -272,29 +274,57 @@ def test_a_certificate_of_the_authority_with_a_name_that_is_not_listed_may_do_no
         assert overheard.empty()
 
 
-def test_orders_that_are_put_again_are_not_carried_out_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As by somebody who has heard them all, and has found a way in."""
-    orders: list[tuple[str, bytes, bytes]] = []
-    real = ZenohLink.publisher
+@pytest.fixture
+def orders(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, bytes, bytes]]:
+    """Key, head and payload of all that a link of this process puts, as by somebody who hears it all."""
+    heard: list[tuple[str, bytes, bytes]] = []
 
     def overheard(link: ZenohLink, key: str, lane: Lane) -> Callable[[bytes, bytes], None]:
-        put = real(link, key, lane)
+        put = PUBLISHER(link, key, lane)
 
-        def heard(head: bytes, payload: bytes) -> None:
-            orders.append((key, head, payload))
+        def hear(head: bytes, payload: bytes) -> None:
+            heard.append((key, head, payload))
             put(head, payload)
 
-        return heard
+        return hear
 
-    with small_fleet("r1") as fleet, contextlib.closing(ZenohLink(config(connect=fleet.agents.endpoints))) as spy:
-        monkeypatch.setattr(ZenohLink, "publisher", overheard)
-        with fleet.runtime(source()) as runtime:
-            runtime.apply(ChangeSet(started=(unit("count.1", "r1"),)))
-            runtime.apply(ChangeSet(stopped=("count.1",)))
-            known = list(orders)
-            assert sum(b"StartOrder" in payload for _, _, payload in known) == 1
-            for key, head, payload in known:
-                real(spy, key, "orders")(head, payload)
-            eventually(lambda: list(spy.ask("cfgplan/r1/clock", PATIENCE_S)) != [])  # what was put before has come
-            runtime.apply(ChangeSet(started=(unit("count.2", "r1"),)))
-            assert fleet.units() == ["count.2"]
+    monkeypatch.setattr(ZenohLink, "publisher", overheard)
+    return heard
+
+
+def test_garbage_at_the_keys_of_orders_and_answers_changes_nothing(orders: list[tuple[str, bytes, bytes]]) -> None:
+    units = unit("count.1", "r1"), unit("work.1", "r1", topic="/result", x="count.1/n")
+    with (
+        small_fleet("r1") as fleet,
+        contextlib.closing(ZenohLink(config(connect=fleet.agents.endpoints))) as stranger,
+        fleet.runtime(source(), worker()) as runtime,
+    ):
+        runtime.apply(ChangeSet(units))
+        listener = Listener(runtime)
+        listener.await_more(10)
+        sessions = {key.rpartition("/")[2] for key, *_ in orders} | {"0-strange-1", "nonsense", "9-x-y"}
+        for way, session in product(("manager/say/r1", "manager/heard/r1", "r1/say/manager"), sessions):
+            for garbage in (b"", b"x", bytes(100), os.urandom(5)):
+                PUBLISHER(stranger, f"cfgplan/{way}/{session}", "orders")(garbage, garbage)
+        eventually(lambda: list(stranger.ask("cfgplan/r1/clock", PATIENCE_S)) != [])  # what was put before has come
+        runtime.apply(ChangeSet(started=(unit("count.2", "r1"),)))
+        listener.await_more(10)
+        assert listener.values == list(range(listener.values[0], listener.values[0] + len(listener.values)))
+        assert sorted(fleet.units()) == ["count.1", "count.2", "work.1"]
+
+
+def test_orders_that_are_put_again_are_not_carried_out_again(orders: list[tuple[str, bytes, bytes]]) -> None:
+    with (
+        small_fleet("r1") as fleet,
+        contextlib.closing(ZenohLink(config(connect=fleet.agents.endpoints))) as spy,
+        fleet.runtime(source()) as runtime,
+    ):
+        runtime.apply(ChangeSet(started=(unit("count.1", "r1"),)))
+        runtime.apply(ChangeSet(stopped=("count.1",)))
+        known = list(orders)
+        assert sum(b"StartOrder" in payload for _, _, payload in known) == 1
+        for key, head, payload in known:
+            PUBLISHER(spy, key, "orders")(head, payload)
+        eventually(lambda: list(spy.ask("cfgplan/r1/clock", PATIENCE_S)) != [])  # what was put before has come
+        runtime.apply(ChangeSet(started=(unit("count.2", "r1"),)))
+        assert fleet.units() == ["count.2"]
