@@ -18,6 +18,7 @@ from cfgplan.canonical import fields_of, refuse_duplicates, store_resources, sto
 from cfgplan.errors import InvalidValueError
 from cfgplan.qualities import MICRO, QualityAttribute, Wish
 from cfgplan.selectors import selector
+from cfgplan.transformations import ALL as ALL
 from cfgplan.transformations import CPU as CPU
 from cfgplan.transformations import MEMORY as MEMORY
 from cfgplan.transformations import START_MODES as START_MODES

@@ -6,11 +6,11 @@ For planners and for those who show plans; the judge reckons for itself.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 from cfgplan.costs import keep_cost_us, labor_us, standby_cost_us, taken, transfer_cost_us
-from cfgplan.domain import CPU, MEMORY, ComputationUnit, Environment, Host, Stream
+from cfgplan.domain import CPU, MEMORY, ComputationUnit, Environment, Host, InputPort, Stream, Transformation
 from cfgplan.planning import Problem
 from cfgplan.qualities import QualityAttribute, price_us, propagated
 
@@ -25,10 +25,11 @@ class CostParts:
     transfer_us: int = 0
     quality_us: int = 0
     rent_us: int = 0
+    unfed_us: int = 0
 
     @property
     def total_us(self) -> int:
-        kept_us = self.upkeep_us + self.standby_us + self.transfer_us + self.rent_us
+        kept_us = self.upkeep_us + self.standby_us + self.transfer_us + self.rent_us + self.unfed_us
         return self.labor_us + kept_us + self.quality_us
 
 
@@ -61,6 +62,7 @@ def cost_parts(problem: Problem, units: Collection[ComputationUnit]) -> CostPart
         sum(transfer.cost_us for transfer in transfers(problem, units)),
         prices,
         sum(host.rent_us for host in used_hosts(environment, units)) * horizon_s,
+        sum(port.worth_us for unit in hot for port in _unfed(library[unit.transformation], unit)) * horizon_s,
     )
 
 
@@ -68,6 +70,10 @@ def used_hosts(environment: Environment, units: Iterable[ComputationUnit]) -> li
     """The hosts that units are on, running or as cold spares."""
     used = {unit.host for unit in units}
     return [host for host in environment.hosts if host.name in used]
+
+
+def _unfed(transformation: Transformation, unit: ComputationUnit) -> Iterator[InputPort]:
+    return (port for port in transformation.inputs if port.optional and port.name not in unit.feeds)
 
 
 def transfers(problem: Problem, units: Collection[ComputationUnit]) -> list[Transfer]:
@@ -138,7 +144,8 @@ def _value(
             ahead.pop()
             continue
         ordinary = [port.name for port in transformation.inputs if not port.feedback]
-        feeds = [feed for name in ordinary for feed in unit.feeds.get(name, (None,))]
+        gap = {port.name: () if port.optional else (None,) for port in transformation.inputs}
+        feeds = [feed for name in ordinary for feed in unit.feeds.get(name, gap[name])]
         waiting = [feed for feed in feeds if feed is not None and feed not in values and feed not in opened]
         if waiting and stream not in opened:
             opened.add(stream)

@@ -35,6 +35,8 @@ class Notion(StrEnum):
     BESIDE = "units that run with others"
     INSTANCES = "numbers of instances"
     SURVIVAL = "survival of failures"
+    OPTIONAL = "optional inputs"
+    COUNTS = "inputs that take several streams"
 
 
 @dataclass(frozen=True)
@@ -79,6 +81,8 @@ class Problem:
             Notion.INSTANCES: any(
                 t.min_instances or t.max_instances is not None or t.per_host is not None for t in environment.library
             ),
+            Notion.OPTIONAL: any(port.optional for t in environment.library for port in t.inputs),
+            Notion.COUNTS: any(port.count != 1 for t in environment.library for port in t.inputs),
             Notion.SURVIVAL: self.survive is not None or any(unit.standby for unit in environment.units),
         }
         return frozenset(notion for notion, is_asked in asked.items() if is_asked)
@@ -100,14 +104,27 @@ class Problem:
     def most_new(self, transformation: Transformation) -> int:
         """How many units of a transformation a plan may start: one, unless more are asked for or allowed.
 
-        Of one that others run with it is one for each host.
+        Of one that others run with it is one for each host; where inputs that its outputs may feed count streams, the
+        largest count.
         """
         if transformation.max_instances is not None:
             return min(transformation.max_instances, MOST_INSTANCES)
         usual = 1 if self.survive is None else 2
         if transformation.label in self.environment.companions:
             usual = max(usual, len(self.environment.hosts_for(transformation)))
-        return min(max(usual, transformation.min_instances), MOST_INSTANCES)
+        counted = (n for tag, n in self._counts.items() for o in transformation.outputs if self._may_feed(o.tag, tag))
+        return max(min(max(usual, transformation.min_instances), MOST_INSTANCES), *counted, 0)
+
+    @cached_property
+    def _counts(self) -> Mapping[str, int]:
+        """The largest count of the inputs of each demanded tag, where that is more than one."""
+        found: dict[str, int] = {}
+        for port in (port for t in self.environment.library for port in t.inputs if port.count > 1):
+            found[port.tag] = max(port.count, found.get(port.tag, 0))
+        return found
+
+    def _may_feed(self, offered: str, demanded: str) -> bool:
+        return self.similarity.holds(offered, demanded) or self.similarity.is_open(offered, demanded)
 
     def largest_cost_us(self, horizon_s: int) -> int:
         """What no plan exceeds over a horizon in seconds."""
@@ -124,6 +141,8 @@ class Problem:
     def _largest_fleet_cost_us(self, once_us: int, horizon_s: int) -> int:
         environment = self.environment
         copies = max((self.most_new(t) for t in environment.library), default=1)
+        worth_us = {t.label: sum(port.worth_us for port in t.inputs) for t in environment.library}
+        unfed = sum(worth_us.values()) * copies + sum(worth_us.get(u.transformation, 0) for u in environment.units)
         outputs = [port for t in environment.library for port in t.outputs]
         carried = sum(transfer_cost_us(port, horizon_s, environment.transfer_us) for port in outputs)
         prices = sum(
@@ -134,7 +153,7 @@ class Problem:
         )
         units = copies + len(environment.units)
         rents = sum(host.rent_us for host in environment.hosts) * horizon_s
-        return rents + copies * once_us + units * len(environment.hosts) * carried + prices
+        return rents + copies * once_us + units * len(environment.hosts) * carried + prices + unfed * horizon_s
 
 
 Pair = tuple[str, str]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Protocol, TypeVar
 
@@ -48,7 +49,7 @@ def pinned_reasons(problem: Problem) -> dict[str, str]:
     found = {}
     for unit in pinned:
         if unit.transformation not in possible and not unit.standby:
-            ports = library[unit.transformation].inputs
+            ports = library[unit.transformation].needed_inputs
             unfed = [port for port in ports if possible.isdisjoint(givers.of(port.tag))]
             why = "its inputs need different transformations, and there are too few"
             if unit.transformation in hopeful:
@@ -118,7 +119,7 @@ def startable(environment: Environment, givers: Givers, each: Each = iter) -> fr
     while True:
         reached = forward_closure(environment, givers, alive, each)
         if reached == alive or not any(
-            p.feedback for label in reached for p in environment.transformation[label].inputs
+            p.feedback for label in reached for p in environment.transformation[label].needed_inputs
         ):
             return reached
         alive = _offered_all(environment, givers, reached)
@@ -131,7 +132,7 @@ def _offered_all(environment: Environment, givers: Givers, labels: frozenset[str
     left = set(labels)
     users: dict[str, list[str]] = defaultdict(list)
     for label in sorted(labels):
-        for port in environment.transformation[label].inputs:
+        for port in environment.transformation[label].needed_inputs:
             users[port.tag].append(label)
     offers: dict[str, list[str]] = defaultdict(list)
     count: dict[str, int] = {}
@@ -152,11 +153,15 @@ def _offered_all(environment: Environment, givers: Givers, labels: frozenset[str
 
 
 def distinct_groups(transformation: Transformation) -> list[list[InputPort]]:
-    """The input ports that must be fed by different transformations, group by group."""
+    """The input ports that must be fed by different transformations, group by group.
+
+    One that takes several streams is there as often, by other names.
+    """
     groups: dict[str, list[InputPort]] = defaultdict(list)
-    for port in transformation.inputs:
+    for port in transformation.needed_inputs:
         if port.distinct is not None:
-            groups[port.distinct].append(port)
+            several = [replace(port, name=f"{port.name} ({n})", count=1) for n in range(1, port.count + 1)]
+            groups[port.distinct] += several if len(several) > 1 else [port]
     return [group for _, group in sorted(groups.items()) if len(group) > 1] if groups else []
 
 
@@ -196,7 +201,7 @@ def forward_closure(
 
     def go_on(transformation: Transformation) -> None:
         """Wait for the first input that is not fed; without one, be ready."""
-        for port in transformation.inputs:
+        for port in transformation.needed_inputs:
             tag = port.tag
             if port.feedback:
                 if alive.isdisjoint(givers.of(tag)):
@@ -255,10 +260,10 @@ def _reason(who: str, tag: str, environment: Environment, givers: Givers, possib
     ahead, seen = list(givers.of(tag)), set(givers.of(tag))
     for label in ahead:
         transformation = environment.transformation[label]
-        for port in transformation.inputs:
+        for port in transformation.needed_inputs:
             if not givers.of(port.tag):
                 return f"{wanted}, but input {port.name} of {label} needs {port.tag}, and no output matches"
-        for port in transformation.inputs:
+        for port in transformation.needed_inputs:
             if possible.isdisjoint(givers.of(port.tag)):
                 new = [giver for giver in givers.of(port.tag) if giver not in seen]
                 ahead += new
@@ -268,7 +273,7 @@ def _reason(who: str, tag: str, environment: Environment, givers: Givers, possib
                 names = " and ".join(port.name for port in group)
                 return f"{wanted}, but inputs {names} of {label} need different transformations, and there are too few"
     for label in ahead:
-        if all(not possible.isdisjoint(givers.of(p.tag)) for p in environment.transformation[label].inputs):
+        if all(not possible.isdisjoint(givers.of(p.tag)) for p in environment.transformation[label].needed_inputs):
             groups = distinct_groups(environment.transformation[label])
             names = " and ".join(port.name for group in groups for port in group)
             return f"{wanted}, but inputs {names} of {label} need different transformations, and too few can be fed"

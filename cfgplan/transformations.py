@@ -13,6 +13,9 @@ from cfgplan.errors import InvalidValueError
 from cfgplan.qualities import Contribution
 from cfgplan.selectors import check_selector
 
+ALL = 0
+"""The `count` of an input that takes every stream there is for it."""
+
 
 @dataclass(frozen=True, slots=True, order=True)
 class InputPort:
@@ -20,12 +23,37 @@ class InputPort:
 
     Ports of one transformation in the same `distinct` group must be fed by different
     transformations. A `feedback` port may close a cycle of the wiring.
+
+    An input takes `count` streams of different units; with ALL every matching stream of the other running units,
+    and at least one. An `optional` one may stay unfed, which costs `worth_us` each second; if that is 0 it is fed
+    wherever streams of what runs anyway may feed it, and is no reason for a unit to run.
     """
 
     name: str
     tag: str
     distinct: str | None = None
     feedback: bool = False
+    optional: bool = False
+    worth_us: int = 0
+    count: int = 1
+
+    def __post_init__(self) -> None:
+        if self.worth_us < 0 or self.count < 0:
+            raise InvalidValueError(f"input {self.name!r} takes less than no stream, or is worth less than nothing")
+
+    @property
+    def is_usual(self) -> bool:
+        """Whether it takes one stream, always."""
+        return self.count == 1 and not self.optional
+
+    @property
+    def starts_nothing(self) -> bool:
+        """Whether it is no reason for a unit to run."""
+        return self.optional and not self.worth_us
+
+    def takes(self, number: int) -> bool:
+        """Whether it may be fed by so many streams."""
+        return (self.optional and not number) or (number > 0 if self.count == ALL else number == self.count)
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -188,6 +216,16 @@ class Transformation:
     def input(self) -> Mapping[str, InputPort]:
         """The input ports by name."""
         return MappingProxyType({port.name: port for port in self.inputs})
+
+    @cached_property
+    def needed_inputs(self) -> tuple[InputPort, ...]:
+        """The inputs that are never unfed."""
+        return tuple([port for port in self.inputs if not port.optional])
+
+    @cached_property
+    def idle_inputs(self) -> frozenset[str]:
+        """The names of the inputs that start nothing."""
+        return frozenset([port.name for port in self.inputs if port.starts_nothing])
 
     @cached_property
     def output(self) -> Mapping[str, OutputPort]:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 
 from cfgplan.domain import (
+    ALL,
     ChangeSet,
     ComputationUnit,
     Environment,
@@ -20,7 +21,7 @@ from cfgplan.domain import (
     Transformation,
 )
 from cfgplan.planning import Plan, Problem, Status
-from cfgplan.validity import Rule, plan_violations, violations
+from cfgplan.validity import Rule, kept_us, plan_violations, violations
 
 CAMERA = Transformation("camera", (), (OutputPort("out", "Image"),), labor_us=5, upkeep_us=1)
 DETECTOR = Transformation(
@@ -80,6 +81,55 @@ def test_an_input_takes_one_stream() -> None:
     assert [str(v) for v in violations(replace(VALID, units=units), SIMILARITY)] == [
         "input image of unit detector.1 takes one stream, but has 2"
     ]
+
+
+def second_camera(**said: object) -> Environment:
+    """Two cameras, and a detector whose input of images has something said about it."""
+    port = replace(DETECTOR.input["image"], **said)  # type: ignore[arg-type]
+    kind = replace(DETECTOR, inputs=(port, DETECTOR.input["old"]))
+    return replace(VALID, units=(camera, replace(camera, id="camera.2"), detector), library=(CAMERA, kind))
+
+
+@pytest.mark.parametrize(
+    ("said", "feeds", "expected"),
+    [
+        ({"count": 2}, ["camera.1/out", "camera.2/out"], []),
+        ({"count": 2}, ["camera.1/out"], ["input image of unit detector.1 takes 2 streams, but has 1"]),
+        ({"count": ALL}, ["camera.1/out", "camera.2/out"], []),
+        (
+            {"count": ALL},
+            ["camera.1/out"],
+            [
+                "input image of unit detector.1 takes all that matches, but not camera.2/out",
+                "unit camera.2 runs, but no target needs it",
+            ],
+        ),
+        ({"count": ALL}, [], ["input image of unit detector.1 has no subscription"]),
+        ({"optional": True, "worth_us": 1}, ["camera.1/out"], ["unit camera.2 runs, but no target needs it"]),
+        ({"optional": True}, ["camera.1/out"], ["unit camera.1 runs, but no target needs it"]),
+        (
+            {"optional": True},
+            [],
+            ["optional input image of unit detector.1 is not fed, but camera.1/out could feed it"],
+        ),
+    ],
+)
+def test_the_judge_knows_how_many_streams_an_input_takes(
+    said: dict[str, object], feeds: list[str], expected: list[str]
+) -> None:
+    environment = second_camera(**said)
+    fed_detector = replace(detector, subscriptions=(*(fed("image", s) for s in feeds), fed("old", "detector.1/ball")))
+    wired = replace(environment, units=(*environment.units[:2], fed_detector))
+    assert set(expected) <= {str(violation) for violation in violations(wired, SIMILARITY)}
+    if not expected:
+        assert violations(wired, SIMILARITY) == []
+
+
+def test_an_optional_input_that_is_unfed_costs_its_worth() -> None:
+    environment = second_camera(optional=True, worth_us=7)
+    assert kept_us(environment, 10) == 40
+    unfed = replace(environment, units=(replace(detector, subscriptions=(fed("old", "detector.1/ball"),)),))
+    assert kept_us(unfed, 10) == 90
 
 
 def test_a_subscription_at_no_port_is_refused() -> None:

@@ -113,7 +113,7 @@ class DeadEnds:
         waiting = {t.label: t for t in self._environment.library if t.label not in self.possible}
         users: dict[str, set[str]] = defaultdict(set)
         for transformation in waiting.values():
-            for port in transformation.inputs:
+            for port in transformation.needed_inputs:
                 for giver in self._givers.of(port.tag):
                     users[giver].add(transformation.label)
         ahead = set(waiting)
@@ -145,12 +145,13 @@ class DeadEnds:
         """The inputs that `before` (for feedback inputs: `anywhere`) can't feed: one input alone, or several of a
         distinct group together.
         """
+        groups = distinct_groups(transformation)
         feeders = {
             port.name: [g for g in self._givers.of(port.tag) if g in (anywhere if port.feedback else before)]
-            for port in transformation.inputs
+            for port in [*transformation.needed_inputs, *(port for group in groups for port in group)]
         }
-        yield from ((port,) for port in transformation.inputs if not feeders[port.name])
-        for group in distinct_groups(transformation):
+        yield from ((port,) for port in transformation.needed_inputs if not feeders[port.name])
+        for group in groups:
             part = {port.name: feeders[port.name] for port in group if feeders[port.name]}
             if assign_different(part) is None:
                 for name in list(part):

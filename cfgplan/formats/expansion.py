@@ -152,6 +152,8 @@ class Expander:
             place, tag = _tag_of(port, at)
             self._tags.check(tag, place, _tag_of(template, at)[1], values)
             said: dict[str, Any] = {"tag": tag} if isinstance(port, str) else port.values()
+            if isinstance(port, InputPart) and port.worth and not port.optional:
+                at.at("worth").note(f"the input `{written}` is never unfed", "add `optional: true`, or remove `worth`")
             if "quality" in said:
                 said["quality"] = self._fleet.contributions(at.at("quality"), said["quality"])
             yield _PORT_TYPES[key](name, **said)

@@ -22,6 +22,7 @@ from cfgplan.formats.schema_values import (
     SHORT_FORM,
     BetterName,
     Cost,
+    Count,
     FileName,
     HangTime,
     Micro,
@@ -186,6 +187,9 @@ class InputPart(Part):
     tag: TagText = row("what it needs, a concept in description logic or the paper's P(a)", ..., xml=ELEMENT)
     distinct: Name | None = row("ports of one group are fed by different transformations")
     feedback: bool = row("this input may close a cycle of the wiring", False)
+    optional: bool = row("it may stay unfed; fed wherever streams of what runs anyway may feed it", False)
+    worth: Cost = row("what it is worth to feed an optional input, CPU seconds per second", 0, "worth_us")
+    count: Count = row("how many streams of different units feed it; `all`: every one that matches", 1)
 
 
 class ContributionPart(Part):

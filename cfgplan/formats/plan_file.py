@@ -192,6 +192,7 @@ def _figures(problem: Problem, after: Environment) -> dict[str, Any]:
             "transfers": parts.transfer_us,
             "quality": parts.quality_us,
             **({"rent": parts.rent_us} if parts.rent_us else {}),
+            **({"unfed": parts.unfed_us} if parts.unfed_us else {}),
         },
         "quality": {
             label: {name: float(units(value)) for name, value in values.items()} for label, values in reached.items()

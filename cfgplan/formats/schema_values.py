@@ -16,12 +16,14 @@ from cfgplan.canonical import normal
 from cfgplan.costs import microseconds, seconds
 from cfgplan.errors import InvalidValueError
 from cfgplan.qualities import MICRO, Better, QualityRule, micro_units, units
-from cfgplan.transformations import CPU, LEAST_HANG_S, RunOptions
+from cfgplan.transformations import ALL, CPU, LEAST_HANG_S, RunOptions
 
 LARGEST_AMOUNT = 1_000_000_000
 SPEEDS = (Decimal("0.001"), 1000)
 """The least and the largest speed of a host."""
 LARGEST_RATE_HZ = 100_000
+MOST_COUNTED = 1000
+"""The most streams that an input may count."""
 NAME_PATTERN = r"^[^\s\x00-\x1f\x7f]([^\x00-\x1f\x7f]*[^\s\x00-\x1f\x7f])?$"
 PORT = r"^[^\s\x00-\x1f\x7f/]([^\x00-\x1f\x7f/]*[^\s\x00-\x1f\x7f/])?$"
 
@@ -165,6 +167,15 @@ def _resources(amounts: dict[str, Decimal | int]) -> dict[str, int]:
     return {name: int(amount) for name, amount in found.items()}
 
 
+def _count(value: object) -> int:
+    """How many streams an input takes."""
+    if value == "all":
+        return ALL
+    if type(value) is not int or not 1 <= value <= MOST_COUNTED:
+        raise _refusal(f"{value} is no number of streams", f"write a whole number from 1 to {MOST_COUNTED}, or all")
+    return value
+
+
 def form_of(value: object) -> str:
     """Which of two forms an author chose, so that errors are about that one only."""
     return FULL_FORM if isinstance(value, dict | list | BaseModel) else SHORT_FORM
@@ -234,6 +245,12 @@ Speed = Annotated[
     PlainValidator(_speed),
     WithJsonSchema({"type": "number", "minimum": float(SPEEDS[0]), "maximum": SPEEDS[1]}),
     Written(plain_quality),
+]
+Count = Annotated[
+    int,
+    PlainValidator(_count),
+    WithJsonSchema({"anyOf": [{"const": "all"}, {"type": "integer", "minimum": 1, "maximum": MOST_COUNTED}]}),
+    Written(lambda count: "all" if count == ALL else count),
 ]
 Amount = Annotated[Decimal | int, PlainValidator(_amount), WithJsonSchema({**_NUMBER, "maximum": LARGEST_AMOUNT})]
 Resources = Annotated[dict[Name, Amount], AfterValidator(_resources)]

@@ -13,9 +13,19 @@ from itertools import chain, combinations, combinations_with_replacement, produc
 from math import comb, inf, prod
 from typing import NamedTuple
 
-from cfgplan.domain import ComputationUnit, Environment, Publication, Stream, Subscription, Transformation
+from cfgplan.domain import (
+    ALL,
+    ComputationUnit,
+    Environment,
+    InputPort,
+    Publication,
+    Stream,
+    Subscription,
+    Transformation,
+)
 from cfgplan.errors import InputError
 from cfgplan.planning import Plan, Problem, Progress, Status, fresh_units
+from cfgplan.validity.counts import unfed_us
 from cfgplan.validity.environments import instance_violations, violations
 from cfgplan.validity.hosts import carried_us, company_violations, placing_violations
 from cfgplan.validity.plans import cost_us, unused_required
@@ -115,7 +125,7 @@ def _configurations(
         for rewired, wired in _wirings(problem, units, steps, partial(_may_rewire, may_do, least)):
             steps.wirings += 1
             after = replace(environment, units=wired)
-            more_us = carried_us(after, problem.horizon_s) + priced_us(after)
+            more_us = carried_us(after, problem.horizon_s) + priced_us(after) + unfed_us(after, problem.horizon_s)
             rank = OracleRank(len(unused_required(after)), least.cost_us + more_us, rewired, least.started)
             if may_do(rank) and not violations(after, similarity, problem.survive):
                 yield rank, after
@@ -232,16 +242,16 @@ def _least(problem: Problem, after: Environment) -> OracleRank:
     there = {unit.transformation for unit in after.units if not unit.standby}
     unused = sum(t.required and t.label not in there for t in after.library)
     started = sum(unit.id not in problem.environment.unit for unit in after.units)
-    return OracleRank(unused, cost_us(problem, after), 0, started)
+    return OracleRank(unused, cost_us(problem, after) - unfed_us(after, problem.horizon_s), 0, started)
 
 
 @dataclass(frozen=True)
 class _Demand:
-    """An input of a unit, or (without a unit) the topic of a target, and the streams that match."""
+    """An input of a unit, or (without a unit) the topic of a target, and the sets of streams that may feed it."""
 
     unit: str | None
     name: str
-    streams: tuple[Stream, ...]
+    choices: tuple[tuple[Stream, ...], ...]
     distinct: str | None = None
     feedback: bool = False
 
@@ -258,8 +268,17 @@ def _demands(problem: Problem, units: Units) -> list[_Demand]:
             if problem.similarity.holds(port.tag, tag)
         )
 
-    return [_Demand(None, target.topic, streams(target.tag)) for target in problem.environment.targets] + [
-        _Demand(unit.id, port.name, streams(port.tag), port.distinct, port.feedback)
+    def choices(unit: ComputationUnit, port: InputPort) -> tuple[tuple[Stream, ...], ...]:
+        there = streams(port.tag)
+        if port.count == ALL:
+            others = tuple(stream for stream in there if stream.unit != unit.id)
+            return (others,) if others or port.optional else ()
+        several = [one for one in combinations(there, port.count) if len({s.unit for s in one}) == len(one)]
+        return (*several, *([()] if port.optional else []))
+
+    targets = problem.environment.targets
+    return [_Demand(None, t.topic, tuple((stream,) for stream in streams(t.tag))) for t in targets] + [
+        _Demand(unit.id, port.name, choices(unit, port), port.distinct, port.feedback)
         for unit in units
         for port in library[unit.transformation].inputs
     ]
@@ -280,37 +299,38 @@ def _wirings(
     waiting = [{demand.unit for demand in demands[done:]} for done in range(len(demands) + 1)]
     choice: list[tuple[_Demand, Stream]] = []
 
-    def may_feed(stream: Stream, demand: _Demand) -> bool:
+    def may_feed(streams: tuple[Stream, ...], demand: _Demand) -> bool:
         if demand.unit is None:
             return True
         if demand.distinct is not None:
             group = [s for d, s in choice if (d.unit, d.distinct) == (demand.unit, demand.distinct)]
-            if label_of[stream.unit] in {label_of[s.unit] for s in group}:
+            labels = [label_of[stream.unit] for stream in streams]
+            if len(set(labels)) < len(labels) or not {label_of[s.unit] for s in group}.isdisjoint(labels):
                 return False
         edges = [(s.unit, d.unit) for d, s in choice if d.unit is not None and not d.feedback]
-        return demand.feedback or not _leads_to(edges, demand.unit, stream.unit)
+        return demand.feedback or not any(_leads_to(edges, demand.unit, stream.unit) for stream in streams)
 
-    def extend() -> Iterator[tuple[int, Units]]:
+    def extend(done: int) -> Iterator[tuple[int, Units]]:
         steps.take()
-        unfinished = waiting[len(choice)]
+        unfinished = waiting[done]
         finished = [unit for unit in kept if unit.id not in unfinished] if None not in unfinished else []
         rewired = sum(_wired(unit, choice) != running[unit.id] for unit in finished)
         if not may_rewire(rewired):
             return
-        if len(choice) == len(demands):
+        if done == len(demands):
             yield rewired, tuple(_wired(unit, choice) for unit in units)
             return
-        demand = demands[len(choice)]
-        for stream in demand.streams:
-            if may_feed(stream, demand):
-                choice.append((demand, stream))
-                yield from extend()
-                choice.pop()
+        demand = demands[done]
+        for streams in demand.choices:
+            if may_feed(streams, demand):
+                choice.extend((demand, stream) for stream in streams)
+                yield from extend(done + 1)
+                del choice[len(choice) - len(streams) :]
 
     labels = set(label_of.values())
     library = tuple(t for t in problem.environment.library if t.label in labels)
-    if all(demand.streams for demand in demands) and startable(Environment((), library), problem.similarity) == labels:
-        yield from extend()
+    if all(demand.choices for demand in demands) and startable(Environment((), library), problem.similarity) == labels:
+        yield from extend(0)
 
 
 def _wired(unit: ComputationUnit, choice: Sequence[tuple[_Demand, Stream]]) -> ComputationUnit:

@@ -19,7 +19,7 @@ from dataclasses import replace
 from typing import Final
 
 from cfgplan.costs import keep_cost_us, start_cost_us
-from cfgplan.domain import Environment, Similarity
+from cfgplan.domain import ALL, Environment, Similarity
 from cfgplan.planning import REFUSED, Decider, Pair, Plan, Planner, Problem, Progress, Status
 from cfgplan.reasons import Givers, startable
 
@@ -72,6 +72,11 @@ class Deciding:
             problem = self.known(problem)
             if not problem.similarity.open:
                 return self._counted(budget.plan(problem, 1.0, report), budget)
+            if compelling := _compelling_pairs(problem):
+                if not self._is_stopped() and self._learns(problem, compelling, len(compelling)):
+                    continue
+                found = budget.plan(replace(problem, similarity=problem.similarity.decided), 1.0)
+                return self._counted(_without_a_claim(found, compelling), budget)
             best = budget.plan(_hopeful(problem), 0.5, _bounds_only(problem, report))
             uses, holds = _hangs_on(problem, best, budget)
             if holds and best.status is not Status.FEASIBLE:
@@ -146,6 +151,29 @@ def used_pairs(environment: Environment, similarity: Similarity) -> Iterator[Pai
         for offered, demanded in (*fed, *published):
             if offered is not None and demanded is not None and similarity.is_open(offered, demanded):
                 yield offered, demanded
+
+
+def _compelling_pairs(problem: Problem) -> tuple[Pair, ...]:
+    """The open pairs that forbid plans if they match: at inputs that have to be fed by what there is."""
+    ports = [port for t in problem.environment.library for port in t.inputs]
+    tags = {port.tag for port in ports if port.count == ALL or port.starts_nothing}
+    return tuple(pair for pair in problem.similarity.open_pairs() if pair[1] in tags) if tags else ()
+
+
+def _without_a_claim(plan: Plan, undecided: tuple[Pair, ...]) -> Plan:
+    """A plan of which nothing is known to be proven if the pairs match."""
+    status = Status.UNKNOWN if plan.change_set is None else Status.FEASIBLE
+    cost_us = None if plan.change_set is None else plan.cost_us
+    return replace(
+        plan,
+        status=status,
+        cost_us=cost_us,
+        bound_us=0,
+        reasons=plan.reasons if plan.change_set is not None else {},
+        ties_proven=False,
+        required_proven=False,
+        undecided=undecided,
+    )
 
 
 def _hopeful(problem: Problem) -> Problem:

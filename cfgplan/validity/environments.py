@@ -8,6 +8,7 @@ from graphlib import CycleError, TopologicalSorter
 
 from cfgplan.domain import Environment, Similarity, Stream
 from cfgplan.planning import Failures
+from cfgplan.validity.counts import count_violations, unfed_violations
 from cfgplan.validity.hosts import company_violations, placing_violations
 from cfgplan.validity.quality import quality_violations
 from cfgplan.validity.reading import company_of, known_units, needed_by, publishers, tag_of
@@ -24,6 +25,8 @@ def violations(environment: Environment, similarity: Similarity, survive: Failur
         *_unknown_transformations(environment),
         *_bad_subscriptions(environment, similarity),
         *_bad_publications(environment, similarity),
+        *count_violations(environment, similarity),
+        *unfed_violations(environment, similarity),
         *_cycles(environment),
         *_indistinct_feeds(environment),
         *quality_violations(environment),
@@ -46,11 +49,8 @@ def _unknown_transformations(environment: Environment) -> Iterator[Violation]:
 def _bad_subscriptions(environment: Environment, similarity: Similarity) -> Iterator[Violation]:
     for unit, transformation in known_units(environment):
         for port in transformation.inputs if not unit.standby else ():
-            if port.name not in unit.feeds:
+            if port.name not in unit.feeds and not port.optional:
                 text = f"input {port.name} of unit {unit.id} has no subscription"
-                yield Violation(Rule.FED, text, unit.id, port.name)
-            elif len(unit.feeds[port.name]) > 1:
-                text = f"input {port.name} of unit {unit.id} takes one stream, but has {len(unit.feeds[port.name])}"
                 yield Violation(Rule.FED, text, unit.id, port.name)
         for name, stream in [(s.port, s.stream) for s in unit.subscriptions]:
             if name not in transformation.input:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from cfgplan.domain import ComputationUnit, Environment, Transformation
 from cfgplan.errors import InvalidValueError
 from cfgplan.planning import Plan, Problem, Status
+from cfgplan.validity.counts import unfed_us
 from cfgplan.validity.environments import violations
 from cfgplan.validity.hosts import carried_us, costs_there, rents_us
 from cfgplan.validity.quality import priced_us
@@ -148,6 +149,7 @@ def _refuted_by_what_runs(problem: Problem, plan: Plan) -> Iterator[Violation]:
 def kept_us(environment: Environment, horizon_s: int) -> int:
     """What it costs to keep what runs over a horizon in seconds, in microseconds; unknown units cost nothing."""
     cost = carried_us(environment, horizon_s) + priced_us(environment) + rents_us(environment) * horizon_s
+    cost += unfed_us(environment, horizon_s)
     for unit, transformation in known_units(environment):
         _, upkeep_us, standby_us = costs_there(environment, unit, transformation)
         cost += (standby_us if unit.standby else upkeep_us) * horizon_s

@@ -66,7 +66,8 @@ def _values(attribute: QualityAttribute, order: Iterable[tuple[ComputationUnit, 
     values: dict[Stream, int] = {}
     for unit, transformation in order:
         ordinary = [port.name for port in transformation.inputs if not port.feedback]
-        feeds = [feed for name in ordinary for feed in unit.feeds.get(name, (None,))]
+        gap = {port.name: () if port.optional else (None,) for port in transformation.inputs}
+        feeds = [feed for name in ordinary for feed in unit.feeds.get(name, gap[name])]
         inputs = [attribute.worst if feed is None else values.get(feed, attribute.worst) for feed in feeds]
         for port in transformation.outputs:
             stated = {contribution.attribute: contribution for contribution in port.quality}

@@ -43,14 +43,20 @@ def company_of(environment: Environment) -> dict[str, list[str]]:
 
 
 def needed_by(environment: Environment, roots: Collection[str], company: Mapping[str, list[str]] = NOBODY) -> set[str]:
-    """The ids of `roots` and of all units whose streams they use, directly or through others, and their `company`."""
+    """The ids of `roots` and of all units whose streams they use, directly or through others, and their `company`.
+
+    What only inputs use that start nothing is not needed by them.
+    """
     needed: set[str] = set()
     ahead = [root for root in roots if root in environment.unit]
     while ahead:
         unit_id = ahead.pop()
         if unit_id not in needed:
             needed.add(unit_id)
-            feeders = [s.stream.unit for s in environment.unit[unit_id].subscriptions]
+            unit = environment.unit[unit_id]
+            transformation = environment.transformation.get(unit.transformation)
+            idle = {port.name for port in transformation.inputs if port.starts_nothing} if transformation else ()
+            feeders = [s.stream.unit for s in unit.subscriptions if s.port not in idle]
             ahead += [feeder for feeder in feeders if feeder in environment.unit]
             ahead += company.get(unit_id, ())
     return needed

@@ -31,7 +31,7 @@ def _grounded(environment: Environment, givers: Mapping[str, set[str]], candidat
             giving[label].append(tag)
     taking: dict[str, list[Transformation]] = defaultdict(list)
     for label in candidates:
-        for tag in {port.tag for port in environment.transformation[label].inputs if not port.feedback}:
+        for tag in {port.tag for port in environment.transformation[label].needed_inputs if not port.feedback}:
             taking[tag].append(environment.transformation[label])
     grounded: set[str] = set()
     given: set[str] = set()
@@ -51,10 +51,11 @@ def _can_be_fed(
     givers: Mapping[str, set[str]], transformation: Transformation, before: set[str], anywhere: set[str]
 ) -> bool:
     choices: dict[str, dict[str, set[str]]] = defaultdict(dict)
-    for port in transformation.inputs:
+    for port in transformation.needed_inputs:
         group = port.distinct if port.distinct is not None else f"\0{port.name}"
         allowed = anywhere if port.feedback else before
-        choices[group][port.name] = givers.get(port.tag, set()) & allowed
+        for number in range(max(port.count, 1) if port.distinct is not None else 1):
+            choices[group][f"{port.name}\0{number}"] = givers.get(port.tag, set()) & allowed
     return all(different_choices_exist(group) for group in choices.values())
 
 

@@ -44,7 +44,7 @@ MODEL = _room(
     (
         "a staying unit needs no feeders",
         "rules.py",
-        "[model.present(s, host) for p in ports if not p.feedback for s in feeds[p.name]])",
+        "[model.present(stream, host) for port, stream in kept if not port.feedback])",
         "[])",
     ),
     (
@@ -56,11 +56,8 @@ MODEL = _room(
     (
         "ring of staying units is grounded",
         "rules.py",
-        "model.rests_on_all(stays, [model.present(s, host) for p in ports if not p.feedback for s in feeds[p.name]])",
-        (
-            "[model.cp.add_implication(stays, model.present(s, host))"
-            " for p in ports if not p.feedback for s in feeds[p.name]]"
-        ),
+        "model.rests_on_all(stays, [model.present(stream, host) for port, stream in kept if not port.feedback])",
+        "[model.cp.add_implication(stays, model.present(s, host)) for port, s in kept if not port.feedback]",
     ),
     ("a staying unit gets its streams from anywhere", "rules.py", "(host,) = candidate.hosts", "host = None"),
     ("a wired unit is not fed", "rules.py", "model.rests_on_all(wired, parts)", "model.rests_on_all(wired, [])"),
@@ -167,6 +164,48 @@ MODEL = _room(
         "return demand, host if self.is_carried(demand) else None",
         "return demand, None",
     ),
+    (
+        "an input takes two streams of one unit",
+        "rules.py",
+        "for literals in of_units.values() if port.count > 1 else ():",
+        "for literals in ():",
+    ),
+    (
+        "several streams need not be grounded",
+        "rules.py",
+        "return [_grounded_if_it_holds(model, connected) for connected in connects.values()]",
+        "return []",
+    ),
+    (
+        "an input that takes all takes some",
+        "rules.py",
+        "model.cp.add_bool_or([connected, runs.negated(), model.runs[feeder].negated()])",
+        "pass",
+    ),
+    (
+        "an optional input is unfed for nothing",
+        "rules.py",
+        "model.more_costs.append(port.worth_us * model.problem.horizon_s * (runs - fed))",
+        "pass",
+    ),
+    (
+        "an input that starts nothing starts something",
+        "rules.py",
+        "model.cp.add_implication(connected, needed[model.unit_of(stream)])",
+        "pass",
+    ),
+    (
+        "an input that starts nothing is left unfed",
+        "rules.py",
+        "model.cp.add(LinearExpr.sum(list(free.values())) < port.count).only_enforce_if(unfed)",
+        "pass",
+    ),
+    (
+        "an input that starts nothing is fed whatever depends on it",
+        "rules.py",
+        "barred = [below[feeder]] if feeder in below else []",
+        "barred = list[IntVar]()",
+    ),
     ("a pinned unit stops", "rules.py", "if model.candidates.is_pinned(i):", "if False:"),
     (
         "units serve through each other",
@@ -177,14 +216,14 @@ MODEL = _room(
     (
         "a unit serves through one that serves nothing",
         "rules.py",
-        "model.cp.add_implication(through, model.serves[consumer])",
+        "model.cp.add_implication(through, serving[consumer])",
         "pass",
     ),
     (
         "a unit serves through a connection that is not there",
         "rules.py",
-        "model.cp.add_implication(through, connected)",
-        "pass",
+        "model.cp.add_implication(through, connected)\n                model.cp.add_implication(through, serving",
+        "model.cp.add_implication(through, serving",
     ),
     (
         "a required transformation counts as used for nothing",
@@ -305,7 +344,7 @@ JUDGE = _room(
     ("a plan may cost more than allowed", "plans.py", "cost > problem.max_cost_us:\n", "cost < 0:\n"),
     ("a pinned unit may stop", "plans.py", "if transformation.label in possible:", "if False:"),
     ("unused required ones need not be named", "plans.py", "if unused != plan.unused_required:", "if False:"),
-    ("a gap is no fault", "environments.py", "if port.name not in unit.feeds:", "if False:"),
+    ("a gap is no fault", "environments.py", "if port.name not in unit.feeds and not port.optional:", "if False:"),
     (
         "any stream feeds any input",
         "environments.py",

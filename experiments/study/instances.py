@@ -6,7 +6,7 @@ import hashlib
 import json
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import cached_property
 from inspect import signature
 from typing import Any
@@ -107,7 +107,9 @@ def _document(problem: Problem) -> dict[str, Any]:
         "library": [
             {
                 "label": t.label,
-                "inputs": [asdict(port) for port in t.inputs],
+                "inputs": [
+                    {"name": p.name, "tag": p.tag, "distinct": p.distinct, "feedback": p.feedback} for p in t.inputs
+                ],
                 "outputs": [
                     {"name": port.name, "tag": port.tag} | later_fields(OutputPart, port) for port in t.outputs
                 ],

@@ -93,6 +93,18 @@ TARGET = "targets: [{label: t, topic: /t, tag: T}]\n"
         (f"{A}units: [{{id: u, transformation: a, inputs: {{x: }}}}]\n", (4, 45), "no input `x`", "its inputs are i"),
         (f"{A}units: [{{id: u, transformation: a, inputs: {{i: v/o}}}}]\n", (4, 48), "no unit `v` is running", None),
         (f"{A}units: [{{id: u, transformation: a, inputs: {{i: u}}}}]\n", (4, 48), "'u' is not a stream", "unit/port"),
+        (
+            "transformations: [{label: a, inputs: {i: {tag: T, worth: 1}}}]\n",
+            (2, 58),
+            "the input `i` is never unfed",
+            "add `optional: true`, or remove `worth`",
+        ),
+        (
+            "transformations: [{label: a, inputs: {i: {tag: T, count: some}}}]\n",
+            (2, 58),
+            "some is no number of streams",
+            "write a whole number from 1 to 1000, or all",
+        ),
         ("x: &y [1]\n*y : 2\n", (2, 1), "unknown key `x`", None),
         (
             f"{A}units: [{{id: u, transformation: a, inputs: {{i: [v/o, v/o]}}}}]\n",

@@ -6,8 +6,9 @@ not grounded are cut, as the searches do.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 from alone import search_alone
 from ortools.sat.python.cp_model import OPTIMAL, CpModel, CpSolver, IntVar, LinearExprT
@@ -176,11 +177,16 @@ def kind(
     distinct: Collection[int] = (),
     feedback: Collection[int] = (),
     output: OutputPort = PLAIN_OUTPUT,
+    first: Mapping[str, object] = MappingProxyType({}),
     **more: object,
 ) -> Transformation:
-    """A transformation with inputs in0, in1 ... for the letters of `wants`, outputs x0, x1 ... for those of `gives`."""
+    """A transformation with inputs in0, in1 ... for the letters of `wants`, outputs x0, x1 ... for those of `gives`.
+
+    `first` has more attributes of the first input.
+    """
     inputs = tuple(
-        InputPort(f"in{i}", tag, "g" if i in distinct else None, i in feedback) for i, tag in enumerate(wants)
+        InputPort(f"in{i}", tag, "g" if i in distinct else None, i in feedback, **({} if i else first))  # type: ignore[arg-type]
+        for i, tag in enumerate(wants)
     )
     outputs = tuple(replace(output, name=f"x{i}", tag=tag) for i, tag in enumerate(gives))
     return Transformation(label, inputs, outputs, labor_us, **more)  # type: ignore[arg-type]

@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 from hypothesis import strategies as st
 from worlds import problems
 
-from cfgplan.domain import ComputationUnit, Environment, Host, OutputPort, Target, Transformation
+from cfgplan.domain import (
+    ALL,
+    ComputationUnit,
+    Environment,
+    Host,
+    InputPort,
+    OutputPort,
+    Stream,
+    Subscription,
+    Target,
+    Transformation,
+)
 from cfgplan.planning import Failures, Notion, Problem
 from cfgplan.qualities import Better, Contribution, Over, QualityAttribute, QualityRule, Wish
 
@@ -19,6 +31,8 @@ HOSTS = (
 )
 SELECTORS = st.sampled_from([None, None, None, None, "a", "not a", "a and not b", "b or h2", "not (a or b)"])
 SPEEDS = st.sampled_from([MICRO, MICRO, MICRO // 2, 700_000, 3 * MICRO])
+TOGETHER = frozenset(Notion) - {Notion.OPTIONAL, Notion.COUNTS}
+"""What the planner knows all at once."""
 VALUES = st.sampled_from([0, 1, 2, 3, 5, 8])
 FACTORS = st.sampled_from([0, MICRO // 3, MICRO // 2, MICRO, 3 * MICRO // 2])
 
@@ -40,6 +54,7 @@ def fleets(draw: st.DrawFn, notions: frozenset[Notion], *, most: int = 3) -> Pro
     if Notion.SURVIVAL in notions:
         survive = draw(st.sampled_from([Failures.UNITS, Failures.HOSTS if hosts else Failures.UNITS]))
     units = [draw(placed(unit, by_label.get(unit.transformation), hosts, survive)) for unit in environment.units]
+    units = [draw(fed_by_several(unit, units, by_label)) for unit in units]
     transfer_us = draw(st.sampled_from([0, 1, 700_000])) if hosts else 0
     return Problem(
         Environment(tuple(units), tuple(library), tuple(targets), hosts, qualities, transfer_us),
@@ -85,6 +100,7 @@ def transformations(
         )
         outputs.append(OutputPort(port.name, port.tag, tuple(stated), rate, size))
     changes: dict[str, object] = {"outputs": tuple(outputs)}
+    changes["inputs"] = tuple(draw(inputs(port, notions)) for port in plain.inputs)
     if hosts:
         names = [host.name for host in hosts]
         choice = draw(st.sampled_from(["any", "one", "some"]))
@@ -107,6 +123,35 @@ def transformations(
     if Notion.SURVIVAL in notions:
         changes["standby_us"] = draw(st.sampled_from([None, 0, 1, 2]))
     return replace(plain, **changes)  # type: ignore[arg-type]
+
+
+@st.composite
+def inputs(draw: st.DrawFn, plain: InputPort, notions: frozenset[Notion]) -> InputPort:
+    """An input that may be optional, worth something, and take several streams."""
+    changes: dict[str, object] = {}
+    if Notion.OPTIONAL in notions and draw(st.booleans()):
+        changes |= {"optional": True, "worth_us": draw(st.sampled_from([0, 0, 1, 3, 8]))}
+    if Notion.COUNTS in notions:
+        changes["count"] = draw(st.sampled_from([1, 1, 2, 2, ALL]))
+    return replace(plain, **changes)  # type: ignore[arg-type]
+
+
+@st.composite
+def fed_by_several(
+    draw: st.DrawFn, plain: ComputationUnit, units: list[ComputationUnit], library: Mapping[str, Transformation]
+) -> ComputationUnit:
+    """A unit with further streams at the inputs that take several, and gaps at some optional ones."""
+    kind = library.get(plain.transformation)
+    if kind is None or plain.standby or all(port.is_usual for port in kind.inputs):
+        return plain
+    there = [
+        Stream(u.id, p.name) for u in units if u.transformation in library for p in library[u.transformation].outputs
+    ]
+    fed = {s for s in plain.subscriptions if not kind.input[s.port].optional or draw(st.booleans())}
+    for port in kind.inputs if there else ():
+        if port.count != 1:
+            fed |= {Subscription(port.name, stream) for stream in draw(st.sets(st.sampled_from(there), max_size=2))}
+    return replace(plain, subscriptions=tuple(fed))
 
 
 @st.composite

@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import Any
 
 import undecided
-from fleets import fleets
+from fleets import TOGETHER, fleets
 from hypothesis import strategies as st
 from worlds import fusions, histories, oracle_of, problems
 
@@ -61,6 +61,8 @@ def of_open_pairs(case: tuple[Problem, Similarity]) -> list[str]:
 HOSTS, QUALITY, SURVIVAL = (frozenset({notion}) for notion in (Notion.HOSTS, Notion.QUALITY, Notion.SURVIVAL))
 BESIDE = frozenset({Notion.BESIDE})
 NUMBERS = frozenset({Notion.CONFLICTS, Notion.INSTANCES})
+WIRING = frozenset({Notion.OPTIONAL, Notion.COUNTS})
+OPTIONAL, COUNTS = (frozenset({notion}) for notion in (Notion.OPTIONAL, Notion.COUNTS))
 
 KINDS: Mapping[str, Kind] = MappingProxyType(
     {
@@ -75,8 +77,11 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         ),
         "quality": Kind(st.one_of(fleets(QUALITY), fleets(QUALITY | HOSTS, most=2)), of_one),
         "survival": Kind(st.one_of(fleets(SURVIVAL), fleets(SURVIVAL | HOSTS, most=2)), of_one),
+        "optional": Kind(st.one_of(fleets(OPTIONAL), fleets(OPTIONAL, most=4)), of_one),
+        "counts": Kind(st.one_of(fleets(COUNTS), fleets(WIRING)), of_one),
+        "wiring": Kind(fleets(WIRING | NUMBERS | HOSTS, most=2), of_one),
         "undecided": Kind(
-            st.one_of(undecided.undecided(problems(most=3)), undecided.undecided(fleets(frozenset(Notion), most=2))),
+            st.one_of(undecided.undecided(problems(most=3)), undecided.undecided(fleets(TOGETHER, most=2))),
             of_open_pairs,
         ),
     }

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import pytest
 from alone import plan_alone, plan_apart, plan_as_fleet
-from fleets import fleets, reordered
+from fleets import TOGETHER, fleets, reordered
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from worlds import oracle_of, problems
@@ -139,7 +139,7 @@ def test_the_oracle_and_the_planner_for_fleets_agree_on_what_the_paper_asks(prob
 
 
 @settings(some, max_examples=EXAMPLES // 2)
-@given(fleets(frozenset(Notion), most=3), st.data())
+@given(fleets(TOGETHER, most=3), st.data())
 def test_the_plan_for_a_fleet_does_not_depend_on_the_run_or_the_order_of_lists(
     problem: Problem, data: st.DataObject
 ) -> None:
@@ -149,7 +149,7 @@ def test_the_plan_for_a_fleet_does_not_depend_on_the_run_or_the_order_of_lists(
 
 
 @settings(some, max_examples=EXAMPLES // 2)
-@given(fleets(frozenset(Notion), most=3))
+@given(fleets(TOGETHER, most=3))
 def test_the_plan_for_a_fleet_leaves_nothing_to_do(problem: Problem) -> None:
     plan = PLANNERS["cpsat"](problem)
     assume(plan.change_set is not None)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from math import inf
 
-from fleets import fleets
+from fleets import TOGETHER, fleets
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_against_the_oracle import EXAMPLES, many
@@ -15,10 +15,10 @@ from worlds import problems
 
 from cfgplan.domain import Transformation
 from cfgplan.planners import PLANNERS
-from cfgplan.planning import Notion, Problem, Status
+from cfgplan.planning import Problem, Status
 
 PROVEN = (Status.OPTIMAL, Status.INFEASIBLE, Status.TOO_EXPENSIVE)
-ANY = st.one_of(problems(most=5), fleets(frozenset(Notion), most=4))
+ANY = st.one_of(problems(most=5), fleets(TOGETHER, most=4))
 
 
 def cost_us(problem: Problem) -> float:

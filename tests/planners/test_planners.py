@@ -11,6 +11,7 @@ from threading import Event
 import pytest
 
 from cfgplan.domain import (
+    ALL,
     ComputationUnit,
     Environment,
     InputPort,
@@ -36,7 +37,7 @@ every_exact_planner = pytest.mark.parametrize(
 )
 
 
-def make(label: str, needs: str = "", gives: str = "", labor: int = 1, upkeep: int = 0, **more: bool) -> Transformation:
+def make(label: str, needs: str = "", gives: str = "", labor: int = 1, upkeep: int = 0, **more: int) -> Transformation:
     """A transformation with one input for each letter of `needs` and one output for each of `gives`."""
     inputs = tuple(InputPort(f"in{i}", tag) for i, tag in enumerate(needs))
     outputs = tuple(OutputPort(f"out{i}", tag) for i, tag in enumerate(gives))
@@ -296,3 +297,42 @@ def test_a_plan_stopped_before_it_is_known_whether_all_required_can_be_used_clai
     assert stopped.status is not Status.TOO_EXPENSIVE
     assert cpsat_plan(problem).status is Status.TOO_EXPENSIVE
     assert cpsat_plan(problem).cost_us == 19
+
+
+def test_it_is_said_which_input_lacks_streams_of_different_units() -> None:
+    source = make("source", gives="A", max_instances=1)
+    sink = replace(make("sink", "A", "B"), inputs=(InputPort("in0", "A", count=2),))
+    plan = cpsat_plan(world("B", source, sink))
+    assert plan.status is Status.INFEASIBLE
+    assert plan.reasons["B"] == (
+        "target B would have no stream: input in0 of sink needs 2 streams of different units; "
+        "only source/out0 can feed it, 1 in all"
+    )
+
+
+def test_a_count_starts_as_many_units_as_it_takes() -> None:
+    sink = replace(make("sink", "A", "B"), inputs=(InputPort("in0", "A", count=3),))
+    problem = world("B", make("source", gives="A"), sink)
+    plan = cpsat_plan(problem)
+    assert plan_violations(problem, plan) == []
+    assert [stream.unit for stream in problem.after(plan).unit["sink.1"].feeds["in0"]] == [
+        "source.1",
+        "source.2",
+        "source.3",
+    ]
+
+
+@pytest.mark.parametrize("name", ["branch-and-bound"])
+def test_a_planner_that_does_not_know_counted_and_optional_inputs_refuses_them(name: str) -> None:
+    for port in (InputPort("in0", "A", count=2), InputPort("in0", "A", optional=True)):
+        problem = world("B", make("source", gives="A"), replace(make("sink", "A", "B"), inputs=(port,)))
+        with pytest.raises(InputError, match=r"does not know (inputs that take several streams|optional inputs)"):
+            PLANNERS[name](problem)
+
+
+def test_open_pairs_at_an_input_that_takes_all_leave_a_plan_without_a_claim() -> None:
+    sink = replace(make("sink", "A", "B"), inputs=(InputPort("in0", "A", count=ALL),))
+    problem = world("BC", make("source", gives="A"), make("other", gives="C"), sink)
+    plan = cpsat_plan(replace(problem, similarity=Similarity(problem.similarity.offers, {"A": frozenset("C")})))
+    assert (plan.status, plan.bound_us, plan.undecided) == (Status.FEASIBLE, 0, (("C", "A"),))
+    assert cpsat_plan(problem).status is Status.OPTIMAL

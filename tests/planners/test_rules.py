@@ -17,7 +17,7 @@ from fixed import (
     world,
 )
 
-from cfgplan.domain import ComputationUnit, Transformation
+from cfgplan.domain import ALL, ComputationUnit, Transformation
 from cfgplan.planning import Problem
 
 every_model = pytest.mark.parametrize("model", [Hubs, Apart])
@@ -321,3 +321,62 @@ def test_a_landmark_is_hit_as_often_as_it_says() -> None:
     fixed.least = 2
     assert fixed.allows(runs("s.1"), runs("t.1"))
     assert not fixed.allows(runs("s.1"), ~runs("t.1"))
+
+
+@every_model
+def test_an_input_takes_its_number_of_streams_of_different_units(model: type[Hubs]) -> None:
+    both = kind("f", "A", "B", first={"count": 2})
+    fixed = model(world("B", SOURCE, OTHER, kind("u", gives="AA", max_instances=1), both))
+    assert fixed.allows(feeds("s.1", "f.1/in0"), feeds("t.1", "f.1/in0"))
+    assert not fixed.allows(feeds("s.1", "f.1/in0"), feeds("t.1", "f.1/in0"), feeds("u.1", "f.1/in0"))
+    alone = model(world("B", kind("u", gives="AA", max_instances=1), both))
+    assert not alone.allows()
+    assert model(world("B", SOURCE, kind("f", "A", "B", first={"count": 2}))).allows(runs("s.2"))
+    assert not model(
+        world("B", kind("s", gives="A", max_instances=1), kind("f", "A", "B", first={"count": 2}))
+    ).allows()
+
+
+@every_model
+def test_each_of_several_streams_is_grounded(model: type[Hubs]) -> None:
+    ring = kind("r", "B", "A")
+    fixed = model(world("B", SOURCE, ring, kind("f", "A", "B", first={"count": 2})))
+    assert fixed.allows(feeds("s.1", "f.1/in0"), feeds("s.2", "f.1/in0"))
+    assert not fixed.allows(feeds("r.1", "f.1/in0"))
+
+
+@every_model
+def test_an_input_that_takes_all_takes_what_runs(model: type[Hubs]) -> None:
+    fixed = model(world("BA", SOURCE, OTHER, kind("f", "A", "B", first={"count": ALL})))
+    assert fixed.allows(runs("s.1"), runs("t.1"), feeds("s.1", "f.1/in0"), feeds("t.1", "f.1/in0"))
+    assert not fixed.allows(runs("s.1"), runs("t.1"), ~feeds("t.1", "f.1/in0"))
+    ring = model(world("BA", SOURCE, kind("f", "A", "BD", first={"count": ALL}), kind("g", "D", "A")))
+    assert ring.allows(runs("f.1"), ~runs("g.1"))
+    assert not ring.allows(runs("f.1"), runs("g.1"))
+
+
+@every_model
+def test_an_optional_input_may_stay_unfed_at_its_price(model: type[Hubs]) -> None:
+    fixed = model(world("B", SOURCE, kind("f", "A", "B", first={"optional": True, "worth_us": 5})))
+    assert fixed.least_us(runs("s.1"), feeds("s.1", "f.1/in0")) == 2
+    assert fixed.least_us(~runs("s.1")) == 6
+    assert not model(world("B", SOURCE, kind("f", "A", "B"))).allows(~runs("s.1"))
+
+
+@every_model
+def test_an_input_that_starts_nothing_is_fed_by_what_runs_anyway(model: type[Hubs]) -> None:
+    f = kind("f", "A", "B", first={"optional": True})
+    assert not model(world("B", SOURCE, f)).allows(feeds("s.1", "f.1/in0"))
+    assert model(world("B", SOURCE, f)).allows(~runs("s.1"))
+    for fixed in (model(world("BA", SOURCE, f)), model(world("B", kind("s", gives="A", min_instances=1), f))):
+        assert fixed.allows(feeds("s.1", "f.1/in0"))
+        assert not fixed.allows(~feeds("s.1", "f.1/in0"))
+
+
+@every_model
+def test_an_input_that_starts_nothing_is_unfed_where_it_would_close_a_cycle(model: type[Hubs]) -> None:
+    f = kind("f", "C", "A", first={"optional": True})
+    fixed = model(world("BC", f, kind("g", "A", "B"), kind("h", "B", "C"), kind("c", gives="C")))
+    assert fixed.allows(~runs("c.1"), ~feeds("h.1", "f.1/in0"))
+    assert not fixed.allows(feeds("h.1", "f.1/in0"))
+    assert not fixed.allows(runs("c.1"), publishes("c.1", "C"), ~feeds("c.1", "f.1/in0"))

@@ -17,7 +17,7 @@ from types import SimpleNamespace
 from unittest.mock import patch
 
 import pytest
-from fleets import fleets
+from fleets import TOGETHER, fleets
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from worlds import problems
@@ -27,7 +27,7 @@ from cfgplan.figures import cost_parts
 from cfgplan.planners.cpsat import plan
 from cfgplan.planners.solving import clock
 from cfgplan.planners.solving.clock import STOPPING_S, Clock, OutOfTimeError
-from cfgplan.planning import Failures, Notion, Plan, Problem, Status
+from cfgplan.planning import Failures, Plan, Problem, Status
 from cfgplan.qualities import MICRO
 from cfgplan.validity import plan_violations
 from experiments.families.random_library import random_library
@@ -138,7 +138,7 @@ def at_work(draw: st.DrawFn, drawn: st.SearchStrategy[Problem]) -> tuple[Problem
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
 )
 @given(
-    at_work(st.one_of(problems(most=8), problems(most=8, special=False), fleets(frozenset(Notion), most=3))),
+    at_work(st.one_of(problems(most=8), problems(most=8, special=False), fleets(TOGETHER, most=3))),
     st.integers(0, 60),
     st.booleans(),
 )

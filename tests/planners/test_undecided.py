@@ -6,7 +6,7 @@ import os
 from dataclasses import replace
 
 import pytest
-from fleets import fleets
+from fleets import TOGETHER, fleets
 from hypothesis import HealthCheck, given, settings
 from kinds import of_open_pairs
 from undecided import Truthful, differences, undecided
@@ -27,7 +27,7 @@ from cfgplan.domain import (
 from cfgplan.planners import PLANNERS
 from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planners.undecided import Deciding
-from cfgplan.planning import Notion, Plan, Problem, Status
+from cfgplan.planning import Plan, Problem, Status
 from cfgplan.validity import plan_violations
 
 EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "50"))
@@ -53,7 +53,7 @@ def test_what_is_asked_ends_in_the_truth_and_what_is_not_claims_nothing(case: tu
 
 
 @settings(many, max_examples=EXAMPLES // 5)
-@given(undecided(fleets(frozenset(Notion), most=2)))
+@given(undecided(fleets(TOGETHER, most=2)))
 def test_so_it_is_with_hosts_quality_instances_and_spares(case: tuple[Problem, Similarity]) -> None:
     assert of_open_pairs(case) == []
 

@@ -11,6 +11,7 @@ from cfgplan.domain import ComputationUnit, Environment, InputPort, Publication,
 from cfgplan.planners.exact.candidates import Candidates, HostName
 from cfgplan.planners.exact.survivors import can_do_without
 from cfgplan.planners.exact.wiring import published_stream
+from cfgplan.planners.networks.keys import needed_feeders
 from cfgplan.planning import Notion, Problem, fresh_units
 
 if TYPE_CHECKING:
@@ -52,7 +53,7 @@ class _Decoding:
             if i in found:
                 continue
             streams = {port.name: self._fed(i, port) for port in all_of[i].transformation.inputs}
-            if i not in self.host_of or () in streams.values():
+            if i not in self.host_of or not all(streams[p.name] for p in all_of[i].transformation.needed_inputs):
                 return None
             subscriptions = tuple(Subscription(name, stream) for name, taken in streams.items() for stream in taken)
             label = all_of[i].transformation.label
@@ -181,7 +182,7 @@ def _needed(environment: Environment, units: Iterable[ComputationUnit], roots: I
         unit = by_id[unit_id]
         beside = environment.transformation[unit.transformation].beside if not unit.standby else ()
         company = [running.get((unit.host, label), ()) for label in beside]
-        new = {s.stream.unit for s in unit.subscriptions} | {ids[0] for ids in company if len(ids) == 1}
+        new = needed_feeders(environment, unit) | {ids[0] for ids in company if len(ids) == 1}
         ahead += sorted(new - needed)
         needed |= new
     return needed

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Sequence
 from ortools.sat.python.cp_model import CpModel, IntVar, LinearExpr, LinearExprT
 
 from cfgplan.costs import transfer_cost_us
-from cfgplan.domain import InputPort, Stream
+from cfgplan.domain import ALL, InputPort, Stream
 from cfgplan.planners.exact.best_case import demands_of_quality
 from cfgplan.planners.exact.candidates import Candidates, HostName
 from cfgplan.planners.solving.engine import at_least
@@ -52,12 +52,17 @@ class Model:
         self.connects: dict[tuple[int, str], dict[Stream, IntVar]] = {}
         self.publishes: dict[str, dict[Stream, IntVar]] = {}
         self.carried: dict[tuple[Stream, HostName], IntVar] = {}
-        self.serves: dict[int, IntVar] = {}
+        self.is_fed: dict[tuple[int, str], IntVar] = {}
+        """By input that is optional or takes several streams: that it is fed."""
         self.uses_required: dict[str, IntVar] = {}
         self.more_costs: list[LinearExprT] = []
         self.missed_by: dict[tuple[str, str], tuple[LinearExprT, int]] = {}
         """By how much each target's stream misses the best of an attribute, in steps, and the size of a step."""
-        self.tracked = _downstream_of_required(candidates)
+        self.idle_feeders = _feeders_of_idle_inputs(candidates)
+        """The candidates that may feed inputs which start nothing."""
+        required = (i for i, c in enumerate(candidates.all) if c.may_run and c.transformation.required)
+        self.tracked = _downstream_of(candidates, sorted({*required, *self.idle_feeders}))
+        """Where it matters who feeds whom: downstream of required transformations and of `idle_feeders`."""
         self._demand_of_tag: dict[str, int] = {}
         self._demand_of_streams: dict[tuple[Stream, ...], int] = {}
         self._streams: list[tuple[Stream, ...]] = []
@@ -66,7 +71,8 @@ class Model:
             for c in (candidates.all if self.environment.hosts else ())
             for port in c.transformation.outputs
         }
-        self.tells_ports = self.is_apart or self.asks_for_quality or any(self._price_us.values())
+        takes_all = any(port.count == ALL for t in self.environment.library for port in t.inputs)
+        self.tells_ports = self.is_apart or self.asks_for_quality or any(self._price_us.values()) or takes_all
         """Whether it matters which stream of a unit is taken."""
         self._any_stream = [Stream(candidate.id, "") for candidate in candidates.all]
         self.needing = self._units_by_demand()
@@ -122,7 +128,7 @@ class Model:
         needing: dict[int, set[int]] = defaultdict(set)
         for i, candidate in self.candidates.clock.each(enumerate(self.candidates.all)):
             for port in candidate.transformation.inputs if candidate.may_run else ():
-                if not port.feedback:
+                if not (port.feedback or port.optional):
                     needing[self.demand(port.tag)].add(i)
         for target in self.environment.targets:
             self.demand(target.tag)
@@ -132,9 +138,10 @@ class Model:
         return self.candidates.index_of[stream.unit]
 
     def is_told_apart(self, unit: int, port: InputPort) -> bool:
-        """Whether it matters who feeds the input: for quality, as it is distinct, or as a required one can reach it."""
+        """Whether it matters who feeds it: for quality, if it is distinct or not usual, or tracked ones may feed it."""
         return (
             self.is_apart
+            or not port.is_usual
             or port.distinct is not None
             or (not port.feedback and self.is_apart_for_quality.get(self.demand(port.tag), False))
             or (unit in self.tracked and not self.tracked.isdisjoint(self.candidates.feeders(port.tag)))
@@ -222,9 +229,14 @@ class Model:
         return [there for i, there in self.is_there.items() if self.candidates.all[i].running is None]
 
 
-def _downstream_of_required(candidates: Candidates) -> frozenset[int]:
-    """The running candidates of required transformations and all that they may feed, directly or through others."""
-    ahead = [i for i, c in enumerate(candidates.all) if c.may_run and c.transformation.required]
+def _feeders_of_idle_inputs(candidates: Candidates) -> frozenset[int]:
+    kinds = {c.transformation.label: c.transformation for c in candidates.all}
+    tags = {port.tag for kind in kinds.values() for port in kind.inputs if port.starts_nothing}
+    return frozenset(feeder for tag in tags for feeder in candidates.feeders(tag))
+
+
+def _downstream_of(candidates: Candidates, ahead: list[int]) -> frozenset[int]:
+    """Some candidates and all that they may feed, directly or through others."""
     if not ahead:
         return frozenset()
     needing: dict[str, list[int]] = defaultdict(list)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection
+from math import inf
 
 from cfgplan.costs import taken
 from cfgplan.domain import Environment, Target, Transformation, amount_of
@@ -48,13 +49,34 @@ def _missed_bound(candidates: Candidates, target: Target) -> str | None:
 
 
 def _missing_room(problem: Problem, target: Target) -> str | None:
-    """Name a transformation too large for every host that it may run on; None if the target does without such."""
-    library = problem.environment.library
-    too_large = {t.label: lack for t in library for lack in [_lack(problem.environment, t)] if lack}
+    """Name a transformation that never runs: too large for its hosts, or short of feeders; None if none is needed."""
+    library, givers = problem.environment.library, Givers(problem.environment.library, problem.similarity)
+    lacks = ((t.label, _lack(problem.environment, t) or _missing_streams(problem, givers, t)) for t in library)
+    too_large = {label: lack for label, lack in lacks if lack}
     if not too_large or _has_stream(problem, target, too_large):
         return None
     alone = [lack for label, lack in too_large.items() if not _has_stream(problem, target, {label})]
     return f"target {target.label} would have no stream: {(alone or list(too_large.values()))[0]}"
+
+
+def _missing_streams(problem: Problem, givers: Givers, t: Transformation) -> str | None:
+    """Name an input for which there can't be units enough; or None."""
+    library, holds = problem.environment.transformation, problem.similarity.holds
+    running = Counter(unit.transformation for unit in problem.environment.units if not unit.standby)
+    for port in t.needed_inputs:
+        there = {label: running[label] + problem.most_new(library[label]) for label in givers.of(port.tag)}
+        most = sum(min(number, _most(library[label])) for label, number in there.items())
+        if most < port.count and port.count > 1:
+            matching = [
+                f"{label}/{o.name}" for label in there for o in library[label].outputs if holds(o.tag, port.tag)
+            ]
+            only = f"only {' and '.join(matching)} can feed it, {most} in all" if matching else "nothing matches"
+            return f"input {port.name} of {t.label} needs {port.count} streams of different units; {only}"
+    return None
+
+
+def _most(t: Transformation) -> float:
+    return inf if t.max_instances is None else t.max_instances
 
 
 def _missing_together(problem: Problem) -> str | None:

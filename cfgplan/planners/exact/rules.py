@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import product
 from typing import Final
 
 from ortools.sat.python.cp_model import IntVar, LinearExpr
 
-from cfgplan.domain import InputPort, Stream
+from cfgplan.domain import ALL, InputPort, Stream
 from cfgplan.planners.exact.candidates import HostName
 from cfgplan.planners.exact.model import Model, ModelRule
 from cfgplan.planners.exact.quality import targets_get_the_quality_they_ask_for
@@ -57,9 +57,9 @@ def a_staying_unit_keeps_its_feeders(model: Model) -> None:
         candidate = model.candidates.all[i]
         assert candidate.running is not None
         (host,) = candidate.hosts
-        feeds, ports = candidate.running.feeds, candidate.transformation.inputs
-        model.rests_on_all(stays, [model.present(s, host) for p in ports if not p.feedback for s in feeds[p.name]])
-        for stream in [s for p in ports if p.feedback for s in feeds[p.name]]:
+        kept = [(candidate.transformation.input[s.port], s.stream) for s in candidate.running.subscriptions]
+        model.rests_on_all(stays, [model.present(stream, host) for port, stream in kept if not port.feedback])
+        for stream in [stream for port, stream in kept if port.feedback]:
             model.cp.add_implication(stays, model.present(stream, host))
 
 
@@ -68,7 +68,7 @@ def a_wired_unit_is_fed(model: Model) -> None:
     for i in model.candidates.clock.each(model.runs):
         inputs = model.candidates.all[i].transformation.inputs
         told_apart = [port for port in inputs if model.is_told_apart(i, port)]
-        apart = {port.name: an_input_told_apart_has_one_feeder(model, i, port) for port in told_apart}
+        apart = {port.name: an_input_told_apart_has_its_feeders(model, i, port) for port in told_apart}
         for host, wired in model.wired_on(i).items():
             parts = []
             for port in inputs:
@@ -81,16 +81,23 @@ def a_wired_unit_is_fed(model: Model) -> None:
             model.rests_on_all(wired, parts)
 
 
-def an_input_told_apart_has_one_feeder(model: Model, unit: int, port: InputPort) -> list[IntVar]:
+def an_input_told_apart_has_its_feeders(model: Model, unit: int, port: InputPort) -> list[IntVar]:
     """Add a boolean for each stream that may feed an input. Returns what the unit's wiring then rests on."""
-    streams = [s for s in model.choices(port.tag) if model.unit_of(s) != unit or port.feedback]
+    may_be_own = port.feedback and port.count != ALL
+    streams = [s for s in model.choices(port.tag) if model.unit_of(s) != unit or may_be_own]
     connects = model.connects[unit, port.name] = {stream: model.boolean() for stream in streams}
-    model.cp.add_exactly_one(*connects.values(), model.runs[unit].negated())
+    if port.is_usual:
+        model.cp.add_exactly_one(*connects.values(), model.runs[unit].negated())
+    else:
+        an_input_takes_its_number_of_streams_or_none(model, unit, port)
     running = model.candidates.all[unit].running
     if unit in model.stays and running is not None:
-        for kept in running.feeds[port.name]:
+        feeds = running.feeds.get(port.name, ())
+        for kept in feeds:
             same = [c for s, c in connects.items() if s == kept or (s.unit == kept.unit and not model.tells_ports)]
             model.cp.add_implication(model.stays[unit], same[0])
+        if not feeds:
+            model.cp.add_implication(model.stays[unit], model.is_fed[unit, port.name].negated())
     for stream, connected in connects.items():
         feeder = model.runs[model.unit_of(stream)]
         if port.feedback:
@@ -101,9 +108,43 @@ def an_input_told_apart_has_one_feeder(model: Model, unit: int, port: InputPort)
             model.cp.add_bool_or([connected.negated(), on.negated(), *model.ways(stream, host)])
     if port.feedback:
         return []
+    if not port.is_usual:
+        return [_grounded_if_it_holds(model, connected) for connected in connects.values()]
     fed = model.boolean()
     model.rests_on_any(fed, list(connects.values()))
     return [fed]
+
+
+def _grounded_if_it_holds(model: Model, literal: IntVar) -> IntVar:
+    """A boolean that rests on a literal where that holds, and on nothing else."""
+    unneeded, found = model.boolean(), model.boolean()
+    model.cp.add(unneeded != literal)
+    model.support.rests_on_all(unneeded.index, [])
+    model.rests_on_any(found, [literal, unneeded])
+    return found
+
+
+def an_input_takes_its_number_of_streams_or_none(model: Model, unit: int, port: InputPort) -> None:
+    """So many streams of different units, or all that there are of other ones; none at an optional input."""
+    connects, runs = model.connects[unit, port.name], model.runs[unit]
+    fed = model.is_fed[unit, port.name] = model.boolean() if port.optional else runs
+    if port.optional:
+        model.cp.add_implication(fed, runs)
+        model.more_costs.append(port.worth_us * model.problem.horizon_s * (runs - fed))
+    of_units: dict[int, list[IntVar]] = defaultdict(list)
+    for stream, connected in connects.items():
+        of_units[model.unit_of(stream)].append(connected)
+    if port.count == ALL:
+        model.needs_any(fed, list(connects.values()))
+        for feeder, literals in of_units.items():
+            for connected in literals:
+                model.cp.add_implication(connected, fed)
+                model.cp.add_implication(connected, model.runs[feeder])
+                model.cp.add_bool_or([connected, runs.negated(), model.runs[feeder].negated()])
+        return
+    model.cp.add(port.count * fed == LinearExpr.sum(list(connects.values())))
+    for literals in of_units.values() if port.count > 1 else ():
+        model.cp.add_at_most_one(literals)
 
 
 def inputs_of_a_group_are_fed_by_different_transformations(model: Model) -> None:
@@ -217,36 +258,124 @@ def pinned_units_run(model: Model) -> None:
 
 
 def required_transformations_serve_a_target(model: Model) -> None:
-    """A unit serves a target if it publishes it, or feeds a unit that serves one.
+    candidates = model.candidates
+    if not model.environment.required:
+        return
+    units: dict[str, list[IntVar]] = defaultdict(list)
+    for i, serves in _serving(model, {}).items():
+        if candidates.all[i].transformation.required:
+            units[candidates.all[i].transformation.label].append(serves)
+    for label, serving in units.items():
+        model.uses_required[label] = model.boolean()
+        model.needs_any(model.uses_required[label], serving)
 
-    The distance to the target grows along the way; else two units could serve through each other's feedback inputs.
+
+def _serving(model: Model, more: Mapping[int, Sequence[IntVar]]) -> dict[int, IntVar]:
+    """For each tracked unit a boolean that it serves a target: it publishes one, or feeds a unit that serves one.
+
+    `more` says when else a unit serves. The distance to the target grows along the way; else two units could serve
+    through each other's feedback inputs.
     """
     candidates = model.candidates
     tracked = sorted(model.tracked)
     distance = {i: model.cp.new_int_var(0, len(tracked), "") for i in tracked}
-    ways: dict[int, list[IntVar]] = {i: [] for i in tracked}
-    model.serves = {i: model.boolean() for i in tracked}
+    ways: dict[int, list[IntVar]] = {i: [*more.get(i, ())] for i in tracked}
+    serving = {i: model.boolean() for i in tracked}
     for choices in model.publishes.values():
         for stream, publishes in choices.items():
             if model.unit_of(stream) in ways:
                 ways[model.unit_of(stream)].append(publishes)
-    for (consumer, _), choices in candidates.clock.each(model.connects.items()):
-        for stream, connected in choices.items() if consumer in ways else ():
+    for (consumer, name), choices in candidates.clock.each(model.connects.items()):
+        is_reason = consumer in ways and name not in candidates.all[consumer].transformation.idle_inputs
+        for stream, connected in choices.items() if is_reason else ():
             feeder = model.unit_of(stream)
             if feeder in ways:
                 through = model.boolean()
                 ways[feeder].append(through)
                 model.cp.add_implication(through, connected)
-                model.cp.add_implication(through, model.serves[consumer])
+                model.cp.add_implication(through, serving[consumer])
                 model.cp.add(distance[feeder] > distance[consumer]).only_enforce_if(through)
-    units: dict[str, list[IntVar]] = defaultdict(list)
     for i, choices_of in ways.items():
-        model.needs_any(model.serves[i], choices_of)
-        if candidates.all[i].transformation.required:
-            units[candidates.all[i].transformation.label].append(model.serves[i])
-    for label, serving in units.items():
-        model.uses_required[label] = model.boolean()
-        model.needs_any(model.uses_required[label], serving)
+        model.needs_any(serving[i], choices_of)
+    return serving
+
+
+def an_input_that_starts_nothing_is_fed_by_what_is_needed_anyway(model: Model) -> None:
+    """What is needed: what serves a target, is pinned, or is there by number."""
+    if not model.idle_feeders:
+        return
+    candidates, roots = model.candidates, defaultdict[int, list[IntVar]](list)
+    for i in sorted(model.tracked):
+        if candidates.is_pinned(i):
+            roots[i].append(model.runs[i])
+    for t in model.environment.library:
+        units = [i for i in candidates.units_of(t.label) if i in model.runs] if t.min_instances else []
+        for i, asked in [(i, model.boolean()) for i in units]:
+            model.cp.add_implication(asked, model.runs[i])
+            model.cp.add(LinearExpr.sum([model.runs[n] for n in units]) <= t.min_instances).only_enforce_if(asked)
+            roots[i].append(asked)
+    needed = _serving(model, roots)
+    for (unit, name), connects in model.connects.items():
+        for stream, connected in connects.items() if name in candidates.all[unit].transformation.idle_inputs else ():
+            model.cp.add_implication(connected, needed[model.unit_of(stream)])
+
+
+def an_input_that_starts_nothing_is_fed_where_it_can_be(model: Model) -> None:
+    """It is unfed only where too few units run that may feed it: others depend on its unit, or are not distinct."""
+    candidates = model.candidates.all
+    for (unit, name), fed in list(model.is_fed.items()):
+        port = candidates[unit].transformation.input[name]
+        if not port.starts_nothing or port.count == ALL:
+            continue
+        free: dict[int | str, IntVar] = {}
+        below = {} if port.feedback else _below(model, unit, port)
+        for stream in model.connects[unit, name]:
+            feeder = model.unit_of(stream)
+            label = candidates[feeder].transformation.label
+            key = feeder if port.distinct is None else label
+            barred = [below[feeder]] if feeder in below else []
+            barred += [c for s, c in _of_group(model, unit, port) if model.candidates.label_of(s) == label]
+            is_free = free[key] if key in free else model.boolean()
+            free[key] = is_free
+            model.cp.add_bool_or([is_free, model.runs[unit].negated(), model.runs[feeder].negated(), *barred])
+        unfed = [fed.negated(), model.runs[unit]]
+        model.cp.add(LinearExpr.sum(list(free.values())) < port.count).only_enforce_if(unfed)
+
+
+def _of_group(model: Model, unit: int, port: InputPort) -> list[tuple[Stream, IntVar]]:
+    """The streams that may feed other inputs of a distinct input's group, each with the boolean that it does."""
+    others = [] if port.distinct is None else model.candidates.all[unit].transformation.inputs
+    names = [other.name for other in others if other.distinct == port.distinct and other != port]
+    return [entry for name in names for entry in model.connects[unit, name].items()]
+
+
+def _below(model: Model, unit: int, port: InputPort) -> dict[int, IntVar]:
+    """For each unit that may depend on a unit, and feed its input, and those between: a boolean that it does depend."""
+    candidates = model.candidates.all
+    ways: dict[int, list[tuple[int, IntVar]]] = defaultdict(list)
+    readers: dict[int, set[int]] = defaultdict(set)
+    for (reader, name), connects in model.connects.items():
+        for stream, connected in connects.items() if not candidates[reader].transformation.input[name].feedback else ():
+            readers[model.unit_of(stream)].add(reader)
+            ways[reader].append((model.unit_of(stream), connected))
+    found: dict[int, IntVar] = {}
+    ahead = [unit]
+    for here in ahead:
+        for reader in sorted(readers[here] - {unit} - found.keys()):
+            found[reader] = model.boolean()
+            ahead.append(reader)
+    if found.keys().isdisjoint(model.candidates.feeders(port.tag)):
+        return {}
+    for reader, depends in found.items():
+        choices = [connected for feeder, connected in ways[reader] if feeder == unit]
+        for feeder, connected in ways[reader]:
+            if feeder in found:
+                through = model.boolean()
+                model.cp.add_implication(through, connected)
+                model.cp.add_implication(through, found[feeder])
+                choices.append(through)
+        model.needs_any(depends, choices)
+    return found
 
 
 def hosts_bear_their_units(model: Model) -> None:
@@ -400,6 +529,8 @@ RULES: Final[tuple[ModelRule, ...]] = (
     what_is_made_on_a_host_is_not_carried_there,
     pinned_units_run,
     required_transformations_serve_a_target,
+    an_input_that_starts_nothing_is_fed_by_what_is_needed_anyway,
+    an_input_that_starts_nothing_is_fed_where_it_can_be,
     hosts_bear_their_units,
     a_host_is_paid_while_something_is_there,
     units_that_conflict_are_not_there_together,

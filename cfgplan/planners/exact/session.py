@@ -8,9 +8,12 @@ the library, the landmarks, and the last plan as a first one. The answer is as g
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from threading import Event
+from typing import Final
 
+from cfgplan.errors import InputError
 from cfgplan.planners.exact.memory import Memory
 from cfgplan.planners.exact.running import offer_what_runs
 from cfgplan.planners.exact.stages import STAGES
@@ -19,7 +22,10 @@ from cfgplan.planners.exact.work import Work
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import USUAL, Tuning
 from cfgplan.planners.undecided import Deciding
-from cfgplan.planning import Plan, Problem, Progress, Status
+from cfgplan.planning import Notion, Plan, Problem, Progress, Status
+
+ONLY_IN_THE_MODEL: Final = frozenset({Notion.OPTIONAL, Notion.COUNTS})
+"""What first plans and bounds don't know: such a problem goes to the solver at once."""
 
 
 class PlannerSession:
@@ -40,7 +46,7 @@ class PlannerSession:
         """The optimal update. Stopped by the clock, by `stop` or by Ctrl-C it is the best one so far."""
         if problem.similarity.open:
             return Deciding(partial(self.plan, stop=stop))(problem, time_limit_s=time_limit_s, report=report)
-        clock = Clock(time_limit_s, stop, self._tuning)
+        clock = Clock(time_limit_s, stop, _tuning_for(problem, self._tuning))
         standing = Standing(problem, clock, report)
         clock.run(lambda: self._go_through_stages(standing), standing.plan)
         clock.end("search")
@@ -60,6 +66,19 @@ class PlannerSession:
         for stage in standing.clock.each(STAGES, 1):
             if stage(work):
                 break
+
+
+def _tuning_for(problem: Problem, usual: Tuning) -> Tuning:
+    """The solver alone for what only the model knows. Raises InputError if it does not know that together with all."""
+    wiring = ONLY_IN_THE_MODEL & problem.notions
+    if not wiring:
+        return usual
+    of_optional = {Notion.BESIDE} if Notion.OPTIONAL in wiring else set()
+    beside = {Notion.QUALITY, Notion.SURVIVAL, *of_optional} & problem.notions
+    if beside:
+        what, and_what = (" and ".join(sorted(notions)) for notions in (beside, wiring))
+        raise InputError.of(f"the planner does not know {what} together with {and_what}")
+    return replace(usual, is_solver_only=True)
 
 
 def plan(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import NamedTuple
 
-from cfgplan.domain import ComputationUnit
+from cfgplan.domain import ALL, ComputationUnit, Environment
 from cfgplan.figures import cost_parts
 from cfgplan.planning import Problem
 
@@ -35,32 +35,43 @@ def unused_required(problem: Problem, units: Collection[ComputationUnit]) -> tup
     ahead = [unit.id for unit in units if unit.publications]
     serving = set(ahead)
     for unit_id in ahead:
-        new = {s.stream.unit for s in by_id[unit_id].subscriptions} - serving
+        new = needed_feeders(problem.environment, by_id[unit_id]) - serving
         serving |= new
         ahead += sorted(new)
     used = {by_id[unit_id].transformation for unit_id in serving}
     return tuple(label for label in problem.environment.required if label not in used)
 
 
+def needed_feeders(environment: Environment, unit: ComputationUnit) -> set[str]:
+    """The units that a unit is a reason to run."""
+    idle = environment.transformation[unit.transformation].idle_inputs
+    return {s.stream.unit for s in unit.subscriptions if s.port not in idle}
+
+
 def may_stay(problem: Problem, labels: Collection[str], unit: ComputationUnit) -> bool:
     """Whether the unit's wiring is valid, looked at by itself, if only units of these labels run."""
     environment, holds = problem.environment, problem.similarity.holds
     transformation = environment.transformation[unit.transformation]
-    if unit.feeds.keys() != transformation.input.keys():
+    if not unit.feeds.keys() <= transformation.input.keys():
         return False
     feeders: set[tuple[str, str]] = set()
     for port in transformation.inputs:
-        stream, *more = unit.feeds[port.name]
-        feeder = environment.unit.get(stream.unit) if not more else None
-        if feeder is None or feeder.transformation not in labels:
+        streams = unit.feeds.get(port.name, ())
+        if not port.takes(len(streams)) or (port.count == ALL and any(stream.unit == unit.id for stream in streams)):
             return False
-        output = environment.transformation[feeder.transformation].output.get(stream.port)
-        if output is None or not holds(output.tag, port.tag):
+        if port.count > 1 and len({stream.unit for stream in streams}) < len(streams):
             return False
-        if port.distinct is not None and (port.distinct, feeder.transformation) in feeders:
-            return False
-        if port.distinct is not None:
-            feeders.add((port.distinct, feeder.transformation))
+        for stream in streams:
+            feeder = environment.unit.get(stream.unit)
+            if feeder is None or feeder.transformation not in labels:
+                return False
+            output = environment.transformation[feeder.transformation].output.get(stream.port)
+            if output is None or not holds(output.tag, port.tag):
+                return False
+            if port.distinct is not None and (port.distinct, feeder.transformation) in feeders:
+                return False
+            if port.distinct is not None:
+                feeders.add((port.distinct, feeder.transformation))
     wanted = {target.topic: target.tag for target in environment.targets}
     return all(
         publication.topic in wanted

@@ -67,7 +67,7 @@ class Network(Graph):
                 self.fact_of_tag[tag] = facts.setdefault((givers, 1), len(facts))
             return self.fact_of_tag[tag]
 
-        needs = [{fact(port.tag) for port in t.inputs if not port.feedback} for t in each(library)]
+        needs = [{fact(port.tag) for port in t.needed_inputs if not port.feedback} for t in each(library)]
         self.special = frozenset(
             i for i, t in enumerate(library) if any(port.feedback or port.distinct is not None for port in t.inputs)
         )

@@ -132,7 +132,7 @@ def _unit(view: UnitView, environment: Environment) -> Record:
     record = {**_wired(view.unit), "host": view.host}
     transformation = environment.transformation.get(view.unit.transformation)
     if transformation is not None and not view.unit.standby:
-        record["unfed"] = sorted(transformation.input.keys() - view.unit.feeds.keys())
+        record["unfed"] = sorted({port.name for port in transformation.needed_inputs} - view.unit.feeds.keys())
     seen = view.observation
     if seen is not None:
         record |= {

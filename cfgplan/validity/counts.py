@@ -1,0 +1,98 @@
+"""How many streams feed each input, and what is paid for optional inputs that none feeds."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator
+
+from cfgplan.domain import ALL, ComputationUnit, Environment, InputPort, Similarity, Stream, Transformation
+from cfgplan.validity.reading import known_units
+from cfgplan.validity.rules import Rule, Violation
+
+
+def count_violations(environment: Environment, similarity: Similarity) -> Iterator[Violation]:
+    """Inputs with too few streams or too many, with several of one unit, or with not all that there are for them."""
+    for unit, port in _ports(environment):
+        streams = unit.feeds.get(port.name, ())
+        where, number = f"input {port.name} of unit {unit.id}", len(streams)
+        if port.count == ALL:
+            missed = sorted(_matching(environment, similarity, unit, port) - set(streams))
+            if any(stream.unit == unit.id for stream in streams):
+                yield Violation(Rule.FED, f"{where} takes the streams of other units, not its own", unit.id, port.name)
+            if missed:
+                yield Violation(Rule.FED, f"{where} takes all that matches, but not {missed[0]}", unit.id, port.name)
+        elif number and number != port.count:
+            counted = "one stream" if port.count == 1 else f"{port.count} streams"
+            yield Violation(Rule.FED, f"{where} takes {counted}, but has {number}", unit.id, port.name)
+        if port.count > 1 and len({stream.unit for stream in streams}) < number:
+            yield Violation(Rule.FED, f"{where} takes streams of different units", unit.id, port.name)
+
+
+def unfed_violations(environment: Environment, similarity: Similarity) -> Iterator[Violation]:
+    """Optional inputs that nothing feeds, though streams of what runs could, at no price."""
+    for unit, port in _ports(environment):
+        if port.starts_nothing and port.count != ALL and port.name not in unit.feeds:
+            free = _free(environment, similarity, unit, port)
+            if len(free) >= port.count:
+                text = (
+                    f"optional input {port.name} of unit {unit.id} is not fed, but {min(free.values())} could feed it"
+                )
+                yield Violation(Rule.FED, text, unit.id, port.name)
+
+
+def unfed_us(environment: Environment, horizon_s: int) -> int:
+    """What is paid for optional inputs that nothing feeds, in microseconds."""
+    unfed = (port for unit, port in _ports(environment) if port.optional and port.name not in unit.feeds)
+    return sum(port.worth_us for port in unfed) * horizon_s
+
+
+def _ports(environment: Environment) -> Iterator[tuple[ComputationUnit, InputPort]]:
+    """The inputs of the units that run."""
+    for unit, transformation in known_units(environment):
+        for port in transformation.inputs if not unit.standby else ():
+            yield unit, port
+
+
+def _matching(environment: Environment, similarity: Similarity, unit: ComputationUnit, port: InputPort) -> set[Stream]:
+    """The streams of other running units that match an input."""
+    return {stream for stream, _ in _offers(environment, similarity, port) if stream.unit != unit.id}
+
+
+def _offers(
+    environment: Environment, similarity: Similarity, port: InputPort
+) -> Iterator[tuple[Stream, Transformation]]:
+    for other, transformation in known_units(environment):
+        for output in transformation.outputs if not other.standby else ():
+            if similarity.holds(output.tag, port.tag):
+                yield Stream(other.id, output.name), transformation
+
+
+def _free(
+    environment: Environment, similarity: Similarity, unit: ComputationUnit, port: InputPort
+) -> dict[str, Stream]:
+    """The first stream of each unit (of each transformation where the input is distinct) that may feed an input."""
+    group = [p for p in environment.transformation[unit.transformation].inputs if p.distinct == port.distinct]
+    fed = [stream.unit for p in group for stream in unit.feeds.get(p.name, ())]
+    there = {environment.unit[feeder].transformation for feeder in fed if feeder in environment.unit}
+    barred = set() if port.feedback else _downstream(environment, unit)
+    found: dict[str, Stream] = {}
+    for stream, feeder in _offers(environment, similarity, port):
+        if stream.unit not in barred and not (port.distinct is not None and feeder.label in there):
+            found.setdefault(stream.unit if port.distinct is None else feeder.label, stream)
+    return found
+
+
+def _downstream(environment: Environment, unit: ComputationUnit) -> set[str]:
+    """A unit and all that it feeds, directly or through others, but by feedback inputs."""
+    readers: dict[str, set[str]] = defaultdict(set)
+    for other, transformation in known_units(environment):
+        feedback = {port.name for port in transformation.inputs if port.feedback}
+        for subscription in other.subscriptions:
+            if subscription.port not in feedback:
+                readers[subscription.stream.unit].add(other.id)
+    found, ahead = {unit.id}, [unit.id]
+    for here in ahead:
+        new = readers[here] - found
+        found |= new
+        ahead += sorted(new)
+    return found
