@@ -83,6 +83,26 @@ def test_a_standby_far_ahead_takes_over_before_it_fills_the_memory() -> None:
     assert list(map(times, given_out)) == [[], [], [], [10, 11, 12, 13]]
 
 
+@given(st.integers(0, 20), st.integers(21, 40), st.booleans(), st.booleans())
+def test_what_a_source_that_was_left_too_early_gives_late_is_counted(
+    came: int, joined_at: int, ends: bool, is_asked: bool
+) -> None:
+    """A link is cut after `came` elements; another source has the stream from `joined_at` on."""
+    inlet = InputQueue(limit=10 if is_asked else 3)
+    inlet.attach(1)
+    handed_on = [one for time_ns in range(came) for one in inlet.accept(1, element(time_ns, time_ns))]
+    inlet.attach(2)
+    for number in range(4):
+        handed_on += inlet.accept(2, element(joined_at + number, number))
+    handed_on += inlet.switch() if is_asked else []
+    for time_ns in range(came, joined_at + (0 if ends else 3)):
+        assert inlet.accept(1, element(time_ns, time_ns)) == []
+    inlet.end(1)
+    assert times(handed_on) == [*range(came), *range(joined_at, joined_at + 4)]
+    assert inlet.dropped == joined_at - came
+    assert inlet.sources == {2}
+
+
 def test_gaps_in_the_numbers_are_counted_as_drops() -> None:
     inlet = InputQueue(limit=10)
     inlet.attach(1)

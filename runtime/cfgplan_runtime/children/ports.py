@@ -244,8 +244,8 @@ class Ports:
         port.elements += len(elements)
         for element in elements:
             port.take(element)
-        if len(port.receivers) > (port.inlet.active is not None) + (port.inlet.standby is not None):
-            for wire in [w for w in port.receivers if w not in (port.inlet.active, port.inlet.standby)]:
+        if len(port.receivers) > len(port.inlet.sources):
+            for wire in port.receivers.keys() - port.inlet.sources:
                 self._close(port.receivers.pop(wire))
         if port.inlet.active != port.announced:
             port.announced = port.inlet.active

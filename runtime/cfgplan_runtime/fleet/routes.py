@@ -122,9 +122,9 @@ class Routes:
         self._shared = {key: one for key, one in self._shared.items() if key[0].unit != unit}
 
     def forget_host(self, host: str) -> list[OrderTo]:
-        """A host is gone: release what went there, and let nothing more be fed by what comes from there."""
-        self._shared = {key: one for key, one in self._shared.items() if host not in (one.source, one.target)}
-        return [order for one in list(self._crossings.values()) if one.target == host for order in self._release(one)]
+        """A host is gone: release what went there and what comes from there."""
+        gone = [one for one in self._crossings.values() if host in (one.source, one.target)]
+        return [order for one in gone for order in self._release(one)]
 
     def note_unused(self, name: str, served: int) -> list[OrderTo]:
         """None of the first `served` inputs takes what comes by a crossing any more."""

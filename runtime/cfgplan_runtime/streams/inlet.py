@@ -2,7 +2,8 @@
 
 An inlet has an active source and, while it is rewired, a standby. The standby's elements wait until
 the active source has given everything before the first of them; then the inlet switches, and skips those
-of the standby that are not newer. So the moments of the elements that it hands on always rise.
+of the standby that are not newer. So the moments of the elements that it hands on always rise. If it has to switch
+before that, the former source is read on, and what it gives from before the switch is counted as dropped.
 """
 
 from __future__ import annotations
@@ -22,12 +23,20 @@ class InputQueue:
     limit: int
     active: int | None = None
     standby: int | None = None
+    former: int | None = None
+    """The source that was left too early, until it has given everything from before `_until`."""
     dropped: int = 0
     stale: int = 0
     """How many elements were not newer than the last one handed on."""
     last: Moment = _BEFORE_ALL
     _held: deque[Element] = field(default_factory=deque)
     _next_number: dict[int, int] = field(default_factory=dict)
+    _until: Moment = _BEFORE_ALL
+
+    @property
+    def sources(self) -> set[int]:
+        """The wires that are to be read."""
+        return {wire for wire in (self.active, self.standby, self.former) if wire is not None}
 
     def attach(self, wire: int) -> bool:
         """Add a source. Returns whether it is active at once; otherwise it replaces the standby, if there is one."""
@@ -50,12 +59,20 @@ class InputQueue:
             if len(self._held) > self.limit:
                 return self.switch()
             return self._switch_when_due()
+        if wire == self.former:
+            self._count_drops(wire, element)
+            if element.moment < self._until:
+                self.dropped += 1
+            else:
+                self._forget_former()
         return []
 
     def end(self, wire: int) -> list[Element]:
         """Note the end of `wire`. Returns the elements to hand on now."""
         if wire == self.standby:
             self._forget_standby()
+        elif wire == self.former:
+            self._forget_former()
         elif wire == self.active:
             self.active = None
             self._next_number.pop(wire, None)
@@ -67,10 +84,13 @@ class InputQueue:
         """Make the standby the active source at once. Returns the elements to hand on now."""
         if self.standby is None:
             return []
-        if self.active is not None:
-            self._next_number.pop(self.active, None)
-        self.active, self.standby = self.standby, None
         held, self._held = self._held, deque()
+        if self.active is not None:
+            self._forget_former()
+            self.former, self._until = self.active, held[0].moment if held else _BEFORE_ALL
+            if self._until <= self.last:
+                self._forget_former()
+        self.active, self.standby = self.standby, None
         return self._newer(held)
 
     def _switch_when_due(self) -> list[Element]:
@@ -91,6 +111,11 @@ class InputQueue:
     def _count_drops(self, wire: int, element: Element) -> None:
         self.dropped += element.number - self._next_number.get(wire, 0)
         self._next_number[wire] = element.number + 1
+
+    def _forget_former(self) -> None:
+        if self.former is not None:
+            self._next_number.pop(self.former, None)
+        self.former = None
 
     def _forget_standby(self) -> None:
         if self.standby is not None:
