@@ -15,8 +15,7 @@ from cfgplan.canonical import normal
 from cfgplan.cli import options as shared
 from cfgplan.cli.agent import add_links, reached
 from cfgplan.cli.exits import Exit
-from cfgplan.cli.run_output import printable
-from cfgplan.cli.screen import OUTPUT_VERSION, Screen
+from cfgplan.cli.screen import OUTPUT_VERSION, Screen, printable
 from cfgplan.errors import Fault, InputError
 
 if TYPE_CHECKING:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -15,7 +16,7 @@ from cfgplan.cli import options as shared
 from cfgplan.cli.agent import add_links
 from cfgplan.cli.exits import OF_STATUS, Exit
 from cfgplan.cli.interrupts import Interrupts
-from cfgplan.cli.run_output import RunOutput, output_for
+from cfgplan.cli.run_output import JsonLines, Lines, RunOutput
 from cfgplan.cli.screen import Screen, counted
 from cfgplan.errors import InputError
 from cfgplan.planning import Decider, Problem
@@ -143,7 +144,7 @@ def _operate(options: argparse.Namespace, world: World, screen: Screen) -> Exit:
             interrupts.only_count()
             _await_first_review(operation, interrupts, screen)
             operation.observe()
-            output = output_for(screen, operation, plain=options.plain)
+            output = _output_for(screen, operation, plain=options.plain)
             with output:
                 _hold(operation, output, interrupts, options.span)
         output.sum_up()
@@ -158,6 +159,17 @@ def _await_first_review(operation: Operation, interrupts: Interrupts, screen: Sc
     with screen.phase("plan"):
         while not interrupts.count and not operation.begun.wait(_LIVE_LOOK_S):
             pass
+
+
+def _output_for(screen: Screen, operation: Operation, *, plain: bool) -> RunOutput:
+    """The output that suits where it goes."""
+    if screen.json:
+        return JsonLines(screen, operation)
+    if plain or not sys.stdout.isatty() or os.environ.get("TERM") in (None, "", "dumb"):
+        return Lines(screen, operation)
+    from cfgplan.cli.live_view import LiveView
+
+    return LiveView(screen, operation)
 
 
 def _hold(operation: Operation, output: RunOutput, interrupts: Interrupts, span_s: float | None) -> None:

@@ -1,17 +1,14 @@
-"""What `cfgplan run` shows while it runs: a live view, lines of text when piped, or JSON lines."""
+"""What `cfgplan run` shows while it runs, where that is no live view: lines of text, or JSON lines."""
 
 from __future__ import annotations
 
 import json
-import os
 import queue
-import re
-import sys
 from collections.abc import Iterator
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Protocol
 
-from cfgplan.cli.screen import OUTPUT_VERSION, Screen, counted
+from cfgplan.cli.screen import OUTPUT_VERSION, Screen, counted, printable
 
 if TYPE_CHECKING:
     from cfgplan_runtime.operating.operation import News, Operation
@@ -34,17 +31,6 @@ class RunOutput(Protocol):
 
     def sum_up(self) -> None:
         """Print the summary, after the end."""
-
-
-def output_for(screen: Screen, operation: Operation, *, plain: bool) -> RunOutput:
-    """The output that suits where it goes."""
-    if screen.json:
-        return JsonLines(screen, operation)
-    if plain or not sys.stdout.isatty() or os.environ.get("TERM") in (None, "", "dumb"):
-        return Lines(screen, operation)
-    from cfgplan.cli.live_view import LiveView
-
-    return LiveView(screen, operation)
 
 
 def running_text(operation: Operation) -> str:
@@ -151,10 +137,6 @@ class JsonLines:
         self._screen.tell(json.dumps({"format_version": OUTPUT_VERSION, "event": event, **facts}))
 
 
-_ESCAPE = re.compile(r"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)|.)")
-"""A terminal's control sequence."""
-
-
 def fetched(operation: Operation, wait_s: float) -> Iterator[News]:
     """The waiting news, at most one queue full; waits at most `wait_s` for the first."""
     try:
@@ -163,11 +145,6 @@ def fetched(operation: Operation, wait_s: float) -> Iterator[News]:
             yield operation.news.get_nowait()
     except queue.Empty:
         return
-
-
-def printable(text: str) -> str:
-    """The text without control sequences and other characters that a terminal would obey."""
-    return "".join(c if c.isprintable() else " " for c in _ESCAPE.sub("", text).expandtabs())
 
 
 def show_ledger(operation: Operation, screen: Screen) -> None:

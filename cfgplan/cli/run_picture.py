@@ -13,8 +13,7 @@ from rich.rule import Rule
 from rich.table import Table
 from rich.text import Text
 
-from cfgplan.cli.run_output import printable
-from cfgplan.cli.screen import counted
+from cfgplan.cli.screen import counted, printable
 
 T = TypeVar("T")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -23,6 +24,15 @@ if TYPE_CHECKING:
 OUTPUT_VERSION = 1
 FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 _WIDTH_OF_A_FILE = 1000
+
+
+_ESCAPE = re.compile(r"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)|.)")
+"""A terminal's control sequence."""
+
+
+def printable(text: str) -> str:
+    """The text without control sequences and other characters that a terminal would obey."""
+    return "".join(c if c.isprintable() else " " for c in _ESCAPE.sub("", text).expandtabs())
 
 
 def counted(number: int, one: str, many: str | None = None) -> str:

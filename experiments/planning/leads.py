@@ -12,8 +12,7 @@ from math import exp, log
 
 from cfgplan.comparing import RunFailure
 from experiments.study.invariants import by_instance
-from experiments.study.report import SHORTEST_PROOF_S
-from experiments.study.rows import Row
+from experiments.study.rows import SHORTEST_PROOF_S, Row
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ from cfgplan.planning import Status
 from experiments.planning.leads import Lead, lead, matched, seconds
 from experiments.planning.scale_suite import SCALE
 from experiments.study.invariants import gap, references
-from experiments.study.report import Table, head, planners
-from experiments.study.rows import Row
+from experiments.study.report import Table, head
+from experiments.study.rows import Row, planners
 
 BASE = "cpsat"
 PARTS = ("cuts-alone",)

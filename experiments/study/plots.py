@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from cfgplan.comparing import RunFailure
 from experiments.study.invariants import by_instance, gap, references
-from experiments.study.report import SHORTEST_PROOF_S, planners
-from experiments.study.rows import Row
+from experiments.study.rows import SHORTEST_PROOF_S, Row, planners
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

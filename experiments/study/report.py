@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import exp, log
 from pathlib import Path
@@ -12,10 +12,7 @@ from statistics import median
 from cfgplan.comparing.runs import PROVEN, RunFailure
 from cfgplan.planning import Status
 from experiments.study.invariants import LeastCost, breaches, by_instance, gap, references
-from experiments.study.rows import Row
-
-SHORTEST_PROOF_S = 1e-4
-"""Times below are taken for this when ratios are formed."""
+from experiments.study.rows import SHORTEST_PROOF_S, Row, planners
 
 
 @dataclass(frozen=True)
@@ -149,11 +146,6 @@ def effort(rows: Sequence[Row]) -> Table:
         lines.append((instance[0], *cells))
     title = "Every run: nodes (branch-and-bound, HiGHS), conflicts (cpsat, clingo), expanded states, or wirings tried"
     return Table(title, ("instance", *names), tuple(lines))
-
-
-def planners(rows: Iterable[Row]) -> tuple[str, ...]:
-    """The planners in the order of their first rows."""
-    return tuple(dict.fromkeys(row.planner for row in rows))
 
 
 def ratio_to(rows: Sequence[Row], planner: str, base: str) -> tuple[float | None, int]:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from cfgplan.comparing import Run
 from cfgplan.errors import Fault, InputError
+
+SHORTEST_PROOF_S = 1e-4
+"""Times below are taken for this when ratios are formed."""
 
 RunKey = tuple[str, str, str, float, int | None]
 
@@ -33,6 +36,11 @@ class Row(Run):
     def key(self) -> RunKey:
         """What must be equal for a run to be the same one."""
         return (self.instance, self.digest, self.planner, self.time_limit_s, self.memory_mb)
+
+
+def planners(rows: Iterable[Row]) -> tuple[str, ...]:
+    """The planners in the order of their first rows."""
+    return tuple(dict.fromkeys(row.planner for row in rows))
 
 
 def read_rows(path: Path) -> list[Row]:
