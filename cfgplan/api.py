@@ -316,9 +316,11 @@ def accepted(problem: Problem, answer: Plan) -> Plan:
     return answer
 
 
-def violations(environment: Environment, similarity: Similarity, survive: Failures | None = None) -> list[Violation]:
+def violations(
+    environment: Environment, similarity: Similarity, survive: Failures | None = None, horizon_s: int = 0
+) -> list[Violation]:
     """Every rule that a running configuration violates (Definition 9); see `cfgplan.validity`."""
-    return validity.violations(environment, similarity, survive)
+    return validity.violations(environment, similarity, survive, horizon_s)
 
 
 def plan_violations(problem: Problem, plan: Plan) -> list[Violation]:

@@ -21,6 +21,7 @@ from cfgplan.selectors import selector
 from cfgplan.transformations import ALL as ALL
 from cfgplan.transformations import CPU as CPU
 from cfgplan.transformations import MEMORY as MEMORY
+from cfgplan.transformations import POWER as POWER
 from cfgplan.transformations import START_MODES as START_MODES
 from cfgplan.transformations import InputPort as InputPort
 from cfgplan.transformations import OutputPort as OutputPort
@@ -127,6 +128,7 @@ class Host:
     `offers` says how much it has of other resources, in whole numbers: of what is not there it has nothing. A unit
     takes the CPU time of its transformation divided by `speed`, which is in millionths. Selectors choose it by its name
     and its `labels`. While a unit is there, running or as a cold spare, it costs `rent_us` each second at any speed.
+    It has `energy` (watt seconds; None: no limit) for the power that units there need over the horizon.
     """
 
     name: str
@@ -136,26 +138,31 @@ class Host:
     speed: int = MICRO
     labels: tuple[str, ...] = ()
     rent_us: int = 0
+    energy: int | None = None
 
     def __post_init__(self) -> None:
         store_whole(self, "speed")
         store_whole(self, "rent_us")
+        store_whole(self, "energy")
         store_sorted(self, "labels", dict.fromkeys(self.labels), str)
         if self.speed <= 0:
             raise InvalidValueError(f"the speed of host {self.name!r} is not above 0")
-        if self.rent_us < 0:
-            raise InvalidValueError(f"the rent of host {self.name!r} is negative")
+        if self.rent_us < 0 or (self.energy or 0) < 0:
+            raise InvalidValueError(f"the rent or the energy of host {self.name!r} is negative")
         store_resources(self, "offers", {CPU: "cpu_us", MEMORY: "memory_mb"})
 
     def fits(self, text: str) -> bool:
         """Whether a selector, an expression over labels, chooses the host. Raises TagError."""
         return selector(text)((self.name, *self.labels))
 
-    def room(self, resource: str) -> int | None:
-        """How much units may take there in all of what `Transformation.takes` names; None: no limit."""
+    def room(self, resource: str, horizon_s: int = 0) -> int | None:
+        """How much units may take there in all of what `Transformation.takes` names, over a horizon; None: no limit."""
         if resource in (CPU, MEMORY):
             return self.cpu_us if resource == CPU else self.memory_mb
-        return self.offers.get(resource, 0)
+        if resource != POWER:
+            return self.offers.get(resource, 0)
+        lasting = None if self.energy is None or not horizon_s else self.energy // horizon_s
+        return min((most for most in (self.offers.get(POWER), lasting) if most is not None), default=None)
 
 
 @dataclass(frozen=True)

@@ -83,13 +83,13 @@ class OutputPort:
         return -(-self.rate_uhz * self.size_bytes // 1_000_000)
 
 
-CPU, MEMORY = "cpu", "memory"
+CPU, MEMORY, POWER = "cpu", "memory", "power"
 """The resources of hosts that have units of their own, and no limit where a host does not say one."""
 
 
 def amount_of(resource: str, amount: int) -> str:
     """An amount of a resource for people: `300 MB of memory`, `1 gpu`."""
-    unit = {CPU: "us of CPU time each second", MEMORY: "MB of memory"}.get(resource, resource)
+    unit = {CPU: "us of CPU time each second", MEMORY: "MB of memory", POWER: "W of power"}.get(resource, resource)
     return f"{amount} {unit}"
 
 

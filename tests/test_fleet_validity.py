@@ -88,6 +88,15 @@ def test_a_host_that_takes_more_than_it_has_is_overloaded() -> None:
     assert rules(replace(roomy, hosts=(Host("robot", 6, 50), HOSTS[1]))) == set()
 
 
+def test_energy_has_to_last_for_the_horizon() -> None:
+    hosts = (Host("robot", energy=80), HOSTS[1])
+    powered = replace(VALID, hosts=hosts, library=(replace(CAMERA, needs={"power": 8}), DETECTOR))
+    assert violations(powered, SIMILARITY, horizon_s=10) == []
+    assert {v.rule for v in violations(powered, SIMILARITY, horizon_s=11)} == {Broken.CAPACITY}
+    plan = Problem(replace(powered, units=()), SIMILARITY, horizon_s=11)
+    assert Broken.CAPACITY in {v.rule for v in plan_violations(plan, PLAN)}
+
+
 def test_memory_that_is_not_stated_is_the_most_that_a_unit_may_take() -> None:
     assert replace(CAMERA, memory_mb=None, run=replace(CAMERA.run, memory_mb=70)).needs_mb == 70
     assert replace(CAMERA, memory_mb=None).needs_mb == 0

@@ -34,7 +34,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     with screen.phase("match"):
         matches.decide([*used_pairs(world.environment, matches.similarity)])
     problem = shared.problem(options, screen, world, matches)
-    found = api.violations(problem.environment, problem.similarity, problem.survive)
+    found = api.violations(problem.environment, problem.similarity, problem.survive, problem.horizon_s)
     broken = sum(not violation.is_open for violation in found)
     is_open = bool(found) and not broken
     if screen.json:

@@ -78,6 +78,7 @@ def horizon_sensitivity(problem: Problem, planner: Planner) -> Sensitivity:
     between hosts cost a fraction of a microsecond each second: such costs are rounded, and no straight lines.
     """
     _refuse_rounding(problem)
+    _refuse_energy(problem)
     library = problem.environment.transformation
 
     def at(horizon_s: int) -> Problem:
@@ -217,6 +218,15 @@ def _refuse_rounding(problem: Problem) -> None:
                     "rounded for each horizon: the least cost has no exact break points",
                     mend="choose `transfer` so that whole microseconds come out, or solve with several --horizon",
                 )
+
+
+def _refuse_energy(problem: Problem) -> None:
+    for host in problem.environment.hosts:
+        if host.energy is not None:
+            raise InputError.of(
+                f"host {host.name} has an energy: what it bears changes with the horizon, and the least cost jumps",
+                mend="solve with several --horizon, or leave the energy out",
+            )
 
 
 def _refuse_limits(problem: Problem, kind: Transformation) -> None:

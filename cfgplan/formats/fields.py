@@ -341,6 +341,9 @@ class HostPart(Part):
     memory: int | None = row("megabytes that units may take; no limit if absent", to="memory_mb", ge=0)
     offers: Resources | None = row("how much it has of other resources, by name; nothing of what is absent")
     rent: Cost = row("CPU seconds per second that it costs while a unit is there, spares too", 0, "rent_us")
+    energy: int | None = row(
+        "watt seconds for the `power` (watts) that units there need over the horizon; no limit if absent", ge=0
+    )
     speed: Speed = row("what the CPU seconds of labor, upkeep and standby are divided by on it", 1)
 
 

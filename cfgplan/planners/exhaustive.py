@@ -127,7 +127,7 @@ def _configurations(
             after = replace(environment, units=wired)
             more_us = carried_us(after, problem.horizon_s) + priced_us(after) + unfed_us(after, problem.horizon_s)
             rank = OracleRank(len(unused_required(after)), least.cost_us + more_us, rewired, least.started)
-            if may_do(rank) and not violations(after, similarity, problem.survive):
+            if may_do(rank) and not violations(after, similarity, problem.survive, problem.horizon_s):
                 yield rank, after
 
 
@@ -213,7 +213,7 @@ def _sets(problem: Problem, steps: _Steps) -> list[tuple[OracleRank, Units]]:
     for units in sets:
         steps.look()
         after = replace(environment, units=units)
-        if _is_allowed(after):
+        if _is_allowed(after, problem.horizon_s):
             found.append((_least(problem, after), units))
     return found
 
@@ -233,9 +233,9 @@ def _places(problem: Problem, transformation: Transformation) -> Iterator[tuple[
             yield host, True
 
 
-def _is_allowed(after: Environment) -> bool:
-    rules = (instance_violations, placing_violations, company_violations)
-    return not any(any(rule(after)) for rule in rules)
+def _is_allowed(after: Environment, horizon_s: int) -> bool:
+    broken = (instance_violations(after), placing_violations(after, horizon_s), company_violations(after))
+    return not any(any(each) for each in broken)
 
 
 def _least(problem: Problem, after: Environment) -> OracleRank:

@@ -16,10 +16,12 @@ from cfgplan.validity.rules import Rule, Violation
 from cfgplan.validity.survival import justified_spares, survival_violations
 
 
-def violations(environment: Environment, similarity: Similarity, survive: Failures | None = None) -> list[Violation]:
+def violations(
+    environment: Environment, similarity: Similarity, survive: Failures | None = None, horizon_s: int = 0
+) -> list[Violation]:
     """Every rule that the running configuration violates; empty when it is valid (Definition 9).
 
-    With `survive`, it must bear every single failure of that kind too.
+    With `survive`, it must bear every single failure of that kind too; the energy of hosts has to last for the horizon.
     """
     return [
         *_unknown_transformations(environment),
@@ -30,7 +32,7 @@ def violations(environment: Environment, similarity: Similarity, survive: Failur
         *_cycles(environment),
         *_indistinct_feeds(environment),
         *quality_violations(environment),
-        *placing_violations(environment),
+        *placing_violations(environment, horizon_s),
         *company_violations(environment),
         *instance_violations(environment),
         *survival_violations(environment, similarity, survive),

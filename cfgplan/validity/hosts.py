@@ -7,13 +7,16 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator
 from fractions import Fraction
 
-from cfgplan.domain import CPU, ComputationUnit, Environment, Transformation, amount_of
+from cfgplan.domain import CPU, POWER, ComputationUnit, Environment, Transformation, amount_of
 from cfgplan.validity.reading import known_units
 from cfgplan.validity.rules import Rule, Violation
 
 
-def placing_violations(environment: Environment) -> Iterator[Violation]:
-    """Units on no host or a wrong one, and hosts with too many units; nothing where there are no hosts."""
+def placing_violations(environment: Environment, horizon_s: int = 0) -> Iterator[Violation]:
+    """Units on no host or a wrong one, and hosts with too many units; nothing where there are no hosts.
+
+    Energy has to last for the horizon.
+    """
     if not environment.hosts:
         return
     for unit, transformation in known_units(environment):
@@ -35,6 +38,10 @@ def placing_violations(environment: Environment) -> Iterator[Violation]:
             if room is not None and taken > room:
                 text = f"the units on {host.name} take {amount_of(resource, taken)}, but it has {room}"
                 yield Violation(Rule.CAPACITY, text)
+        energy = horizon_s * sum(takes.get(POWER, 0) for takes in there)
+        if host.energy is not None and energy > host.energy:
+            text = f"the units on {host.name} take {energy} Ws of energy in {horizon_s} s, but it has {host.energy}"
+            yield Violation(Rule.CAPACITY, text)
 
 
 def company_violations(environment: Environment) -> Iterator[Violation]:

@@ -35,7 +35,7 @@ def plan_violations(problem: Problem, plan: Plan) -> list[Violation]:
     except InvalidValueError as error:
         return [Violation(Rule.CONSISTENT, str(error))]
     return [
-        *violations(after, problem.similarity, problem.survive),
+        *violations(after, problem.similarity, problem.survive, problem.horizon_s),
         *_bad_change_set(problem.environment, plan, after),
         *_dropped_pinned_units(problem, plan, after),
         *_misreported_required(plan, after),
@@ -134,7 +134,7 @@ def _misreported_required(plan: Plan, after: Environment) -> Iterator[Violation]
 def _refuted_by_what_runs(problem: Problem, plan: Plan) -> Iterator[Violation]:
     """The claims about all plans that what runs refutes, if that is valid and the plan changes something."""
     before, changes = problem.environment, plan.change_set
-    if not changes or violations(before, problem.similarity, problem.survive):
+    if not changes or violations(before, problem.similarity, problem.survive, problem.horizon_s):
         return
     cost, more_unused = cost_us(problem, before), len(unused_required(before)) - len(plan.unused_required)
     if plan.required_proven and more_unused < 0:

@@ -377,6 +377,7 @@ JUDGE = _room(
     ("a unit runs alone", "hosts.py", "if (other, unit.host) not in running:", "if False:"),
     ("company is needless", "reading.py", "if len(ids) == 1]", "if len(ids) == 9]"),
     ("the failure of its company is not a unit's", "survival.py", "there.issuperset(kind.beside) and ", ""),
+    ("energy never ends", "hosts.py", "energy > host.energy:", "False:"),
     ("too many units are on one host", "hosts.py", "number > most:", "number < 0:"),
     ("too few units run", "environments.py", "if len(running[label]) < transformation.min_instances:", "if False:"),
 )

@@ -44,7 +44,8 @@ def fleets(draw: st.DrawFn, notions: frozenset[Notion], *, most: int = 3) -> Pro
     environment = plain.environment
     hosts = HOSTS[: draw(st.integers(1, 3))] if Notion.HOSTS in notions else ()
     rents = st.sampled_from([0, 0, 1, 4])
-    hosts = tuple(replace(host, speed=draw(SPEEDS), rent_us=draw(rents)) for host in hosts)
+    energies = st.sampled_from([None, None, plain.horizon_s, 2 * plain.horizon_s + 1])
+    hosts = tuple(replace(h, speed=draw(SPEEDS), rent_us=draw(rents), energy=draw(energies)) for h in hosts)
     qualities = draw(attributes()) if Notion.QUALITY in notions else ()
     labels = [t.label for t in environment.library]
     library = [draw(transformations(t, labels, hosts, qualities, notions)) for t in environment.library]
@@ -109,7 +110,8 @@ def transformations(
         changes["on"] = draw(SELECTORS)
         changes["memory_mb"] = draw(st.sampled_from([None, 0, 1, 2, 3]))
         changes["seen_us"] = draw(st.sampled_from([{}, {}, {names[0]: (1, 2)}, {names[-1]: (3, 0)}]))
-        changes["needs"] = draw(st.sampled_from([{}, {}, {}, {"gpu": 0}, {"gpu": 1}, {"gpu": 2}]))
+        needs = [{}, {}, {}, {"gpu": 0}, {"gpu": 1}, {"gpu": 2}, {"power": 1}, {"power": 2}]
+        changes["needs"] = draw(st.sampled_from(needs))
     if Notion.CONFLICTS in notions:
         changes["conflicts"] = tuple(draw(st.sets(st.sampled_from(labels), max_size=1)) - {plain.label})
         changes["conflicts_on_host"] = tuple(draw(st.sets(st.sampled_from(labels), max_size=1)) - {plain.label})

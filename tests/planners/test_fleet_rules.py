@@ -64,6 +64,8 @@ def test_a_running_unit_stays_on_its_host(model: type[Hubs]) -> None:
         (Host("h0", cpu_us=5), {"upkeep_us": 3}),
         (Host("h0", memory_mb=5), {"memory_mb": 3}),
         (Host("h0", offers={"gpu": 5}), {"needs": {"gpu": 3}}),
+        (Host("h0", energy=5), {"needs": {"power": 3}}),
+        (Host("h0", energy=50, offers={"power": 5}), {"needs": {"power": 3}}),
     ],
 )
 def test_a_host_bears_its_units(model: type[Hubs], small: Host, takes: dict[str, Any]) -> None:
@@ -71,6 +73,15 @@ def test_a_host_bears_its_units(model: type[Hubs], small: Host, takes: dict[str,
     assert fixed.allows(on("s.1", "h0"), on("f.1", "h1"))
     assert fixed.allows(on("s.1", "h1"), on("f.1", "h1"))
     assert not fixed.allows(on("s.1", "h0"), on("f.1", "h0"))
+
+
+@every_model
+@pytest.mark.parametrize(("energy", "is_enough"), [(39, False), (40, True), (None, True)])
+def test_energy_lasts_for_the_horizon(model: type[Hubs], energy: int | None, is_enough: bool) -> None:
+    fixed = model(
+        world("A", kind("s", gives="A", needs={"power": 4}), hosts=(Host("h0", energy=energy),), horizon_s=10)
+    )
+    assert fixed.allows(on("s.1", "h0")) == is_enough
 
 
 @every_model

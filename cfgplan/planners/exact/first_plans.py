@@ -163,7 +163,7 @@ class FirstPlans:
         there = Counter(unit.transformation for unit in units)
         running = Counter(unit.transformation for unit in units if not unit.standby)
         kinds = [environment.transformation[label] for label in there]
-        rooms = Rooms(environment)
+        rooms = Rooms(self.candidates.problem)
         return (
             all(
                 is_met(environment.quality[wish.attribute], wish, reached[target.label][wish.attribute])

@@ -6,16 +6,17 @@ from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping
 
 from cfgplan.costs import taken, transfer_cost_us
-from cfgplan.domain import Environment, Stream, Transformation, amount_of
+from cfgplan.domain import Stream, Transformation, amount_of
 from cfgplan.planners.exact.candidates import Candidates, HostName
 from cfgplan.planners.exact.grounded import Grounded
+from cfgplan.planning import Problem
 
 
 class Rooms:
     """What is on each host so far. Where there are no hosts, all is on one that has room for everything."""
 
-    def __init__(self, environment: Environment) -> None:
-        self._environment = environment
+    def __init__(self, problem: Problem) -> None:
+        self._problem, self._environment = problem, problem.environment
         self._taken: Counter[tuple[HostName, str]] = Counter()
         self._there: dict[HostName, Counter[str]] = defaultdict(Counter)
 
@@ -32,7 +33,7 @@ class Rooms:
         """What a host would have to have for one more unit, in words."""
         host = None if name is None else self._environment.host[name]
         for resource, amount in self._takes(kind, name).items():
-            room = None if host is None else host.room(resource)
+            room = None if host is None else host.room(resource, self._problem.horizon_s)
             if room is not None and self._taken[name, resource] + amount > room:
                 yield f"{amount_of(resource, amount)} left"
         if kind.per_host is not None and self._there[name][kind.label] >= kind.per_host:
@@ -66,7 +67,7 @@ class Places:
         self.host_of: dict[int, HostName] = {}
         self.feeds: dict[tuple[int, str], Stream] = {}
         self.published: dict[str, Stream] = {}
-        self._rooms = Rooms(candidates.environment)
+        self._rooms = Rooms(candidates.problem)
         self._price_us: dict[Stream, int] = {}
 
     def put_all(self, grounded: Grounded, but_on: HostName = None) -> bool:

@@ -51,7 +51,7 @@ def _missed_bound(candidates: Candidates, target: Target) -> str | None:
 def _missing_room(problem: Problem, target: Target) -> str | None:
     """Name a transformation that never runs: too large for its hosts, or short of feeders; None if none is needed."""
     library, givers = problem.environment.library, Givers(problem.environment.library, problem.similarity)
-    lacks = ((t.label, _lack(problem.environment, t) or _missing_streams(problem, givers, t)) for t in library)
+    lacks = ((t.label, _lack(problem, t) or _missing_streams(problem, givers, t)) for t in library)
     too_large = {label: lack for label, lack in lacks if lack}
     if not too_large or _has_stream(problem, target, too_large):
         return None
@@ -90,8 +90,9 @@ def _missing_together(problem: Problem) -> str | None:
             if resource in t.needs:
                 is_needed = not all(_has_stream(problem, target, {t.label}) for target in environment.targets)
                 needed[t.label] = t.needs[resource] * max(t.min_instances, is_needed)
-        room = sum(host.room(resource) or 0 for host in environment.hosts)
-        if sum(needed.values()) > room:
+        rooms = [host.room(resource, problem.horizon_s) for host in environment.hosts]
+        room = sum(most or 0 for most in rooms)
+        if None not in rooms and sum(needed.values()) > room:
             names = ", ".join(label for label, amount in needed.items() if amount)
             return f": {names} need {sum(needed.values())} {resource}, but all hosts have {room}"
     return None
@@ -101,7 +102,7 @@ def _missing_host(problem: Problem) -> str | None:
     """Name the first unit of a transformation that finds no host, even if nothing else is there; or None."""
     environment = problem.environment
     for t in environment.library:
-        rooms, hosts = Rooms(environment), environment.hosts_for(t)
+        rooms, hosts = Rooms(problem), environment.hosts_for(t)
         for number in range(1, t.min_instances + 1):
             if not any(rooms.put(t, host) for host in hosts):
                 lacks = sorted({lack for host in hosts for lack in rooms.lacks(t, host)})
@@ -110,20 +111,21 @@ def _missing_host(problem: Problem) -> str | None:
     return None
 
 
-def _lack(environment: Environment, t: Transformation) -> str | None:
+def _lack(problem: Problem, t: Transformation) -> str | None:
+    environment = problem.environment
     hosts = [host for host in environment.places_for(t) if host is not None]
     if environment.hosts and not hosts:
         return f"no host is one that {t.label} may run on" + (f": {t.on}" if t.on else "")
     for label in t.beside if hosts else ():
         other = environment.transformation.get(label)
         both = [] if other is None else [h.name for h in hosts if h.name in environment.hosts_for(other)]
-        if other is None or not any((room := Rooms(environment)).put(t, h) and room.put(other, h) for h in both):
+        if other is None or not any((room := Rooms(problem)).put(t, h) and room.put(other, h) for h in both):
             return f"no host bears {t.label} together with {label}"
     for resource in sorted(t.takes):
         lacks = [
             (amount := taken(t, host)[resource], room is not None and amount > room)
             for host in hosts
-            for room in [host.room(resource)]
+            for room in [host.room(resource, problem.horizon_s)]
         ]
         if hosts and all(is_too_little for _, is_too_little in lacks):
             return f"no host where {t.label} may run has {amount_of(resource, min(lacks)[0])}"

@@ -389,7 +389,7 @@ def hosts_bear_their_units(model: Model) -> None:
             for literal in ([on[host.name]] if host.name in on else [])
         ]
         for resource in sorted({resource for _, takes in here for resource in takes}):
-            room = host.room(resource)
+            room = host.room(resource, model.problem.horizon_s)
             if room is not None:
                 taken = [takes.get(resource, 0) * literal for literal, takes in here]
                 model.cp.add(LinearExpr.sum(taken) <= room)

@@ -293,7 +293,8 @@ def _judged(thought: Thought, found: BestEffort, *, optimises: bool) -> Thought:
     # The planner does not know of what is left out, which may be all that is missing.
     left_out = f" (left out for now: {', '.join(sorted(thought.avoided))})" if thought.avoided else ""
     given_up = {label: f"{reason}{left_out}" for label, reason in found.given_up.items()}
-    violations = validity.violations(planned, found.problem.similarity, found.problem.survive)
+    asked = found.problem
+    violations = validity.violations(planned, asked.similarity, asked.survive, asked.horizon_s)
     unmet_now = {violation.target for violation in violations if violation.rule is Rule.MET}
     thought = replace(
         thought,
