@@ -57,6 +57,9 @@ def _whole(run: str, environment: str, pid: int, state: Mapping[str, Any]) -> It
     if state["clocks_ahead_us"]:
         clocks = (f"{host} {ahead_us / 1e6:+.4f} s" for host, ahead_us in sorted(state["clocks_ahead_us"].items()))
         yield Text(f"Clocks of hosts against this one: {', '.join(clocks)} (corrected).")
+    if state["crossings"]:
+        yield Text("Streams between hosts:")
+        yield _crossings(state["crossings"])
     if state["declared"]:
         yield Text(f"Added: {', '.join(state['declared'])}.")
     if state["removed"]:
@@ -132,6 +135,14 @@ def _fault(fault: Mapping[str, Any]) -> Text:
     place = ":".join(str(fault[key]) for key in ("file", "line", "column") if fault[key] is not None)
     said = f"{place}: {fault['message']}" if place else fault["message"]
     return Text(f"The file can't be used, what it said before holds: {said}", style="bold red")
+
+
+def _crossings(crossings: list[Mapping[str, Any]]) -> RenderableType:
+    table = Table("stream", "from", "to", "elements", "dropped", "waiting", box=None)
+    for one in crossings:
+        counts = (str(one[key]) for key in ("elements", "dropped", "waiting"))
+        table.add_row(one["stream"] or "of units that are gone", one["from"], one["to"], *counts)
+    return table
 
 
 def _targets(state: Mapping[str, Any], room: int | None = None) -> RenderableType:

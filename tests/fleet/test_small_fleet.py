@@ -14,6 +14,7 @@ from cfgplan_runtime.errors import ApplyError
 from cfgplan_runtime.fleet.agent import alive_key
 from cfgplan_runtime.fleet.certificates import MANAGER
 from cfgplan_runtime.fleet.links import config
+from cfgplan_runtime.operating.flows import Flows
 from cfgplan_runtime.streams.run_folder import address, base_folder, topics_of
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
 from cfgplan_runtime.supervision.events import HostJoined, HostLost, SourceExhausted, UnitDied
@@ -242,6 +243,22 @@ def test_a_full_input_that_blocks_makes_a_source_on_another_host_wait() -> None:
         listener = Listener(runtime)
         listener.await_more(100)
         assert listener.values == list(range(listener.values[0], listener.values[0] + len(listener.values)))
+
+
+def test_what_goes_between_hosts_is_counted_by_stream_and_hosts() -> None:
+    with small_fleet("r1", "r2") as fleet, fleet.runtime(source(), worker()) as runtime:
+        flows = Flows()
+        runtime.listen(flows.hear)
+        runtime.apply(ChangeSet(started=(COUNT, WORK)))
+        there, back = ("count.1/n", "r1", "r2"), ("work.1/y", "r2", "r1")
+
+        def elements(*labels: tuple[str, str, str]) -> int:
+            return min(flows.crossings[one].elements if one in flows.crossings else 0 for one in labels)
+
+        eventually(lambda: elements(there, back) > 20)
+        runtime.apply(ChangeSet(stopped=("count.1", "work.1")))
+        eventually(lambda: elements(("", "r1", "r2"), ("", "r2", "r1")) > 20)
+        assert {counts.dropped for counts in flows.crossings.values()} == {0}
 
 
 def test_what_a_killed_manager_has_left_goes_on_under_the_next_without_a_gap() -> None:

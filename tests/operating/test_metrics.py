@@ -10,12 +10,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from cfgplan_runtime.children.messages import Flow, PortCounts
+from cfgplan_runtime.children.messages import CrossingCounts, Flow, PortCounts
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.lifecycle.perturbations import HorizonReached, UnitGone
 from cfgplan_runtime.lifecycle.reports import Decision, Perturbed, Reviewed, Snapshot, UnitEvent, UnitView
+from cfgplan_runtime.operating.flows import Flows
 from cfgplan_runtime.operating.metrics import Metrics, MetricsServer, serve
-from cfgplan_runtime.supervision.events import UnitDied
+from cfgplan_runtime.supervision.events import CrossingsStatus, Event, TopicsStatus, UnitDied
 from fake_manager import DETECTOR, REVIEW, SNAPSHOT, observation
 from prometheus_client.parser import text_string_to_metric_families
 
@@ -24,11 +25,26 @@ SEEN = replace(observation("detector.1"), inputs=PORTS, outputs={"ball": PortCou
 UNIT = {"unit": "detector.1", "transformation": "detector", "host": "nao1"}
 
 
+class StillFlows(Flows):
+    """Flows as they were told, however long ago."""
+
+    def hear(self, event: Event) -> None:
+        super().hear(event)
+        if isinstance(event, TopicsStatus):
+            self.told = event.flows
+
+    def now(self) -> dict[str, Flow]:
+        return self.told
+
+
 class Scraped:
     def __init__(self) -> None:
         self.snapshot = replace(SNAPSHOT, units=(UnitView(DETECTOR, "nao1", SEEN),))
-        self.flows = {"/result": Flow(rate_hz=29.5, latency_ms=12.0, elements=300)}
-        self.metrics = Metrics(self._look, lambda: self.flows)
+        flows = self.flows = StillFlows()
+        flows.hear(TopicsStatus({"/result": Flow(rate_hz=29.5, latency_ms=12.0, elements=300)}))
+        image, gone = ("camera.1/image", "r1", "base"), ("", "r1", "base")
+        flows.hear(CrossingsStatus({image: CrossingCounts(900, 30, 8), gone: CrossingCounts(70, 5)}))
+        self.metrics = Metrics(self._look, flows)
         self.server: MetricsServer = serve(0, self.metrics)
 
     def _look(self) -> Snapshot:
@@ -93,6 +109,14 @@ def test_a_units_ports_show_elements_drops_and_queue(scrape: Scraped) -> None:
     assert scrape("unit_output_elements_total", **UNIT, port="ball") == 80
 
 
+def test_streams_between_hosts_show_their_drops(scrape: Scraped) -> None:
+    hosts = {"from": "r1", "to": "base"}
+    assert scrape("crossing_elements_total", stream="camera.1/image", **hosts) == 900
+    assert scrape("crossing_dropped_elements_total", stream="camera.1/image", **hosts) == 30
+    assert scrape("crossing_waiting_elements", stream="camera.1/image", **hosts) == 8
+    assert scrape("crossing_dropped_elements_total", stream="", **hosts) == 5
+
+
 def test_a_target_shows_whether_it_is_met_its_rate_and_latency(scrape: Scraped) -> None:
     assert scrape("target_met", target="ball", topic="/result") == 1
     assert scrape("target_met", target="goal", topic="/goal") == 0
@@ -103,11 +127,11 @@ def test_a_target_shows_whether_it_is_met_its_rate_and_latency(scrape: Scraped) 
 
 
 def test_a_met_target_on_which_nothing_comes_is_shown_at_no_hertz(scrape: Scraped) -> None:
-    scrape.flows = {"/result": Flow()}
+    scrape.flows.hear(TopicsStatus({"/result": Flow()}))
     assert scrape("target_met", target="ball", topic="/result") == 1
     assert scrape("target_rate_hertz", target="ball", topic="/result") == 0
     assert scrape("target_silent_seconds", target="ball", topic="/result") is None
-    scrape.flows = {"/result": Flow(silent_s=75.0)}
+    scrape.flows.hear(TopicsStatus({"/result": Flow(silent_s=75.0)}))
     assert scrape("target_silent_seconds", target="ball", topic="/result") == 75
 
 

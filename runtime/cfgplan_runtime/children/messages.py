@@ -230,6 +230,14 @@ class ImportUnused(msgspec.Struct, tag=True):
     served: int
 
 
+class CrossingCounts(msgspec.Struct, frozen=True):
+    """Of a stream to another host: what there was to send, what had no room, and what has not arrived yet."""
+
+    elements: int = 0
+    dropped: int = 0
+    waiting: int = 0
+
+
 FromChild: TypeAlias = Ready | Switched | Lost | Trouble | Exhausted | UnitSign | Flowing | Unserved | ImportUnused
 
 

@@ -325,6 +325,7 @@ class Agent:
                 self._imports[crossing] = HeldImport(order)
                 backend.tell_relay(order)
             case Release(crossing):
+                self._tell_usage(())  # the last that is heard of it
                 self._exports.pop(crossing, None)
                 self._imports.pop(crossing, None)
                 backend.tell_relay(order)
@@ -394,8 +395,9 @@ class Agent:
 
     def _tell_usage(self, units: Iterable[str]) -> None:
         usage = {unit: used for unit in units if (used := self._backend.usage(unit)) is not None}
-        if usage:
-            self._say(UsageTold(usage))
+        crossings = self._relay.counts()
+        if usage or crossings:
+            self._say(UsageTold(usage, crossings))
 
 
 def _supersedes(session: Session, other: Session) -> bool:

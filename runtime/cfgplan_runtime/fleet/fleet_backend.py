@@ -50,7 +50,7 @@ from cfgplan_runtime.fleet.orders import (
     event_of,
     read_session,
 )
-from cfgplan_runtime.fleet.routes import OrderTo, Routes
+from cfgplan_runtime.fleet.routes import Counts, OrderTo, Routes
 from cfgplan_runtime.fleet.tunnels import RemoteTopics, TunnelClient, TunnelServer
 from cfgplan_runtime.streams.crossing import crossing_key
 from cfgplan_runtime.streams.run_folder import RunFolder, is_alive
@@ -58,6 +58,7 @@ from cfgplan_runtime.streams.zenoh_link import ZenohLink
 from cfgplan_runtime.supervision.backend import Found, Inlet, Usage
 from cfgplan_runtime.supervision.events import (
     ClockMoved,
+    CrossingsStatus,
     Event,
     HelperAlive,
     HostJoined,
@@ -146,6 +147,7 @@ class FleetBackend:
         self._unplaced: set[str] = set()
         """Topics for which no host was asked, while none is there."""
         self._routes = Routes(run_folder.id)
+        self._counts = Counts()
         self._clock = HostClock(time.monotonic_ns)
         self._run_ahead_ns = 0
         """How far this process's clock is ahead of the run's, which may be an earlier manager's."""
@@ -452,8 +454,11 @@ class FleetBackend:
                 threading.Thread(target=self._measure, args=(host,), daemon=True).start()
             case EventTold():
                 self._note(host, event_of(message))
-            case UsageTold(usage):
+            case UsageTold(usage, crossings):
                 host.usage.update(usage)
+                counts = self._counts.after(crossings, self._routes)
+                if counts:
+                    self._events.append(CrossingsStatus(counts))
             case ImportUnused(crossing, served):
                 self._give(self._routes.note_unused(crossing, served))
 

@@ -8,7 +8,7 @@ from typing import Generic, NamedTuple, TypeAlias, TypeVar, get_args
 import msgspec
 
 from cfgplan.domain import Stream
-from cfgplan_runtime.children.messages import Export, Import, ImportUnused, ToRelay, UnitOrder
+from cfgplan_runtime.children.messages import CrossingCounts, Export, Import, ImportUnused, ToRelay, UnitOrder
 from cfgplan_runtime.streams.crossing import (
     PIECES_UNDER_WAY,
     Piece,
@@ -202,9 +202,10 @@ class EventTold(msgspec.Struct, tag=True):
 
 
 class UsageTold(msgspec.Struct, tag=True):
-    """What units have used by now."""
+    """What units have used by now, and what has gone over each crossing from this host."""
 
     usage: dict[str, Usage]
+    crossings: dict[str, CrossingCounts] = {}
 
 
 class TopicsTold(msgspec.Struct):

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from math import inf
 
 from cfgplan_runtime.children.control import ControlConnection
-from cfgplan_runtime.children.messages import Export, Import, ImportUnused, Release, ToChild
+from cfgplan_runtime.children.messages import CrossingCounts, Export, Import, ImportUnused, Release, ToChild
 from cfgplan_runtime.children.ports import Ports, UnitInput, UnitOutput
 from cfgplan_runtime.streams.crossing import (
     LAST_PIECE,
@@ -82,6 +82,13 @@ class Relay:
             link.hear(crossing_key("*", kind, host, "*"), self._take)
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
+
+    def counts(self) -> dict[str, CrossingCounts]:
+        """The counts of each export; for any thread."""
+        return {
+            name: CrossingCounts(one.input.elements, one.sending.dropped, one.sending.depth)
+            for name, one in list(self._exports.items())
+        }
 
     def close(self) -> None:
         """End the thread and those of all exports."""

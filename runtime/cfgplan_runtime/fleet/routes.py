@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
+import msgspec
+
 from cfgplan.domain import Stream
-from cfgplan_runtime.children.messages import Export, Import, Release
+from cfgplan_runtime.children.messages import CrossingCounts, Export, Import, Release
 from cfgplan_runtime.fleet.orders import ConnectOrder, CutOrder, EndWireOrder, Order
 from cfgplan_runtime.processes.process_backend import RELAY
 from cfgplan_runtime.supervision.backend import Inlet
@@ -56,6 +58,40 @@ class Route:
         return self.target, EndWireOrder(self.wire, self.local_stream, self.inlet)
 
 
+class Counts:
+    """What has gone over the crossings of a run, those that were released too."""
+
+    def __init__(self) -> None:
+        self._last: dict[str, tuple[tuple[str, str, str], CrossingCounts]] = {}
+        """By crossing: its stream and hosts, and what was last told of it."""
+        self._released: dict[tuple[str, str], CrossingCounts] = {}
+
+    def after(self, told: Mapping[str, CrossingCounts], routes: Routes) -> dict[tuple[str, str, str], CrossingCounts]:
+        """The counts by stream, source and target, once some were told; released ones together, without a stream."""
+        for name, counts in told.items():
+            one = routes.crossing(name)
+            if one is not None:
+                self._last[name] = (str(one.stream), one.source, one.target), counts
+            elif name in self._last:
+                self._last[name] = self._last[name][0], counts
+        for name in [name for name in self._last if routes.crossing(name) is None and name not in told]:
+            (_, source, target), counts = self._last.pop(name)
+            ended = msgspec.structs.replace(counts, waiting=0)
+            self._released[source, target] = _sum(self._released.get((source, target)), ended)
+        found = {("", *hosts): counts for hosts, counts in self._released.items()}
+        for name, ((stream, *hosts), counts) in self._last.items():
+            labels = (stream if routes.crossing(name) else "", hosts[0], hosts[1])
+            found[labels] = _sum(found.get(labels), counts)
+        return found
+
+
+def _sum(one: CrossingCounts | None, other: CrossingCounts) -> CrossingCounts:
+    """Both together."""
+    if one is None:
+        return other
+    return CrossingCounts(one.elements + other.elements, one.dropped + other.dropped, one.waiting + other.waiting)
+
+
 class Routes:
     """All routes of a run, by wire. Methods return the orders that are to be given, in their order.
 
@@ -86,6 +122,10 @@ class Routes:
             crossing.connected += 1
         route = self._routes[wire] = Route(wire, stream, inlet, source, target, crossing)
         return [*orders, (target, ConnectOrder(wire, route.local_stream, inlet, queue, blocks))]
+
+    def crossing(self, name: str) -> Crossing | None:
+        """The crossing of a name, unless it was released."""
+        return self._crossings.get(name)
 
     def disconnect(self, wire: int, inlet: Inlet, target: str | None) -> list[OrderTo]:
         """Take a wire away from its inlet."""

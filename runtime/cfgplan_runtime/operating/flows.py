@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 
 import msgspec
 
-from cfgplan_runtime.children.messages import Flow
+from cfgplan_runtime.children.messages import CrossingCounts, Flow
 from cfgplan_runtime.children.outlet_child import OVER_S
 from cfgplan_runtime.errors import EncodingError, NoSuchTopicError
 from cfgplan_runtime.operating.protocol import Record
 from cfgplan_runtime.streams.element import Element
 from cfgplan_runtime.streams.subscription import SubscriptionToTopic, subscribe
-from cfgplan_runtime.supervision.events import Event, TopicsStatus
+from cfgplan_runtime.supervision.events import CrossingsStatus, Event, TopicsStatus
 
 _FLOW_LOOK_S = 0.2
 _DRAIN_LOOK_S = 0.01
@@ -26,23 +26,35 @@ Listener = Callable[[str, Element], None]
 
 
 class Flows:
-    """Rate, latency and counts of each topic, as last reported by the outlets. Pass `hear` to `Runtime.listen`.
-    Thread-safe.
+    """Rate, latency and counts of each topic, as last reported by the outlets, and counts of streams between hosts.
+    Pass `hear` to `Runtime.listen`. Thread-safe.
     """
 
     def __init__(self) -> None:
         self._told: tuple[float, dict[str, Flow]] = (time.monotonic(), {})
+        self.crossings: Mapping[tuple[str, str, str], CrossingCounts] = {}
+        """By stream, the host that it comes from and the one that it goes to; "" stands for streams that are gone."""
 
     def hear(self, event: Event) -> None:
-        """Take in what the outlets tell."""
-        if isinstance(event, TopicsStatus):
-            self._told = time.monotonic(), event.flows
+        """Take in what is told of streams."""
+        match event:
+            case TopicsStatus(flows):
+                self._told = time.monotonic(), flows
+            case CrossingsStatus(crossings):
+                self.crossings = crossings
 
     def now(self) -> dict[str, Flow]:
         """The flow of each topic now. While the outlets report nothing, every topic counts as silent."""
         at_s, flows = self._told
         since_s = time.monotonic() - at_s
         return {topic: _later(flow, since_s) for topic, flow in flows.items()}
+
+    def crossing_records(self) -> list[Record]:
+        """The counts of streams between hosts as dictionaries, by stream and hosts."""
+        return [
+            {"stream": stream or None, "from": source, "to": target, **msgspec.structs.asdict(counts)}
+            for (stream, source, target), counts in sorted(self.crossings.items())
+        ]
 
     def records(self) -> dict[str, Record]:
         """The flows as dictionaries."""

@@ -23,6 +23,7 @@ from cfgplan_runtime.lifecycle.changes import (
 from cfgplan_runtime.lifecycle.reports import Review, Snapshot
 from cfgplan_runtime.operating.control_server import Method
 from cfgplan_runtime.operating.declaration import declaration
+from cfgplan_runtime.operating.flows import Flows
 from cfgplan_runtime.operating.protocol import Record, RefusedError
 from cfgplan_runtime.operating.records import review_record, snapshot_record
 
@@ -44,9 +45,9 @@ class Controlled(Protocol):
 class Methods:
     """The methods of a manager by name. `flows` gives rate and latency by topic."""
 
-    def __init__(self, manager: Controlled, flows: Callable[[], Mapping[str, Record]] = dict) -> None:
+    def __init__(self, manager: Controlled, flows: Flows | None = None) -> None:
         self._manager = manager
-        self._flows = flows
+        self._flows = flows or Flows()
 
     def by_name(self) -> dict[str, Method]:
         """The methods for the control server; `runtime/CONTROL.md` has their params and results."""
@@ -70,7 +71,8 @@ class Methods:
 
     def _state(self, params: Mapping[str, Any]) -> Record:
         _only(params)
-        return snapshot_record(self._manager.snapshot(), self._flows())
+        crossings = self._flows.crossing_records()
+        return {**snapshot_record(self._manager.snapshot(), self._flows.records()), "crossings": crossings}
 
     def _add(self, params: Mapping[str, Any]) -> Record:
         _only(params, "name", "text", "wait_s", "while_connected")

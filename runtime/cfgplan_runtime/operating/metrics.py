@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final, Generic, TypeVar
 from wsgiref.simple_server import WSGIServer
@@ -12,7 +12,7 @@ from prometheus_client import CollectorRegistry, Counter, Histogram, start_http_
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from cfgplan_runtime.children.messages import Flow, PortCounts
+from cfgplan_runtime.children.messages import CrossingCounts, Flow, PortCounts
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.lifecycle.perturbations import UnitGone
 from cfgplan_runtime.lifecycle.reports import (
@@ -25,6 +25,7 @@ from cfgplan_runtime.lifecycle.reports import (
     TargetView,
     UnitEvent,
 )
+from cfgplan_runtime.operating.flows import Flows
 from cfgplan_runtime.supervision.observation import Observation
 
 LOOPBACK = "127.0.0.1"
@@ -34,6 +35,7 @@ _BUCKETS_S = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10,
 _US_PER_S: Final = 1_000_000
 _TARGET: Final = ("target", "topic")
 _UNIT: Final = ("unit", "transformation", "host")
+_CROSSING: Final = ("stream", "from", "to")
 _PORT: Final = (*_UNIT, "port")
 
 Measured = TypeVar("Measured")
@@ -124,6 +126,11 @@ _OF_INPUTS: Final[Sequence[_Measure[PortCounts]]] = (
     ),
     _Measure("unit_input_waiting_elements", "Elements that wait at the input.", lambda one: one.waiting),
 )
+_OF_CROSSINGS: Final[Sequence[_Measure[CrossingCounts]]] = (
+    _Measure("crossing_elements", "Elements that go to another host.", lambda one: one.elements, rises=True),
+    _Measure("crossing_dropped_elements", "Elements dropped for want of room.", lambda one: one.dropped, rises=True),
+    _Measure("crossing_waiting_elements", "Elements that have not arrived yet.", lambda one: one.waiting),
+)
 _OF_OUTPUTS: Final[_Measure[PortCounts]] = _Measure(
     "unit_output_elements", "Elements given.", lambda one: one.elements, rises=True
 )
@@ -132,12 +139,12 @@ _OF_OUTPUTS: Final[_Measure[PortCounts]] = _Measure(
 class Present(Collector):
     """Reads a snapshot and the flows at each scrape, in the scraper's thread."""
 
-    def __init__(self, snapshot: Callable[[], Snapshot], flows: Callable[[], Mapping[str, Flow]]) -> None:
+    def __init__(self, snapshot: Callable[[], Snapshot], flows: Flows) -> None:
         self._snapshot = snapshot
         self._flows = flows
 
     def collect(self) -> Iterable[Metric]:
-        now, flows = self._snapshot(), self._flows()
+        now, flows = self._snapshot(), self._flows.now()
         yield from (measure.family((), [((), now)]) for measure in _OF_ALL)
         yield _OF_HELD_OUT.family(("transformation",), [((one.transformation,), one) for one in now.backing_off])
         targets = [((one.label, one.topic), one) for one in now.targets]
@@ -154,18 +161,18 @@ class Present(Collector):
         outputs = [((*labels, port), counts) for labels, one in seen for port, counts in sorted(one.outputs.items())]
         yield from (measure.family(_PORT, inputs) for measure in _OF_INPUTS)
         yield _OF_OUTPUTS.family(_PORT, outputs)
+        crossings = sorted(self._flows.crossings.items())
+        yield from (measure.family(_CROSSING, crossings) for measure in _OF_CROSSINGS)
 
 
 class Metrics:
     """Counts a manager's reports, and reads its snapshot at each scrape.
 
-    Pass `listen` to `Manager.listen`; `snapshot` is `Manager.snapshot`, `flows` is `Flows.now`. Units that have ended
-    are left out.
+    Pass `listen` to `Manager.listen`; `snapshot` is `Manager.snapshot`, `flows` knows streams. Units that have
+    ended are left out.
     """
 
-    def __init__(
-        self, snapshot: Callable[[], Snapshot] | None = None, flows: Callable[[], Mapping[str, Flow]] | None = None
-    ) -> None:
+    def __init__(self, snapshot: Callable[[], Snapshot] | None = None, flows: Flows | None = None) -> None:
         self.registry = CollectorRegistry()
         self._perturbations = Counter(
             "cfgplan_perturbations", "Perturbations noticed.", ["kind"], registry=self.registry
@@ -191,7 +198,7 @@ class Metrics:
         )
         self._events = Counter("cfgplan_events", "Events of units and streams.", ["event"], registry=self.registry)
         if snapshot is not None:
-            self.registry.register(Present(snapshot, flows or dict))
+            self.registry.register(Present(snapshot, flows or Flows()))
 
     def listen(self, report: Report) -> None:
         """Count a report; from any thread."""

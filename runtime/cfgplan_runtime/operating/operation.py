@@ -199,7 +199,7 @@ class Operation:
             self.manager.listen(logging_to(self.log))
         if self.recorder is not None:
             self.manager.listen(self.recorder.report)
-        methods = Methods(self.manager, self.flows.records).by_name()
+        methods = Methods(self.manager, self.flows).by_name()
         self._server = ControlServer(base_folder() / self.id, methods, about_this_process(str(self._path.resolve())))
         stack.callback(self._server.close)
         if settings.metrics_port is not None:
@@ -273,7 +273,7 @@ class Operation:
         except ModuleNotFoundError:
             mend = "pip install 'cfgplan[metrics]'"
             raise InputError.of("metrics need the package prometheus-client", mend=mend) from None
-        metrics = Metrics(self.manager.snapshot, self.flows.now)
+        metrics = Metrics(self.manager.snapshot, self.flows)
         self.manager.listen(metrics.listen)
         server = serve(port, metrics)
         self.metrics_port = server.port

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from cfgplan_runtime.children.messages import Flow, PortCounts
+from cfgplan_runtime.children.messages import CrossingCounts, Flow, PortCounts
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +124,13 @@ class TopicsStatus:
 
 
 @dataclass(frozen=True, slots=True)
+class CrossingsStatus:
+    """What has gone from host to host: by stream and its two hosts, and by two hosts (stream "") for streams gone."""
+
+    crossings: dict[tuple[str, str, str], CrossingCounts]
+
+
+@dataclass(frozen=True, slots=True)
 class HelperAlive:
     """A sign of life of a process that a backend needs beside the units; the next comes within `patience_s`.
 
@@ -201,7 +208,7 @@ class RolledBack:
     cause: str
 
 
-SIGNS = (UnitStatus, TopicsStatus)
+SIGNS = (UnitStatus, TopicsStatus, CrossingsStatus)
 """Signs of life: they come often, and are not logged."""
 
 Event: TypeAlias = (
@@ -219,6 +226,7 @@ Event: TypeAlias = (
     | OutletsLost
     | OutletsOpened
     | TopicsStatus
+    | CrossingsStatus
     | HelperAlive
     | HelperHung
     | OutOfDescriptors
