@@ -29,18 +29,13 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _EXAMPLE
     parser.add_argument("--name", required=True, metavar="HOST", help="the host that this computer is in the file")
     add_links(parser)
-    parser.add_argument(
-        "--listen",
-        action="append",
-        default=[],
-        metavar="ENDPOINT",
-        help="where others reach this agent (tcp/127.0.0.1:7447; with certificates tls/0.0.0.0:7447)",
-    )
+    reach = "where others reach this agent (tcp/127.0.0.1:7447; with certificates tls/0.0.0.0:7447)"
+    shared.add_several(parser, "--listen", "ENDPOINT", reach)
     parser.add_argument(
         "--through", metavar="ENDPOINT", help="reach all others through this agent alone, in place of --connect"
     )
     parser.add_argument("--folder", default=".", metavar="DIR", help="what `source: units.py:Class` is relative to (.)")
-    parser.add_argument("--preload", action="append", default=[], metavar="MODULE", help="import it before units start")
+    shared.add_several(parser, "--preload", "MODULE", "import it before units start")
     parser.set_defaults(run=run)
 
 
@@ -111,9 +106,7 @@ def add_certificates(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "hosts", nargs="+", metavar="HOST[=ADDRESS,...]", help="a host's name, and under what others reach it"
     )
-    parser.add_argument(
-        "--passes-on", action="append", default=[], metavar="HOST", help="may pass on what other hosts write: trust it"
-    )
+    shared.add_several(parser, "--passes-on", "HOST", "may pass on what other hosts write: trust it")
     parser.add_argument("--days", type=shared.count, default=365, metavar="N", help="how long they are valid (365)")
     parser.set_defaults(run=_make_certificates)
 

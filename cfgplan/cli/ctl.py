@@ -90,13 +90,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         if command.name == "add":
             each.add_argument("--name", type=normal, metavar="NAME", help="the name to add it under (the file's)")
         if command.method or command.name == "add":
-            each.add_argument(
-                "--wait",
-                type=shared.duration,
-                default=60.0,
-                metavar="TIME",
-                help="how long to wait for the review (60s)",
-            )
+            shared.add_time(each, "--wait", 60.0, "how long to wait for the review (60s)")
 
 
 def run(options: argparse.Namespace, screen: Screen) -> Exit:

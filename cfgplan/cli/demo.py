@@ -21,9 +21,7 @@ _FOLDERS = (_HERE.parents[1] / "worlds", _HERE.parents[2] / "models")
 def add_to(parser: argparse.ArgumentParser) -> None:
     parser.epilog = "example:\n  cfgplan demo nao\n  cfgplan demo nao --step 2s --report page.html"
     parser.add_argument("world", metavar="WORLD", nargs="?", choices=("nao",), default="nao", help="nao (the only one)")
-    parser.add_argument(
-        "--step", type=shared.duration, default=6.0, metavar="TIME", help="how long each step is shown (6s)"
-    )
+    shared.add_time(parser, "--step", 6.0, "how long each step is shown (6s)")
     page = "the page to write (nao.html)"
     parser.add_argument("--report", type=shared.out_file, metavar="FILE", default="nao.html", help=page)
     shared.add_json(parser)

@@ -27,10 +27,8 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("topic", type=normal, metavar="TOPIC", help="the topic of a target, such as /result")
     parser.add_argument("--run", dest="run_id", metavar="ID", help="the run, if several have the topic")
     parser.add_argument("--count", type=shared.count, metavar="N", help="end after N elements")
-    parser.add_argument("--for", dest="span", type=shared.duration, metavar="TIME", help="end after 30s, 5m, 1h")
-    parser.add_argument(
-        "--wait", type=shared.duration, default=0.0, metavar="TIME", help="how long to wait for the topic (0)"
-    )
+    shared.add_span(parser)
+    shared.add_time(parser, "--wait", 0.0, "how long to wait for the topic (0)")
     add_links(parser)
     shared.add_json(parser)
     parser.set_defaults(run=run)

@@ -66,31 +66,36 @@ def add_planning(parser: argparse.ArgumentParser, what_if: str | None = None) ->
         "--timeout", type=positive, metavar="S", help="stop planning after S seconds with the best plan so far"
     )
     supposing = parser.add_argument_group("what if", what_if)
-    supposing.add_argument(
-        "--without",
-        type=normal,
-        action="append",
-        default=[],
-        metavar="NAME",
-        help="plan as if this transformation, running unit or target were gone",
-    )
-    supposing.add_argument(
-        "--with",
-        dest="also",
-        action="append",
-        default=[],
-        metavar="FILE",
-        help="plan as if the environment included this file of transformations or targets",
-    )
-    supposing.add_argument(
-        "--set",
-        dest="settings",
-        type=setting,
-        action="append",
-        default=[],
-        metavar="KEY=VALUE",
-        help="plan with another horizon, max_cost, T.labor, T.upkeep, T.pinned, T.required, or T.priority of a target",
-    )
+    gone = "plan as if this transformation, running unit or target were gone"
+    also = "plan as if the environment included this file of transformations or targets"
+    others = "plan with another horizon, max_cost, T.labor, T.upkeep, T.pinned, T.required, or T.priority of a target"
+    add_several(supposing, "--without", "NAME", gone, kind=normal)
+    add_several(supposing, "--with", "FILE", also, dest="also")
+    add_several(supposing, "--set", "KEY=VALUE", others, kind=setting, dest="settings")
+
+
+def add_several(
+    parser: argparse._ActionsContainer,
+    name: str,
+    metavar: str,
+    means: str,
+    *,
+    kind: Callable[[str], Any] = str,
+    dest: str | None = None,
+) -> None:
+    """An option that may be repeated; its values are a list, empty without any."""
+    dest = dest or name.lstrip("-").replace("-", "_")
+    parser.add_argument(name, action="append", default=[], type=kind, dest=dest, metavar=metavar, help=means)
+
+
+def add_time(parser: argparse.ArgumentParser, name: str, default_s: float, means: str) -> None:
+    """An option whose value is a span of time, in seconds."""
+    parser.add_argument(name, type=duration, default=default_s, metavar="TIME", help=means)
+
+
+def add_span(parser: argparse.ArgumentParser) -> None:
+    """`--for`: for how long a verb goes on; None for as long as it likes."""
+    parser.add_argument("--for", dest="span", type=duration, metavar="TIME", help="stop after 30s, 5m, 1h")
 
 
 def add_survive(parser: argparse.ArgumentParser) -> None:

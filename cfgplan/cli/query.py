@@ -50,53 +50,17 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         help="not, and, or, ->, always[a,b], eventually[a,b], until[a,b] over comparisons, in(point, region), RCC8",
     )
     parser.add_argument("--features", metavar="FILE", help="names of features and regions (features.yaml beside ENV)")
-    parser.add_argument(
-        "--feature",
-        type=normal,
-        action="append",
-        default=[],
-        metavar="NAME=TAG",
-        help="name the stream that a tag describes (repeat)",
-    )
-    parser.add_argument(
-        "--region",
-        type=normal,
-        action="append",
-        default=[],
-        metavar="NAME=REGION",
-        help="name a region, such as goal='{circle: [4, 0], radius: 1}' (repeat)",
-    )
+    named = "name the stream that a tag describes (repeat)"
+    shared.add_several(parser, "--feature", "NAME=TAG", named, kind=normal)
+    region = "name a region, such as goal='{circle: [4, 0], radius: 1}' (repeat)"
+    shared.add_several(parser, "--region", "NAME=REGION", region, kind=normal)
     parser.add_argument("--run", dest="run_id", metavar="ID", help="ask this run instead of starting units here")
-    parser.add_argument("--for", dest="span", type=shared.duration, metavar="TIME", help="stop after 30s, 5m, 1h")
+    shared.add_span(parser)
     parser.add_argument("--rate", type=shared.positive, metavar="HZ", help="states per second (one for each sample)")
-    parser.add_argument(
-        "--delay",
-        type=shared.duration,
-        default=0.2,
-        metavar="TIME",
-        help="how long a state waits for its samples (200ms)",
-    )
-    parser.add_argument(
-        "--hold",
-        type=shared.duration,
-        default=1.0,
-        metavar="TIME",
-        help="how long a value holds; then it counts as missing (1s)",
-    )
-    parser.add_argument(
-        "--tolerance",
-        type=shared.duration,
-        default=0.0,
-        metavar="TIME",
-        help="samples that are at most so far apart make one state (0)",
-    )
-    parser.add_argument(
-        "--wait",
-        type=shared.duration,
-        default=0.0,
-        metavar="TIME",
-        help="how long to wait for features that nothing gives yet (0)",
-    )
+    shared.add_time(parser, "--delay", 0.2, "how long a state waits for its samples (200ms)")
+    shared.add_time(parser, "--hold", 1.0, "how long a value holds; then it counts as missing (1s)")
+    shared.add_time(parser, "--tolerance", 0.0, "samples that are at most so far apart make one state (0)")
+    shared.add_time(parser, "--wait", 0.0, "how long to wait for features that nothing gives yet (0)")
     add_links(parser)
     parser.add_argument("--verbose", action="store_true", help="say what happens to the units")
     shared.add_json(parser)

@@ -47,7 +47,7 @@ Exit codes: 0 stopped with every target met, 12 with one that was not, 30 bad in
 def add_to(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _RUN_EXAMPLE
     shared.add_environment(parser)
-    parser.add_argument("--for", dest="span", type=shared.duration, metavar="TIME", help="stop after 30s, 5m, 1h")
+    shared.add_span(parser)
     parser.add_argument("--dry-run", action="store_true", help="say what would be started, and start nothing")
     parser.add_argument("--strict", action="store_true", help="start nothing unless every target can be met")
     parser.add_argument("--plain", action="store_true", help="print lines instead of the live view, as when piped")
@@ -59,20 +59,9 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     kept = parser.add_mutually_exclusive_group()
     kept.add_argument("--estimates", metavar="FILE", help="where learned costs are kept (the state folder)")
     kept.add_argument("--no-estimates", action="store_true", help="learn no costs: believe the file")
-    parser.add_argument(
-        "--back-off",
-        type=shared.duration,
-        default=3.0,
-        metavar="TIME",
-        help="longest wait until a failing transformation that nothing can replace is started again (3s)",
-    )
-    parser.add_argument(
-        "--preload",
-        action="append",
-        default=[],
-        metavar="MODULE",
-        help="import this module before units start (repeat)",
-    )
+    longest = "longest wait until a failing transformation that nothing can replace is started again (3s)"
+    shared.add_time(parser, "--back-off", 3.0, longest)
+    shared.add_several(parser, "--preload", "MODULE", "import this module before units start (repeat)")
     parser.add_argument("--local", action="store_true", help="run all of the file's hosts on this computer")
     add_links(parser)
     parser.add_argument(
