@@ -37,8 +37,6 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan_runtime import subscribe
 
-    from cfgplan.cli.listen import plain, readable
-
     times: deque[float] = deque(maxlen=_RATE_OVER + 1)
     end = None if options.span is None else time.monotonic() + options.span
     asked: dict[str, Any] = {"run": options.run_id, "wait_s": options.wait, "timeout_s": options.span}

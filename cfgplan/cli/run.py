@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 _LIVE_LOOK_S = 0.1
 _HOSTS_S = 5.0
-"""Seconds until a fleet's backend, which has waited for its hosts, must have told of each."""
+"""So many seconds after the start a fleet's backend must have told of each host."""
 _RUN_EXAMPLE = """\
 example:
   cfgplan run env.yaml --for 30s --record run.mcap
@@ -151,7 +151,7 @@ def _await_first_review(operation: Operation, interrupts: Interrupts, screen: Sc
 
 
 def _output_for(screen: Screen, operation: Operation, *, plain: bool) -> RunOutput:
-    """The output that suits where it goes."""
+    """JSON lines with `--json`, lines of text where stdout is no terminal, else the live view."""
     if screen.json:
         return JsonLines(screen, operation)
     if plain or not sys.stdout.isatty() or os.environ.get("TERM") in (None, "", "dumb"):

@@ -15,12 +15,14 @@ from cfgplan_runtime.reasoning.progression import NOW, Progression
 from cfgplan_runtime.reasoning.truth import VERDICT_OF, Verdict
 
 QUEUES: Final = {Kind.ALL: -2, Kind.ANY: -3}
-"""In place of a moment: all the moments that are not in use by themselves, of which no interval has begun, joined."""
+"""Take the place of a moment in an obligation: they stand for the whole queue of an operator, joined by the kind."""
 
 
 class Registers(NamedTuple):
-    """An operator's moments in a situation: `size` of them are used one by one, and of the first `begun` of these the
-    interval has begun. With `has_queue`, two or more follow whose intervals have not begun.
+    """The moments at which an operator of a situation began.
+
+    The first `size` of them are used one by one, and the intervals of the first `begun` have begun. With `has_queue`,
+    two or more follow as a queue: their intervals have not begun.
     """
 
     operator: int
@@ -30,8 +32,10 @@ class Registers(NamedTuple):
 
 
 class Move(NamedTuple):
-    """How one list of moments is made from those before: a slice (`first` to `end`) or a choice of the list `source`,
-    then what stands in it from `queue_from` on (-1: nothing), then perhaps the present.
+    """Makes one list of moments of the list `source` before it.
+
+    It takes a slice (`first` to `end`) or the `chosen` ones, then all from `queue_from` on (-1: none), then the present
+    moment if it is `with_now`.
     """
 
     source: int
@@ -43,9 +47,7 @@ class Move(NamedTuple):
 
 
 class Queue(NamedTuple):
-    """An operator's moments from `first` on, joined by a conjunction or disjunction; `with_now` if the present is in
-    it.
-    """
+    """An operator's moments from `first` on, and the present `with_now`, joined by one conjunction or disjunction."""
 
     kind: Kind
     first: int
@@ -191,10 +193,9 @@ class Automaton:
     def learnt(
         self, situation: AutomatonState, moments: list[list[int]], time_ns: int, code: int
     ) -> tuple[Transition, bool]:
-        """Progress from a situation through a state. Returns the transition, and whether all states like this one take
-        it.
+        """Progress a situation through a state. Returns the transition, and whether all states like this one take it.
 
-        Of a queue only the first few moments are progressed; the others become what these become.
+        Only the first few moments of a queue are progressed; the others become what these become.
         """
         few = []
         for registers, found in zip(situation.registers, moments, strict=True):

@@ -46,9 +46,7 @@ class _Ended(NamedTuple):
 
 
 class Engine:
-    """Answers one query. It calls `report` from the thread that calls `run`; `name` makes the labels of its targets its
-    own.
-    """
+    """Answers one query. It calls `report` from the thread that calls `run`; `name` is part of its targets' labels."""
 
     def __init__(
         self,

@@ -58,7 +58,7 @@ class DeclaredFeatures:
     regions: Mapping[str, Region] = field(default_factory=dict)
 
     def with_more(self, other: DeclaredFeatures) -> DeclaredFeatures:
-        """These features and regions and those of `other`; of one name, that of `other`."""
+        """These features and regions with those of `other`, which wins where both have a name."""
         return DeclaredFeatures({**self.features, **other.features}, {**self.regions, **other.regions})
 
 

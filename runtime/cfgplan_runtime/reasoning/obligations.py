@@ -69,7 +69,7 @@ class Obligation:
 
 
 class _Context(NamedTuple):
-    """The members of a conjunction or disjunction; `chains` has the pending one of each operator that decides the
+    """The members of a conjunction or disjunction; `chains` has, for each operator, the pending member that decides its
     others.
     """
 
@@ -118,7 +118,7 @@ class Store:
         return self._join(Kind.ANY, parts)
 
     def renamed(self, obligation: Obligation, name: Callable[[Obligation], Obligation]) -> Obligation:
-        """An obligation with `name` of each pending one in its place. Equal members become one; nothing else is
+        """The obligation in which `name` replaces each pending part. Equal members become one; nothing else is
         simplified.
         """
         if obligation.kind is Kind.VALUE:
@@ -129,7 +129,7 @@ class Store:
         return parts[0] if len(parts) == 1 else self._node(obligation.kind, parts)
 
     def replaced(self, obligation: Obligation, other: Callable[[Obligation], Obligation]) -> Obligation:
-        """An obligation with `other` of each pending one in its place, simplified."""
+        """The obligation in which `other` replaces each pending part, simplified."""
         if obligation.kind is Kind.VALUE:
             return obligation
         if obligation.kind is Kind.PENDING:
@@ -183,7 +183,7 @@ class Store:
         return found
 
     def _thinned(self, kind: Kind, simple: dict[Obligation, None]) -> dict[int, Obligation]:
-        """Remove the pending obligations that another one decides. Returns the one that is kept of each operator."""
+        """Remove pending obligations that another of their operator decides. Returns the kept one of each operator."""
         kept: dict[int, Obligation] = {}
         for part in list(simple):
             if self._is_comparable(part):
