@@ -6,7 +6,7 @@ from cfgplan.formats.dump import as_xml, as_yaml, dump_yaml, plain_environment
 from cfgplan.formats.environment_file import EnvironmentFile
 from cfgplan.formats.fields import environment_schema
 from cfgplan.formats.places import Place
-from cfgplan.formats.plan_file import dump_plan, load_plan, plain_plan, plan_schema
+from cfgplan.formats.plan_file import dump_plan, load_plan
 from cfgplan.formats.tags import TagVocabulary
 from cfgplan.formats.xml_dump import dump_xml
 
@@ -24,8 +24,6 @@ __all__ = [
     "environment_schema",
     "load_plan",
     "plain_environment",
-    "plain_plan",
-    "plan_schema",
     "read_declared",
     "read_document",
 ]

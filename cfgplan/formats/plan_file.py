@@ -19,7 +19,6 @@ from cfgplan.domain import CPU, MEMORY, ChangeSet, ComputationUnit, Environment,
 from cfgplan.errors import InputError, InvalidValueError
 from cfgplan.figures import cost_parts, loads, qualities_of_targets, transfers
 from cfgplan.formats.dump import plain_unit
-from cfgplan.formats.fields import json_schema
 from cfgplan.formats.files import read_text
 from cfgplan.formats.json_text import read_json
 from cfgplan.formats.schema_faults import schema_faults
@@ -88,22 +87,12 @@ class PlanPart(_PlanPart):
     figures: Any = Field(default=None, description="cost by parts, quality, hosts and transfers, beyond the paper")
 
 
-def plan_schema() -> dict[str, Any]:
-    """The JSON Schema (draft 2020-12) of the plan file."""
-    return json_schema(PlanPart)
-
-
 def dump_plan(plan: Plan, problem: Problem, digest: str) -> str:
     """The JSON text of a plan for `problem`, whose environment has the digest `EnvironmentFile.digest`.
 
     Raises InvalidValueError for a change set over transformations or targets: planners change units.
     """
-    return json.dumps(plain_plan(plan, problem, digest), indent=2, ensure_ascii=False) + "\n"
-
-
-def plain_plan(plan: Plan, problem: Problem, digest: str) -> dict[str, Any]:
-    """A plan as mappings and lists; see `dump_plan`."""
-    return {
+    document = {
         "format_version": FORMAT_VERSION,
         "environment": digest,
         "planner": plan.planner,
@@ -125,6 +114,7 @@ def plain_plan(plan: Plan, problem: Problem, digest: str) -> dict[str, Any]:
         "counts": dict(plan.counts),
         **_beyond_the_paper(plan, problem),
     }
+    return json.dumps(document, indent=2, ensure_ascii=False) + "\n"
 
 
 def load_plan(path: str | os.PathLike[str], digest: str | None = None) -> Plan:
