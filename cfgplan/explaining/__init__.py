@@ -8,7 +8,7 @@ from cfgplan.explaining.best_effort import BestEffort, best_effort
 from cfgplan.explaining.front import Front, FrontPoint, front
 from cfgplan.explaining.sensitivity import CostLine, Sensitivity, Span, horizon_sensitivity, upkeep_sensitivity
 from cfgplan.explaining.unfed import Blocked, Unfed, Unreachable, unreachable
-from cfgplan.explaining.what_if import named_alone, running
+from cfgplan.explaining.what_if import running
 from cfgplan.explaining.why_not import Clash, DemandSet, Unused, WhyNot, demanding, why_not
 from cfgplan.explaining.why_this import Choice, Why, why_stream, why_transformation, why_unit
 
@@ -34,7 +34,6 @@ __all__ = [
     "demanding",
     "front",
     "horizon_sensitivity",
-    "named_alone",
     "running",
     "unreachable",
     "upkeep_sensitivity",

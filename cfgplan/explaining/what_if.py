@@ -154,14 +154,3 @@ def running(problem: Problem, label: str) -> Problem:
     similarity = Similarity({**problem.similarity.offers, _USED: frozenset({_USED})}, problem.similarity.open)
     alone = replace(environment, units=(), library=library, targets=(Target(label, _USED, _USED),))
     return replace(problem, environment=alone, similarity=similarity)
-
-
-def named_alone(problem: Problem, target: str, named: Collection[tuple[str, str]]) -> Problem:
-    """The problem of one target in which the transformations have only the named inputs, as transformation and port."""
-    environment = problem.environment
-    library = tuple(
-        replace(t, inputs=tuple(port for port in t.inputs if (t.label, port.name) in named))
-        for t in environment.library
-    )
-    alone = replace(environment, units=(), library=library, targets=(environment.target[target],))
-    return replace(problem, environment=alone, max_cost_us=None)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Collection
+from dataclasses import replace
 
 from hypothesis import HealthCheck, assume, given, settings
 from worlds import problems
 
 from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Target, Transformation
 from cfgplan.explaining.unfed import Unreachable, unreachable
-from cfgplan.explaining.what_if import named_alone
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import Problem, Status
 
@@ -20,6 +21,17 @@ many = settings(
     derandomize="CFGPLAN_EXAMPLES" not in os.environ,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much],
 )
+
+
+def named_alone(problem: Problem, target: str, named: Collection[tuple[str, str]]) -> Problem:
+    """The problem of one target in which the transformations have only the named inputs, as transformation and port."""
+    environment = problem.environment
+    library = tuple(
+        replace(t, inputs=tuple(port for port in t.inputs if (t.label, port.name) in named))
+        for t in environment.library
+    )
+    alone = replace(environment, units=(), library=library, targets=(environment.target[target],))
+    return replace(problem, environment=alone, max_cost_us=None)
 
 
 def status(problem: Problem) -> Status:
