@@ -24,6 +24,8 @@ class InputPort:
     Ports of one transformation in the same `distinct` group must be fed by different
     transformations. A `feedback` port may close a cycle of the wiring.
 
+    A `service` input asks for replies: it may close a cycle too, and what comes there starts no step.
+
     An input takes `count` streams of different units; with ALL every matching stream of the other running units,
     and at least one. An `optional` one may stay unfed, which costs `worth_us` each second; if that is 0 it is fed
     wherever streams of what runs anyway may feed it, and is no reason for a unit to run.
@@ -36,8 +38,10 @@ class InputPort:
     optional: bool = False
     worth_us: int = 0
     count: int = 1
+    service: bool = False
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "feedback", self.feedback or self.service)
         if self.worth_us < 0 or self.count < 0:
             raise InvalidValueError(f"input {self.name!r} takes less than no stream, or is worth less than nothing")
 
@@ -61,7 +65,8 @@ class OutputPort:
     """A named output of a transformation and the tag that says what it gives.
 
     `quality` says what it makes of each quality attribute. The stream has `rate_uhz` elements in a million
-    seconds, of `size_bytes` each: that is what it costs to cross from host to host.
+    seconds, of `size_bytes` each: that is what it costs to cross from host to host. At most `serves` inputs and topics
+    take it; None: any number.
     """
 
     name: str
@@ -69,6 +74,7 @@ class OutputPort:
     quality: tuple[Contribution, ...] = ()
     rate_uhz: int = 0
     size_bytes: int = 0
+    serves: int | None = None
 
     def __post_init__(self) -> None:
         if self.quality:
@@ -76,6 +82,8 @@ class OutputPort:
             refuse_duplicates(f"quality attribute of output {self.name!r}", [q.attribute for q in self.quality])
         if self.rate_uhz < 0 or self.size_bytes < 0:
             raise InvalidValueError(f"output {self.name!r} has a negative rate or size")
+        if self.serves is not None and self.serves < 1:
+            raise InvalidValueError(f"output {self.name!r} serves nobody")
 
     @property
     def bytes_per_s(self) -> int:

@@ -125,6 +125,14 @@ def test_the_judge_knows_how_many_streams_an_input_takes(
         assert violations(wired, SIMILARITY) == []
 
 
+def test_a_stream_that_more_take_than_it_serves_is_refused() -> None:
+    scarce = replace(CAMERA, outputs=(replace(CAMERA.outputs[0], serves=1),))
+    more = replace(detector, id="detector.2", publications=())
+    units = (camera, detector, more)
+    assert rules(replace(VALID, library=(scarce, DETECTOR))) == set()
+    assert Rule.SERVES in rules(replace(VALID, units=units, library=(scarce, DETECTOR)))
+
+
 def test_an_optional_input_that_is_unfed_costs_its_worth() -> None:
     environment = second_camera(optional=True, worth_us=7)
     assert kept_us(environment, 10) == 40

@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from cfgplan.domain import ComputationUnit, Environment, OutputPort, Target, Transformation
+from cfgplan.domain import ComputationUnit, Environment, InputPort, OutputPort, Target, Transformation
 from cfgplan.errors import InputError
 from cfgplan.formats.document import Document
 from cfgplan.formats.environment_file import ANY_IMPORT
@@ -117,7 +117,7 @@ def _transformation(transformation: Transformation, environment: Environment) ->
             host=transformation.host or list(transformation.hosts),
             conflicts=_conflicts(transformation),
             run=RunPart.written(transformation.run),
-            inputs={port.name: _port(InputPart.written(port)) for port in transformation.inputs},
+            inputs={port.name: _port(_input(port)) for port in transformation.inputs},
             outputs={port.name: _port(_output(port, environment)) for port in transformation.outputs},
         )
     )
@@ -128,6 +128,10 @@ def _conflicts(transformation: Transformation) -> Any:
     if transformation.conflicts_on_host:
         return ConflictsPart.written(transformation)
     return list(transformation.conflicts)
+
+
+def _input(port: InputPort) -> dict[str, Any]:
+    return InputPart.written(port, **({"feedback": None} if port.service else {}))
 
 
 def _output(port: OutputPort, environment: Environment) -> dict[str, Any]:

@@ -25,6 +25,7 @@ from cfgplan.formats.schema_values import (
     Count,
     FileName,
     HangTime,
+    InputKind,
     Micro,
     Name,
     Params,
@@ -189,6 +190,7 @@ class InputPart(Part):
     feedback: bool = row("this input may close a cycle of the wiring", False)
     optional: bool = row("it may stay unfed; fed wherever streams of what runs anyway may feed it", False)
     worth: Cost = row("what it is worth to feed an optional input, CPU seconds per second", 0, "worth_us")
+    kind: InputKind = row("a service's replies start no step, and may close a cycle", "stream", "service")
     count: Count = row("how many streams of different units feed it; `all`: every one that matches", 1)
 
 
@@ -212,6 +214,7 @@ class OutputPart(Part):
     quality: dict[Name, QualityGiven] | None = row("attribute to what it makes of it", xml=UNSAID)
     rate: PositiveMicro = row("elements per second, for what it costs to change hosts", 0, "rate_uhz")
     size: int = row("bytes of one element", 0, "size_bytes", ge=0, le=LONGEST_HORIZON_S)
+    serves: int | None = row("at most so many inputs and topics take its stream", ge=1, le=LONGEST_QUEUE)
 
 
 InputGiven = Annotated[Annotated[TagText, _SHORT] | Annotated[InputPart, _FULL], _CHOICE]

@@ -257,6 +257,11 @@ Resources = Annotated[dict[Name, Amount], AfterValidator(_resources)]
 Params = Annotated[dict[str, Any], PlainValidator(_params), WithJsonSchema({"type": ["object", "null"]})]
 BetterName = Annotated[Literal["lower", "higher"], AfterValidator(Better), Written(str)]
 RuleName = Annotated[Literal["add", "limit", "scale", "set"], AfterValidator(QualityRule), Written(str)]
+InputKind = Annotated[
+    Literal["stream", "service"],
+    AfterValidator(lambda kind: kind == "service"),
+    Written(lambda is_service: "service" if is_service else "stream"),
+]
 WhenFull = Annotated[
     Literal["drop_oldest", "block"],
     AfterValidator(lambda how: how == "block"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 
 from cfgplan.domain import ALL, ComputationUnit, Environment, InputPort, Similarity, Stream, Transformation
@@ -40,6 +40,27 @@ def unfed_violations(environment: Environment, similarity: Similarity) -> Iterat
                 yield Violation(Rule.FED, text, unit.id, port.name)
 
 
+def serving_violations(environment: Environment) -> Iterator[Violation]:
+    """Streams that more take than their outputs serve."""
+    for stream, left in _left_to_serve(environment).items():
+        if left < 0:
+            text = f"{-left} more than it serves take the stream {stream}"
+            yield Violation(Rule.SERVES, text, stream.unit, stream.port)
+
+
+def _left_to_serve(environment: Environment) -> dict[Stream, int]:
+    """How many more inputs and topics may take each stream of an output that serves only so many."""
+    taken = Counter(s.stream for unit in environment.units for s in unit.subscriptions)
+    taken.update(Stream(unit.id, p.port) for unit in environment.units for p in unit.publications)
+    return {
+        stream: port.serves - taken[stream]
+        for unit, transformation in known_units(environment)
+        for port in transformation.outputs
+        for stream in [Stream(unit.id, port.name)]
+        if port.serves is not None
+    }
+
+
 def unfed_us(environment: Environment, horizon_s: int) -> int:
     """What is paid for optional inputs that nothing feeds, in microseconds."""
     unfed = (port for unit, port in _ports(environment) if port.optional and port.name not in unit.feeds)
@@ -75,9 +96,14 @@ def _free(
     fed = [stream.unit for p in group for stream in unit.feeds.get(p.name, ())]
     there = {environment.unit[feeder].transformation for feeder in fed if feeder in environment.unit}
     barred = set() if port.feedback else _downstream(environment, unit)
+    left = _left_to_serve(environment)
     found: dict[str, Stream] = {}
     for stream, feeder in _offers(environment, similarity, port):
-        if stream.unit not in barred and not (port.distinct is not None and feeder.label in there):
+        if (
+            stream.unit not in barred
+            and left.get(stream, 1) > 0
+            and not (port.distinct is not None and feeder.label in there)
+        ):
             found.setdefault(stream.unit if port.distinct is None else feeder.label, stream)
     return found
 

@@ -8,7 +8,7 @@ from graphlib import CycleError, TopologicalSorter
 
 from cfgplan.domain import Environment, Similarity, Stream
 from cfgplan.planning import Failures
-from cfgplan.validity.counts import count_violations, unfed_violations
+from cfgplan.validity.counts import count_violations, serving_violations, unfed_violations
 from cfgplan.validity.hosts import company_violations, placing_violations
 from cfgplan.validity.quality import quality_violations
 from cfgplan.validity.reading import company_of, known_units, needed_by, publishers, tag_of
@@ -29,6 +29,7 @@ def violations(
         *_bad_publications(environment, similarity),
         *count_violations(environment, similarity),
         *unfed_violations(environment, similarity),
+        *serving_violations(environment),
         *_cycles(environment),
         *_indistinct_feeds(environment),
         *quality_violations(environment),

@@ -182,6 +182,13 @@ MODEL = _room(
         "model.cp.add_bool_or([connected, runs.negated(), model.runs[feeder].negated()])",
         "pass",
     ),
+    ("a stream serves any number", "rules.py", "if len(taking) > most:", "if False:"),
+    (
+        "an input that starts nothing is fed by what serves enough",
+        "rules.py",
+        "barred.append(full := model.boolean())",
+        "full = model.boolean()",
+    ),
     (
         "an optional input is unfed for nothing",
         "rules.py",

@@ -31,7 +31,7 @@ HOSTS = (
 )
 SELECTORS = st.sampled_from([None, None, None, None, "a", "not a", "a and not b", "b or h2", "not (a or b)"])
 SPEEDS = st.sampled_from([MICRO, MICRO, MICRO // 2, 700_000, 3 * MICRO])
-TOGETHER = frozenset(Notion) - {Notion.OPTIONAL, Notion.COUNTS}
+TOGETHER = frozenset(Notion) - {Notion.OPTIONAL, Notion.COUNTS, Notion.LIMITS}
 """What the planner knows all at once."""
 VALUES = st.sampled_from([0, 1, 2, 3, 5, 8])
 FACTORS = st.sampled_from([0, MICRO // 3, MICRO // 2, MICRO, 3 * MICRO // 2])
@@ -99,7 +99,8 @@ def transformations(
         rate, size = (
             (draw(st.sampled_from([0, MICRO, 2_500_000])), draw(st.sampled_from([0, 1, 3]))) if hosts else (0, 0)
         )
-        outputs.append(OutputPort(port.name, port.tag, tuple(stated), rate, size))
+        serves = draw(st.sampled_from([None, 1, 1, 2])) if Notion.LIMITS in notions else None
+        outputs.append(OutputPort(port.name, port.tag, tuple(stated), rate, size, serves))
     changes: dict[str, object] = {"outputs": tuple(outputs)}
     changes["inputs"] = tuple(draw(inputs(port, notions)) for port in plain.inputs)
     if hosts:

@@ -61,7 +61,8 @@ def of_open_pairs(case: tuple[Problem, Similarity]) -> list[str]:
 HOSTS, QUALITY, SURVIVAL = (frozenset({notion}) for notion in (Notion.HOSTS, Notion.QUALITY, Notion.SURVIVAL))
 BESIDE = frozenset({Notion.BESIDE})
 NUMBERS = frozenset({Notion.CONFLICTS, Notion.INSTANCES})
-WIRING = frozenset({Notion.OPTIONAL, Notion.COUNTS})
+WIRING = frozenset({Notion.OPTIONAL, Notion.COUNTS, Notion.LIMITS})
+LIMITS = frozenset({Notion.LIMITS})
 OPTIONAL, COUNTS = (frozenset({notion}) for notion in (Notion.OPTIONAL, Notion.COUNTS))
 
 KINDS: Mapping[str, Kind] = MappingProxyType(
@@ -79,6 +80,7 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         "survival": Kind(st.one_of(fleets(SURVIVAL), fleets(SURVIVAL | HOSTS, most=2)), of_one),
         "optional": Kind(st.one_of(fleets(OPTIONAL), fleets(OPTIONAL, most=4)), of_one),
         "counts": Kind(st.one_of(fleets(COUNTS), fleets(WIRING)), of_one),
+        "limits": Kind(st.one_of(fleets(LIMITS, most=4), fleets(LIMITS | OPTIONAL)), of_one),
         "wiring": Kind(fleets(WIRING | NUMBERS | HOSTS, most=2), of_one),
         "undecided": Kind(
             st.one_of(undecided.undecided(problems(most=3)), undecided.undecided(fleets(TOGETHER, most=2))),

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from fixed import (
+    PLAIN_OUTPUT,
     Apart,
     Hubs,
     WithoutTwins,
@@ -380,3 +383,27 @@ def test_an_input_that_starts_nothing_is_unfed_where_it_would_close_a_cycle(mode
     assert fixed.allows(~runs("c.1"), ~feeds("h.1", "f.1/in0"))
     assert not fixed.allows(feeds("h.1", "f.1/in0"))
     assert not fixed.allows(runs("c.1"), publishes("c.1", "C"), ~feeds("c.1", "f.1/in0"))
+
+
+@every_model
+def test_a_stream_serves_no_more_inputs_and_topics_than_it_may(model: type[Hubs]) -> None:
+    scarce = kind("s", gives="A", output=replace(PLAIN_OUTPUT, serves=1))
+    fixed = model(world("BC", scarce, OTHER, FILTER, kind("g", "A", "C")))
+    assert fixed.allows(feeds("s.1", "f.1/in0"), feeds("t.1", "g.1/in0"))
+    assert not fixed.allows(feeds("s.1", "f.1/in0"), feeds("s.1", "g.1/in0"))
+    assert not model(world("AB", scarce, FILTER)).allows()
+    assert model(world("AB", kind("s", gives="A", output=replace(PLAIN_OUTPUT, serves=2)), FILTER)).allows()
+
+
+@every_model
+def test_an_input_that_starts_nothing_is_unfed_where_what_could_feed_it_is_taken(model: type[Hubs]) -> None:
+    scarce = kind("s", gives="A", output=replace(PLAIN_OUTPUT, serves=1))
+    fixed = model(world("AB", scarce, kind("f", "A", "B", first={"optional": True})))
+    assert fixed.allows(~feeds("s.1", "f.1/in0"))
+    assert not fixed.allows(feeds("s.1", "f.1/in0"))
+
+
+@every_model
+def test_a_service_closes_a_cycle(model: type[Hubs]) -> None:
+    assert model(world("B", kind("f", "C", "B", first={"service": True}), kind("g", "B", "C"))).allows()
+    assert not model(world("B", kind("f", "C", "B"), kind("g", "B", "C"))).allows()

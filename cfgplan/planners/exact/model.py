@@ -73,6 +73,14 @@ class Model:
         }
         takes_all = any(port.count == ALL for t in self.environment.library for port in t.inputs)
         self.tells_ports = self.is_apart or self.asks_for_quality or any(self._price_us.values()) or takes_all
+        self.serves = {
+            Stream(c.id, port.name): port.serves
+            for c in candidates.all
+            for port in c.transformation.outputs
+            if port.serves is not None
+        }
+        """How many inputs and topics may take each stream that serves only so many."""
+        self.tells_ports = self.tells_ports or bool(self.serves)
         """Whether it matters which stream of a unit is taken."""
         self._any_stream = [Stream(candidate.id, "") for candidate in candidates.all]
         self.needing = self._units_by_demand()
@@ -143,6 +151,7 @@ class Model:
             self.is_apart
             or not port.is_usual
             or port.distinct is not None
+            or any(stream in self.serves for stream in (self.choices(port.tag) if self.serves else ()))
             or (not port.feedback and self.is_apart_for_quality.get(self.demand(port.tag), False))
             or (unit in self.tracked and not self.tracked.isdisjoint(self.candidates.feeders(port.tag)))
         )

@@ -168,7 +168,7 @@ def a_target_is_published_by_one_unit(model: Model) -> None:
         for stream in model.choices(target.tag):
             feeder = model.unit_of(stream)
             running = model.candidates.all[feeder].running
-            is_told_apart = model.is_apart or target.quality or feeder in model.tracked
+            is_told_apart = model.is_apart or target.quality or feeder in model.tracked or stream in model.serves
             if not is_told_apart and running is None:
                 others += model.ways(stream, target.host)
                 continue
@@ -300,6 +300,19 @@ def _serving(model: Model, more: Mapping[int, Sequence[IntVar]]) -> dict[int, In
     return serving
 
 
+def a_stream_serves_no_more_than_it_may(model: Model) -> None:
+    for stream, most in model.serves.items():
+        taking = _taking(model, stream)
+        if len(taking) > most:
+            model.cp.add(LinearExpr.sum(taking) <= most)
+
+
+def _taking(model: Model, stream: Stream) -> list[IntVar]:
+    """The booleans that inputs and topics take a stream that serves only so many."""
+    choices = [*model.connects.values(), *model.publishes.values()]
+    return [choice[stream] for choice in choices if stream in choice]
+
+
 def an_input_that_starts_nothing_is_fed_by_what_is_needed_anyway(model: Model) -> None:
     """What is needed: what serves a target, is pinned, or is there by number."""
     if not model.idle_feeders:
@@ -335,6 +348,9 @@ def an_input_that_starts_nothing_is_fed_where_it_can_be(model: Model) -> None:
             key = feeder if port.distinct is None else label
             barred = [below[feeder]] if feeder in below else []
             barred += [c for s, c in _of_group(model, unit, port) if model.candidates.label_of(s) == label]
+            if stream in model.serves:
+                barred.append(full := model.boolean())
+                model.cp.add(LinearExpr.sum(_taking(model, stream)) >= model.serves[stream]).only_enforce_if(full)
             is_free = free[key] if key in free else model.boolean()
             free[key] = is_free
             model.cp.add_bool_or([is_free, model.runs[unit].negated(), model.runs[feeder].negated(), *barred])
@@ -529,6 +545,7 @@ RULES: Final[tuple[ModelRule, ...]] = (
     what_is_made_on_a_host_is_not_carried_there,
     pinned_units_run,
     required_transformations_serve_a_target,
+    a_stream_serves_no_more_than_it_may,
     an_input_that_starts_nothing_is_fed_by_what_is_needed_anyway,
     an_input_that_starts_nothing_is_fed_where_it_can_be,
     hosts_bear_their_units,

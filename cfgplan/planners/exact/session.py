@@ -24,7 +24,7 @@ from cfgplan.planners.tuning import USUAL, Tuning
 from cfgplan.planners.undecided import Deciding
 from cfgplan.planning import Notion, Plan, Problem, Progress, Status
 
-ONLY_IN_THE_MODEL: Final = frozenset({Notion.OPTIONAL, Notion.COUNTS})
+ONLY_IN_THE_MODEL: Final = frozenset({Notion.OPTIONAL, Notion.COUNTS, Notion.LIMITS})
 """What first plans and bounds don't know: such a problem goes to the solver at once."""
 
 
