@@ -123,7 +123,7 @@ def old_term(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
 
 
 def returning(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
-    """A host returns: what it still ran is gone within 1 s."""
+    """A host returns: what it still ran is gone within 1 s, and what that gave meanwhile is told as lost."""
     with stream(fleet, "r2", "r1") as (runtime, _):
         eventually(lambda: runtime.pid("count.1") is not None)
         process = Path(f"/proc/{runtime.pid('count.1')}")
@@ -133,8 +133,14 @@ def returning(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
         fleet.network.mend("r2")
         gone_s = eventually(lambda: not process.exists())
         back_s = gone_s + eventually(lambda: bool(events(runtime, "HostJoined")))
-    text = f"lost after {ms(noticed_s)}; stale unit gone {ms(gone_s)} after the link was there again, host {ms(back_s)}"
-    return Seen(text, ran_on, gone_s < 1.0)
+        eventually(lambda: bool(events(runtime, "ElementsLost")))
+        (lost,) = events(runtime, "ElementsLost")
+        given = RATE_HZ * (noticed_s + gone_s)
+    text = (
+        f"lost after {ms(noticed_s)}; stale unit gone {ms(gone_s)} after the link was there again, host {ms(back_s)}; "
+    )
+    text += f"{lost.elements} elements told as lost, about {given:.0f} given"
+    return Seen(text, ran_on and 0.8 * given < lost.elements < 1.2 * given + 40, gone_s < 1.0)
 
 
 @contextlib.contextmanager

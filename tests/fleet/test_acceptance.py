@@ -20,6 +20,7 @@ CASES = (
     "agent killed",
     "clocks",
     "storm",
+    "host returns",
     "cut for good",
 )
 

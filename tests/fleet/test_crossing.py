@@ -72,6 +72,18 @@ def test_what_has_no_room_during_a_cut_is_dropped_oldest_first_and_told() -> Non
     assert (sending.dropped, receiving.dropped) == (lost, lost)
 
 
+def test_what_is_lost_if_no_more_is_sent_is_known_to_the_element() -> None:
+    sending, receiving = Sending(), Receiving()
+    for number in range(MOST_PIECES + 10):
+        sending.offer(piece(number))
+    assert sending.lost == MOST_PIECES + 10
+    carry(sending, receiving, Random(1), loss=0.0, until_s=5.0)
+    assert (sending.dropped, sending.lost) == (10, 0)
+    for number in range(MOST_PIECES + 5):
+        sending.offer(piece(number))
+    assert (sending.dropped, sending.lost) == (15, MOST_PIECES + 5)
+
+
 def test_a_blocking_crossing_drops_nothing_and_is_full_at_its_queue() -> None:
     sending = Sending(blocks=True, most=5)
     for number in range(5):

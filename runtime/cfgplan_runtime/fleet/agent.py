@@ -59,6 +59,7 @@ from cfgplan_runtime.streams.crossing import crossing_key
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
 from cfgplan_runtime.supervision.backend import Inlet
 from cfgplan_runtime.supervision.events import (
+    ElementsLost,
     Event,
     InputLost,
     UnitDied,
@@ -135,6 +136,8 @@ class Agent:
         self._ending: set[str] = set()
         """Units of before the last greeting that have not ended yet: orders wait for that, and nothing is told."""
         self._owes_welcome = False
+        self._lost = 0
+        """Elements that had not come to other hosts when their crossings were ended, and were not told of."""
         self._orders: deque[Order] = deque()
         self._managers: set[str] = set()
         """Keys of the managers that are alive."""
@@ -236,6 +239,9 @@ class Agent:
             if self._owes_welcome:
                 self._owes_welcome = False
                 self._say(Welcome(str(self._backend.run_folder.path), self._held()))
+                if self._lost:
+                    self._say(told(ElementsLost(self.name, self._lost)))
+                    self._lost = 0
             else:
                 self._obey(self._orders.popleft())
         now_s = time.monotonic()
@@ -285,6 +291,7 @@ class Agent:
             case GreetOrder(adopts):
                 self._owes_welcome = True
                 if not adopts:
+                    self._lost += self._relay.lost
                     self._end_everything()
             case LeaveOrder():
                 self._end_everything()

@@ -90,6 +90,11 @@ class Relay:
             for name, one in list(self._exports.items())
         }
 
+    @property
+    def lost(self) -> int:
+        """How many elements are lost if all exports are released now; for the agent's thread."""
+        return sum(export.sending.lost for export in list(self._exports.values()))
+
     def close(self) -> None:
         """End the thread and those of all exports."""
         self._is_closing = True

@@ -248,6 +248,8 @@ def _event(event: events.Event) -> str | None:
             return f"the topics' addresses were lost and are made anew: {cause}"
         case events.ClockMoved(host, ahead_us):
             return f"the clock of {host} is {ahead_us / 1e6:+.3f} s from this one now; times of elements are not moved"
+        case events.ElementsLost(host, elements):
+            return f"{host} is back; of what it had given to other hosts, {elements} elements were lost on the way"
     return None
 
 

@@ -110,6 +110,8 @@ class Sending:
         self._under_way: dict[int, Frame] = {}
         self._under_way_bytes = 0
         self._next = 0
+        self._dropped_before = 0
+        """How many were dropped before the last piece that arrived: the receiver knows of them."""
         self._limit = granted
         self._missing: tuple[int, ...] = ()
         self._again_s: float | None = None
@@ -120,6 +122,11 @@ class Sending:
     def depth(self) -> int:
         """How many pieces have not arrived, as far as is known."""
         return len(self._waiting) + len(self._under_way)
+
+    @property
+    def lost(self) -> int:
+        """How many pieces are lost if no more is sent: those that have not arrived, or were dropped after the last."""
+        return self.depth + self.dropped - self._dropped_before
 
     @property
     def is_full(self) -> bool:
@@ -137,7 +144,9 @@ class Sending:
         """Note what the receiver tells; what it told before may come later."""
         arrived = [number for number in self._under_way if number < credit.expected]
         for number in arrived:
-            self._under_way_bytes -= self._size(self._under_way.pop(number))
+            frame = self._under_way.pop(number)
+            self._under_way_bytes -= self._size(frame)
+            self._dropped_before = frame.dropped
         if arrived or credit.limit > self._limit:
             self._patience_s, self._again_s = _RESEND_S, None
         self._limit = max(self._limit, credit.limit)

@@ -188,6 +188,14 @@ class ClockMoved:
 
 
 @dataclass(frozen=True, slots=True)
+class ElementsLost:
+    """A host that was lost and is back had elements for others that had not come to them, as far as it knows."""
+
+    host: str
+    elements: int
+
+
+@dataclass(frozen=True, slots=True)
 class Applied:
     """A change set was carried out.
 
@@ -233,6 +241,7 @@ Event: TypeAlias = (
     | HostLost
     | HostJoined
     | ClockMoved
+    | ElementsLost
     | Applied
     | RolledBack
 )
