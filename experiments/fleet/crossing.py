@@ -190,7 +190,7 @@ def _session(way: str, secrets: Path, *, listen: str | None = None, connect: str
     is_secured = way.endswith("TLS")
     links._refuse_strangers = lambda _: None
     ends = [[] if end is None else [f"{'tls' if is_secured else 'tcp'}/{end}:{PORT}"] for end in (listen, connect)]
-    given = links.config(*ends, secrets if is_secured else None, mode="peer")
+    given = links.config(*ends, secrets if is_secured else None)
     return zenoh.open(zenoh.Config.from_json5(json.dumps(given)))
 
 

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from datetime import datetime, timedelta, tzinfo
 from itertools import product
 from pathlib import Path
+from typing import Literal
 
 import pytest
 import zenoh
@@ -54,12 +55,17 @@ def free_port() -> int:
 
 @contextlib.contextmanager
 def session(
-    folder: Path | None, *, listen: int | None = None, connect: int | None = None, is_known: bool = True
+    folder: Path | None,
+    *,
+    listen: int | None = None,
+    connect: int | None = None,
+    is_known: bool = True,
+    mode: Literal["peer", "client"] = "peer",
 ) -> Iterator[zenoh.Session]:
     def endpoints(port: int | None) -> list[str]:
         return [] if port is None else [f"{'tcp' if folder is None else 'tls'}/127.0.0.1:{port}"]
 
-    given = config(endpoints(listen), endpoints(connect), folder)
+    given = config(endpoints(listen), endpoints(connect), folder, mode=mode)
     if not is_known:
         tls = given["transport"]["link"]["tls"]
         given["transport"]["link"]["tls"] = {"root_ca_certificate": tls["root_ca_certificate"]}
@@ -80,7 +86,7 @@ def is_refused(folder: Path | None, port: int, *, is_known: bool = True) -> bool
 
 def connected(one: zenoh.Session) -> None:
     end = time.monotonic() + PATIENCE_S
-    while not one.info.routers_zid():
+    while not one.info.peers_zid():
         assert time.monotonic() < end
         time.sleep(0.01)
 
@@ -191,7 +197,7 @@ def test_an_agent_outlives_garbage(fleet: Path) -> None:
                         pass
         with session(fleet / "r2", connect=port) as other:
             connected(other)
-            assert [str(zid) for zid in agent.info.routers_zid()] == [str(other.info.zid())]
+            assert [str(zid) for zid in agent.info.peers_zid()] == [str(other.info.zid())]
 
 
 def heard_by(agent: zenoh.Session) -> queue.SimpleQueue[str]:
@@ -237,8 +243,8 @@ def test_what_other_hosts_write_comes_through_who_passes_it_on_and_through_nobod
     for middle, passes in (("base", True), ("r2", False)):
         with (
             session(fleet / middle, listen=ports[middle]) as third,
-            session(fleet / "r1", connect=ports[middle]) as agent,
-            session(fleet / "manager", connect=ports[middle]) as manager,
+            session(fleet / "r1", connect=ports[middle], mode="client") as agent,
+            session(fleet / "manager", connect=ports[middle], mode="client") as manager,
         ):
             heard, heard_between = heard_by(agent), heard_by(third)
             connected(agent)

@@ -206,7 +206,7 @@ def test_hosts_without_an_agent_are_lost_from_the_beginning() -> None:
 
 def test_a_manager_that_has_left_is_no_rival_though_it_still_seems_alive() -> None:
     with small_fleet("r1") as fleet:
-        link = ZenohLink(config(connect=fleet.endpoints, mode="peer"))
+        link = ZenohLink(config(connect=fleet.endpoints))
         with fleet.backend("r1") as first:
             link.live(f"{alive_key(MANAGER)}/{first.id}")
         assert link.alive(f"{alive_key(MANAGER)}/*")

@@ -148,7 +148,7 @@ class Agent:
         """What has ended the relay."""
         # What is wrong with it is refused before a process is made.
         given = (
-            config(listen, connect, certificates, mode="peer")
+            config(listen, connect, certificates)
             if through is None
             else config(connect=[through], certificates=certificates, mode="client")
         )

@@ -560,4 +560,4 @@ def _linked(connect: Sequence[str], certificates: Path | None, wait_s: float) ->
     if len(connect) == 1:
         with suppress(InputError):
             return ZenohLink(config(connect=connect, certificates=certificates, mode="client", reach_s=wait_s))
-    return ZenohLink(config(connect=connect, certificates=certificates, mode="peer"))
+    return ZenohLink(config(connect=connect, certificates=certificates))
