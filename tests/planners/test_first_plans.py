@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
+from unittest.mock import patch
 
 import pytest
 from fixed import kind, unit
@@ -22,6 +24,7 @@ from cfgplan.planners.exact.grounded import Grounded
 from cfgplan.planners.exact.reach import Reach
 from cfgplan.planners.exact.running import offer_what_runs
 from cfgplan.planners.exact.standing import Standing
+from cfgplan.planners.exact.survivors import can_do_without
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import USUAL
 from cfgplan.planning import Failures, Notion, Plan, Problem, Status
@@ -127,3 +130,20 @@ def test_what_is_reached_is_the_closure_of_what_was_added_and_not_taken_back(
         assert {network.labels[n] for n in range(len(network.labels)) if reach.runs(n)} == possible
         for target in problem.environment.targets:
             assert reach.meets(target.tag) == (not possible.isdisjoint(candidates.givers.of(target.tag)))
+
+
+def test_spares_are_dropped_one_by_one_with_a_look_at_the_clock_before_each() -> None:
+    seen: list[str] = []
+
+    def look(_: Clock) -> None:
+        seen.append("look")
+
+    def drop(candidates: Candidates, units: list[ComputationUnit], one: ComputationUnit) -> bool:
+        seen.append("drop")
+        return can_do_without(candidates, units, one)
+
+    with patch.object(Clock, "_check", look), patch("cfgplan.planners.exact.decode.can_do_without", drop):
+        first(instances.surviving(0, 40, 2))
+    dropped = [before for before, after in pairwise(seen) if after == "drop"]
+    assert dropped
+    assert set(dropped) == {"look"}

@@ -7,6 +7,7 @@ enough.
 from __future__ import annotations
 
 from collections.abc import Collection
+from functools import partial
 
 import numpy as np
 
@@ -80,7 +81,8 @@ class Configuration:
         for i in sorted(self.cold):
             spare = ComputationUnit(all_of[i].id, all_of[i].transformation.label, host=places.host_of[i], standby=True)
             units.append(spare)
-        return named(self.candidates, lean(self.candidates, units))
+        each = partial(self.candidates.clock.each, at_once=1)
+        return named(self.candidates, lean(self.candidates, units, each))
 
     def _place(self, but_on: HostName) -> bool:
         self._grounded = Grounded(self.candidates, self.hot, self._attribute)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable
 from dataclasses import replace
+from itertools import repeat
 from typing import TYPE_CHECKING
 
 from cfgplan.domain import ComputationUnit, Environment, InputPort, Publication, Stream, Subscription, Target
@@ -13,6 +14,7 @@ from cfgplan.planners.exact.survivors import can_do_without
 from cfgplan.planners.exact.wiring import published_stream
 from cfgplan.planners.networks.keys import needed_feeders
 from cfgplan.planning import Notion, Problem, fresh_units
+from cfgplan.reasons import Each
 
 if TYPE_CHECKING:
     from cfgplan.planners.exact.model import Model  # the solver takes long to import
@@ -130,19 +132,19 @@ class _Decoding:
         return min(ways, default=None)
 
 
-def lean(candidates: Candidates, units: Collection[ComputationUnit]) -> list[ComputationUnit]:
+def lean(candidates: Candidates, units: Collection[ComputationUnit], each: Each = iter) -> list[ComputationUnit]:
     """Take away, one after the other, the units that no target, pin, number or failure needs.
 
-    Where failures have to be survived, `units` must survive them.
+    Where failures have to be survived, `units` must survive them. Each look at all failures is one of `each`.
     """
     problem, left = candidates.problem, list(units)
     spares: set[str] = set()
-    while True:
+    for _ in each(repeat(None)):
         roots = [u for u in left if u.publications or u.id in spares or _is_asked_for(problem, left, u)]
         needed = _needed(problem.environment, left, roots)
         needless = [unit for unit in left if unit.id not in needed]
         if not needless:
-            return left
+            break
         # A unit that feeds another needless one goes after it; new units go before kept ones.
         fed_from = {s.stream.unit for unit in needless for s in unit.subscriptions if s.stream.unit != unit.id}
         last = [unit for unit in needless if unit.id not in fed_from] or needless
@@ -151,6 +153,7 @@ def lean(candidates: Candidates, units: Collection[ComputationUnit]) -> list[Com
             left = without_broken([unit for unit in left if unit is not goes])
         else:
             spares.add(goes.id)
+    return left
 
 
 def without_broken(units: list[ComputationUnit]) -> list[ComputationUnit]:
