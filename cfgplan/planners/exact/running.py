@@ -18,7 +18,9 @@ def offer_what_runs(standing: Standing) -> None:
     library = tuple(t for t in environment.library if t.label in labels)
     givers = Givers(library, problem.similarity)
     possible = startable(Environment((), library), givers)
-    if not possible.issuperset(t.label for t in library if t.pinned):
+    if not possible.issuperset(t.label for t in library if t.pinned) or any(
+        possible.isdisjoint(givers.of(target.tag)) for target in environment.targets
+    ):
         return
     candidates = Candidates(problem, Closure(givers, possible, possible))
     units = wire(candidates, [i for i, c in enumerate(candidates.all) if c.running is not None and c.may_run])

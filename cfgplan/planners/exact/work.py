@@ -94,13 +94,17 @@ class Work:
             self.standing.offer(units)
 
     def take(self, left: Left) -> None:
-        """Go on with what is left: raise the proven bound, offer the plan, and see whether all is proven."""
+        """Go on with what is left: raise the proven bound, offer the plan, and see whether all is proven.
+
+        Raises OutOfTimeError if there is no plan to be offered.
+        """
         standing, weighing = self.standing, left.weighing
-        self.left, self.candidates = left, self.structure.candidates(self.problem, left.names)
         standing.counts |= left.counts
         if left.holds_for != standing.holds_for:
             standing.holds_for, standing.bound_us = left.holds_for, 0
         standing.raise_bound(weighing.cost_us(left.value))
+        clock = self.clock if left.plan is None else None  # a plan that is known is offered whatever the time
+        self.left, self.candidates = left, self.structure.candidates(self.problem, left.names, clock)
         if left.plan is None:
             return
         cost_us = weighing.cost_us(weighing.of_plan(left.plan))
