@@ -45,15 +45,10 @@ class Configuration:
         hot: Collection[int],
         attribute: QualityAttribute | None,
         spare_us: Floats,
-        is_quick: bool,
     ) -> None:
-        """Inputs take the streams whose `attribute` is best; `spare_us` are the `spare_prices`.
-
-        With `is_quick` the spares are further units of the transformations that a failure takes.
-        """
+        """Inputs take the streams whose `attribute` is best; `spare_us` are the `spare_prices`."""
         self.candidates = candidates
         self._spare_us = spare_us
-        self._is_quick = is_quick
         self.hot = set(hot)
         self.cold: set[int] = set()
         self._attribute = attribute
@@ -127,8 +122,6 @@ class Configuration:
         candidates, labels = self.candidates, self._labels(left)
         if not unmet(candidates, Failure(host, self._sites(left), targets)):
             return True
-        if self._is_quick and self._doubled(labels, host):
-            return True
         network = candidates.network
         there = candidates.numbers(labels)
         price = self._spare_us + 1
@@ -142,14 +135,6 @@ class Configuration:
         more = [] if support is None else [self._spare(network.labels[n], host) for n in sorted(support - set(there))]
         self._add([one for one in more if one is not None])
         return support is not None
-
-    def _doubled(self, left: frozenset[str], host: str | None) -> bool:
-        """Add one more unit of each transformation that is not left; False if one has no further candidate."""
-        twins = [self._spare(label, host) for label in sorted(self._labels(self.hot | self.cold) - left)]
-        found = [twin for twin in twins if twin is not None]
-        if len(found) == len(twins):
-            self._add(found)
-        return len(found) == len(twins)
 
     def _spare(self, label: str, host: str | None) -> int | None:
         """The cheapest further candidate of a transformation that may be on another host; None if there is none."""

@@ -146,15 +146,12 @@ class FirstPlans:
         return chosen
 
     def offer(self, hot: Collection[int]) -> bool:
-        """Offer a configuration in which these candidates run; False if none is valid."""
-        is_offered = False
-        ways = (True, False) if self.candidates.problem.survive is not None and self.standing.best is None else (False,)
-        for is_quick in self.candidates.clock.each(ways, 1):
-            units = Configuration(self.candidates, hot, self._attribute, self._spare_us, is_quick).units()
-            if units is not None and self.is_valid(units):
-                self.standing.offer(units)
-                is_offered = True
-        return is_offered
+        """Offer a configuration in which these candidates run; False if it is not valid."""
+        units = Configuration(self.candidates, hot, self._attribute, self._spare_us).units()
+        if units is None or not self.is_valid(units):
+            return False
+        self.standing.offer(units)
+        return True
 
     def is_valid(self, units: list[ComputationUnit]) -> bool:
         """Whether a wired configuration keeps quality bounds, room on hosts, numbers, conflicts, pins and failures."""
