@@ -24,6 +24,7 @@ from cfgplan.domain import (
     ChangeSet,
     ComputationUnit,
     Environment,
+    Host,
     InputPort,
     OutputPort,
     Publication,
@@ -261,6 +262,16 @@ def test_a_session_notices_that_a_unit_is_asked_for_that_no_target_needs() -> No
     session = PlannerSession()
     assert session.plan(problem).cost_us == 1
     asking = replace(environment, library=(source, replace(idle, min_instances=1)))
+    assert session.plan(replace(problem, environment=asking)).cost_us == 2
+
+
+def test_a_session_notices_that_a_transformation_runs_beside_one_that_no_target_needs() -> None:
+    source, idle = (Transformation(label, (), (OutputPort("o", tag),), labor_us=1) for label, tag in ("sA", "tB"))
+    environment = Environment((), (source, idle), (Target("q", "A", "/q"),), (Host("h"),))
+    problem = Problem(environment, Similarity({"A": frozenset("A")}), 1)
+    session = PlannerSession()
+    assert session.plan(problem).cost_us == 1
+    asking = replace(environment, library=(replace(source, beside=("t",)), idle))
     assert session.plan(replace(problem, environment=asking)).cost_us == 2
 
 

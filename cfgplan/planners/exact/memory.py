@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
+from operator import attrgetter
 
 import numpy as np
 
@@ -189,10 +190,12 @@ def _alike(one: Environment, other: Environment) -> bool:
     """Whether the libraries differ in nothing but costs."""
     return one.library == other.library or (
         len(one.library) == len(other.library)
-        and all(a is b or _ports(a) == _ports(b) for a, b in zip(one.library, other.library, strict=True))
+        and all(
+            a is b or _all_but_costs(a) == _all_but_costs(b) for a, b in zip(one.library, other.library, strict=True)
+        )
     )
 
 
-def _ports(transformation: Transformation) -> tuple[object, ...]:
-    t = transformation
-    return t.label, t.inputs, t.outputs, t.pinned, t.required, t.min_instances
+_all_but_costs = attrgetter(
+    *(one.name for one in fields(Transformation) if one.name not in {"labor_us", "upkeep_us", "standby_us", "seen_us"})
+)
