@@ -235,6 +235,7 @@ def demands_of_quality(candidates: Candidates) -> dict[Demand, bool]:
     better = [
         (name, t.label, port)
         for name in asked
+        if not all(found[demand] for demand in counting[name])
         for t in _transformations(candidates)
         for port in t.outputs
         if not _is_no_better_than_its_inputs(environment.quality[name], t, port)
