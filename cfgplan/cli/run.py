@@ -232,6 +232,9 @@ def _settings(options: argparse.Namespace) -> Settings:
 def _fleet(options: argparse.Namespace) -> Fleet | None:
     """How hosts are reached; None without an option for it."""
     if not (options.local or options.connect):
+        if options.take_over or options.certificates is not None:
+            mend = "name one of its agents by --connect"
+            raise InputError.of("--take-over and --certificates: of which fleet?", mend=mend)
         return None
     from cfgplan_runtime.fleet.fleet_runtime import Fleet
 
