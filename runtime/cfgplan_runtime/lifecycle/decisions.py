@@ -75,15 +75,16 @@ class BreakIn(Flag):
 
 def breaks_in(doing: Doing, item: Item) -> BreakIn:
     """How an item breaks into what is under way when it comes, before it is taken in."""
-    starting = doing.starting if isinstance(doing, Updating) else frozenset()
-    abandon = BreakIn.ABANDON if starting else BreakIn(0)
+    is_starting = isinstance(doing, Updating) and bool(doing.change_set.started)
+    abandon = BreakIn.ABANDON if is_starting else BreakIn(0)
     match item:
         case Leave() | Asked(Stop()):
             return BreakIn.INTERRUPT | abandon | BreakIn.END
         case Asked():
             return BreakIn.INTERRUPT
         case UnitDied() | InputLost():
-            return BreakIn.INTERRUPT if item.unit in starting else BreakIn.INTERRUPT | abandon
+            is_new = isinstance(doing, Updating) and item.unit in doing.starting
+            return BreakIn.INTERRUPT if is_new else BreakIn.INTERRUPT | abandon
         case HostLost():
             return BreakIn.INTERRUPT | abandon
         case HostJoined():

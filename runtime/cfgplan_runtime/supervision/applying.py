@@ -195,7 +195,7 @@ def carry_out(
         raise kind(f"the update was undone: {error}", error.units) from None
     unswitched = len(update.switching())
     yield from _timed("stop", update.stop(), actual, seconds)
-    yield WaitUntil(lambda: not update.switching(), patience.stop_s)
+    yield WaitUntil(update.may_end, patience.stop_s)
     yield from update.close_topics(actual.topics.keys() - wanted_topics(after).keys())
     return CarriedOut(_as_it_lives(after, actual), seconds, unswitched)
 
@@ -286,7 +286,7 @@ class _Update:
         idle = starved_units(actual.environment) | actual.dry_units()
         starved = idle.intersection(self.change_set.stopped)
         yield WaitUntil(
-            lambda: bool(self.dead()) or all(self.replaces_one_of(starved, inlet) for inlet in self.switching()),
+            lambda: bool(self.dead()) or self.may_end(starved),
             self.patience.switch_s,
         )
         self.fail_if_dead()
@@ -319,7 +319,7 @@ class _Update:
                 yield Connect(old, inlet)
             elif fed is not None and fed.stream == wanted[inlet]:
                 yield Disconnect(inlet)
-        yield WaitUntil(lambda: not self.switching(), self.patience.switch_s)
+        yield WaitUntil(self.may_end, self.patience.switch_s)
         for inlet in self.switching():
             yield GoOver(inlet)
         for inlet in [inlet for inlet in actual.feeds if inlet.unit in kept]:
@@ -356,10 +356,18 @@ class _Update:
 
     def switching(self) -> list[Inlet]:
         """The rewired inlets that have not switched yet."""
-        feeds = self.actual.feeds
-        return [
-            inlet for inlet in self.rewired if inlet in feeds and not feeds[inlet].has_switched and self.lives(inlet)
-        ]
+        return [inlet for inlet in self.rewired if self.is_switching(inlet)]
+
+    def may_end(self, starved: Set[str] = frozenset()) -> bool:
+        """Whether all rewired inlets have switched, but for those that one of the `starved` units fed.
+
+        The last one is looked at first: it switches last.
+        """
+        return all(self.replaces_one_of(starved, inlet) for inlet in reversed(self.rewired) if self.is_switching(inlet))
+
+    def is_switching(self, inlet: Inlet) -> bool:
+        feed = self.actual.feeds.get(inlet)
+        return feed is not None and not feed.has_switched and self.lives(inlet)
 
     def lives(self, inlet: Inlet) -> bool:
         """Whether there is something that a stream may be led to: a living unit, or a topic whose host is there."""
