@@ -667,7 +667,7 @@ LIFECYCLE = _room(
     (
         "what dies in an update that starts it gives it up",
         "decisions.py",
-        "if item.unit in starting else",
+        "if is_new else",
         "if False else",
     ),
     (
