@@ -130,3 +130,16 @@ def test_a_fleet_too_large_for_the_relaxation_gets_no_cuts() -> None:
     candidates = Candidates(random_library(0, transformations=2000, branching=400))
     bound = Bound(candidates.network.core, candidates.least_us)
     assert chain_cuts(candidates, bound, Clock(), QUICK)[0] == []
+
+
+def test_a_required_unit_is_used_although_another_is_better() -> None:
+    tag, worse = "D", Contribution("e", QualityRule.ADD, 0)
+    library = (
+        Transformation("better", outputs=(OutputPort("x", tag, (Contribution("e", QualityRule.ADD, 9),)),)),
+        Transformation("wanted", outputs=(OutputPort("x", tag, (worse,)),), required=True),
+    )
+    attribute = QualityAttribute("e", Better.HIGHER, worst=0, best=9)
+    target = Target("t", tag, "/t", quality=(Wish("e", bound=0, weight_us=MICRO),))
+    environment = Environment((), library, (target,), qualities=(attribute,))
+    found = PLANNERS["cpsat"](Problem(environment, Similarity({tag: frozenset({tag})}), 0))
+    assert (found.unused_required, found.cost_us) == ((), 9)

@@ -44,8 +44,8 @@ class QualityStart:
             self._narrow()
 
     def _narrow(self) -> None:
-        if self.standing.best is not None:
-            bound_by_price(self.candidates, self.standing.best.key.cost_us - self._least_us)
+        if self.standing.largest_us is not None:
+            bound_by_price(self.candidates, self.standing.largest_us - self._least_us)
             self.candidates = self.candidates.among(self.candidates.labels)
 
     def _look(self, spreads: Spreads) -> None:
