@@ -228,7 +228,7 @@ class Chatter:
             os.close(nowhere)
 
 
-_READ = ("env", "also", "path", "features")
+_READ = ("env", "envs", "also", "path", "features")
 _WRITTEN = ("out", "plot", "log", "record")
 
 

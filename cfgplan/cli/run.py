@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 _LIVE_LOOK_S = 0.1
 _HOSTS_S = 5.0
 """So many seconds after the start a fleet's backend must have told of each host."""
+_ESTIMATORS = ("declared", "latest", "average", "trend", "holt")
+_GUESSES = ("declared", "optimistic", "pessimistic")
 _RUN_EXAMPLE = """\
 example:
   cfgplan run env.yaml --for 30s --record run.mcap
@@ -56,9 +58,18 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--metrics-port", type=port, metavar="N", help="serve metrics for Prometheus on 127.0.0.1:N (0: any port)"
     )
+    parser.add_argument(
+        "--estimator", choices=_ESTIMATORS, default="trend", help="how costs are forecast from observations (trend)"
+    )
+    parser.add_argument(
+        "--guess",
+        choices=_GUESSES,
+        default="declared",
+        help="the cost of what never ran: as declared, low so that it is tried, or high so that it is not (declared)",
+    )
     kept = parser.add_mutually_exclusive_group()
-    kept.add_argument("--estimates", metavar="FILE", help="where learned costs are kept (the state folder)")
-    kept.add_argument("--no-estimates", action="store_true", help="learn no costs: believe the file")
+    kept.add_argument("--estimates", metavar="FILE", help="where estimates are kept between runs (the state folder)")
+    kept.add_argument("--no-estimates", action="store_true", help="neither read nor keep estimates")
     longest = "longest wait until a failing transformation that nothing can replace is started again (3s)"
     shared.add_time(parser, "--back-off", 3.0, longest)
     shared.add_several(parser, "--preload", "MODULE", "import this module before units start (repeat)")
@@ -211,6 +222,8 @@ def _settings(options: argparse.Namespace) -> Settings:
     kept = _estimates_file(options)
     return Settings(
         planner=None if options.planner is None else _planner(options.planner),
+        estimator=options.estimator,
+        guess=options.guess,
         estimates=None if options.no_estimates else kept,
         policy=Policy(
             time_limit_s=options.timeout or Policy().time_limit_s,
@@ -254,14 +267,14 @@ def _planner(name: str) -> Planner:
 def first_update(problem: Problem, settings: Settings, decider: Decider) -> BestEffort:
     """What the first review of a run would decide, by the costs that are known by now."""
     from cfgplan_runtime.estimating.estimates_file import load
-    from cfgplan_runtime.estimating.estimator import LearningEstimator
+    from cfgplan_runtime.estimating.estimator import make_estimator
     from cfgplan_runtime.lifecycle.configuration import EstimatedLibrary
 
     from cfgplan.explaining.best_effort import best_effort
     from cfgplan.planners import PLANNERS
     from cfgplan.planners.undecided import Deciding
 
-    estimator = LearningEstimator()
+    estimator = make_estimator(settings.estimator, settings.guess)
     if settings.estimates is not None:
         load(estimator, settings.estimates, time.monotonic())
     environment = problem.environment

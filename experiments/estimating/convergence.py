@@ -12,10 +12,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
-from baselines import FORECASTERS
 from cfgplan_runtime import SimulatedBackend, Supervisor
-from cfgplan_runtime.estimating.estimator import LearningEstimator
-from cfgplan_runtime.lifecycle.seams import DeclaredCosts, Estimator
+from cfgplan_runtime.estimating.estimator import ESTIMATORS, LearningEstimator, make_estimator
 from cfgplan_runtime.supervision.events import Event, UnitDied
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
 
@@ -68,7 +66,7 @@ SCENARIOS = (
 )
 
 
-def estimates(scenario: Scenario, estimators: dict[str, Estimator]) -> tuple[list[int], dict[str, list[int]]]:
+def estimates(scenario: Scenario, estimators: dict[str, LearningEstimator]) -> tuple[list[int], dict[str, list[int]]]:
     """What each estimator hands out every few seconds, all of them looking at the same unit."""
     events: list[Event] = []
     backend = SimulatedBackend({"work": scenario.behaviour()})
@@ -150,8 +148,7 @@ def main() -> None:
         "|---|---|---|---|---|---|",
     ]
     for scenario, panel in zip(SCENARIOS, panels.flat, strict=True):
-        learning = {name: LearningEstimator(made) for name, made in FORECASTERS.items()}
-        moments, found = estimates(scenario, {"declared": DeclaredCosts(), **learning})
+        moments, found = estimates(scenario, {name: make_estimator(name) for name in ESTIMATORS})
         panel.set_title(scenario.name)
         panel.plot(moments, [scenario.expected_us(moment) / 1e3 for moment in moments], "k:", label="right")
         for name, values in found.items():

@@ -19,10 +19,9 @@ from pathlib import Path
 from statistics import mean
 
 from cfgplan_runtime import Manager, SimulatedRuntime
-from cfgplan_runtime.estimating.estimator import LearningEstimator
+from cfgplan_runtime.estimating.estimator import LearningEstimator, make_estimator
 from cfgplan_runtime.estimating.settings import Learning
 from cfgplan_runtime.lifecycle.reports import Report, UnitEvent
-from cfgplan_runtime.lifecycle.seams import DeclaredCosts, Estimator
 from cfgplan_runtime.supervision.events import UnitReady
 from cfgplan_runtime.supervision.observation import Observation
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
@@ -100,14 +99,15 @@ class Knowing:
         return 0 if values is None else round(values[min(int(self._now_s), len(values) - 1)])
 
 
-def _learning(forget_s: float) -> LearningEstimator:
-    return LearningEstimator(settings=Learning(memory_s=30, forget_s=forget_s))
+def _learning(forget_s: float, guess: str = "declared") -> LearningEstimator:
+    return make_estimator("trend", guess, Learning(memory_s=30, forget_s=forget_s))
 
 
-ESTIMATORS: dict[str, Callable[[dict[str, list[float]]], Estimator]] = {
+ESTIMATORS: dict[str, Callable[[dict[str, list[float]]], Knowing | LearningEstimator]] = {
     "knows the present": Knowing,
-    "declared": lambda _: DeclaredCosts(),
+    "declared": lambda _: make_estimator("declared"),
     "trend, forgets in 6 h": lambda _: _learning(6 * 3600),
+    "the same, optimistic": lambda _: _learning(6 * 3600, "optimistic"),
     "trend, forgets in 5 min": lambda _: _learning(300),
 }
 

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from statistics import median
 
-from cfgplan_runtime.estimating.estimator import LearningEstimator
+from cfgplan_runtime.estimating.estimator import LearningEstimator, make_estimator
 from cfgplan_runtime.supervision.observation import Observation
 
 from cfgplan.domain import Transformation
@@ -25,7 +25,7 @@ def units(number: int, now_s: int) -> list[Observation]:
 
 
 def learned(number: int) -> LearningEstimator:
-    estimator = LearningEstimator()
+    estimator = make_estimator()
     for now_s in range(320):
         estimator.observe(units(number, now_s), now_s)
     return estimator
@@ -53,7 +53,7 @@ def row(number: int) -> str:
 
 def family_row(number: int) -> str:
     """A template with so many transformations, of which three run."""
-    estimator = LearningEstimator()
+    estimator = make_estimator()
     library = [Transformation(f"work(n{n})", labor_us=1, upkeep_us=1, source="units.py:Work") for n in range(number)]
     estimator.estimated(library, HORIZON_S)
     for t in range(320):

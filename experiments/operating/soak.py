@@ -394,7 +394,7 @@ def operated(folder: Path, seed: int) -> Iterator[Soak]:
     settings = Settings(policy=policy, preload=["preloaded"], log=folder / "log.jsonl", record=folder / "run.mcap")
     costs = DeclaredCosts(failure_us=0)  # what crashed is to be as good as before in the end
     with (
-        patch("cfgplan_runtime.operating.operation.DeclaredCosts", lambda: costs),
+        patch("cfgplan_runtime.operating.operation.make_estimator", lambda *_: costs),
         Operation(api.load(path), path, settings) as operation,
     ):
         written.operation = operation

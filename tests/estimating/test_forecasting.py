@@ -5,12 +5,11 @@ from __future__ import annotations
 import random
 
 import pytest
-from cfgplan_runtime.estimating.forecasters import Average, Damped, Forecast, Trend, damped
+from cfgplan_runtime.estimating.forecasters import FORECASTERS, Average, Damped, Forecast, Holt, Latest, Trend, damped
 from cfgplan_runtime.estimating.history import CostSample, History
 from hypothesis import given
 from hypothesis import strategies as st
 
-FORECASTERS = {"average": Average, "trend": Trend}
 MEMORY_S = 60.0
 values = st.floats(0, 1e7)
 histories = st.lists(st.tuples(st.floats(0.01, 500), values, st.floats(0.01, 100)), min_size=1, max_size=40)
@@ -80,9 +79,14 @@ def test_what_is_a_memory_old_counts_half_as_much() -> None:
     assert Average(MEMORY_S)([old, new]).level == pytest.approx(200.0)
 
 
-def test_a_drift_is_forecast_to_go_on() -> None:
+def test_the_latest_forgets_everything_else() -> None:
+    assert Latest()(samples(1, 2, 9)).level == 9
+
+
+@pytest.mark.parametrize("forecaster", [Trend(MEMORY_S), Holt(MEMORY_S)])
+def test_a_drift_is_forecast_to_go_on(forecaster: Trend | Holt) -> None:
     drift = [10_000 + 50 * 5 * n for n in range(40)]
-    forecast = Trend(MEMORY_S)(samples(*drift))
+    forecast = forecaster(samples(*drift))
     assert forecast.slope == pytest.approx(50, rel=0.2)
     assert forecast.level == pytest.approx(drift[-1], rel=0.1)
     assert forecast.mean(60) > forecast.level

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from cfgplan_runtime.estimating.estimates_file import EstimatesError, default_file, load, save
-from cfgplan_runtime.estimating.estimator import LearningEstimator
+from cfgplan_runtime.estimating.estimator import make_estimator
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from observing import HORIZON_S, WORK, Watched
@@ -31,7 +31,7 @@ def file(tmp_path: Path) -> Path:
 def test_estimates_are_the_same_after_a_restart(
     runs: list[list[int]], failures: int, later_s: float, file: Path
 ) -> None:
-    before, after = LearningEstimator(), LearningEstimator()
+    before, after = make_estimator(), make_estimator()
     before.estimated([WORK], HORIZON_S)
     watched = Watched(before)
     for upkeeps in runs:
@@ -41,7 +41,7 @@ def test_estimates_are_the_same_after_a_restart(
     save(before, file, watched.now_s)
     after.observe([], later_s)
     load(after, file, later_s)
-    same = LearningEstimator()
+    same = make_estimator()
     same.observe([], watched.now_s)
     same.take_over(before.evidence)
     first, second = same.estimate(WORK, HORIZON_S), after.estimate(WORK, HORIZON_S)
@@ -51,13 +51,13 @@ def test_estimates_are_the_same_after_a_restart(
 
 
 def test_without_a_file_learning_begins_with_nothing(file: Path) -> None:
-    estimator = LearningEstimator()
+    estimator = make_estimator()
     load(estimator, file, 0.0)
     assert estimator.estimated([WORK], HORIZON_S) == (WORK,)
 
 
 def learned(file: Path) -> bytes:
-    estimator = LearningEstimator()
+    estimator = make_estimator()
     watched = Watched(estimator)
     watched.run(lambda now_s: 1000 * (now_s % 7), 60)
     estimator.failed("work", watched.now_s)
@@ -72,7 +72,7 @@ def test_a_damaged_file_is_set_aside_or_of_no_harm(data: st.DataObject, file: Pa
     for _ in range(data.draw(st.integers(1, 4))):
         good[data.draw(st.integers(0, len(good) - 1))] = data.draw(st.integers(0, 255))
     file.write_bytes(bytes(good[: data.draw(st.integers(0, len(good)))]))
-    estimator = LearningEstimator()
+    estimator = make_estimator()
     try:
         load(estimator, file, 5.0)
     except EstimatesError:
@@ -97,20 +97,20 @@ def test_what_is_no_estimates_file_is_renamed_and_told(content: bytes, file: Pat
     file.parent.mkdir()
     file.write_bytes(content)
     with pytest.raises(EstimatesError, match=r"damaged .*renamed to estimates\.json\.damaged"):
-        load(LearningEstimator(), file, 0.0)
+        load(make_estimator(), file, 0.0)
     assert file.with_name("estimates.json.damaged").read_bytes() == content
     learned(file)
-    load(LearningEstimator(), file, 0.0)
+    load(make_estimator(), file, 0.0)
 
 
 def test_samples_out_of_order_are_damage(file: Path) -> None:
-    estimator = LearningEstimator()
+    estimator = make_estimator()
     watched = Watched(estimator)
     watched.run(lambda _: 1000, 60)
     estimator.evidence["work"].upkeep.samples.reverse()
     save(estimator, file, watched.now_s)
     with pytest.raises(EstimatesError, match="out of order"):
-        load(LearningEstimator(), file, 0.0)
+        load(make_estimator(), file, 0.0)
 
 
 def test_a_write_that_fails_leaves_the_old_file(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -121,7 +121,7 @@ def test_a_write_that_fails_leaves_the_old_file(file: Path, monkeypatch: pytest.
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(EstimatesError, match="No space left"):
-        save(LearningEstimator(), file, 0.0)
+        save(make_estimator(), file, 0.0)
     assert [path.name for path in file.parent.iterdir()] == [file.name]
     assert file.read_bytes() == before
 
@@ -129,9 +129,9 @@ def test_a_write_that_fails_leaves_the_old_file(file: Path, monkeypatch: pytest.
 def test_a_folder_that_may_not_be_written_to_is_told(tmp_path: Path) -> None:
     (tmp_path / "state").write_text("a file, not a folder")
     with pytest.raises(EstimatesError, match="can't be kept"):
-        save(LearningEstimator(), tmp_path / "state" / "estimates.json", 0.0)
+        save(make_estimator(), tmp_path / "state" / "estimates.json", 0.0)
     with pytest.raises(EstimatesError, match="can't be read"):
-        load(LearningEstimator(), tmp_path / "state" / "estimates.json", 0.0)
+        load(make_estimator(), tmp_path / "state" / "estimates.json", 0.0)
 
 
 def test_a_pipe_or_a_folder_is_neither_read_nor_renamed_nor_replaced(tmp_path: Path) -> None:
@@ -139,20 +139,20 @@ def test_a_pipe_or_a_folder_is_neither_read_nor_renamed_nor_replaced(tmp_path: P
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path / "folder", tmp_path / "pipe"):
         with pytest.raises(EstimatesError, match="it is no file"):
-            load(LearningEstimator(), path, 0.0)
+            load(make_estimator(), path, 0.0)
         with pytest.raises(EstimatesError, match="it is no file"):
-            save(LearningEstimator(), path, 0.0)
+            save(make_estimator(), path, 0.0)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["folder", "pipe"]
     assert (tmp_path / "pipe").is_fifo()
 
 
 def test_a_transformation_that_was_changed_meanwhile_is_learned_anew(file: Path) -> None:
-    estimator = LearningEstimator()
+    estimator = make_estimator()
     estimator.estimated([WORK], HORIZON_S)
     watched = Watched(estimator)
     watched.run(lambda _: 1000, 60)
     save(estimator, file, watched.now_s)
-    later = LearningEstimator()
+    later = make_estimator()
     load(later, file, 0.0)
     changed = type(WORK)("work", labor_us=5, upkeep_us=6, source="units.py:Other")
     assert later.estimated([changed], HORIZON_S) == (changed,)
@@ -169,7 +169,7 @@ def test_each_environment_file_has_its_own_estimates(tmp_path: Path, monkeypatch
 
 
 def test_no_parameter_of_a_transformation_is_written_down(file: Path) -> None:
-    estimator = LearningEstimator()
+    estimator = make_estimator()
     estimator.estimated([replace(WORK, params={"password": "hunter2"})], HORIZON_S)
     Watched(estimator).run(lambda _: 1000, 10)
     save(estimator, file, 10.0)
@@ -177,7 +177,7 @@ def test_no_parameter_of_a_transformation_is_written_down(file: Path) -> None:
 
 
 def test_what_was_learned_on_hosts_is_kept_and_a_file_without_hosts_is_read(file: Path) -> None:
-    host, before, after = Host("r1"), LearningEstimator(), LearningEstimator()
+    host, before, after = Host("r1"), make_estimator(), make_estimator()
     before.labor_us(WORK, HORIZON_S, host)
     watched = Watched(before, host="r1")
     watched.run(lambda _: 80_000, 60, labor_us=400_000)
@@ -185,6 +185,6 @@ def test_what_was_learned_on_hosts_is_kept_and_a_file_without_hosts_is_read(file
     load(after, file, 0.0)
     assert (after.labor_us(WORK, HORIZON_S, host), after.upkeep_us(WORK, HORIZON_S, host)) == (400_000, 80_000)
     file.write_text('{"format": "cfgplan-estimates/1", "evidence": {}}')
-    without = LearningEstimator()
+    without = make_estimator()
     load(without, file, 0.0)
     assert without.labor_us(WORK, HORIZON_S, host) == WORK.labor_us

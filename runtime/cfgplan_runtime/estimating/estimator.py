@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 
 from cfgplan import costs
 from cfgplan.costs import LARGEST_COST_US
@@ -12,7 +13,8 @@ from cfgplan.domain import Host, Transformation
 from cfgplan.qualities import MICRO
 from cfgplan_runtime.estimating.evidence import Evidence, declaration, family
 from cfgplan_runtime.estimating.expectations import Expectations, Origin
-from cfgplan_runtime.estimating.forecasters import Forecaster, Trend
+from cfgplan_runtime.estimating.forecasters import FORECASTERS, Forecaster, Trend
+from cfgplan_runtime.estimating.guesses import GUESSES, Costs, Guess, declared
 from cfgplan_runtime.estimating.settings import Learning
 from cfgplan_runtime.supervision.observation import Observation
 
@@ -71,21 +73,27 @@ class _Family:
 class LearningEstimator:
     """Learns what units of each transformation cost, and what their failures do.
 
-    Costs are clustered by label, on each host by itself. `forecaster` makes that of upkeep from its memory in seconds.
-    Times `now_s` are on any one clock that only rises.
+    Costs are clustered by label, on each host by itself. `forecaster` is for upkeep; with None the costs are those of
+    `guess`, and only failures are learned. Times `now_s` are on any one clock that only rises.
     """
 
-    def __init__(self, forecaster: Callable[[float], Forecaster] = Trend, settings: Learning | None = None) -> None:
+    def __init__(
+        self,
+        forecaster: Callable[[float], Forecaster] | None = Trend,
+        guess: Guess = declared,
+        settings: Learning | None = None,
+    ) -> None:
         self.settings = settings or Learning()
         self.evidence: dict[str, Evidence] = {}
         self.on_hosts: dict[str, LearningEstimator] = {}
         """By host: what was learned there."""
-        self._forecaster = forecaster
+        self._forecaster, self._guess = forecaster, guess
         self._scaled: dict[tuple[str, str], tuple[Transformation, Host, Transformation]] = {}
-        self._expectations = Expectations(forecaster, self.settings)
+        self._expectations = Expectations(forecaster, guess, self.settings)
         self._units: dict[str, tuple[Observation, float]] = {}
         self._families: dict[str, _Family] = {}
         self._declared: dict[str, Transformation] = {}
+        self._dearest = Costs(0, 0)
         self._made: dict[str, _Made] = {}
         self._now_s = 0.0
 
@@ -130,7 +138,7 @@ class LearningEstimator:
     def at(self, host: str) -> LearningEstimator:
         """The estimator of what was learned on a host."""
         if host not in self.on_hosts:
-            self.on_hosts[host] = LearningEstimator(self._forecaster, self.settings)
+            self.on_hosts[host] = LearningEstimator(self._forecaster, self._guess, self.settings)
         return self.on_hosts[host]
 
     def labor_us(self, transformation: Transformation, horizon_s: int, host: Host | None = None) -> int:
@@ -156,7 +164,7 @@ class LearningEstimator:
         own = self._declare(transformation)
         label = transformation.label
         counts = own.changes if own.is_known else self._families[family(label)].changes
-        basis = (own.declared, horizon_s, own.is_known, counts)
+        basis = (own.declared, horizon_s, self._dearest, own.is_known, counts)
         made = self._made.get(label)
         if made and made.basis == basis and self._now_s - made.at_s < self.settings.forget_s / _REFRESHES:
             return made.estimate
@@ -165,6 +173,8 @@ class LearningEstimator:
         relatives = [one for one in members if one.source == own.source]
         estimate = self._fresh(own, relatives, horizon_s, last)
         self._made[label] = _Made(estimate, basis, horizon_s, self._now_s)
+        if estimate.upkeep_origin == Origin.OBSERVED:
+            self._widen(estimate.labor_us, estimate.running_us)
         return estimate
 
     def _estimate_on(self, host: Host | None, transformation: Transformation, horizon_s: int) -> Estimate:
@@ -204,8 +214,8 @@ class LearningEstimator:
         self._declared.clear()
 
     def _fresh(self, own: Evidence, relatives: Iterable[Evidence], horizon_s: int, last: Estimate | None) -> Estimate:
-        labor = self._expectations.of("labor", own, relatives, self._now_s)
-        upkeep = self._expectations.of("upkeep", own, relatives, self._now_s)
+        labor = self._expectations.of("labor", own, relatives, self._dearest, self._now_s)
+        upkeep = self._expectations.of("upkeep", own, relatives, self._dearest, self._now_s)
         failing = own.failures.rate(self._now_s) * (labor.forecast.level + self.settings.failure_us)
         old = (
             last.labor_us if last and last.labor_origin == labor.origin else None,
@@ -253,6 +263,7 @@ class LearningEstimator:
         relatives = self._families.setdefault(family(label), _Family())
         relatives.changes += 1
         self.evidence[label] = relatives.members[label] = evidence
+        self._widen(evidence.labor_us, evidence.upkeep_us)
 
     @contextmanager
     def _learning(self, label: str) -> Iterator[Evidence]:
@@ -261,6 +272,18 @@ class LearningEstimator:
         before = evidence.changes
         yield evidence
         self._families[family(label)].changes += evidence.changes - before
+
+    def _widen(self, labor_us: float, upkeep_us: float) -> None:
+        self._dearest = Costs(max(self._dearest.labor_us, labor_us), max(self._dearest.upkeep_us, upkeep_us))
+
+
+ESTIMATORS: Mapping[str, Callable[[float], Forecaster] | None] = MappingProxyType({"declared": None, **FORECASTERS})
+"""By name: how upkeep is forecast. `declared` believes the environment file, and learns only from failures."""
+
+
+def make_estimator(name: str = "trend", guess: str = "declared", settings: Learning | None = None) -> LearningEstimator:
+    """An estimator by one of the names of ESTIMATORS and GUESSES."""
+    return LearningEstimator(ESTIMATORS[name], GUESSES[guess], settings)
 
 
 def _given(seen: Observation) -> int | None:

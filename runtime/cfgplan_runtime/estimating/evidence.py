@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-from typing import Literal, TypeAlias
 
 import msgspec
 
 from cfgplan.domain import Transformation
+from cfgplan_runtime.estimating.guesses import CostKind, Costs
 from cfgplan_runtime.estimating.history import CostSample, FailureHistory, History, NotNegative, Second
-
-CostKind: TypeAlias = Literal["labor", "upkeep"]
 
 
 class Evidence(msgspec.Struct):
@@ -34,9 +32,9 @@ class Evidence(msgspec.Struct):
     """Counts samples and failures, so that a forecast made earlier is known to be stale. What becomes part of a sample
     that is there already, within its grain, makes none stale."""
 
-    def declared_us(self, kind: CostKind) -> float:
-        """The declared labor in microseconds, or the declared upkeep in microseconds per second."""
-        return self.labor_us if kind == "labor" else self.upkeep_us
+    @property
+    def declared_costs(self) -> Costs:
+        return Costs(self.labor_us, self.upkeep_us)
 
     @property
     def is_known(self) -> bool:

@@ -1,4 +1,4 @@
-"""Expected costs of a transformation: from its own observations, else from its family's, else as declared."""
+"""Expected costs of a transformation: from its own observations, else from its family's, else a guess."""
 
 from __future__ import annotations
 
@@ -6,15 +6,16 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from cfgplan_runtime.estimating.evidence import CostKind, Evidence
+from cfgplan_runtime.estimating.evidence import Evidence
 from cfgplan_runtime.estimating.forecasters import Average, Damped, Forecast, Forecaster
+from cfgplan_runtime.estimating.guesses import CostKind, Costs, Guess
 from cfgplan_runtime.estimating.settings import Learning
 
 
 class Origin(StrEnum):
     """Where an expectation comes from."""
 
-    DECLARED = "declared"
+    GUESS = "guess"
     FAMILY = "family"
     OBSERVED = "observed"
 
@@ -28,24 +29,30 @@ class Expectation:
 
 
 class Expectations:
-    """Makes expectations of evidence. `forecaster` makes the forecaster of upkeep from its memory."""
+    """Makes expectations of evidence. `forecaster` makes the forecaster of upkeep from its memory; with None, observed
+    costs don't count.
+    """
 
-    def __init__(self, forecaster: Callable[[float], Forecaster], settings: Learning) -> None:
+    def __init__(self, forecaster: Callable[[float], Forecaster] | None, guess: Guess, settings: Learning) -> None:
+        self._learns = forecaster is not None
+        self._guess = guess
         self._settings = settings
         self._levels: dict[tuple[int, CostKind], tuple[Evidence, int, float]] = {}
         self._forecasters = {
             "labor": Damped(Average(settings.memory_starts)),
-            "upkeep": Damped(forecaster(settings.memory_s)),
+            "upkeep": Damped((forecaster or Average)(settings.memory_s)),
         }
 
-    def of(self, kind: CostKind, own: Evidence, relatives: Iterable[Evidence], now_s: float) -> Expectation:
+    def of(
+        self, kind: CostKind, own: Evidence, relatives: Iterable[Evidence], dearest: Costs, now_s: float
+    ) -> Expectation:
         """What one quantity of a transformation is expected to be from `now_s` on."""
-        if own.samples(kind):
-            return Expectation(self._observed(kind, own, now_s), Origin.OBSERVED)
-        known = [one for one in relatives if one.samples(kind)]
+        if self._learns and own.samples(kind):
+            return Expectation(self._observed(kind, own, dearest, now_s), Origin.OBSERVED)
+        known = [one for one in relatives if self._learns and one.samples(kind)]
         if known:
             return Expectation(Forecast(self._familiar(kind, own, known), 0.0), Origin.FAMILY)
-        return Expectation(Forecast(own.declared_us(kind), 0.0), Origin.DECLARED)
+        return Expectation(Forecast(self._guess(own.declared_costs, dearest).of(kind), 0.0), Origin.GUESS)
 
     def _level(self, kind: CostKind, evidence: Evidence) -> float:
         """The observed level of a relative, cached because all its relatives read it."""
@@ -55,26 +62,26 @@ class Expectations:
             self._levels[id(evidence), kind] = (evidence, evidence.changes, level)
         return level
 
-    def _observed(self, kind: CostKind, own: Evidence, now_s: float) -> Forecast:
-        """The forecast from what was observed. While nothing more is observed, it moves towards the declared
-        cost, and its trend ends.
+    def _observed(self, kind: CostKind, own: Evidence, dearest: Costs, now_s: float) -> Forecast:
+        """The forecast from what was observed. While nothing more is observed, it moves towards the guess, and its
+        trend ends.
         """
         forecast = self._forecasters[kind](own.samples(kind))
         idle_s = max(0.0, now_s - own.seen_s)
-        declared = own.declared_us(kind)
+        guess = self._guess(own.declared_costs, dearest).of(kind)
         return replace(
             forecast,
-            level=declared + (forecast.level - declared) * 0.5 ** (idle_s / self._settings.forget_s),
+            level=guess + (forecast.level - guess) * 0.5 ** (idle_s / self._settings.forget_s),
             slope=forecast.slope * 0.5 ** (idle_s / self._settings.memory_s),
-            low=min(declared, forecast.low),
-            high=max(declared, forecast.high),
+            low=min(guess, forecast.low),
+            high=max(guess, forecast.high),
         )
 
     def _familiar(self, kind: CostKind, own: Evidence, known: Sequence[Evidence]) -> float:
         """The mean of what relatives cost. If all declare costs, it is scaled by the declared ones."""
         levels = [self._level(kind, one) for one in known]
-        declared = [one.declared_us(kind) for one in known]
+        declared = [one.declared_costs.of(kind) for one in known]
         mean = sum(levels) / len(levels)
-        if own.declared_us(kind) and all(declared):
-            return own.declared_us(kind) * mean * len(levels) / sum(declared)
+        if own.declared_costs.of(kind) and all(declared):
+            return own.declared_costs.of(kind) * mean * len(levels) / sum(declared)
         return mean

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Protocol
 
 from cfgplan_runtime.estimating.history import CostSample
@@ -56,15 +57,23 @@ class Forecaster(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
+class Latest:
+    """The last sample: no memory, and no protection from noise."""
+
+    def __call__(self, samples: Sequence[CostSample]) -> Forecast:
+        return Forecast(samples[-1].value, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
 class Average:
     """The weighted mean of the samples. A sample that is `memory` old counts half as much as a new one."""
 
     memory: float
 
     def __call__(self, samples: Sequence[CostSample]) -> Forecast:
-        weights = recent_weights(samples, self.memory)
+        weights = _recent_weights(samples, self.memory)
         level = _weighted_mean([one.value for one in samples], weights)
-        return Forecast(level, standard_error([one.value - level for one in samples], weights, level))
+        return Forecast(level, _standard_error([one.value - level for one in samples], weights, level))
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,14 +90,14 @@ class Trend:
         flat = Average(self.memory)(samples)
         if len(samples) < _FEWEST_FOR_A_LINE:
             return flat
-        weights = recent_weights(samples, self.memory)
+        weights = _recent_weights(samples, self.memory)
         middle = _weighted_mean([one.at for one in samples], weights)
         spread = _weighted_mean([(one.at - middle) ** 2 for one in samples], weights)
         if spread <= 0:
             return flat
         slope = _weighted_mean([(one.at - middle) * (one.value - flat.level) for one in samples], weights) / spread
         left = [one.value - flat.level - slope * (one.at - middle) for one in samples]
-        error = standard_error(left, weights, 0.0)
+        error = _standard_error(left, weights, 0.0)
         slope *= _share_beyond_noise(slope, error / math.sqrt(spread))
         low, high = min(one.value for one in samples), max(one.value for one in samples)
         level = min(max(flat.level + slope * (samples[-1].until - middle), low), high)
@@ -96,10 +105,43 @@ class Trend:
         return Forecast(level, error, slope, self.memory, max(0.0, 2 * low - high), 2 * high - low)
 
 
+@dataclass(frozen=True, slots=True)
+class Holt:
+    """Double exponential smoothing: a level and a trend, each drawn towards what was observed (Holt 1957).
+
+    The level forgets twice as fast as `memory`, the trend as fast. Samples may be at any distance (Wright 1986).
+    """
+
+    memory: float
+
+    def __call__(self, samples: Sequence[CostSample]) -> Forecast:
+        level, slope, before = samples[0].value, 0.0, samples[0].at
+        misses = []
+        for one in samples[1:]:
+            gap = max(one.at - before, 1e-9)
+            expected = level + slope * gap
+            misses.append(one.value - expected)
+            to_value = 1 - 0.5 ** (2 * gap / self.memory)
+            to_slope = 1 - 0.5 ** (gap / self.memory)
+            new = expected + to_value * (one.value - expected)
+            slope += to_slope * ((new - level) / gap - slope)
+            level, before = new, one.at
+        low, high = min(one.value for one in samples), max(one.value for one in samples)
+        level = min(max(level + slope * (samples[-1].until - before), low), high)
+        weights = _recent_weights(samples[1:], self.memory / 2)
+        error = _standard_error(misses, weights, level) if misses else abs(level)
+        return Forecast(level, error, slope, self.memory, max(0.0, 2 * low - high), 2 * high - low)
+
+
+FORECASTERS: Mapping[str, Callable[[float], Forecaster]] = MappingProxyType(
+    {"latest": lambda _: Latest(), "average": Average, "trend": Trend, "holt": Holt}
+)
+"""By name: what makes a forecaster of a memory, which is a half-life in seconds."""
+
 _FEWEST_FOR_A_LINE = 4
 
 
-def recent_weights(samples: Sequence[CostSample], memory: float) -> list[float]:
+def _recent_weights(samples: Sequence[CostSample], memory: float) -> list[float]:
     newest = samples[-1].until if samples else 0.0
     return [one.weight * 0.5 ** ((newest - one.until) / memory) for one in samples]
 
@@ -109,7 +151,7 @@ def _weighted_mean(values: Sequence[float], weights: Sequence[float]) -> float:
     return min(max(mean, min(values)), max(values))
 
 
-def standard_error(misses: Sequence[float], weights: Sequence[float], level: float) -> float:
+def _standard_error(misses: Sequence[float], weights: Sequence[float], level: float) -> float:
     """The standard error of a weighted mean. Of one sample nothing is known: then it is the level itself."""
     number = math.fsum(weights) ** 2 / math.fsum(weight * weight for weight in weights)
     if number < 1.5:

@@ -20,13 +20,12 @@ from cfgplan.errors import InputError
 from cfgplan_runtime.children.messages import Flow
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.estimating.estimates_file import EstimatesError, load, save
-from cfgplan_runtime.estimating.estimator import LearningEstimator
+from cfgplan_runtime.estimating.estimator import make_estimator
 from cfgplan_runtime.fleet.fleet_runtime import Fleet, fleet_runtime
 from cfgplan_runtime.lifecycle.changes import ReplaceWorld
 from cfgplan_runtime.lifecycle.manager import Manager
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Decision, Ended, Observed, Report, Reviewed
-from cfgplan_runtime.lifecycle.seams import DeclaredCosts
 from cfgplan_runtime.lifecycle.watching import Watching
 from cfgplan_runtime.operating.code_watch import code_watch
 from cfgplan_runtime.operating.control_server import ControlServer, about_this_process
@@ -56,13 +55,14 @@ News: TypeAlias = "Report | str"
 
 @dataclass(frozen=True)
 class Settings:
-    """How a run is operated. A file whose path is None is not written. Costs are learned if there is a file of
-    `estimates`, which is kept from run to run; else they are those that are declared.
+    """How a run is operated. A file whose path is None is not written; `estimates` is kept from run to run.
 
     `adjust` is applied to the world whenever it is read, for example to replace the file's horizon.
     """
 
     planner: Planner | None = None
+    estimator: str = "trend"
+    guess: str = "declared"
     estimates: Path | None = None
     policy: Policy = field(default_factory=Policy)
     preload: Sequence[str] = ()
@@ -181,7 +181,7 @@ class Operation:
         if self.recorder is not None:
             facts = {"run": self.id, "environment": str(self._path.resolve()), "version": __version__}
             self.recorder.recording.describe(facts)
-        self._learned = None if settings.estimates is None else LearningEstimator()
+        self._estimator = make_estimator(settings.estimator, settings.guess)
         self._load_estimates()
         self.flows = Flows()
         self.runtime.listen(self.flows.hear)
@@ -192,7 +192,7 @@ class Operation:
             world,
             self.runtime,
             planner=settings.planner,
-            estimator=self._learned or DeclaredCosts(),
+            estimator=self._estimator,
             policy=settings.policy,
         )
         if self.log is not None:
@@ -280,17 +280,17 @@ class Operation:
         stack.callback(server.close)
 
     def _load_estimates(self) -> None:
-        if self._learned is not None and self._settings.estimates is not None:
+        if self._settings.estimates is not None:
             try:
-                load(self._learned, self._settings.estimates, time.monotonic())
+                load(self._estimator, self._settings.estimates, time.monotonic())
             except EstimatesError as error:
                 self._show(str(error))
 
     def _keep_estimates(self) -> None:
         self._kept_s = time.monotonic()
-        if self._learned is not None and self._settings.estimates is not None:
+        if self._settings.estimates is not None:
             try:
-                save(self._learned, self._settings.estimates, time.monotonic())
+                save(self._estimator, self._settings.estimates, time.monotonic())
             except EstimatesError as error:
                 self._show(str(error))
 

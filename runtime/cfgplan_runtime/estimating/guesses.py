@@ -1,0 +1,48 @@
+"""What is expected of a transformation of which nothing was observed: exploit what is known, or explore."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Literal, Protocol, TypeAlias
+
+CostKind: TypeAlias = Literal["labor", "upkeep"]
+
+
+@dataclass(frozen=True, slots=True)
+class Costs:
+    """Labor in microseconds, upkeep in microseconds per second."""
+
+    labor_us: float
+    upkeep_us: float
+
+    def of(self, kind: CostKind) -> float:
+        return self.labor_us if kind == "labor" else self.upkeep_us
+
+
+class Guess(Protocol):
+    """Guesses costs from the declared ones, and from the dearest labor and upkeep that are known."""
+
+    def __call__(self, declared: Costs, dearest: Costs) -> Costs: ...
+
+
+def declared(declared: Costs, dearest: Costs) -> Costs:  # noqa: ARG001
+    """The costs that the environment file declares."""
+    return declared
+
+
+def optimistic(declared: Costs, dearest: Costs) -> Costs:  # noqa: ARG001
+    """No costs: so everything is tried once."""
+    return Costs(0, 0)
+
+
+def pessimistic(declared: Costs, dearest: Costs) -> Costs:
+    """Twice the dearest costs: so only what is necessary is tried."""
+    labor_us = 2 * max(declared.labor_us, dearest.labor_us)
+    return Costs(labor_us, 2 * max(declared.upkeep_us, dearest.upkeep_us))
+
+
+GUESSES: Mapping[str, Guess] = MappingProxyType(
+    {"declared": declared, "optimistic": optimistic, "pessimistic": pessimistic}
+)
