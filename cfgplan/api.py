@@ -371,6 +371,15 @@ def converted(path: str | os.PathLike[str], to: Literal["yaml", "xml"]) -> str:
     return as_xml(document) if to == "xml" else as_yaml(document)
 
 
+def converted_test_set(
+    folder: str | os.PathLike[str], objective: Literal["services", "length"], ontology: str
+) -> tuple[str, str]:
+    """A web service composition test set as an environment file, and the ontology file that it names `ontology`."""
+    from cfgplan.formats import wsc_texts
+
+    return wsc_texts(folder, objective, ontology=ontology)
+
+
 class _OntologyVocabulary:
     """An ontology as the formats ask for it."""
 

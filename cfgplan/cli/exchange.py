@@ -12,9 +12,18 @@ from cfgplan.errors import InputError
 
 
 def add_import(parser: argparse.ArgumentParser) -> None:
-    parser.epilog = "example:\n  cfgplan import xml specifications/ --out env.yaml"
-    parser.add_argument("what", choices=("xml",), help="what to read")
-    parser.add_argument("path", metavar="PATH", help="XML file or folder of them")
+    parser.epilog = (
+        "example:\n"
+        "  cfgplan import xml specifications/ --out env.yaml\n  cfgplan import wsc wsc08/set01 --out set01.yaml"
+    )
+    parser.add_argument("what", choices=("xml", "wsc"), help="what to read")
+    parser.add_argument("path", metavar="PATH", help="XML file or folder of them; folder of a test set")
+    parser.add_argument(
+        "--objective",
+        choices=("services", "length"),
+        default="services",
+        help="wsc: fewest services, or fewest among the compositions of the shortest length (services)",
+    )
     shared.add_out(parser)
     parser.set_defaults(run=_import)
 
@@ -22,7 +31,16 @@ def add_import(parser: argparse.ArgumentParser) -> None:
 def _import(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan import api
 
-    shared.put(api.converted(Path(options.path), "yaml"), options.out, screen)
+    if options.what == "xml":
+        shared.put(api.converted(Path(options.path), "yaml"), options.out, screen)
+        return Exit.OK
+    if options.out is None:
+        message = "a test set becomes two files, the environment and its ontology"
+        raise InputError.of(message, mend="name the environment file with --out; the ontology is written beside it")
+    ontology = Path(options.out).with_suffix(".ofn")
+    environment_text, ontology_text = api.converted_test_set(Path(options.path), options.objective, ontology.name)
+    shared.put(ontology_text, str(ontology), screen)
+    shared.put(environment_text, options.out, screen)
     return Exit.OK
 
 

@@ -42,7 +42,7 @@ VERBS: Mapping[str, str] = MappingProxyType(
         "certificates": "make a fleet's own authority, and a certificate for each of its hosts",
         "demo": "play the paper's case study: two robots, one ball, a failure and a fusion",
         "compare": "run planners side by side, each run in a process of its own, and check them against each other",
-        "import": "turn the paper's XML into an environment file",
+        "import": "turn the paper's XML, or a web service composition test set, into an environment file",
         "export": "write the environment file's JSON Schema, or an environment as YAML or the paper's XML",
     }
 )

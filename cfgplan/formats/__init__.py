@@ -1,4 +1,4 @@
-"""File formats: environment files in YAML, JSON and the paper's XML, and plan files."""
+"""File formats: environment files in YAML, JSON and the paper's XML, and plan files, and importers."""
 
 from cfgplan.formats.assembly import build
 from cfgplan.formats.document import Document, read_declared, read_document
@@ -8,6 +8,7 @@ from cfgplan.formats.fields import environment_schema
 from cfgplan.formats.places import Place
 from cfgplan.formats.plan_file import dump_plan, load_plan
 from cfgplan.formats.tags import TagVocabulary
+from cfgplan.formats.wsc import read_wsc, wsc_texts
 from cfgplan.formats.xml_dump import dump_xml
 
 __all__ = [
@@ -26,4 +27,6 @@ __all__ = [
     "plain_environment",
     "read_declared",
     "read_document",
+    "read_wsc",
+    "wsc_texts",
 ]

@@ -7,8 +7,8 @@ from pathlib import Path
 from types import MappingProxyType
 
 from cfgplan.errors import InputError
+from cfgplan.formats.wsc import Objective, read_wsc
 from cfgplan.planning import Problem
-from experiments.families.wsc import Objective, read_wsc
 from experiments.study.instances import Instance, generated
 
 

@@ -1,14 +1,16 @@
-"""`cfgplan import` and `cfgplan export`: the paper's XML and the schema."""
+"""`cfgplan import` and `cfgplan export`: the paper's XML, test sets and the schema."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
 
+import pytest
 from command import MODELS, Run
 
 import cfgplan
 
+WSC = Path(__file__).parents[3] / "shared" / "data" / "wsc08"
 LISTINGS = """<specifications>
   <transformation type="nodelet">
     <label>undistort(cam1)</label>
@@ -45,3 +47,18 @@ def test_the_schema_describes_the_environment_file(run: Run) -> None:
     schema = json.loads(run("export", "schema").out)
     assert "json-schema.org" in schema["$schema"]
     assert "transformations" in schema["properties"]
+
+
+@pytest.mark.skipif(not WSC.is_dir(), reason="the WSC 2008 sets are not beside this checkout")
+def test_a_test_set_is_imported_and_solved_through_its_ontology(run: Run, tmp_path: Path) -> None:
+    out = tmp_path / "set01.yaml"
+    assert run("import", "wsc", WSC / "set01", "--out", out).code == 0
+    document = run("solve", out, "--json").document
+    assert document["status"] == "optimal"
+    assert document["cost_us"] == 10_000_000
+
+
+def test_a_test_set_needs_a_name_for_its_two_files(run: Run, tmp_path: Path) -> None:
+    result = run("import", "wsc", tmp_path)
+    assert result.code == 30
+    assert "--out" in result.err

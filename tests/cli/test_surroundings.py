@@ -213,18 +213,6 @@ def test_sigterm_lets_a_command_clear_away_what_it_has_made() -> None:
     assert signal.getsignal(signal.SIGTERM) == before
 
 
-def test_results_that_can_not_be_kept_are_told(run: Run, write: Callable[[str], Path], tmp_path: Path) -> None:
-    env = write("transformations: [{label: a, outputs: {o: A}}]\ntargets: [{label: t, topic: /t, tag: A}]\n")
-    picture = tmp_path / "picture.png"
-    picture.write_bytes(b"\x89PNG\n")
-    for results, says in ((picture, "this is no results file"), (tmp_path, "Is a directory")):
-        result = run("compare", env, "--planner", "cpsat", "--results", results)
-        assert result.code == 30
-        assert f"error: {results}: " in result.err
-        assert says in result.err
-    assert picture.read_bytes() == b"\x89PNG\n"
-
-
 def test_the_demo_is_not_played_for_a_page_that_can_not_be_written(run: Run, tmp_path: Path) -> None:
     for page in (tmp_path, tmp_path / "nowhere" / "page.html"):
         result = run("demo", "nao", "--report", page)
@@ -248,7 +236,6 @@ def test_no_other_file_is_taken_for_estimates(run: Run, tmp_path: Path) -> None:
         ("export", "yaml", "ENV", "--out", "ENV"),
         ("run", "ENV", "--dry-run", "--log", "ENV"),
         ("solve", UNMET, "--with", "ENV", "--out", "ENV"),
-        ("compare", "ENV", "--results", "ENV"),
     ],
 )
 def test_what_is_read_is_not_written_over(command: tuple[object, ...], run: Run, tmp_path: Path) -> None:

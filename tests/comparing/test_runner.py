@@ -208,6 +208,15 @@ def test_a_line_that_is_no_row_is_named(tmp_path: Path) -> None:
         assert caught.value.faults[0].line == 2
 
 
+def test_a_file_that_holds_no_results_is_named_and_stays(tmp_path: Path) -> None:
+    picture = tmp_path / "picture.png"
+    picture.write_bytes(b"\x89PNG\n")
+    for results, says in ((picture, "this is no results file"), (tmp_path, "Is a directory")):
+        with pytest.raises(InputError, match=says):
+            run([SMALL], [entrant("cpsat")], LIMITS, results)
+    assert picture.read_bytes() == b"\x89PNG\n"
+
+
 @pytest.mark.parametrize("family", ["random_library", "replanning"])
 def test_a_problem_survives_the_way_to_another_process(family: str) -> None:
     instance = generated(family, 2)

@@ -11,11 +11,11 @@ import pytest
 from cfgplan import api
 from cfgplan.domain import InputPort, OutputPort, Similarity
 from cfgplan.errors import InputError
-from cfgplan.formats import EnvironmentFile
+from cfgplan.formats import EnvironmentFile, read_wsc, wsc_texts
+from cfgplan.formats.wsc import Objective, shortest_length
+from cfgplan.formats.wsc_files import read_test_set
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import Problem, Status
-from experiments.families.wsc import Objective, read_wsc, shortest_length, wsc_texts
-from experiments.families.wsc_files import read_test_set
 
 SETS = Path(__file__).parents[3] / "shared" / "data" / "wsc08"
 TAXONOMY = """\

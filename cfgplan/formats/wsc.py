@@ -1,4 +1,4 @@
-"""Sets of the Web Service Challenge 2008 as environments: `python -m experiments.families.wsc wsc08/set01 set01.yaml`.
+"""Sets of the Web Service Challenge 2008 as environments.
 
 A service is a transformation that costs 1 CPU second of labor; what is provided is one that costs nothing; each
 wanted instance is a target. So the cheapest update is the composition with the fewest services.
@@ -11,19 +11,16 @@ fewest services among the shortest ones.
 
 from __future__ import annotations
 
-import argparse
 import os
-import sys
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Literal
 
 from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Target, Transformation
-from cfgplan.errors import InputError
 from cfgplan.formats.dump import dump_yaml, plain_environment
 from cfgplan.formats.environment_file import EnvironmentFile
-from experiments.families.wsc_files import Service, TestSet, read_test_set
+from cfgplan.formats.wsc_files import Service, TestSet, read_test_set
 
 Objective = Literal["services", "length"]
 SERVICE_LABOR_US = 1_000_000
@@ -195,23 +192,3 @@ def _ontology(test_set: TestSet, environment: Environment) -> str:
     lines += (f"  Declaration(Class(:{name}))" for name in names)
     lines += (f"  SubClassOf(:{lower} :{higher})" for lower, higher in orders)
     return "\n".join([*lines, ")", ""])
-
-
-def main() -> None:
-    """Write a set as an environment file, and its ontology beside it."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", help="the set: taxonomy.xml, services.xml and problem.xml")
-    parser.add_argument("out", type=Path, help="the environment file to write")
-    parser.add_argument("--objective", choices=("services", "length"), default="services")
-    options = parser.parse_args()
-    ontology: Path = options.out.with_suffix(".ofn")
-    texts = wsc_texts(options.folder, options.objective, ontology=ontology.name)
-    for path, text in zip((options.out, ontology), texts, strict=True):
-        path.write_text(text, encoding="utf-8")
-
-
-if __name__ == "__main__":
-    try:
-        main()
-    except InputError as error:
-        sys.exit(f"error: {error}")
