@@ -7,7 +7,7 @@ are equal exactly when they mean the same, whatever order they were written in.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import groupby
 from operator import attrgetter
@@ -17,7 +17,7 @@ from typing import TypeVar
 from cfgplan.canonical import fields_of, refuse_duplicates, store_resources, store_sorted, store_whole
 from cfgplan.errors import InvalidValueError
 from cfgplan.qualities import MICRO, QualityAttribute, Wish
-from cfgplan.selectors import selector
+from cfgplan.selectors import check_selector, selector
 from cfgplan.transformations import ALL as ALL
 from cfgplan.transformations import CPU as CPU
 from cfgplan.transformations import MEMORY as MEMORY
@@ -165,6 +165,32 @@ class Host:
         return min((most for most in (self.offers.get(POWER), lasting) if most is not None), default=None)
 
 
+@dataclass(frozen=True, slots=True)
+class Link:
+    """What carries streams from hosts that one selector fits to hosts that the other fits, and back.
+
+    All journeys over it together carry at most `bandwidth` bytes a second (None: no limit): a stream makes one to each
+    host that it is wanted on. A megabyte costs `price_us` instead of the environment's `transfer_us` if that is given.
+    """
+
+    between: tuple[str, str]
+    bandwidth: int | None = None
+    price_us: int | None = None
+
+    def __post_init__(self) -> None:
+        for text in self.between:
+            check_selector(text)
+        store_whole(self, "bandwidth")
+        store_whole(self, "price_us")
+        if (self.bandwidth or 0) < 0 or (self.price_us or 0) < 0:
+            raise InvalidValueError(f"the link between {' and '.join(self.between)} has a negative bandwidth or price")
+
+    def joins(self, one: Host, other: Host) -> bool:
+        """Whether it carries streams between two hosts."""
+        first, second = self.between
+        return (one.fits(first) and other.fits(second)) or (one.fits(second) and other.fits(first))
+
+
 @dataclass(frozen=True)
 class Similarity:
     """The relation ~ between tags (Definition 5): which offered tag may feed which demanded tag.
@@ -254,7 +280,8 @@ class Environment:
     """Computation units, library and targets (Definition 5); ~ is a `Similarity` beside it.
 
     Without `hosts` nothing is placed; with them every unit has one. `transfer_us` is what it costs to carry a megabyte
-    (10**6 bytes) from host to host, in microseconds of CPU time.
+    (10**6 bytes) from host to host, in microseconds of CPU time, where no link says otherwise: of `links`, which are in
+    order, the first that joins two hosts counts.
     """
 
     units: tuple[ComputationUnit, ...] = ()
@@ -263,6 +290,7 @@ class Environment:
     hosts: tuple[Host, ...] = ()
     qualities: tuple[QualityAttribute, ...] = ()
     transfer_us: int = 0
+    links: tuple[Link, ...] = ()
 
     def __post_init__(self) -> None:
         store_sorted(self, "units", self.units, attrgetter("id"))
@@ -339,6 +367,23 @@ class Environment:
         """The hosts where units of a transformation may run; only None if there are no hosts."""
         return tuple(None if name is None else self.host[name] for name in self.hosts_for(transformation))
 
+    @cached_property
+    def link(self) -> Mapping[tuple[str, str], Link]:
+        """The link between two hosts, where there is one, by their names in any order."""
+        pairs = [(one, other) for one in self.hosts for other in self.hosts if one != other] if self.links else []
+        first = {(a.name, b.name): next((link for link in self.links if link.joins(a, b)), None) for a, b in pairs}
+        return MappingProxyType({pair: link for pair, link in first.items() if link is not None})
+
+    @cached_property
+    def prices_us(self) -> tuple[int, ...]:
+        """What carrying a megabyte from host to host may cost, the largest price last."""
+        return tuple(sorted({self.transfer_us, *(link.price_us for link in self.links if link.price_us is not None)}))
+
+    def price_us(self, one: str | None, other: str | None) -> int:
+        """What it costs to carry a megabyte between two hosts."""
+        link = self.link.get((one or "", other or ""))
+        return self.transfer_us if link is None or link.price_us is None else link.price_us
+
     def place_of(self, unit: ComputationUnit) -> Host | None:
         """The host of a unit; None if it has none that is known."""
         return None if unit.host is None else self.host.get(unit.host)
@@ -354,17 +399,18 @@ class Environment:
         for unit_id in (*(unit.id for unit in change_set.rewired), *change_set.stopped):
             if unit_id not in self.unit:
                 raise InvalidValueError(f"unit {unit_id!r} can't be rewired or stopped: it does not run")
-        return Environment(
-            _updated(self.unit, {u.id: u for u in (*change_set.started, *change_set.rewired)}, change_set.stopped),
-            _updated(
-                self.transformation,
-                {t.label: t for t in change_set.added_transformations},
-                change_set.removed_transformations,
+        kinds = {t.label: t for t in change_set.added_transformations}
+        return replace(
+            self,
+            units=_updated(
+                self.unit, {u.id: u for u in (*change_set.started, *change_set.rewired)}, change_set.stopped
             ),
-            _updated(self.target, {t.label: t for t in change_set.added_targets}, change_set.removed_targets),
-            _updated(self.host, {h.name: h for h in change_set.added_hosts}, change_set.removed_hosts),
-            _updated(self.quality, {q.name: q for q in change_set.added_qualities}, change_set.removed_qualities),
-            self.transfer_us,
+            library=_updated(self.transformation, kinds, change_set.removed_transformations),
+            targets=_updated(self.target, {t.label: t for t in change_set.added_targets}, change_set.removed_targets),
+            hosts=_updated(self.host, {h.name: h for h in change_set.added_hosts}, change_set.removed_hosts),
+            qualities=_updated(
+                self.quality, {q.name: q for q in change_set.added_qualities}, change_set.removed_qualities
+            ),
         )
 
     def change_to(self, units: Iterable[ComputationUnit]) -> ChangeSet:

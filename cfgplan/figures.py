@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 from cfgplan.costs import keep_cost_us, labor_us, standby_cost_us, taken, transfer_cost_us
-from cfgplan.domain import CPU, MEMORY, ComputationUnit, Environment, Host, InputPort, Stream, Transformation
+from cfgplan.domain import CPU, MEMORY, ComputationUnit, Environment, Host, InputPort, Link, Stream, Transformation
 from cfgplan.planning import Problem
 from cfgplan.qualities import QualityAttribute, price_us, propagated
 
@@ -72,6 +72,18 @@ def used_hosts(environment: Environment, units: Iterable[ComputationUnit]) -> li
     return [host for host in environment.hosts if host.name in used]
 
 
+def links_bear(problem: Problem, units: Collection[ComputationUnit]) -> bool:
+    """Whether no link has to carry more bytes each second than it bears."""
+    environment = problem.environment
+    loads: Counter[Link] = Counter()
+    kind = {unit.id: environment.transformation[unit.transformation] for unit in units} if environment.links else {}
+    for transfer in transfers(problem, units) if environment.links else ():
+        link = environment.link.get((transfer.origin or "", transfer.to))
+        if link is not None:
+            loads[link] += kind[transfer.stream.unit].output[transfer.stream.port].bytes_per_s
+    return all(link.bandwidth is None or load <= link.bandwidth for link, load in loads.items())
+
+
 def _unfed(transformation: Transformation, unit: ComputationUnit) -> Iterator[InputPort]:
     return (port for port in transformation.inputs if port.optional and port.name not in unit.feeds)
 
@@ -92,7 +104,9 @@ def transfers(problem: Problem, units: Collection[ComputationUnit]) -> list[Tran
             host_of[stream.unit],
             to,
             transfer_cost_us(
-                transformation_of[stream.unit].output[stream.port], problem.horizon_s, environment.transfer_us
+                transformation_of[stream.unit].output[stream.port],
+                problem.horizon_s,
+                environment.price_us(host_of[stream.unit], to),
             ),
         )
         for stream, to in sorted((stream, to) for stream, to in wanted if to is not None)

@@ -146,7 +146,7 @@ class Problem:
         worth_us = {t.label: sum(port.worth_us for port in t.inputs) for t in environment.library}
         unfed = sum(worth_us.values()) * copies + sum(worth_us.get(u.transformation, 0) for u in environment.units)
         outputs = [port for t in environment.library for port in t.outputs]
-        carried = sum(transfer_cost_us(port, horizon_s, environment.transfer_us) for port in outputs)
+        carried = sum(transfer_cost_us(port, horizon_s, environment.prices_us[-1]) for port in outputs)
         prices = sum(
             price_us(attribute, wish, attribute.worst)
             for target in environment.targets

@@ -12,6 +12,7 @@ from cfgplan.domain import (
     Environment,
     Host,
     InputPort,
+    Link,
     OutputPort,
     Publication,
     Similarity,
@@ -202,6 +203,19 @@ PROBLEM = Problem(replace(VALID, units=()), SIMILARITY, horizon_s=10)
 # Labor 5 + 3, upkeep 6 x 10, 2.5 MB/s x 10 s x 3, and 0.1 x 1 s for what the ball's error misses.
 COST = 8 + 60 + 75 + 100_000
 PLAN = Plan("test", Status.OPTIMAL, ChangeSet(started=(camera, detector)), COST, COST)
+
+
+def test_a_link_has_its_price_and_bears_no_more_than_its_bandwidth() -> None:
+    labelled = (replace(HOSTS[0], labels=("mobile",)), HOSTS[1])
+    dearer, usual = Link(("base", "mobile"), 2_500_000, 4), Link(("Thing", "Thing"), 0, 9)
+    linked = replace(VALID, hosts=labelled, links=(dearer, usual))
+    assert rules(linked) == set()
+    assert rules(replace(linked, links=(replace(dearer, bandwidth=2_499_999),))) == {Broken.CAPACITY}
+    assert rules(replace(linked, links=(usual,))) == {Broken.CAPACITY}
+    cost = COST + 10 * 5 // 2
+    problem = Problem(replace(linked, units=()), SIMILARITY, horizon_s=10)
+    assert plan_violations(problem, replace(PLAN, cost_us=cost, bound_us=cost)) == []
+    assert cost_parts(problem, linked.units).total_us == cost
 
 
 def test_the_cost_counts_the_rent_of_hosts_where_something_is() -> None:

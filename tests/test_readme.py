@@ -30,10 +30,18 @@ PARTS: dict[str, type[Part]] = {
     "A target": fields.TargetPart,
     "What it asks of a quality": fields.WishPart,
     "A host": fields.HostPart,
+    "A link": fields.LinkPart,
     "A quality attribute": fields.AttributePart,
     "`defaults`": fields.DefaultsPart,
 }
-YAML_ONLY = (fields.ConflictsPart, fields.ContributionPart, fields.WishPart, fields.HostPart, fields.AttributePart)
+YAML_ONLY = (
+    fields.ConflictsPart,
+    fields.ContributionPart,
+    fields.WishPart,
+    fields.HostPart,
+    fields.LinkPart,
+    fields.AttributePart,
+)
 
 
 def blocks(language: str) -> list[str]:

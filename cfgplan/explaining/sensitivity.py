@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from itertools import pairwise
+from itertools import pairwise, product
 
 from cfgplan.costs import LARGEST_COST_US, keep_cost_us, standby_cost_us
 from cfgplan.domain import Environment, Transformation
@@ -208,15 +208,15 @@ def _crossing(one: CostLine, other: CostLine) -> Fraction:
 
 
 def _refuse_rounding(problem: Problem) -> None:
-    price_us = problem.environment.transfer_us
-    for transformation in problem.environment.library if problem.environment.hosts else ():
-        for port in transformation.outputs:
+    environment = problem.environment
+    for transformation in environment.library if environment.hosts else ():
+        for port, price_us in product(transformation.outputs, environment.prices_us):
             if port.bytes_per_s * price_us % 1_000_000:
                 each_us = port.bytes_per_s * price_us / 1_000_000
                 raise InputError.of(
                     f"to carry {transformation.label}/{port.name} costs {each_us:g} microseconds each second, which is "
                     "rounded for each horizon: the least cost has no exact break points",
-                    mend="choose `transfer` so that whole microseconds come out, or solve with several --horizon",
+                    mend="choose prices so that whole microseconds come out, or solve with several --horizon",
                 )
 
 

@@ -62,6 +62,7 @@ def _build(document: Document, vocabulary: TagVocabulary) -> EnvironmentFile:
         tuple(fleet.hosts.values()),
         tuple(fleet.attributes.values()),
         document.header.transfer,
+        fleet.links,
     )
     return EnvironmentFile(
         document.path,

@@ -19,6 +19,7 @@ from cfgplan.formats.fields import (
     FieldRow,
     HostPart,
     InputPart,
+    LinkPart,
     OutputPart,
     Part,
     TargetPart,
@@ -132,9 +133,10 @@ def _file_digest(path: FilePath) -> bytes:
 
 
 _HELD: Mapping[type[Part], str] = {
-    EnvironmentPart: "format ontology imports horizon max_cost defaults include hosts transfer qualities survive "
+    EnvironmentPart: "format ontology imports horizon max_cost defaults include hosts transfer links qualities survive "
     "transformations units targets",
     HostPart: "name cpu memory",
+    LinkPart: "",
     AttributePart: "name better worst best",
     TransformationPart: "label host labor upkeep pinned required memory conflicts min_instances max_instances standby "
     "run inputs outputs",
@@ -164,6 +166,7 @@ def _later_parts(environment: Environment) -> Iterator[list[object]]:
     groups: list[tuple[type[Part], Iterable[tuple[str, object]]]] = [
         (EnvironmentPart, [("", environment)]),
         (HostPart, ((host.name, host) for host in environment.hosts)),
+        (LinkPart, ((str(number), link) for number, link in enumerate(environment.links))),
         (AttributePart, ((attribute.name, attribute) for attribute in environment.qualities)),
         (TransformationPart, ((t.label, t) for t in library)),
         (ConflictsPart, ((t.label, t) for t in library)),

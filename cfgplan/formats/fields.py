@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
 from cfgplan.domain import Transformation
 from cfgplan.formats.schema_values import (
     FULL_FORM,
+    LARGEST_AMOUNT,
     SHORT_FORM,
     BetterName,
     Cost,
@@ -350,6 +351,16 @@ class HostPart(Part):
     speed: Speed = row("what the CPU seconds of labor, upkeep and standby are divided by on it", 1)
 
 
+class LinkPart(Part):
+    """What carries streams between hosts."""
+
+    between: list[SelectorText] = row("two selectors of hosts, for its two ends", ..., min_length=2, max_length=2)
+    bandwidth: int | None = row(
+        "bytes per second of all that is carried over it; no limit if absent", ge=0, le=LARGEST_AMOUNT**2
+    )
+    price: Cost | None = row("CPU seconds for each megabyte over it; `transfer` if absent", to="price_us")
+
+
 class AttributePart(Part):
     """A quality attribute of streams."""
 
@@ -395,6 +406,7 @@ class EnvironmentPart(Part):
     include: list[FileName] | None = row("files and folders with more transformations and targets", xml=ELEMENT)
     hosts: list[HostPart] | None = row("where units run; if absent, nothing is placed")
     transfer: Cost = row("CPU seconds for each megabyte that goes from host to host", 0, "transfer_us")
+    links: list[LinkPart] | None = row("what carries streams from host to host: the first that fits two hosts")
     qualities: list[AttributePart] | None = row("the quality attributes of streams")
     survive: Literal[0, 1, "units", "hosts"] = row(
         "single failures to survive; 1: of hosts where hosts are declared, else of units", 0

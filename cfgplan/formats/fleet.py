@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping
 from typing import Any
 
-from cfgplan.domain import Host
+from cfgplan.domain import Host, Link
 from cfgplan.errors import Fault, InvalidValueError, TagError, did_you_mean
 from cfgplan.formats.document import Document
 from cfgplan.formats.fields import ContributionPart, HostPart, TargetPart, UnitPart, WishPart
@@ -25,6 +25,7 @@ class FleetReader:
         self.copies: dict[str, tuple[str, ...]] = {}
         """The hosts that a name stands for which was given to several."""
         self.attributes: dict[str, QualityAttribute] = {}
+        self.links: tuple[Link, ...] = ()
         header = document.header
         main = Passage(document.files[0].source, (), faults) if document.files else None
         if main is None:  # a folder of the paper's XML has no header
@@ -49,6 +50,10 @@ class FleetReader:
                 except InvalidValueError as error:
                     entry.note(str(error), "exchange worst and best")
                     left_out.add("qualities", part.name)
+        for index, link in enumerate(header.links or ()):
+            ends = [main.at("links", index, "between", number) for number in range(len(link.between))]
+            if sum(map(self.is_selector, ends, link.between)) == len(ends):
+                self.links += (Link((link.between[0], link.between[1]), link.bandwidth, link.price),)
         self.survive = self._survived(main.at("survive"), header.survive, has_hosts=bool(header.hosts))
 
     def _survived(self, entry: Passage, written: int | str, *, has_hosts: bool) -> Failures | None:

@@ -9,7 +9,7 @@ from graphlib import CycleError, TopologicalSorter
 from cfgplan.domain import Environment, Similarity, Stream
 from cfgplan.planning import Failures
 from cfgplan.validity.counts import count_violations, serving_violations, unfed_violations
-from cfgplan.validity.hosts import company_violations, placing_violations
+from cfgplan.validity.hosts import company_violations, link_violations, placing_violations
 from cfgplan.validity.quality import quality_violations
 from cfgplan.validity.reading import company_of, known_units, needed_by, publishers, tag_of
 from cfgplan.validity.rules import Rule, Violation
@@ -35,6 +35,7 @@ def violations(
         *quality_violations(environment),
         *placing_violations(environment, horizon_s),
         *company_violations(environment),
+        *link_violations(environment),
         *instance_violations(environment),
         *survival_violations(environment, similarity, survive),
         *_needless_units(environment, similarity, survive),

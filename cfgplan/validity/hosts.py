@@ -7,7 +7,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator
 from fractions import Fraction
 
-from cfgplan.domain import CPU, POWER, ComputationUnit, Environment, Transformation, amount_of
+from cfgplan.domain import CPU, POWER, ComputationUnit, Environment, Link, Transformation, amount_of
 from cfgplan.validity.reading import known_units
 from cfgplan.validity.rules import Rule, Violation
 
@@ -86,6 +86,30 @@ def rents_us(environment: Environment) -> int:
 
 def carried_us(environment: Environment, horizon_s: int) -> int:
     """The cost to carry streams to other hosts; a stream is paid once for each host that it is wanted on."""
+    cost = 0
+    for a_second, origin, to in _journeys(environment):
+        link = _link(environment, origin, to)
+        price_us = environment.transfer_us if link is None or link.price_us is None else link.price_us
+        cost += -(-a_second * horizon_s * price_us // 1_000_000)
+    return cost
+
+
+def link_violations(environment: Environment) -> Iterator[Violation]:
+    """Links over which more is carried than they bear."""
+    over: Counter[Link] = Counter()
+    for a_second, origin, to in _journeys(environment) if environment.links else ():
+        link = _link(environment, origin, to)
+        if link is not None:
+            over[link] += a_second
+    for link, carried in over.items():
+        if link.bandwidth is not None and carried > link.bandwidth:
+            ends = " and ".join(link.between)
+            text = f"the link between {ends} carries {carried} bytes a second, but bears {link.bandwidth}"
+            yield Violation(Rule.CAPACITY, text)
+
+
+def _journeys(environment: Environment) -> Iterator[tuple[int, str | None, str]]:
+    """The bytes a second of each stream, from where it is made and to each other host that it is wanted on."""
     at = {unit.id: unit.host for unit in environment.units}
     topic_host = {target.topic: target.host for target in environment.targets}
     journeys: set[tuple[str, str, str]] = set()
@@ -93,11 +117,16 @@ def carried_us(environment: Environment, horizon_s: int) -> int:
         wanted = [(s.stream.unit, s.stream.port, unit.host) for s in unit.subscriptions]
         wanted += [(unit.id, p.port, topic_host.get(p.topic)) for p in unit.publications]
         journeys |= {(feeder, port, to) for feeder, port, to in wanted if to is not None and at.get(feeder) != to}
-    cost = 0
     library = {unit.id: transformation for unit, transformation in known_units(environment)}
-    for feeder, name, _ in journeys:
+    for feeder, name, to in journeys:
         port = library[feeder].output.get(name) if feeder in library else None
         if port is not None:
-            a_second = -(-port.rate_uhz * port.size_bytes // 1_000_000)
-            cost += -(-a_second * horizon_s * environment.transfer_us // 1_000_000)
-    return cost
+            yield -(-port.rate_uhz * port.size_bytes // 1_000_000), at[feeder], to
+
+
+def _link(environment: Environment, one: str | None, other: str) -> Link | None:
+    """The first link that joins two hosts."""
+    ends = environment.host.get(one or ""), environment.host.get(other)
+    if ends[0] is None or ends[1] is None:
+        return None
+    return next((link for link in environment.links if link.joins(ends[0], ends[1])), None)

@@ -20,7 +20,7 @@ class Rule(StrEnum):
     PUBLISHED = "a topic carries only what a target asks for"
     QUALITY = "every target's stream is as good as the target asks"
     PLACED = "every unit runs on a host that its transformation allows"
-    CAPACITY = "the units on a host take no more of any resource than it has"
+    CAPACITY = "the units on a host take no more of any resource than it has, and streams no more of a link"
     APART = "units of transformations that conflict are not there together, or not on one host"
     BESIDE = "on the host of a running unit there runs one of each transformation that it runs with"
     INSTANCES = "of each transformation as many units run as it asks for and allows, in all and on each host"

@@ -94,7 +94,7 @@ MODEL = _room(
     (
         "nothing is carried to inputs told apart",
         "rules.py",
-        "for host, on in model.runs_on[unit].items() if model.price_us(stream) else ():",
+        "for host, on in model.runs_on[unit].items() if model.is_placed(stream) else ():",
         "for host, on in ():",
     ),
     (
@@ -282,6 +282,8 @@ MODEL = _room(
         "model.needs_any(runs, [there[host] for there in units if host in there])",
         "pass",
     ),
+    ("a link bears anything", "rules.py", "loads[link].append(model.bytes_per_s(stream) * journey)", "pass"),
+    ("all links cost the same", "rules.py", "model.more_costs.append((cost_us - least_us) * journey)", "pass"),
     ("hosts are free", "rules.py", "model.cp.add_implication(places[host.name], used)", "pass"),
     ("too many units are on one host", "rules.py", "<= t.per_host)", "<= t.per_host + 1)"),
     (
@@ -297,7 +299,12 @@ MODEL = _room(
         "for places in (model.runs_on,)",
     ),
     ("a host bears anything", "rules.py", "if room is not None:", "if False:"),
-    ("streams are carried for nothing", "model.py", "self.price_us(stream) * carried", "0 * carried"),
+    (
+        "streams are carried for nothing",
+        "model.py",
+        "min(self.journeys_us(stream, host).values()) * carried",
+        "0 * carried",
+    ),
     (
         "what does not run is carried",
         "model.py",
@@ -384,6 +391,7 @@ JUDGE = _room(
     ("a unit runs alone", "hosts.py", "if (other, unit.host) not in running:", "if False:"),
     ("company is needless", "reading.py", "if len(ids) == 1]", "if len(ids) == 9]"),
     ("the failure of its company is not a unit's", "survival.py", "there.issuperset(kind.beside) and ", ""),
+    ("a link bears anything", "hosts.py", "carried > link.bandwidth:", "carried < 0:"),
     ("energy never ends", "hosts.py", "energy > host.energy:", "False:"),
     ("too many units are on one host", "hosts.py", "number > most:", "number < 0:"),
     ("too few units run", "environments.py", "if len(running[label]) < transformation.min_instances:", "if False:"),

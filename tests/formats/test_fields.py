@@ -20,6 +20,7 @@ from cfgplan.domain import (
     ComputationUnit,
     Host,
     InputPort,
+    Link,
     OutputPort,
     RunOptions,
     Target,
@@ -40,6 +41,7 @@ HOLDERS: dict[type[Part], tuple[Any, list[str]]] = {
     fields.TargetPart: (Target, ["targets"]),
     fields.WishPart: (Wish, ["targets", "quality"]),
     fields.HostPart: (Host, ["hosts"]),
+    fields.LinkPart: (Link, ["links"]),
     fields.AttributePart: (QualityAttribute, ["qualities"]),
 }
 """The domain's value of each part, and the way to it from an environment."""

@@ -134,6 +134,12 @@ def test_a_library_may_say_more_of_quality_and_hosts_than_an_environment_asks(tm
         ("camera(piff), host: piff", "camera(piff)", "does not say on which host it runs", "base, piff"),
         ("conflicts: [other]", "conflicts: [othr]", "no transformation `othr`", "did you mean `other`?"),
         ("conflicts: [other]", "conflicts: [camera(piff)]", "conflicts with itself", "max_instances: 1"),
+        (
+            "survive: 1",
+            "links: [{between: [base, piff and]}]",
+            "the selector ends where a label is wanted",
+            "write a label",
+        ),
         ("memory: 20", "with: [othr]", "no transformation `othr`", "did you mean `other`?"),
         ("memory: 20", "on: robot and", "the selector ends where a label is wanted", "write a label"),
         ("conflicts: [other]", "conflicts: {host: [camera(piff)]}", "conflicts with itself", "per_host: 1"),

@@ -14,6 +14,7 @@ from cfgplan.domain import (
     Environment,
     Host,
     InputPort,
+    Link,
     OutputPort,
     Stream,
     Subscription,
@@ -33,6 +34,12 @@ SELECTORS = st.sampled_from([None, None, None, None, "a", "not a", "a and not b"
 SPEEDS = st.sampled_from([MICRO, MICRO, MICRO // 2, 700_000, 3 * MICRO])
 TOGETHER = frozenset(Notion) - {Notion.OPTIONAL, Notion.COUNTS, Notion.LIMITS}
 """What the planner knows all at once."""
+LINKS = st.builds(
+    Link,
+    st.sampled_from([("a", "a"), ("a", "b"), ("h0", "not h0"), ("h2", "Thing")]),
+    st.sampled_from([None, None, 0, 1, 3, 8]),
+    st.sampled_from([None, 0, 1, 400_000, 1_500_000]),
+)
 VALUES = st.sampled_from([0, 1, 2, 3, 5, 8])
 FACTORS = st.sampled_from([0, MICRO // 3, MICRO // 2, MICRO, 3 * MICRO // 2])
 
@@ -57,8 +64,9 @@ def fleets(draw: st.DrawFn, notions: frozenset[Notion], *, most: int = 3) -> Pro
     units = [draw(placed(unit, by_label.get(unit.transformation), hosts, survive)) for unit in environment.units]
     units = [draw(fed_by_several(unit, units, by_label)) for unit in units]
     transfer_us = draw(st.sampled_from([0, 1, 700_000])) if hosts else 0
+    links = draw(st.lists(LINKS, max_size=2)) if len(hosts) > 1 and draw(st.booleans()) else []
     return Problem(
-        Environment(tuple(units), tuple(library), tuple(targets), hosts, qualities, transfer_us),
+        Environment(tuple(units), tuple(library), tuple(targets), hosts, qualities, transfer_us, tuple(links)),
         plain.similarity,
         plain.horizon_s,
         plain.max_cost_us,

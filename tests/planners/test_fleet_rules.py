@@ -9,7 +9,7 @@ import pytest
 from alone import search_alone
 from fixed import Apart, Hubs, kind, on, publishes, rewired, runs, unit, waits, world
 
-from cfgplan.domain import Host, OutputPort, Target, Transformation
+from cfgplan.domain import Host, Link, OutputPort, Target, Transformation
 from cfgplan.planning import Failures, Problem
 from cfgplan.qualities import MICRO, Better, Contribution, Over, QualityAttribute, QualityRule, Wish
 
@@ -148,6 +148,34 @@ def test_a_stream_is_carried_once_to_each_host(model: type[Hubs]) -> None:
     fixed = model(world("BCD", *library, hosts=(*TWO, Host("h2")), transfer_us=100))
     assert fixed.least_us(on("s.1", "h0"), on("f.1", "h1"), on("g.1", "h1"), on("h.1", "h1")) == 4 + 100
     assert fixed.least_us(on("s.1", "h0"), on("f.1", "h1"), on("g.1", "h1"), on("h.1", "h2")) == 4 + 200
+
+
+ROUND = (Host("h0", labels=("robot",)), Host("h1", labels=("robot",)), Host("h2"))
+RADIO = Link(("robot", "robot"), 1_500_000, 30)
+
+
+@every_model
+def test_the_first_link_that_joins_two_hosts_has_its_price(model: type[Hubs]) -> None:
+    links = (RADIO, Link(("robot", "Thing"), None, 7), Link(("h2", "h0"), 0, 9))
+    library = (kind("s", gives="A", output=STREAM), kind("f", "A", "B"))
+    fixed = model(world("B", *library, hosts=ROUND, transfer_us=100, links=links))
+    assert fixed.least_us(on("s.1", "h0"), on("f.1", "h1")) == 2 + 30
+    assert fixed.least_us(on("s.1", "h1"), on("f.1", "h0")) == 2 + 30
+    assert fixed.least_us(on("s.1", "h2"), on("f.1", "h0")) == 2 + 7
+    assert fixed.least_us(on("s.1", "h0"), on("f.1", "h0")) == 2
+    without = model(world("B", *library, hosts=ROUND, transfer_us=100, links=(RADIO,)))
+    assert without.least_us(on("s.1", "h2"), on("f.1", "h0")) == 2 + 100
+
+
+@every_model
+def test_a_link_bears_no_more_than_its_bandwidth_over_all_its_hosts(model: type[Hubs]) -> None:
+    library = (kind("s", gives="A", output=STREAM), kind("t", gives="B", output=STREAM), kind("f", "AB", "C"))
+    fixed = model(world("C", *library, hosts=ROUND, links=(RADIO,)))
+    assert fixed.allows(on("s.1", "h0"), on("t.1", "h1"), on("f.1", "h1"))
+    assert fixed.allows(on("s.1", "h2"), on("t.1", "h0"), on("f.1", "h1"))
+    assert not fixed.allows(on("s.1", "h0"), on("t.1", "h0"), on("f.1", "h1"))
+    narrow = model(world("C", *library, hosts=ROUND, links=(Link(("h0", "h1"), 999_999),)))
+    assert not narrow.allows(on("s.1", "h0"), on("t.1", "h1"), on("f.1", "h1"))
 
 
 @every_model

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from fixed import Hubs, kind, runs, world
+from fixed import Hubs, kind, runs, unit, world
 from fleets import fleets
 from hypothesis import assume, given, settings
 from test_fleets_against_the_oracle import EXAMPLES, agree_with_the_explicit_model, some
@@ -162,6 +162,13 @@ def test_a_unit_takes_more_of_a_slow_host(tuning: Tuning, speed: int, status: St
     library = (replace(kind("t", gives="B"), upkeep_us=10),)
     problem = world((Target("B", "B", "/B"),), *library, hosts=(Host("a", cpu_us=10, speed=speed),))
     assert PlannerSession(tuning).plan(problem).status is status
+
+
+def test_a_pinned_unit_is_kept_by_plans_of_few_transformations_too() -> None:
+    apart = kind("p", "A", "C", pinned=True, conflicts=("s",))
+    library = (apart, kind("s", gives="A"), kind("b", gives="B"), kind("c", gives="B", labor_us=5))
+    problem = world("B", *library, units=(unit("p", "s.1/x0", host="h"),), hosts=(Host("h"),))
+    assert PlannerSession(IN_PARTS).plan(problem).status is Status.INFEASIBLE
 
 
 def test_that_no_host_fits_a_selector_is_said() -> None:

@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterable
 import numpy as np
 
 from cfgplan.domain import ComputationUnit
-from cfgplan.figures import qualities_of_targets
+from cfgplan.figures import links_bear, qualities_of_targets
 from cfgplan.planners.exact.candidates import Candidates, with_companions
 from cfgplan.planners.exact.configuration import Configuration, spare_prices
 from cfgplan.planners.exact.decode import have_company
@@ -169,6 +169,7 @@ class FirstPlans:
             )
             and all(rooms.put(environment.transformation[unit.transformation], unit.host) for unit in units)
             and have_company(environment, units)
+            and links_bear(self.candidates.problem, units)
             and all(running[t.label] >= t.min_instances for t in self._numbered)
             and all(t.max_instances is None or there[t.label] <= t.max_instances for t in kinds)
             and not any(other != t.label and other in there for t in kinds for other in t.conflicts)

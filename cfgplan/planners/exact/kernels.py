@@ -65,8 +65,10 @@ def look_among_few(candidates: Candidates, standing: Standing, first: FirstPlans
     tuning, order = standing.clock.tuning, left_by_bounds(candidates, standing).order
     sizes = [size for size in tuning.fleet.sizes if 2 * size <= len(order)]
 
+    asked = {c.transformation.label for i, c in enumerate(candidates.all) if candidates.is_asked_for(i)}
+
     def among(size: int) -> Candidates:
-        return candidates.among(_best(standing).union(order[:size]))
+        return candidates.among(_best(standing).union(order[:size], asked))
 
     if sizes:
         FirstPlans(among(sizes[0]), standing).look(tuning.begin.attempts)

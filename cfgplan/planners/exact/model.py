@@ -66,13 +66,17 @@ class Model:
         self._demand_of_tag: dict[str, int] = {}
         self._demand_of_streams: dict[tuple[Stream, ...], int] = {}
         self._streams: list[tuple[Stream, ...]] = []
-        self._price_us = {
-            Stream(c.id, port.name): transfer_cost_us(port, self.problem.horizon_s, self.environment.transfer_us)
+        is_limited = any(link.bandwidth is not None for link in self.environment.links)
+        largest_us = self.environment.prices_us[-1]
+        self._port = {
+            Stream(c.id, port.name): port
             for c in (candidates.all if self.environment.hosts else ())
             for port in c.transformation.outputs
+            if transfer_cost_us(port, self.problem.horizon_s, largest_us) or (is_limited and port.bytes_per_s)
         }
+        """The outputs of which it matters where they are made and wanted."""
         takes_all = any(port.count == ALL for t in self.environment.library for port in t.inputs)
-        self.tells_ports = self.is_apart or self.asks_for_quality or any(self._price_us.values()) or takes_all
+        self.tells_ports = self.is_apart or self.asks_for_quality or bool(self._port) or takes_all
         self.serves = {
             Stream(c.id, port.name): port.serves
             for c in candidates.all
@@ -170,26 +174,39 @@ class Model:
 
     def is_carried(self, demand: int) -> bool:
         """Whether a stream that meets the demand costs to be carried, so that it matters where it is met."""
-        return any(map(self.price_us, self._streams[demand]))
+        return any(map(self.is_placed, self._streams[demand]))
 
-    def price_us(self, stream: Stream) -> int:
-        """What it costs to carry a stream to one more host."""
-        return self._price_us.get(stream, 0)
+    def is_placed(self, stream: Stream) -> bool:
+        """Whether it matters on which host a stream is made, and where it is wanted."""
+        return stream in self._port
+
+    def bytes_per_s(self, stream: Stream) -> int:
+        return self._port[stream].bytes_per_s
+
+    def journeys_us(self, stream: Stream, host: HostName) -> dict[HostName, int]:
+        """What it costs to carry a stream to a host from each other one where it may be made."""
+        return {
+            origin: transfer_cost_us(
+                self._port[stream], self.problem.horizon_s, self.environment.price_us(origin, host)
+            )
+            for origin in self.runs_on[self.unit_of(stream)]
+            if origin != host
+        }
 
     def ways(self, stream: Stream, host: HostName) -> list[IntVar]:
         """Booleans one of which holds if the stream is there on a host; one for carrying it is added if needed."""
         unit = self.unit_of(stream)
         is_made_elsewhere = self.runs_on[unit].keys() != {host}
-        if host is not None and self.price_us(stream) and is_made_elsewhere and (stream, host) not in self.carried:
+        if host is not None and self.is_placed(stream) and is_made_elsewhere and (stream, host) not in self.carried:
             carried = self.carried[stream, host] = self.boolean()
-            self.more_costs.append(self.price_us(stream) * carried)
+            self.more_costs.append(min(self.journeys_us(stream, host).values()) * carried)
             self.rests_on_all(carried, [self.runs[unit]])
         return self.known_ways(stream, host)
 
     def known_ways(self, stream: Stream, host: HostName) -> list[IntVar]:
         """Those of `ways` that the model has: the stream is there by no other way."""
         unit = self.unit_of(stream)
-        if host is None or not self.price_us(stream):
+        if host is None or not self.is_placed(stream):
             return [self.runs[unit]]
         ways = (self.runs_on[unit].get(host), self.carried.get((stream, host)))
         return [way for way in ways if way is not None]

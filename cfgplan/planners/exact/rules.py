@@ -7,9 +7,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from itertools import product
 from typing import Final
 
-from ortools.sat.python.cp_model import IntVar, LinearExpr
+from ortools.sat.python.cp_model import IntVar, LinearExpr, LinearExprT
 
-from cfgplan.domain import ALL, InputPort, Stream
+from cfgplan.domain import ALL, InputPort, Link, Stream
 from cfgplan.planners.exact.candidates import HostName
 from cfgplan.planners.exact.model import Model, ModelRule
 from cfgplan.planners.exact.quality import targets_get_the_quality_they_ask_for
@@ -104,7 +104,7 @@ def an_input_told_apart_has_its_feeders(model: Model, unit: int, port: InputPort
             model.cp.add_implication(connected, feeder)
         else:
             model.rests_on_all(connected, [feeder])
-        for host, on in model.runs_on[unit].items() if model.price_us(stream) else ():
+        for host, on in model.runs_on[unit].items() if model.is_placed(stream) else ():
             model.cp.add_bool_or([connected.negated(), on.negated(), *model.ways(stream, host)])
     if port.feedback:
         return []
@@ -249,6 +249,29 @@ def what_is_made_on_a_host_is_not_carried_there(model: Model) -> None:
         here = model.runs_on[model.unit_of(stream)].get(host)
         if here is not None:
             model.cp.add_at_most_one(carried, here)
+
+
+def links_bear_what_is_carried_and_have_their_prices(model: Model) -> None:
+    """A carried stream has cost the least that it may from anywhere; from elsewhere it costs more."""
+    loads: dict[Link, list[LinearExprT]] = defaultdict(list)
+    for (stream, host), carried in model.carried.items() if model.environment.links else ():
+        costs_us = model.journeys_us(stream, host)
+        least_us = min(costs_us.values())
+        for origin, cost_us in costs_us.items():
+            link = model.environment.link.get((origin or "", host or ""))
+            is_limited = link is not None and link.bandwidth is not None
+            if cost_us == least_us and not is_limited:
+                continue
+            journey = carried
+            if len(costs_us) > 1:
+                journey = model.boolean()
+                made_there = model.runs_on[model.unit_of(stream)][origin]
+                model.cp.add_bool_or([carried.negated(), made_there.negated(), journey])
+            model.more_costs.append((cost_us - least_us) * journey)
+            if link is not None and is_limited:
+                loads[link].append(model.bytes_per_s(stream) * journey)
+    for link, load in loads.items():
+        model.cp.add(LinearExpr.sum(load) <= (link.bandwidth or 0))
 
 
 def pinned_units_run(model: Model) -> None:
@@ -543,6 +566,7 @@ RULES: Final[tuple[ModelRule, ...]] = (
     a_demand_is_met_first_by_a_unit_that_does_not_need_it,
     a_target_is_published_by_one_unit,
     what_is_made_on_a_host_is_not_carried_there,
+    links_bear_what_is_carried_and_have_their_prices,
     pinned_units_run,
     required_transformations_serve_a_target,
     a_stream_serves_no_more_than_it_may,

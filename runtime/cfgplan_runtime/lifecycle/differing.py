@@ -30,6 +30,7 @@ def difference(before: World, after: World) -> Difference:
         "max_cost": before.max_cost_us != after.max_cost_us,
         "hosts": before.environment.hosts != after.environment.hosts,
         "transfer": before.environment.transfer_us != after.environment.transfer_us,
+        "links": before.environment.links != after.environment.links,
         "qualities": before.environment.qualities != after.environment.qualities,
         "survive": before.survive != after.survive,
     }
