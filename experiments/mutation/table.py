@@ -555,14 +555,14 @@ SUPERVISION = _room(
     (
         "one fed input is enough",
         "wiring.py",
-        "else not fed.issuperset(transformation.input)",
+        "else not fed.issuperset(needed)",
         "else fed.isdisjoint(transformation.input)",
     ),
     (
         "every input has to be fed",
         "wiring.py",
         'return not fed if transformation.run.start == "any"',
-        'return not fed.issuperset(transformation.input) if transformation.run.start == "any"',
+        'return not fed.issuperset(needed) if transformation.run.start == "any"',
     ),
     (
         "the starting input does not count",

@@ -192,3 +192,8 @@ def timed() -> Iterator[At]:
     """Elements with a time of their own."""
     for second in range(1, 1000):
         yield At(second * 1_000_000_000, second)
+
+
+def lacks(x: Any, z: Any) -> Any:
+    """Whether the second input has nothing."""
+    return [x, z is None]

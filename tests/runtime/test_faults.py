@@ -28,10 +28,11 @@ from cfgplan_runtime.supervision.events import (
     UnitPrinted,
     UnitTooLarge,
 )
+from cfgplan_runtime.supervision.wiring import starved_units
 from watching import Listener, StartRuntime, seen
 from world import PATIENCE_S, eventually, source, start, unit, worker
 
-from cfgplan.domain import ChangeSet, RunOptions
+from cfgplan.domain import ChangeSet, InputPort, RunOptions
 
 
 @pytest.mark.parametrize(
@@ -432,3 +433,15 @@ def test_a_closed_runtime_in_thought_says_so_too() -> None:
         runtime.apply(start(unit("count.1")))
     with pytest.raises(RuntimeFaultError, match="the runtime is closed"):
         runtime.apply(ChangeSet(stopped=("count.1",)))
+
+
+def test_a_unit_steps_without_its_optional_input_and_gets_none_for_it(run_units: StartRuntime) -> None:
+    ports = (InputPort("x", "N"), InputPort("z", "N", optional=True))
+    runtime = run_units(source(), replace(worker("work", "lacks"), inputs=ports))
+    runtime.apply(start(unit("count.1"), unit("work.1", topic="/result", x="count.1/n")))
+    assert starved_units(runtime.environment) == set()
+    listener = Listener("/result")
+    eventually(lambda: len(listener.received) > 5)
+    runtime.close()
+    listener.join()
+    assert all(is_none for _, is_none in listener.values)

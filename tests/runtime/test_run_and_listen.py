@@ -157,3 +157,9 @@ def test_a_run_that_is_not_live_is_what_is_told_not_its_topic(
 @pytest.mark.parametrize("span", ["soon", "-1s", "3 days"])
 def test_a_span_of_time_that_is_none_is_refused(env: Path, span: str) -> None:
     assert main(["run", str(env), f"--for={span}"]) == 30
+
+
+def test_a_run_refuses_an_input_that_takes_several_streams(env: Path, capsys: Any) -> None:
+    env.write_text(ENVIRONMENT.replace("inputs: {image: Image}", "inputs: {image: {tag: Image, count: 2}}"))
+    assert main(["run", str(env), "--for", "1s"]) == 30
+    assert "a run can't feed input image of detector with several streams yet" in capsys.readouterr().err

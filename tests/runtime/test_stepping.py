@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import pytest
 from cfgplan_runtime.children.steps import StepQueue
 from cfgplan_runtime.streams.element import Element
 
@@ -72,3 +73,42 @@ def test_a_queue_that_may_not_drop_only_says_that_it_is_full() -> None:
         queue.put("a", Element(time_ns, 0, 0, b""), may_drop=False)
     assert queue.is_full("a")
     assert queue.waiting("a") == 3
+
+
+def _element(time_ns: int) -> Element:
+    return Element(time_ns, 0, 0, b"")
+
+
+@pytest.mark.parametrize("loose", ["optional", "services"])
+def test_a_step_waits_neither_for_an_optional_input_nor_for_a_service(loose: str) -> None:
+    queue = StepQueue(["a", "b"], start="all", tolerance_ns=0, limit=2, **{loose: ["b"]})  # type: ignore[arg-type]
+    queue.put("a", _element(1), may_drop=True)
+    first = queue.next()
+    assert first is not None and set(first.elements) == {"a"}
+    queue.put("b", _element(2), may_drop=True)
+    assert queue.next() is None
+    queue.put("a", _element(3), may_drop=True)
+    second = queue.next()
+    assert second is not None and second.elements["b"].time_ns == 2
+    queue.forget("b")
+    queue.put("a", _element(4), may_drop=True)
+    third = queue.next()
+    assert third is not None and set(third.elements) == {"a"}
+
+
+def test_an_optional_input_starts_steps_where_any_does_and_a_service_does_not() -> None:
+    queue = StepQueue(["a", "b"], start="any", tolerance_ns=0, limit=2, optional=["a"], services=["b"])
+    queue.put("b", _element(1), may_drop=True)
+    assert queue.next() is None
+    queue.put("a", _element(2), may_drop=True)
+    step = queue.next()
+    assert step is not None and set(step.elements) == {"a", "b"}
+
+
+def test_where_all_inputs_are_optional_each_element_starts_a_step() -> None:
+    queue = StepQueue(["a", "b"], start="all", tolerance_ns=0, limit=2, optional=["a", "b"])
+    assert queue.next() is None
+    queue.put("a", _element(1), may_drop=True)
+    step = queue.next()
+    assert step is not None and set(step.elements) == {"a"}
+    assert queue.next() is None

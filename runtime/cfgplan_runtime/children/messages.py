@@ -28,6 +28,10 @@ class UnitOrder(msgspec.Struct, frozen=True, tag=True):
     memory_bytes: int | None
     folder: str = ""
     clock_offset_ns: int = 0
+    optional: list[str] = []
+    """The inputs that no step waits for."""
+    services: list[str] = []
+    """The inputs that neither start a step nor hold one back."""
 
 
 class OutletOrder(msgspec.Struct, frozen=True, tag=True):

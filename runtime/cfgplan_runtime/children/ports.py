@@ -29,6 +29,10 @@ from cfgplan_runtime.streams.inlet import InputQueue
 _MOST_SAID = 1 << 16
 
 
+def _nothing() -> None:
+    pass
+
+
 @dataclass(slots=True)
 class UnitInput:
     """An inlet and the receivers of its wires."""
@@ -39,6 +43,8 @@ class UnitInput:
     """Called with each element that the inlet hands on."""
     has_room: Callable[[], bool]
     """False if the producers have to wait."""
+    lose: Callable[[], None] = _nothing
+    """Called when it has lost its source."""
     receivers: dict[int, Receiver] = field(default_factory=dict)
     announced: int | None = None
     """The active source that was last reported to the supervisor."""
@@ -211,6 +217,8 @@ class Ports:
     def _cut(self, name: str, wire: int) -> None:
         port = self.inputs[name]
         self._settle(port, port.inlet.end(wire))
+        if port.inlet.active is None:
+            port.lose()
 
     def _unserve(self, output: UnitOutput, wire: int) -> None:
         for sender in [sender for sender in output.senders if sender.wire == wire]:
@@ -233,6 +241,7 @@ class Ports:
         if receiver.has_ended and wire in port.receivers:
             self._settle(port, port.inlet.end(wire))
             if port.inlet.active is None:
+                port.lose()
                 self.say(Lost(port.name, wire))
         if not port.is_paused and not port.has_room():
             port.is_paused = True

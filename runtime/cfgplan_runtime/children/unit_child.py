@@ -47,7 +47,14 @@ class UnitChild:
         self._clock_offset_ns = order.clock_offset_ns
         self._ports = Ports(control, self._obey)
         self._is_source = not order.inputs
-        self._steps = StepQueue(order.inputs, start=order.start, tolerance_ns=order.tolerance_ns, limit=order.queue)
+        self._steps = StepQueue(
+            order.inputs,
+            start=order.start,
+            tolerance_ns=order.tolerance_ns,
+            limit=order.queue,
+            optional=order.optional,
+            services=order.services,
+        )
         self._code = UnitCode(order.source, order.params, order.outputs, folder=order.folder, is_source=self._is_source)
         if order.keeps_state and order.state is not None and self._code.has_state:
             self._code.set_state(msgspec.msgpack.decode(order.state))
@@ -133,6 +140,7 @@ class UnitChild:
         self._moment = step.moment
         try:
             values = {port: decode(element.payload) for port, element in step.elements.items()}
+            values = dict.fromkeys(self._order.inputs) | values
             self._results = self._code.step(values)
             self._give_next()
         except Exception as error:
@@ -243,4 +251,4 @@ class UnitChild:
         def has_room() -> bool:
             return not (self._order.blocks and self._steps.is_full(name))
 
-        return UnitInput(name, InputQueue(self._order.queue), take, has_room)
+        return UnitInput(name, InputQueue(self._order.queue), take, has_room, lambda: self._steps.forget(name))

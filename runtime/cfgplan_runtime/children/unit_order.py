@@ -15,6 +15,8 @@ def unit_order(unit: str, transformation: Transformation, state: bytes | None) -
         params=dict(transformation.params),
         inputs=[port.name for port in transformation.inputs],
         outputs=[port.name for port in transformation.outputs],
+        optional=[port.name for port in transformation.inputs if port.optional],
+        services=[port.name for port in transformation.inputs if port.service],
         start=run.start,
         tolerance_ns=run.tolerance_us * 1000,
         period_ns=None if run.rate_hz is None else round(1e9 / run.rate_hz),

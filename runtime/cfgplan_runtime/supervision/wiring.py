@@ -135,7 +135,8 @@ def _starves(unit: ComputationUnit, environment: Environment, starved: set[str])
     starting = {transformation.run.start}.intersection(transformation.input)
     if starting:
         return fed.isdisjoint(starting)
-    return not fed if transformation.run.start == "any" else not fed.issuperset(transformation.input)
+    needed = {port.name for port in transformation.needed_inputs if not port.service}
+    return not fed if transformation.run.start == "any" else not fed.issuperset(needed)
 
 
 def without_unit(environment: Environment, unit_id: str) -> Environment:
