@@ -23,7 +23,7 @@ from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planners.exact.memory import Structure
 from cfgplan.planners.networks.core import Core, Rows
 from cfgplan.planners.networks.greedy import first_plan, is_plan
-from cfgplan.planners.networks.network import Graph
+from cfgplan.planners.networks.network import Graph, costs
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planners.tuning import Close, Tuning
 from cfgplan.planning import Problem, Status
@@ -121,6 +121,20 @@ def test_repairs_give_plans_that_are_never_dearer(problem: Problem) -> None:
     repairs.attempt(30, stage.cost + 1.0, lambda: False)
     assert is_plan(stage.network, repairs.best)
     assert stage.cost[sorted(repairs.best)].sum() <= stage.cost[sorted(plan)].sum()
+
+
+def test_a_new_beginning_that_is_dearer_leaves_the_best_plan_as_it_was() -> None:
+    problem = random_library(3, transformations=80, targets=4)
+    structure = Structure.of(problem, None, Clock())
+    _, cost = costs(problem, structure.network, structure.pinned)
+    plan = first_plan(structure.network, cost, 20, Clock())
+    assert plan is not None
+    repairs = Repairs(structure.network, cost, plan, Close(in_vain=0, noise=1.0))
+    found = []
+    for _ in range(20):
+        repairs.attempt(1, cost + 1.0, lambda: False)
+        found.append(int(cost[sorted(repairs.best)].sum()))
+    assert found == sorted(found, reverse=True)
 
 
 def test_the_linear_program_charges_a_landmark_of_each_pair_of_three_half_of_its_price() -> None:
