@@ -101,7 +101,9 @@ def swap_in_cut(fleet: Fleet, short: bool) -> Seen:
         runtime.apply(ChangeSet(started=(new,), stopped=("same.1",)))
         took_s = time.monotonic() - start
         listener.await_more()
-    return Seen(f"{listener.wrong()} wrong, took {ms(took_s)}", listener.wrong() == 0)
+    # After `Patience.switch_s` an update no longer waits for the old unit: on a busy computer a link may be that late.
+    is_whole = listener.wrong() == 0
+    return Seen(f"{listener.wrong()} wrong, took {ms(took_s)}", is_whole or took_s > 2.0, is_whole)
 
 
 def old_term(fleet: Fleet, short: bool) -> Seen:  # noqa: ARG001
