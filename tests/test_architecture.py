@@ -26,6 +26,6 @@ def test_a_room_is_on_the_map(room: str) -> None:
     assert re.search(rf"\b{room}\b", MAP.split("```mermaid")[1].split("```")[0])
 
 
-def test_the_glossary_has_at_most_forty_words() -> None:
+def test_the_glossary_has_at_most_thirty_words() -> None:
     words = re.findall(r"\*\*([a-z ]+)\*\*", MAP.split("## Words")[1])
-    assert 20 <= len(set(words)) == len(words) <= 40
+    assert 20 <= len(set(words)) == len(words) <= 30

@@ -47,7 +47,7 @@ def config(
 
     In mode "peer" all have to be linked with all. A "client" goes through the first of the others that it reaches, and
     fails after `reach_s` without any. (A "router" passes on between others, but when these come and go at once, Zenoh's
-    routers overlook some for good: in 2 of 60 trials; and they panic in 1 of 60 when a link between two is closed. A
+    routers overlook some for good: in 2 of 60 trials; and they panic at times when a link between two is closed. A
     peer passes on for clients alone, and did in 60 of 60.) With `certificates`, a host's folder, all links to other
     computers are written `tls/192.168.1.5:7447`. Raises InputError for an endpoint that strangers could reach without
     certificates.
