@@ -40,6 +40,8 @@ class Alternatives:
 def alternatives(problem: Problem, planner: Planner, count: int, *, time_limit_s: float | None = None) -> Alternatives:
     """The `count` best valid configurations within the largest cost that differ in the transformations that run.
 
+    Nothing is started that no target needs, pinned or not.
+
     Lawler's procedure: what is left of a set of configurations without its best one is cut into parts, by what must
     and must not run, and the part that can hold the cheapest is looked at next. None if there is no plan; the plan
     alone if it is not proven optimal, ties included.

@@ -40,10 +40,18 @@ def runs(problem: Problem, plan: Plan) -> frozenset[str]:
     return frozenset(unit.transformation for unit in problem.environment.update(plan.change_set).units)
 
 
+def pinned_where_it_runs(problem: Problem) -> Problem:
+    """The judge lets a pinned unit run that no target needs; a plan that starts one would do so in vain."""
+    environment = problem.environment
+    running = {unit.transformation for unit in environment.units}
+    library = tuple(replace(t, pinned=t.pinned and t.label in running) for t in environment.library)
+    return replace(problem, environment=replace(environment, library=library))
+
+
 def every_configuration(problem: Problem) -> dict[frozenset[str], tuple[int, int, int, int]]:
-    """For each set of transformations the best valid configuration that runs just these, of all that there are."""
+    """For each set of transformations the best valid configuration that runs just these and starts nothing in vain."""
     found: dict[frozenset[str], tuple[int, int, int, int]] = {}
-    for rank, after in exhaustive.configurations(problem):
+    for rank, after in exhaustive.configurations(pinned_where_it_runs(problem)):
         if problem.max_cost_us is None or rank.cost_us <= problem.max_cost_us:
             which = frozenset(unit.transformation for unit in after.units)
             found[which] = min(rank, found.get(which, rank))
@@ -99,6 +107,17 @@ def test_they_are_the_best_of_all_that_run_something_else_in_order(problem: Prob
         assert key(plan) == expected[runs(problem, plan)]
     assert found.plans[0] == cpsat(problem)
     assert not any(plan.ties_proven for plan in found.plans[1:])
+
+
+def test_no_pinned_one_is_started_that_no_target_needs() -> None:
+    library = [Transformation(label, (), (OutputPort("o", "A"),), pinned=label == "b") for label in "ab"]
+    environment = Environment((), tuple(library), (Target("t", "A", "/t"),))
+    found = alternatives(Problem(environment, Similarity({"A": frozenset({"A"})}), 0), cpsat, 3)
+    assert [[unit.transformation for unit in plan.change_set.started] for plan in found.plans if plan.change_set] == [
+        ["a"],
+        ["b"],
+    ]
+    assert not found.has_more
 
 
 def test_a_pinned_one_that_is_required_takes_no_place_from_what_has_to_serve() -> None:
