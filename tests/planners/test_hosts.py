@@ -198,3 +198,17 @@ def test_which_replica_finds_no_host_is_said() -> None:
         found = PLANNERS["cpsat"](world("A", kind("web", gives="A", **more), hosts=hosts))
         assert found.status is Status.INFEASIBLE
         assert text in found.reasons["A"]
+
+
+def test_which_unit_of_a_count_finds_no_host_is_said() -> None:
+    hosts = (Host("a", memory_mb=1100), Host("b", memory_mb=500), Host("c", memory_mb=600))
+    balancer = replace(kind("balancer", gives="B"), inputs=(InputPort("i", "A", count=3),))
+    web = kind("web", gives="A", memory_mb=512, per_host=1)
+    found = PLANNERS["cpsat"](world("B", web, balancer, hosts=hosts))
+    assert found.status is Status.INFEASIBLE
+    assert found.reasons["B"].endswith(
+        "only web/x0 can feed it, 2 in all, "
+        "as web number 3 finds no host with 512 MB of memory left and fewer than 1 of them"
+    )
+    alone = world("B", replace(web, per_host=None), balancer, hosts=hosts)
+    assert PLANNERS["cpsat"](alone).status is Status.OPTIMAL

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection
-from math import inf
 
 from cfgplan.costs import taken
 from cfgplan.domain import Environment, Target, Transformation, amount_of
@@ -63,20 +62,20 @@ def _missing_streams(problem: Problem, givers: Givers, t: Transformation) -> str
     """Name an input for which there can't be units enough; or None."""
     library, holds = problem.environment.transformation, problem.similarity.holds
     running = Counter(unit.transformation for unit in problem.environment.units if not unit.standby)
-    for port in t.needed_inputs:
-        there = {label: running[label] + problem.most_new(library[label]) for label in givers.of(port.tag)}
-        most = sum(min(number, _most(library[label])) for label, number in there.items())
-        if most < port.count and port.count > 1:
+    for port in (port for port in t.needed_inputs if port.count > 1):
+        placed = {
+            label: _placed(problem, library[label], min(running[label] + problem.most_new(library[label]), port.count))
+            for label in givers.of(port.tag)
+        }
+        most = sum(number for number, _ in placed.values())
+        if most < port.count:
             matching = [
-                f"{label}/{o.name}" for label in there for o in library[label].outputs if holds(o.tag, port.tag)
+                f"{label}/{o.name}" for label in placed for o in library[label].outputs if holds(o.tag, port.tag)
             ]
             only = f"only {' and '.join(matching)} can feed it, {most} in all" if matching else "nothing matches"
-            return f"input {port.name} of {t.label} needs {port.count} streams of different units; {only}"
+            why = "".join(f", as {label} number {lack}" for label, (_, lack) in placed.items() if lack)
+            return f"input {port.name} of {t.label} needs {port.count} streams of different units; {only}{why}"
     return None
-
-
-def _most(t: Transformation) -> float:
-    return inf if t.max_instances is None else t.max_instances
 
 
 def _missing_together(problem: Problem) -> str | None:
@@ -100,15 +99,24 @@ def _missing_together(problem: Problem) -> str | None:
 
 def _missing_host(problem: Problem) -> str | None:
     """Name the first unit of a transformation that finds no host, even if nothing else is there; or None."""
-    environment = problem.environment
-    for t in environment.library:
-        rooms, hosts = Rooms(problem), environment.hosts_for(t)
-        for number in range(1, t.min_instances + 1):
-            if not any(rooms.put(t, host) for host in hosts):
-                lacks = sorted({lack for host in hosts for lack in rooms.lacks(t, host)})
-                found = f"no host with {lacks[0]}" if lacks else "no host"
-                return f": {t.label} asks for {t.min_instances} units, and number {number} finds {found}"
+    for t in problem.environment.library:
+        _, lack = _placed(problem, t, t.min_instances)
+        if lack:
+            return f": {t.label} asks for {t.min_instances} units, and number {lack}"
     return None
+
+
+def _placed(problem: Problem, t: Transformation, wanted: int) -> tuple[int, str]:
+    """How many of the `wanted` units of a transformation find a host if nothing else is there, and what the next lacks:
+    `3 finds no host with 512 MB of memory left`; empty if all find one.
+    """
+    most = wanted if t.max_instances is None else min(wanted, t.max_instances)
+    rooms, hosts = Rooms(problem), problem.environment.hosts_for(t)
+    for number in range(most):
+        if not any(rooms.put(t, host) for host in hosts):
+            lacks = sorted({lack for host in hosts for lack in rooms.lacks(t, host)})
+            return number, f"{number + 1} finds no host" + (f" with {' and '.join(lacks)}" if lacks else "")
+    return most, ""
 
 
 def _lack(problem: Problem, t: Transformation) -> str | None:
