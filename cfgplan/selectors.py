@@ -8,6 +8,7 @@ operand    = ¬ operand | ( expression ) | ⊤ | ⊥ | name
 from __future__ import annotations
 
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Sequence
 from functools import lru_cache
 from typing import ClassVar, Final, Generic, TypeVar
@@ -33,7 +34,7 @@ Meaning = TypeVar("Meaning")
 """What an expression means to those who read it."""
 
 
-class ExpressionReader(Generic[Meaning]):
+class ExpressionReader(ABC, Generic[Meaning]):
     """Reads one text. What its operands mean, and how these are joined, is said by those who read more."""
 
     what: ClassVar[str] = "expression"
@@ -50,21 +51,21 @@ class ExpressionReader(Generic[Meaning]):
         self._at = 0
         self._depth = 0
 
+    @abstractmethod
     def all_of(self, parts: Sequence[Meaning]) -> Meaning:
         """What joining parts by `and` means."""
-        raise NotImplementedError
 
+    @abstractmethod
     def any_of(self, parts: Sequence[Meaning]) -> Meaning:
         """What joining parts by `or` means."""
-        raise NotImplementedError
 
+    @abstractmethod
     def none_of(self, part: Meaning) -> Meaning:
         """What `not` means."""
-        raise NotImplementedError
 
+    @abstractmethod
     def other(self, token: str) -> Meaning:
         """What an operand means that begins with a token that has just been read."""
-        raise NotImplementedError
 
     def whole(self) -> Meaning:
         """What the text means. Raises TagError."""

@@ -299,6 +299,22 @@ def test_a_plan_stopped_before_it_is_known_whether_all_required_can_be_used_clai
     assert cpsat_plan(problem).cost_us == 19
 
 
+def test_what_nothing_needs_takes_no_place_from_an_input_that_starts_nothing() -> None:
+    sink = Transformation(
+        "sink", (InputPort("a", "B", optional=True), InputPort("b", "D")), (), labor_us=5, min_instances=1
+    )
+    source = Transformation("source", (), (OutputPort("x", "D"), OutputPort("y", "B", serves=2)))
+    units = (
+        ComputationUnit("sink.2", "sink", (Subscription("b", Stream("source.1", "x")),)),
+        ComputationUnit("source.1", "source", (), (Publication("x", "/q"),)),
+    )
+    environment = Environment(units, (sink, source), (Target("q", "B", "/q"),))
+    problem = Problem(environment, Similarity({tag: frozenset({tag}) for tag in "BD"}), 0)
+    plan = cpsat_plan(problem)
+    assert plan_violations(problem, plan) == []
+    assert problem.after(plan).unit["sink.2"].feeds["a"]
+
+
 def test_it_is_said_which_input_lacks_streams_of_different_units() -> None:
     source = make("source", gives="A", max_instances=1)
     sink = replace(make("sink", "A", "B"), inputs=(InputPort("in0", "A", count=2),))

@@ -75,8 +75,6 @@ class Model:
             if transfer_cost_us(port, self.problem.horizon_s, largest_us) or (is_limited and port.bytes_per_s)
         }
         """The outputs of which it matters where they are made and wanted."""
-        takes_all = any(port.count == ALL for t in self.environment.library for port in t.inputs)
-        self.tells_ports = self.is_apart or self.asks_for_quality or bool(self._port) or takes_all
         self.serves = {
             Stream(c.id, port.name): port.serves
             for c in candidates.all
@@ -84,7 +82,8 @@ class Model:
             if port.serves is not None
         }
         """How many inputs and topics may take each stream that serves only so many."""
-        self.tells_ports = self.tells_ports or bool(self.serves)
+        takes_all = any(port.count == ALL for t in self.environment.library for port in t.inputs)
+        self.tells_ports = self.is_apart or self.asks_for_quality or bool(self._port) or takes_all or bool(self.serves)
         """Whether it matters which stream of a unit is taken."""
         self._any_stream = [Stream(candidate.id, "") for candidate in candidates.all]
         self.needing = self._units_by_demand()

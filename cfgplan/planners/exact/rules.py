@@ -337,7 +337,9 @@ def _taking(model: Model, stream: Stream) -> list[IntVar]:
 
 
 def an_input_that_starts_nothing_is_fed_by_what_is_needed_anyway(model: Model) -> None:
-    """What is needed: what serves a target, is pinned, or is there by number."""
+    """What is needed: what serves a target, is pinned, or is there by number. Nothing else takes a stream that serves
+    only so many, since there would be room for the input without it.
+    """
     if not model.idle_feeders:
         return
     candidates, roots = model.candidates, defaultdict[int, list[IntVar]](list)
@@ -352,8 +354,12 @@ def an_input_that_starts_nothing_is_fed_by_what_is_needed_anyway(model: Model) -
             roots[i].append(asked)
     needed = _serving(model, roots)
     for (unit, name), connects in model.connects.items():
-        for stream, connected in connects.items() if name in candidates.all[unit].transformation.idle_inputs else ():
-            model.cp.add_implication(connected, needed[model.unit_of(stream)])
+        is_idle = name in candidates.all[unit].transformation.idle_inputs
+        for stream, connected in connects.items():
+            if is_idle:
+                model.cp.add_implication(connected, needed[model.unit_of(stream)])
+            if stream in model.serves and model.unit_of(stream) in model.idle_feeders:
+                model.cp.add_implication(connected, needed[unit])
 
 
 def an_input_that_starts_nothing_is_fed_where_it_can_be(model: Model) -> None:
