@@ -16,7 +16,7 @@ from typing import Any, NoReturn, TextIO, cast
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.interrupts import Ending, ended_cleanly
 from cfgplan.cli.screen import FULL_DISK, Screen
-from cfgplan.errors import CfgplanError, Fault, InputError
+from cfgplan.errors import CfgplanError, Fault, InputError, known
 from cfgplan.planning import PlannerFaultError
 
 _EXTRA_OF = {
@@ -44,6 +44,7 @@ VERBS: Mapping[str, str] = MappingProxyType(
         "compare": "run planners side by side, each run in a process of its own, and check them against each other",
         "import": "turn the paper's XML, or a web service composition test set, into an environment file",
         "export": "write the environment file's JSON Schema, or an environment as YAML or the paper's XML",
+        "help": "show a page of the manual",
     }
 )
 """What each verb does. Its module, or the function of `_OTHER_HOMES`, is imported only when the verb is called."""
@@ -51,6 +52,7 @@ _OTHER_HOMES = {
     "certificates": "agent:add_certificates",
     "import": "exchange:add_import",
     "export": "exchange:add_export",
+    "help": "manual:add_to",
 }
 
 
@@ -111,8 +113,6 @@ def _tell(error: CfgplanError | ModuleNotFoundError, screen: Screen, env: str | 
     """Show what is wrong with the input, the command line or the installation."""
     match error:
         case InputError(faults=faults):
-            if isinstance(error, _UsageError) and not screen.json:
-                screen.note(error.usage, style="")
             screen.faults(faults)
         case ModuleNotFoundError():
             screen.faults([Fault(f"the package {error.name} is not installed", mend=_install(error.name or ""))])
@@ -155,17 +155,9 @@ def _install(package: str) -> str:
     return f"pip install 'cfgplan[{extra}]'" if extra else "install cfgplan again, with all that it needs"
 
 
-class _UsageError(InputError):
-    """A command line that can't be parsed, with the usage of its verb."""
-
-    def __init__(self, message: str, parser: argparse.ArgumentParser) -> None:
-        super().__init__([Fault(message, mend=f"{parser.prog} --help tells more")])
-        self.usage = parser.format_usage().rstrip()
-
-
 class Parser(argparse.ArgumentParser):
     """A parser that raises its errors as InputError. A verb's parser refuses unknown arguments itself, so that its
-    own usage is shown.
+    own help is named.
     """
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
@@ -175,7 +167,7 @@ class Parser(argparse.ArgumentParser):
         return known, unknown
 
     def error(self, message: str) -> NoReturn:
-        raise _UsageError(message, self)
+        raise InputError.of(message, mend=f"{self.prog} --help tells more")
 
 
 def _parser(arguments: Sequence[str]) -> Parser:
@@ -192,6 +184,8 @@ def _parser(arguments: Sequence[str]) -> Parser:
     parser.add_argument("--version", action="version", version=f"cfgplan {__version__}")
     verbs = parser.add_subparsers(metavar="VERB")
     asked = next((each for each in arguments if not each.startswith("-")), None)
+    if asked is not None:
+        known(asked, VERBS, "verb", "cfgplan --help lists the verbs")
     for name, summary in VERBS.items():
         sentence = f"{summary[0].upper()}{summary[1:]}."
         verb = verbs.add_parser(

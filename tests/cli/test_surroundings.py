@@ -59,11 +59,14 @@ def test_a_command_line_that_is_wrong_is_bad_input_like_any_other(
 ) -> None:
     text, found = run(*arguments), run(*arguments, "--json")
     assert (text.code, text.out, found.code, found.err) == (30, "", 30, "")
-    assert text.err.startswith(f"usage: cfgplan {arguments[0]}")
-    assert f"error: {message}" in text.err
+    assert text.err.startswith(f"error: {message}")
     (fault,) = found.document["errors"]
     assert fault["message"].startswith(message)
     assert fault["mend"] == f"cfgplan {arguments[0]} --help tells more"
+
+
+def test_a_misspelt_verb_is_told_the_nearest_one(run: Run) -> None:
+    assert run("slove", UNMET).err.startswith("error: there is no verb `slove`\n       did you mean `solve`?")
 
 
 def test_a_terminal_without_unicode_gets_escapes_and_json_is_utf_8_everywhere() -> None:

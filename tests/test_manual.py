@@ -1,0 +1,143 @@
+"""The manual: its examples run, its links lead somewhere, and what it says of keys and verbs is what the code says.
+
+`python tests/test_manual.py` writes the tables of keys and verbs anew.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+import cfgplan
+from cfgplan.cli import main
+from cfgplan.cli.main import VERBS
+from cfgplan.formats import fields
+from cfgplan.formats.fields import ELEMENT, Part, Use
+
+ROOT = Path(__file__).parent.parent
+MANUAL = ROOT / "cfgplan" / "manual"
+PAGES = sorted(MANUAL.glob("*.md"))
+TEXT = {page.stem: page.read_text(encoding="utf-8") for page in PAGES}
+PARTS: dict[str, type[Part]] = {
+    "The environment": fields.EnvironmentPart,
+    "A transformation": fields.TransformationPart,
+    "Its `run`": fields.RunPart,
+    "Its `conflicts`": fields.ConflictsPart,
+    "An input": fields.InputPart,
+    "An output": fields.OutputPart,
+    "What it makes of a quality": fields.ContributionPart,
+    "A unit": fields.UnitPart,
+    "A target": fields.TargetPart,
+    "What it asks of a quality": fields.WishPart,
+    "A host": fields.HostPart,
+    "A link": fields.LinkPart,
+    "A quality attribute": fields.AttributePart,
+    "`defaults`": fields.DefaultsPart,
+}
+YAML_ONLY = (
+    fields.ConflictsPart,
+    fields.ContributionPart,
+    fields.WishPart,
+    fields.HostPart,
+    fields.LinkPart,
+    fields.AttributePart,
+)
+
+
+def blocks(text: str, language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
+
+
+def test_the_tour_does_what_it_says(tmp_path: Path) -> None:
+    library, running = blocks(TEXT["tutorial"], "yaml")[:2]
+    env = tmp_path / "office.yaml"
+
+    env.write_text(library)
+    first = cfgplan.plan(cfgplan.match(cfgplan.load(env))).change_set
+    assert first is not None
+    assert [unit.id for unit in first.started] == ["camera.1", "fire_alarm.1", "thermometer.1"]
+
+    env.write_text(library + running)
+    problem = cfgplan.match(cfgplan.load(env))
+    assert [v.rule.name for v in cfgplan.violations(problem.environment, problem.similarity)] == ["FED"]
+    second = cfgplan.plan(problem).change_set
+    assert second is not None
+    assert [unit.id for unit in second.started] == ["thermometer.1"]
+    assert [unit.id for unit in second.rewired] == ["fire_alarm.1"]
+    assert second.stopped == ()
+
+
+EXAMPLES = "\n".join([(ROOT / "README.md").read_text(encoding="utf-8"), *TEXT.values()])
+
+
+@pytest.mark.parametrize("block", blocks(EXAMPLES, "python"))
+def test_python_examples_run(block: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    names: dict[str, object] = {}
+    exec(block, names)
+    plan = names["plan"]
+    assert isinstance(plan, cfgplan.Plan)
+    assert plan.status is cfgplan.Status.OPTIMAL
+
+
+def test_the_example_of_an_environment_file_loads_and_is_planned(tmp_path: Path) -> None:
+    env = tmp_path / "env.yaml"
+    env.write_text(blocks(TEXT["environment"], "yaml")[0])
+    assert cfgplan.plan(cfgplan.match(cfgplan.load(env))).status is cfgplan.Status.OPTIMAL
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_links_of_the_manual_lead_somewhere(page: Path) -> None:
+    for link in re.findall(r"\]\(([^)#]+)", TEXT[page.stem]):
+        assert "://" in link or (MANUAL / link).exists(), link
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_a_page_is_shown_in_the_terminal(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["help", page.stem]) == 0
+    assert TEXT[page.stem].partition("\n")[0].removeprefix("# ") in capsys.readouterr().out
+
+
+def test_the_pages_are_listed_and_a_misspelt_one_is_found(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["help"]) == 0
+    listed = capsys.readouterr().out
+    assert all(page in listed for page in TEXT)
+    assert main(["help", "tutorail"]) == 30
+    assert "did you mean `tutorial`?" in capsys.readouterr().err
+
+
+def tables() -> str:
+    """The tables of all keys, made from the rows of the fields."""
+    text = ""
+    for title, part in PARTS.items():
+        text += f"\n### {title}\n\n| key | meaning | if absent | XML | for |\n|---|---|---|---|---|\n"
+        for key, row in part.rows().items():
+            field = part.model_fields[key]
+            absent = "not allowed" if field.is_required() else f"`{row.default}`" if row.default else ""
+            xml = "no" if not row.xml or part in YAML_ONLY else "element" if row.xml == ELEMENT else f"`{row.xml}`"
+            uses = ", ".join(str(use.name).lower() for use in (Use.PLANNING, Use.RUNNING) if use in row.use)
+            text += f"| `{key}` | {field.description} | {absent} | {xml} | {uses} |\n"
+    return text
+
+
+def verbs() -> str:
+    return "".join(f"| `cfgplan {verb}` | {does} |\n" for verb, does in VERBS.items())
+
+
+def made_anew() -> dict[str, str]:
+    """The pages with tables, these made from the code."""
+    environment = TEXT["environment"].partition("\n###")[0] + tables()
+    commands = re.sub(r"(?<=\| verb \| does \|\n\|---\|---\|\n)(\|.*\n)*", verbs(), TEXT["commands"])
+    return {"environment": environment, "commands": commands}
+
+
+@pytest.mark.parametrize("page", made_anew())
+def test_tables_say_what_the_code_says(page: str) -> None:
+    assert TEXT[page] == made_anew()[page], "run `python tests/test_manual.py`"
+
+
+if __name__ == "__main__":
+    for name, text in made_anew().items():
+        (MANUAL / f"{name}.md").write_text(text, encoding="utf-8")
