@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from cfgplan.domain import (
@@ -9,9 +11,12 @@ from cfgplan.domain import (
     ComputationUnit,
     Environment,
     Host,
+    InputPort,
     OutputPort,
     Publication,
     Similarity,
+    Stream,
+    Subscription,
     Target,
     Transformation,
 )
@@ -95,3 +100,20 @@ def test_to_promote_a_spare_costs_the_labor_of_a_start(planner: str) -> None:
     assert found.cost_us == 5
     assert found.change_set.stopped == ("a.1",)
     assert [unit.standby for unit in found.change_set.started] == [False]
+
+
+def test_alike_inputs_take_streams_as_they_do_now_else_sorted() -> None:
+    inputs = tuple(InputPort(name, "S", distinct="sources") for name in ("a", "b", "c"))
+    join = Transformation("join", inputs, (OutputPort("o", "T"),), labor_us=9)
+    sources = [Transformation(f"s{n}", (), (OutputPort("o", "S"),), labor_us=n) for n in range(4)]
+    problem = Problem(Environment((), (join, *sources), TARGET), Similarity({tag: frozenset({tag}) for tag in "TS"}), 1)
+    found = planned("cpsat", problem).change_set
+    assert found is not None
+    assert found.started[0].feeds == {name: (Stream(f"s{n}.1", "o"),) for n, name in enumerate("abc")}
+    now = {"a": "s3.1", "b": "s1.1", "c": "s2.1"}
+    wired = tuple(Subscription(port, Stream(unit, "o")) for port, unit in now.items())
+    units = (ComputationUnit("join.1", "join", wired, (Publication("o", "/t"),)),)
+    there = tuple(ComputationUnit(f"s{n}.1", f"s{n}") for n in (1, 2))
+    again = planned("cpsat", replace(problem, environment=replace(problem.environment, units=units + there))).change_set
+    assert again is not None
+    assert again.rewired[0].feeds == {port: (Stream(unit, "o"),) for port, unit in {**now, "a": "s0.1"}.items()}

@@ -231,3 +231,21 @@ def named(candidates: Candidates, units: list[ComputationUnit]) -> list[Computat
         )
         for unit in units
     ]
+
+
+def in_order(environment: Environment, unit: ComputationUnit) -> ComputationUnit:
+    """The unit with the streams of inputs that are alike where it has them now, the others sorted."""
+    now = environment.unit[unit.id].feeds if unit.id in environment.unit else {}
+    alike: dict[InputPort, list[str]] = defaultdict(list)
+    for port in environment.transformation[unit.transformation].inputs:
+        if port.distinct is not None and port.count == 1 and port.name in unit.feeds:
+            alike[replace(port, name="")].append(port.name)
+    if not alike:
+        return unit
+    feeds = dict(unit.feeds)
+    for names in alike.values():
+        taken = {feeds[name] for name in names}
+        kept = {now[name]: name for name in names if now.get(name) in taken}
+        others = [name for name in names if name not in kept.values()]
+        feeds |= dict(zip([*kept.values(), *others], [*kept, *sorted(taken - kept.keys())], strict=True))
+    return replace(unit, subscriptions=tuple(Subscription(name, s) for name, streams in feeds.items() for s in streams))

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from cfgplan.domain import ComputationUnit
+from cfgplan.planners.exact.decode import in_order
 from cfgplan.planners.exact.reasons import joint_reasons
 from cfgplan.planners.networks.keys import Key, key_of, unused_required
 from cfgplan.planners.solving.clock import Clock, ContradictionError
@@ -119,7 +120,7 @@ class Standing:
         return Plan(
             "cpsat",
             Status.of_plan(key.cost_us, bound_us),
-            problem.environment.change_to(units),
+            problem.environment.change_to([in_order(problem.environment, unit) for unit in units]),
             key.cost_us,
             bound_us,
             unused_required=unused_required(problem, units),
