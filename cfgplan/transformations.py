@@ -10,7 +10,7 @@ from types import MappingProxyType
 
 from cfgplan.canonical import fields_of, refuse_duplicates, store_resources, store_sorted, store_whole
 from cfgplan.errors import InvalidValueError
-from cfgplan.qualities import Contribution
+from cfgplan.qualities import Contribution, units
 from cfgplan.selectors import check_selector
 
 ALL = 0
@@ -96,9 +96,10 @@ CPU, MEMORY, POWER = "cpu", "memory", "power"
 
 
 def amount_of(resource: str, amount: int) -> str:
-    """An amount of a resource for people: `300 MB of memory`, `1 gpu`."""
-    unit = {CPU: "us of CPU time each second", MEMORY: "MB of memory", POWER: "W of power"}.get(resource, resource)
-    return f"{amount} {unit}"
+    """An amount of a resource for people: `0.2 s of CPU time each second`, `300 MB of memory`, `1 gpu`."""
+    if resource == CPU:
+        return f"{units(amount):f} s of CPU time each second"
+    return f"{amount} { {MEMORY: 'MB of memory', POWER: 'W of power'}.get(resource, resource) }"
 
 
 START_MODES = ("all", "any", "aligned")

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator
 
 from rich.text import Text
 
 from cfgplan.cli.screen import counted
 from cfgplan.costs import keep_cost_us, labor_us, seconds, standby_cost_us, upkeep_us
-from cfgplan.domain import CPU, MEMORY, ComputationUnit, Environment, Host, Stream, Target
+from cfgplan.domain import CPU, MEMORY, POWER, ComputationUnit, Environment, Host, Stream, Target
 from cfgplan.figures import cost_parts, loads, qualities_of_targets, transfers
 from cfgplan.planners import IGNORING_REQUIRED
 from cfgplan.planning import Failures, Plan, Problem, Status
@@ -266,20 +266,23 @@ def _reached(environment: Environment, target: Target, name: str, value: int) ->
     return f"{name} {quality(attribute, value)}{asked}"
 
 
-def _amount(host: Host, resource: str, taken: int) -> str:
+def _amount(host: Host, resource: str, taken: int, horizon_s: int) -> str:
     """What units take of a resource, and of how much: `0.1 s of 0.2 s CPU/s`, `300 of 500 MB`, `1 of 2 gpu`."""
-    shown, unit = (cpu, "CPU/s") if resource == CPU else (str, "MB" if resource == MEMORY else resource)
-    room = host.room(resource)
+    shown, unit = (cpu, "CPU/s") if resource == CPU else (str, {MEMORY: "MB", POWER: "W"}.get(resource, resource))
+    room = host.room(resource, horizon_s)
     return f"{shown(taken)}{'' if room is None else f' of {shown(room)}'} {unit}"
 
 
 def _hosts(problem: Problem, after: Environment) -> Iterator[Text]:
+    number = Counter(unit.host for unit in after.units)
     for name, load in loads(after, after.units).items():
         host = after.host[name]
-        number = sum(unit.host == name for unit in after.units)
-        counted = "1 unit" if number == 1 else f"{number} units"
-        amounts = [_amount(host, resource, load[resource]) for resource in dict.fromkeys([*load, *host.offers])]
-        yield Text(f"Host {name}: {', '.join([counted, *amounts])}.")
+        resources = dict.fromkeys([*load, *host.offers]) if number[name] else ()
+        amounts = [_amount(host, resource, load[resource], problem.horizon_s) for resource in resources]
+        if amounts:
+            yield Text(f"Host {name}: {', '.join([counted(number[name], 'unit'), *amounts])}.")
+    if empty := [host.name for host in after.hosts if not number[host.name]]:
+        yield Text(f"Nothing on {', '.join(empty)}.")
     carried = transfers(problem, after.units)
     for transfer in carried[:MOST_TRANSFERS]:
         dear = f", {cpu(transfer.cost_us)}" if transfer.cost_us else ""

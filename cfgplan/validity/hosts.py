@@ -36,11 +36,13 @@ def placing_violations(environment: Environment, horizon_s: int = 0) -> Iterator
         for resource in sorted({resource for takes in there for resource in takes}):
             taken, room = sum(takes.get(resource, 0) for takes in there), host.room(resource)
             if room is not None and taken > room:
-                text = f"the units on {host.name} take {amount_of(resource, taken)}, but it has {room}"
-                yield Violation(Rule.CAPACITY, text)
+                both = f"{amount_of(resource, taken)}, but it has {amount_of(resource, room)}"
+                yield Violation(Rule.CAPACITY, f"the units on {host.name} take {both}")
         energy = horizon_s * sum(takes.get(POWER, 0) for takes in there)
         if host.energy is not None and energy > host.energy:
-            text = f"the units on {host.name} take {energy} Ws of energy in {horizon_s} s, but it has {host.energy}"
+            text = (
+                f"the units on {host.name} take {energy} W s of energy in {horizon_s} s, but it has {host.energy} W s"
+            )
             yield Violation(Rule.CAPACITY, text)
 
 

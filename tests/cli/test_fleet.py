@@ -41,7 +41,7 @@ def test_what_is_to_be_survived_can_be_said_at_the_command_line(run: Run) -> Non
 def test_check_tells_what_a_fleet_violates(run: Run) -> None:
     result = run("check", FLEET / "5-memory-taken.yaml")
     assert result.code == 1
-    assert "capacity: the units on r2 take 460 MB of memory, but it has 300" in result.out
+    assert "capacity: the units on r2 take 460 MB of memory, but it has 300 MB of memory" in result.out
     survived = run("check", FLEET / "5-memory-taken.yaml", "--survive", "units", "--json").document
     assert {"capacity", "survives"} == {violation["rule"] for violation in survived["violations"]}
 

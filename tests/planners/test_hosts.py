@@ -212,3 +212,22 @@ def test_which_unit_of_a_count_finds_no_host_is_said() -> None:
     )
     alone = world("B", replace(web, per_host=None), balancer, hosts=hosts)
     assert PLANNERS["cpsat"](alone).status is Status.OPTIMAL
+
+
+def test_of_several_ways_each_that_finds_no_room_is_said() -> None:
+    ways = (kind("warm", gives="A", needs={"power": 2}), kind("seen", gives="A", needs={"power": 3}))
+    found = PLANNERS["cpsat"](world("A", *ways, hosts=(Host("h", energy=19),), horizon_s=10))
+    assert found.reasons["A"] == (
+        "target A would have no stream: no host where seen may run has 3 W of power for 10 s, "
+        "and no host where warm may run has 2 W of power for 10 s"
+    )
+
+
+def test_what_has_to_be_on_one_host_and_finds_no_room_together_is_said() -> None:
+    library = (
+        kind("camera", gives="A", host="h", needs={"power": 3}),
+        kind("pose", gives="B", host="h", needs={"power": 1}),
+        kind("both", "AB", "C"),
+    )
+    found = PLANNERS["cpsat"](world("C", *library, hosts=(Host("h", energy=39), Host("i")), horizon_s=10))
+    assert found.reasons["C"].endswith("together: camera, pose need 4 W of power, but h has 3")

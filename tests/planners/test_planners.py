@@ -326,6 +326,19 @@ def test_it_is_said_which_input_lacks_streams_of_different_units() -> None:
     )
 
 
+def test_it_is_said_which_inputs_take_more_streams_than_outputs_serve() -> None:
+    source = replace(make("source"), outputs=(OutputPort("out0", "A", serves=2),))
+    between = replace(make("between", "A", "B"), inputs=(InputPort("in0", "A", count=2),))
+    sink = replace(make("sink", "B", "C"), inputs=(InputPort("in0", "B", count=3),))
+    found = cpsat_plan(world("C", source, between, sink))
+    assert found.reasons["C"].endswith(
+        "together: 3 x between take 6 streams as in0, but 2 x source (serves 2) give 4 at most; "
+        "max_instances may allow more"
+    )
+    more = cpsat_plan(world("C", replace(source, max_instances=3), between, sink))
+    assert more.status is Status.OPTIMAL
+
+
 def test_a_count_starts_as_many_units_as_it_takes() -> None:
     sink = replace(make("sink", "A", "B"), inputs=(InputPort("in0", "A", count=3),))
     problem = world("B", make("source", gives="A"), sink)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Collection
+from collections import Counter, defaultdict
+from collections.abc import Collection, Mapping
 
 from cfgplan.costs import taken
-from cfgplan.domain import Environment, Target, Transformation, amount_of
+from cfgplan.domain import POWER, Environment, Host, Target, Transformation, amount_of
 from cfgplan.planners.exact.best_case import best_values
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.places import Rooms
@@ -27,7 +27,7 @@ def joint_reasons(problem: Problem) -> dict[str, str]:
         if reason
     }
     asked = f" ({', '.join(sorted(problem.notions))})"
-    missing = _missing_together(problem) or _missing_host(problem) or asked
+    missing = _missing_together(problem) or _missing_host(problem) or _missing_places(problem) or asked
     joint = f"no configuration meets all that is asked together{missing}"
     return unreachable or {target.label: joint for target in problem.environment.targets}
 
@@ -48,14 +48,20 @@ def _missed_bound(candidates: Candidates, target: Target) -> str | None:
 
 
 def _missing_room(problem: Problem, target: Target) -> str | None:
-    """Name a transformation that never runs: too large for its hosts, or short of feeders; None if none is needed."""
+    """Name transformations that never run and that are all the ways there are; None if there are other ways.
+
+    Each is too large for its hosts, or short of feeders. Without any one of them the reason would not hold.
+    """
     library, givers = problem.environment.library, Givers(problem.environment.library, problem.similarity)
     lacks = ((t.label, _lack(problem, t) or _missing_streams(problem, givers, t)) for t in library)
     too_large = {label: lack for label, lack in lacks if lack}
     if not too_large or _has_stream(problem, target, too_large):
         return None
-    alone = [lack for label, lack in too_large.items() if not _has_stream(problem, target, {label})]
-    return f"target {target.label} would have no stream: {(alone or list(too_large.values()))[0]}"
+    for label in reversed(list(too_large)):
+        others = too_large.keys() - {label}
+        if not _has_stream(problem, target, others):
+            del too_large[label]
+    return f"target {target.label} would have no stream: {', and '.join(too_large.values())}"
 
 
 def _missing_streams(problem: Problem, givers: Givers, t: Transformation) -> str | None:
@@ -79,22 +85,56 @@ def _missing_streams(problem: Problem, givers: Givers, t: Transformation) -> str
 
 
 def _missing_together(problem: Problem) -> str | None:
-    """Name a resource of which all hosts together have less than the indispensable transformations need; or None."""
+    """Name a resource of which some hosts have less than the indispensable transformations need there; or None."""
     environment = problem.environment
-    for resource in sorted(
-        {resource for t in environment.library for resource in t.needs} if environment.hosts else ()
-    ):
-        needed = {}
-        for t in environment.library:
-            if resource in t.needs:
-                is_needed = not all(_has_stream(problem, target, {t.label}) for target in environment.targets)
-                needed[t.label] = t.needs[resource] * max(t.min_instances, is_needed)
-        rooms = [host.room(resource, problem.horizon_s) for host in environment.hosts]
-        room = sum(most or 0 for most in rooms)
-        if None not in rooms and sum(needed.values()) > room:
-            names = ", ".join(label for label, amount in needed.items() if amount)
-            return f": {names} need {sum(needed.values())} {resource}, but all hosts have {room}"
+    demands: dict[str, list[tuple[str, int, tuple[Host, ...]]]] = defaultdict(list)
+    for t in environment.library if environment.hosts else ():
+        is_needed = t.needs and not all(_has_stream(problem, target, {t.label}) for target in environment.targets)
+        hosts = tuple(host for host in environment.places_for(t) if host is not None)
+        for resource, amount in t.needs.items():
+            demands[resource].append((t.label, amount * max(t.min_instances, bool(is_needed)), hosts))
+    for resource, demanded in sorted(demands.items()):
+        for hosts in sorted({hosts for _, _, hosts in demanded}, key=len):
+            there = {label: amount for label, amount, of_it in demanded if amount and {*of_it} <= {*hosts}}
+            rooms = [host.room(resource, problem.horizon_s) for host in hosts]
+            needed, most = sum(there.values()), sum(room or 0 for room in rooms)
+            if None not in rooms and needed > most:
+                names = [host.name for host in hosts] if len(hosts) < len(environment.hosts) else ["all hosts"]
+                has = "has" if len(hosts) == 1 < len(environment.hosts) else "have"
+                return f": {', '.join(there)} need {amount_of(resource, needed)}, but {', '.join(names)} {has} {most}"
     return None
+
+
+def _missing_places(problem: Problem) -> str | None:
+    """Name inputs that take more streams than outputs that serve only so many can give; or None."""
+    library, givers = problem.environment.transformation, Givers(problem.environment.library, problem.similarity)
+    running = Counter(unit.transformation for unit in problem.environment.units if not unit.standby)
+    demands: dict[str, list[tuple[str, int]]] = defaultdict(list)
+    for label, number in _least_units(problem, givers).items():
+        for port in library[label].needed_inputs:
+            wanted = number * max(port.count, 1)
+            demands[port.tag].append((f"{number} x {label} take {wanted} streams as {port.name}", wanted))
+    for tag, demanded in demands.items():
+        outputs = [(g, o) for g in givers.of(tag) for o in library[g].outputs if problem.similarity.holds(o.tag, tag)]
+        offered = [(running[g] + problem.most_new(library[g]), g, o.serves) for g, o in outputs]
+        most = sum(number * (serves or 0) for number, _, serves in offered)
+        if all(serves for _, _, serves in offered) and sum(wanted for _, wanted in demanded) > most:
+            offers = " and ".join(f"{number} x {giver} (serves {serves})" for number, giver, serves in offered)
+            takers = " and ".join(who for who, _ in demanded)
+            return f": {takers}, but {offers} give {most} at most; max_instances may allow more"
+    return None
+
+
+def _least_units(problem: Problem, givers: Givers) -> Mapping[str, int]:
+    """How many units of transformations have to run, at least, as far as only one can feed a target or an input."""
+    library = problem.environment.transformation
+    least: dict[str, int] = {}
+    ahead = [(target.tag, 1) for target in problem.environment.targets]
+    for tag, number in ahead:
+        if len(labels := givers.of(tag)) == 1 and number > least.get(labels[0], 0):
+            ahead += [(port.tag, max(port.count, 1)) for port in library[labels[0]].needed_inputs]
+            least[labels[0]] = number
+    return least
 
 
 def _missing_host(problem: Problem) -> str | None:
@@ -126,8 +166,10 @@ def _lack(problem: Problem, t: Transformation) -> str | None:
         return f"no host is one that {t.label} may run on" + (f": {t.on}" if t.on else "")
     for label in t.beside if hosts else ():
         other = environment.transformation.get(label)
-        both = [] if other is None else [h.name for h in hosts if h.name in environment.hosts_for(other)]
-        if other is None or not any((room := Rooms(problem)).put(t, h) and room.put(other, h) for h in both):
+        if other is None:
+            return f"{t.label} runs with {label}, and there is no such transformation"
+        both = [h.name for h in hosts if h.name in environment.hosts_for(other)]
+        if not any((room := Rooms(problem)).put(t, h) and room.put(other, h) for h in both):
             return f"no host bears {t.label} together with {label}"
     for resource in sorted(t.takes):
         lacks = [
@@ -136,7 +178,8 @@ def _lack(problem: Problem, t: Transformation) -> str | None:
             for room in [host.room(resource, problem.horizon_s)]
         ]
         if hosts and all(is_too_little for _, is_too_little in lacks):
-            return f"no host where {t.label} may run has {amount_of(resource, min(lacks)[0])}"
+            lasting = f" for {problem.horizon_s} s" if resource == POWER else ""
+            return f"no host where {t.label} may run has {amount_of(resource, min(lacks)[0])}{lasting}"
     return None
 
 
