@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, NamedTuple
@@ -149,45 +149,56 @@ def performance_profile(rows: Sequence[Row]) -> Figure | None:
     return _with_legend(figure, rows)
 
 
+Curve = Callable[[Row, int], list[tuple[float, float]]]
+"""What a row has at which second, given the least cost of its instance."""
+
+
 def anytime(rows: Sequence[Row]) -> Figure | None:
     """How far each planner's best plan was from the least cost over time, on the instances that were proven last."""
-    hardest = _hardest(rows)
-    if not hardest:
-        return None
-    figure, axes = _grid(len(hardest), 3)
-    for axis, (title, least_us, group) in zip(axes, hardest, strict=False):
-        for row in group:
-            points = [(max(SHORTEST_PROOF_S, when), cost) for when, cost, _ in row.trace if cost is not None]
-            if row.has_plan and row.cost_us is not None:
-                points.append((max(SHORTEST_PROOF_S, row.best_s or 0.0), row.cost_us))
-            _steps(axis, row, [(when, max(LEAST_GAP, cost / least_us - 1)) for when, cost in points], rows)
-        axis.set_xscale("log")
+
+    def gaps(row: Row, least_us: int) -> list[tuple[float, float]]:
+        costs = [(when, cost) for when, cost, _ in row.trace if cost is not None]
+        if row.has_plan and row.cost_us is not None:
+            costs.append((row.best_s or 0.0, row.cost_us))
+        return [(when, max(LEAST_GAP, cost / least_us - 1)) for when, cost in costs]
+
+    figure, axes = _over_time(rows, gaps, "gap to the least known cost (0.001: at most that)")
+    for axis in axes:
         axis.set_yscale("log")
         axis.set_ylim(LEAST_GAP * 0.8)
-        axis.set_title(title, fontsize=7)
-    figure.supxlabel("seconds", fontsize=9)
-    figure.supylabel("gap to the least known cost (0.001: at most that)", fontsize=9)
-    return _with_legend(figure, rows)
+    return figure
 
 
 def bounds(rows: Sequence[Row]) -> Figure | None:
     """The proven bound of each planner over time, as a share of the least cost, on the same instances."""
+
+    def shares(row: Row, least_us: int) -> list[tuple[float, float]]:
+        found = [(when, bound) for when, _, bound in row.trace if bound > 0]
+        if row.total_s is not None and row.bound_us > 0:
+            found.append((row.proof_s or row.total_s, row.bound_us))
+        return [(when, bound / least_us) for when, bound in found]
+
+    figure, axes = _over_time(rows, shares, "proven bound / least known cost")
+    for axis in axes:
+        axis.set_ylim(0, 1.05)
+    return figure
+
+
+def _over_time(rows: Sequence[Row], curve: Curve, name: str) -> tuple[Figure | None, list[Axes]]:
+    """A picture of each of the hardest instances, with a curve for each planner."""
     hardest = _hardest(rows)
     if not hardest:
-        return None
+        return None, []
     figure, axes = _grid(len(hardest), 3)
     for axis, (title, least_us, group) in zip(axes, hardest, strict=False):
         for row in group:
-            points = [(max(SHORTEST_PROOF_S, when), bound / least_us) for when, _, bound in row.trace if bound > 0]
-            if row.total_s is not None and row.bound_us > 0:
-                points.append((max(SHORTEST_PROOF_S, row.proof_s or row.total_s), row.bound_us / least_us))
+            points = [(max(SHORTEST_PROOF_S, when), value) for when, value in curve(row, least_us)]
             _steps(axis, row, points, rows)
         axis.set_xscale("log")
-        axis.set_ylim(0, 1.05)
         axis.set_title(title, fontsize=7)
     figure.supxlabel("seconds", fontsize=9)
-    figure.supylabel("proven bound / least known cost", fontsize=9)
-    return _with_legend(figure, rows)
+    figure.supylabel(name, fontsize=9)
+    return _with_legend(figure, rows), axes[: len(hardest)]
 
 
 def _hardest(rows: Sequence[Row], most: int = 6) -> list[tuple[str, int, list[Row]]]:
