@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from decimal import Decimal
 from types import MappingProxyType
@@ -13,6 +14,24 @@ from cfgplan.qualities import MICRO
 MICROSECONDS = 1_000_000
 LARGEST_COST_US = 2**53 - 1
 """Above this a sum of costs is no longer exact in every engine: about 285 years of CPU time."""
+
+SPAN = r"^(\d+(?:\.\d+)?)(ms|s|m|h)$"
+"""A span of time as people write it."""
+_SECONDS_OF = {"ms": Decimal("0.001"), "s": Decimal(1), "m": Decimal(60), "h": Decimal(3600)}
+
+
+def span_s(text: str) -> Decimal | None:
+    """The seconds of 30s, 1.5m, 200ms or 2h; None for any other text."""
+    found = re.fullmatch(SPAN, text)
+    return None if found is None else Decimal(found[1]) * _SECONDS_OF[found[2]]
+
+
+def horizon_s(text: str) -> int:
+    """A horizon in whole seconds: 60, 60s, 10m or 1h; raises InvalidValueError for anything else."""
+    seconds = Decimal(text) if text.isdecimal() else span_s(text)
+    if seconds is None or seconds != int(seconds):
+        raise InvalidValueError(f"{text!r} is no horizon: write whole seconds, or 30s, 10m or 1h")
+    return int(seconds)
 
 
 def microseconds(seconds: Decimal | int) -> int:

@@ -32,7 +32,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--timeout", type=shared.positive, default=10.0, metavar="S", help="seconds for each run (10)")
     parser.add_argument(
-        "--memory", type=shared.whole_seconds, metavar="MB", help="largest address space of a run, in megabytes"
+        "--memory", type=shared.count, metavar="MB", help="largest address space of a run, in megabytes"
     )
     shared.add_matching(parser)
     shared.add_json(parser)

@@ -59,7 +59,7 @@ def add_planning(parser: argparse.ArgumentParser, what_if: str | None = None) ->
 
     parser.add_argument("--planner", choices=PLANNER_NAMES, default="cpsat", help="the planner (cpsat)")
     parser.add_argument(
-        "--horizon", type=whole_seconds, metavar="S", help="plan for S seconds instead of the file's horizon"
+        "--horizon", type=horizon, metavar="TIME", help="plan for 60, 10m or 1h instead of the file's horizon"
     )
     parser.add_argument("--max-cost", type=cost, metavar="S", help="largest cost in CPU seconds, instead of the file's")
     parser.add_argument(
@@ -196,11 +196,14 @@ def count(text: str) -> int:
     return int(value)
 
 
-def whole_seconds(text: str) -> int:
-    value = _decimal(text)
-    if value != value.to_integral_value() or value < 0:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of seconds")
-    return int(value)
+def horizon(text: str) -> int:
+    """Whole seconds of `60`, `10m` or `1h`."""
+    from cfgplan.costs import horizon_s
+
+    try:
+        return horizon_s(text)
+    except InvalidValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def positive(text: str) -> float:
@@ -297,12 +300,11 @@ def write_plot(file: str, size: tuple[float, float], draw: Callable[[Axes], None
     screen.note(f"Wrote {file}.")
 
 
-_SECONDS = {"ms": 0.001, "s": 1.0, "m": 60.0, "h": 3600.0}
-
-
 def duration(text: str) -> float:
     """Seconds of `30s`, `1.5m`, `200ms`, `2h` or plain `30`."""
-    found = re.fullmatch(r"(\d+(?:\.\d+)?)(ms|s|m|h)?", text)
-    if found is None:
+    from cfgplan.costs import span_s
+
+    seconds = Decimal(text) if re.fullmatch(r"\d+(\.\d+)?", text) else span_s(text)
+    if seconds is None:
         raise argparse.ArgumentTypeError(f"{text!r} is no span of time: write 30s, 5m or 1h")
-    return float(found[1]) * _SECONDS[found[2] or "s"]
+    return float(seconds)

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from decimal import Decimal, InvalidOperation
-from functools import partial
 from types import MappingProxyType
 from typing import Any
 
-from cfgplan.costs import microseconds
+from cfgplan.costs import horizon_s, microseconds
 from cfgplan.domain import Environment, OutputPort, Similarity, Target
 from cfgplan.errors import Fault, InputError, InvalidValueError, did_you_mean, known
 from cfgplan.planning import Problem
@@ -70,7 +69,7 @@ def with_settings(supposed: Supposed, settings: Mapping[str, str]) -> Supposed:
 def _with_setting(supposed: Supposed, key: str, value: str) -> Supposed:
     environment = supposed.environment
     if key == "horizon":
-        return replace(supposed, horizon_s=_whole(value))
+        return replace(supposed, horizon_s=horizon_s(value))
     if key == "max_cost":
         return replace(supposed, max_cost_us=_cost_us(value))
     label, _, name = key.rpartition(".")
@@ -91,10 +90,10 @@ def _cost_us(value: str) -> int:
     return microseconds(_number(value))
 
 
-def _whole(value: str, *, signed: bool = False) -> int:
+def _whole(value: str) -> int:
     number = _number(value)
-    if number != number.to_integral_value() or (number < 0 and not signed):
-        raise InputError.of(f"{value!r} is not a whole number" + ("" if signed else " of at least 0"), mend="write one")
+    if number != number.to_integral_value():
+        raise InputError.of(f"{value!r} is not a whole number", mend="write one")
     return int(number)
 
 
@@ -120,7 +119,7 @@ _SETTINGS: Mapping[str, tuple[str, Callable[[str], Any]]] = MappingProxyType(
         "upkeep": ("upkeep_us", _cost_us),
         "pinned": ("pinned", _flag),
         "required": ("required", _flag),
-        "priority": ("priority", partial(_whole, signed=True)),
+        "priority": ("priority", _whole),
     }
 )
 """What can be set of a transformation or, for the last one, of a target: its attribute, and how its value is read."""

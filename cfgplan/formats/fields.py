@@ -26,6 +26,7 @@ from cfgplan.formats.schema_values import (
     Count,
     FileName,
     HangTime,
+    Horizon,
     InputKind,
     Micro,
     Name,
@@ -48,7 +49,6 @@ from cfgplan.formats.schema_values import (
 from cfgplan.planning import MOST_INSTANCES
 
 FORMAT: Final = "cfgplan/1"
-LONGEST_HORIZON_S = 1_000_000_000
 LONGEST_QUEUE = 1_000_000
 MOST_COPIES = 1000
 
@@ -214,7 +214,7 @@ class OutputPart(Part):
     tag: TagText = row("what it gives, a concept in description logic or the paper's P(a)", ..., xml=ELEMENT)
     quality: dict[Name, QualityGiven] | None = row("attribute to what it makes of it", xml=UNSAID)
     rate: PositiveMicro = row("elements per second, for what it costs to change hosts", 0, "rate_uhz")
-    size: int = row("bytes of one element", 0, "size_bytes", ge=0, le=LONGEST_HORIZON_S)
+    size: int = row("bytes of one element", 0, "size_bytes", ge=0, le=LARGEST_AMOUNT)
     serves: int | None = row("at most so many inputs and topics take its stream", ge=1, le=LONGEST_QUEUE)
 
 
@@ -319,7 +319,7 @@ class TargetPart(Part):
     label: Name = row("unique", ..., xml=ELEMENT)
     topic: Name = row("where its stream is published; unique", ..., xml=ELEMENT)
     tag: TagText = row("what is wanted, a concept in description logic or the paper's P(a)", ..., xml=ELEMENT)
-    priority: int = row("larger matters more", 0, ge=-LONGEST_HORIZON_S, le=LONGEST_HORIZON_S)
+    priority: int = row("larger matters more", 0, ge=-LARGEST_AMOUNT, le=LARGEST_AMOUNT)
     quality: dict[Name, WishPart] | None = row("attribute to what is asked of it")
     host: Name | None = row("the host that the stream has to come to")
     silent: TimeSpan | None = row(
@@ -398,9 +398,7 @@ class EnvironmentPart(Part):
         "IRI that an ontology imports to a file, relative to this file, or to `ignore`; "
         "`ignore` alone: all that can't be found"
     )
-    horizon: int = row(
-        "how far ahead upkeep counts, in seconds", DEFAULT_HORIZON_S, "horizon_s", ge=0, le=LONGEST_HORIZON_S
-    )
+    horizon: Horizon = row("how far ahead upkeep counts: whole seconds, or `10m`, `1h`", DEFAULT_HORIZON_S, "horizon_s")
     max_cost: Cost | None = row("the most that an update may cost, in CPU seconds", to="max_cost_us")
     defaults: DefaultsPart | None = row("costs of transformations that state none", xml=ELEMENT)
     include: list[FileName] | None = row("files and folders with more transformations and targets", xml=ELEMENT)

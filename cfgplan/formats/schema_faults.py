@@ -75,6 +75,9 @@ def _fault(source: Source, path: Path, at_key: bool, error: Any, part: type[Base
         return source.fault(path, message, f"a name has no {barred} and no spaces around it", at_key=at_key)
     if kind == "string_too_short":
         return source.fault(path, "the tag is empty", "write a concept, such as `Image`")
+    if kind in ("too_short", "too_long"):
+        wanted = error["ctx"].get("min_length", error["ctx"].get("max_length"))
+        return source.fault(path, f"there are {error['ctx']['actual_length']} here", f"write {wanted}")
     if kind in ("greater_than_equal", "less_than_equal"):
         limit = error["ctx"].get("ge", error["ctx"].get("le"))
         side = "at least" if kind == "greater_than_equal" else "at most"
@@ -133,6 +136,8 @@ def _wrong_kind(source: Source, path: Path, wanted: str, value: object) -> tuple
         return message, "write true or false" + _if_quoted(value)
     if wanted == "a list":
         return message, "begin each entry with `- `"
+    if path[-1:] in (("inputs",), ("outputs",)) and isinstance(value, list):
+        return message, "write each port as `name: tag`, such as {image: Image, pose: Pose}"
     return message, f"write {wanted} here"
 
 

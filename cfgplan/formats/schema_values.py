@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from decimal import Decimal, DecimalException
 from functools import lru_cache
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import AfterValidator, BaseModel, Field, PlainValidator, WithJsonSchema
+from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, PlainValidator, WithJsonSchema
 from pydantic_core import PydanticCustomError
 
 from cfgplan.canonical import normal
-from cfgplan.costs import microseconds, seconds
+from cfgplan.costs import SPAN, microseconds, seconds, span_s
 from cfgplan.errors import InvalidValueError
 from cfgplan.qualities import MICRO, Better, QualityRule, micro_units, units
 from cfgplan.transformations import ALL, CPU, LEAST_HANG_S, RunOptions
@@ -26,9 +25,6 @@ MOST_COUNTED = 1000
 """The most streams that an input may count."""
 NAME_PATTERN = r"^[^\s\x00-\x1f\x7f]([^\x00-\x1f\x7f]*[^\s\x00-\x1f\x7f])?$"
 PORT = r"^[^\s\x00-\x1f\x7f/]([^\x00-\x1f\x7f/]*[^\s\x00-\x1f\x7f/])?$"
-
-SPAN = r"^(\d+(?:\.\d+)?)(ms|s|m|h)$"
-_SECONDS_OF = {"ms": Decimal("0.001"), "s": Decimal(1), "m": Decimal(60), "h": Decimal(3600)}
 
 SHORT_FORM = "(short)"
 """How errors name the form of a port that is only a tag, or of a list that is one text."""
@@ -83,15 +79,19 @@ def _silence(value: object) -> int:
 def _span(value: object) -> int:
     """A span of time that is not empty, in microseconds."""
     mend = "write a number of seconds above 0, or 500ms, 5s, 2m or 1h"
-    found = re.fullmatch(SPAN, value) if type(value) is str else None
-    if found is not None:
-        value = Decimal(found[1]) * _SECONDS_OF[found[2]]
-    if type(value) is not int and type(value) is not Decimal:
+    number = span_s(value) if type(value) is str else value
+    if type(number) is not int and type(number) is not Decimal:
         raise _refusal("this is no span of time", mend)
-    span_us = _microseconds(value)
+    span_us = _microseconds(number)
     if not span_us:
         raise _refusal("the span of time is 0", mend)
     return span_us
+
+
+def _whole_span(value: object) -> object:
+    """The seconds of a text such as 5m, if they are whole; anything else as it is."""
+    span = span_s(value) if type(value) is str else None
+    return value if span is None or span != int(span) else int(span)
 
 
 def _rate(value: object) -> float:
@@ -231,6 +231,19 @@ TimeSpan = Annotated[
     PlainValidator(_span),
     WithJsonSchema({"anyOf": [{"type": "number", "exclusiveMinimum": 0}, {"type": "string", "pattern": SPAN}]}),
     Written(plain_cost),
+]
+Horizon = Annotated[
+    int,
+    Field(ge=0, le=LARGEST_AMOUNT),
+    BeforeValidator(_whole_span),
+    WithJsonSchema(
+        {
+            "anyOf": [
+                {"type": "integer", "minimum": 0, "maximum": LARGEST_AMOUNT},
+                {"type": "string", "pattern": SPAN},
+            ]
+        }
+    ),
 ]
 Rate = Annotated[
     float,

@@ -99,7 +99,7 @@ def nearest_offers(
 ) -> tuple[Nearest, ...]:
     """The `k` offered tags that lack the fewest conjuncts of a demanded one, fewest first. Raises as `match`.
 
-    Among those that lack as many, fewer undecided conjuncts go first.
+    Among those that lack as many, fewer undecided conjuncts go first. What lacks all of them is not near.
     """
     parts = conjuncts(parse_tag(demanded_tag, ontology), ontology)
     found = match(offered_tags, parts, ontology, reasoner=reasoner, time_limit_s=time_limit_s)
@@ -107,7 +107,9 @@ def nearest_offers(
     for tag in set(offered_tags):
         undecided = tuple(part for part in parts if found.similarity.is_open(tag, part))
         lacking = (part for part in parts if not found.similarity.holds(tag, part) and part not in undecided)
-        near.append(Nearest(tag, tuple(lacking), undecided))
+        nearest = Nearest(tag, tuple(lacking), undecided)
+        if len(nearest.missing) < len(parts):
+            near.append(nearest)
     return tuple(sorted(near, key=lambda one: (len(one.missing), len(one.undecided), one.offered))[:k])
 
 

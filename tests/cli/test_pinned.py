@@ -14,14 +14,14 @@ from cfgplan.errors import InputError
 
 SIM = """
 transformations:
-  - {label: sim, labor: 1, upkeep: 0.01, pinned: true, inputs: {cmd: CmdVel}, outputs: {clock: Clock}}
+  - {label: sim, labor: 1, upkeep: 0.01, pinned: true, inputs: {cmd: CmdVel and Sim}, outputs: {clock: Clock and Sim}}
   - {label: source, labor: 1, outputs: {o: Wanted}}
 units:
   - {id: sim.1, transformation: sim, inputs: {cmd: null}}
 targets: [{label: t, topic: /t, tag: Wanted}]
 """
 HOSTED = SIM.replace("inputs: {cmd: null}", "inputs: {cmd: null}, host: h") + "hosts: [{name: h}]\n"
-WHY = "pinned unit sim.1 can't be fed: its input cmd wants CmdVel, but no output matches"
+WHY = "pinned unit sim.1 can't be fed: its input cmd wants CmdVel and Sim, but no output matches"
 
 
 @pytest.mark.parametrize(
@@ -44,20 +44,20 @@ def test_every_planner_says_why_a_pinned_unit_is_stopped_and_what_comes_nearest(
     assert "Given up" not in result.out
     assert "warning: pinned unit sim.1 is stopped, since it can't be fed" in result.err
     assert "input cmd wants CmdVel" in result.err
-    assert "nearest: sim/clock gives Clock" in result.err
+    assert "nearest: sim/clock gives Clock and Sim: lacks CmdVel" in result.err
     assert run("solve", write(text), *options, "--json").document["reasons"] == {"sim.1": WHY}
 
 
 def test_explain_tells_why_a_pinned_unit_can_not_be_fed(run: Run, write: Callable[[str], Path]) -> None:
     result = run("explain", write(SIM), "--unit", "sim.1")
     assert "pinned unit sim.1 is stopped, since it can't be fed" in result.out
-    assert "nearest: sim/clock gives Clock" in result.out
+    assert "nearest: sim/clock gives Clock and Sim: lacks CmdVel" in result.out
     named = run("explain", write(SIM), "--unit", "sim.1", "--json").document["unfed"]["sim.1"]
     assert named["blocked"][0]["inputs"][0]["port"] == "cmd"
 
 
 def test_a_pinned_unit_that_can_be_fed_goes_on_without_a_word(run: Run, write: Callable[[str], Path]) -> None:
-    fed = SIM.replace("outputs: {o: Wanted}", "outputs: {o: Wanted, c: CmdVel}")
+    fed = SIM.replace("outputs: {o: Wanted}", "outputs: {o: Wanted, c: CmdVel and Sim}")
     result = run("solve", write(fed))
     assert "~ rewire  sim.1" in result.out
     assert "pinned" not in result.out + result.err

@@ -40,7 +40,7 @@ def test_without_a_verb_there_is_help(run: Run) -> None:
     [
         (["solve", FUSION, "--jsn"], "unrecognized arguments: --jsn"),
         (["solve"], "the following arguments are required: ENV"),
-        (["solve", FUSION, "--horizon", "long"], "argument --horizon: 'long' is not a number"),
+        (["solve", FUSION, "--horizon", "long"], "argument --horizon: 'long' is no horizon"),
         (["solve", FUSION, "--out", MODELS], f"argument --out: {str(MODELS)!r} is a folder: name a file"),
         (
             ["graph", FUSION, "--out", "nodir/a.svg"],
