@@ -14,6 +14,7 @@ from cfgplan.cli.exits import OF_STATUS, Exit
 from cfgplan.cli.plan_text import cpu
 from cfgplan.cli.screen import Screen
 from cfgplan.domain import Environment
+from cfgplan.errors import known
 from cfgplan.explaining import Blocked, Choice, Clash, Unfed, Unreachable, Unused, Why, WhyNot
 
 if TYPE_CHECKING:
@@ -26,10 +27,17 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "example:\n"
         "  cfgplan explain models/nao/0-target-only.yaml\n"
-        "  cfgplan explain models/nao/4-fusion-available.yaml --transformation fuse_ball_pos"
+        "  cfgplan explain models/nao/4-fusion-available.yaml fuse_ball_pos"
     )
     shared.add_environment(parser)
     subject = parser.add_mutually_exclusive_group()
+    subject.add_argument(
+        "subject",
+        type=normal,
+        metavar="NAME",
+        nargs="?",
+        help="a unit, transformation or stream: why it is used, or not",
+    )
     subject.add_argument("--unit", type=normal, metavar="U", help="why this unit is started, kept, rewired or stopped")
     subject.add_argument("--transformation", type=normal, metavar="T", help="why this transformation is used, or not")
     subject.add_argument(
@@ -61,7 +69,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         whys = [answers.why(problem, plan, kind, name, **planning) for kind, name in _subjects(options, problem, plan)]
         unused = answers.why_not(world, problem, **reasoning, **planning).unused if plan.unused_required else ()
     pinned = answers.unfed_pinned(world, problem, **reasoning)
-    asked = {unit: reason for unit, reason in pinned.items() if options.unit == unit or not _names_one(options)}
+    named = (options.unit, options.subject)
+    asked = {unit: reason for unit, reason in pinned.items() if unit in named or not _names_one(options)}
     if screen.json:
         screen.show_json({"plan": plan, "why": whys, "unused": unused, "unfed": asked})
         return OF_STATUS[plan.status]
@@ -93,24 +102,40 @@ def _show_why_not(problem: Problem, why: WhyNot, screen: Screen) -> None:
 
 
 def _names_one(options: argparse.Namespace) -> bool:
-    return any((options.unit, options.transformation, options.stream))
+    return any((options.subject, options.unit, options.transformation, options.stream))
 
 
 def _subjects(options: argparse.Namespace, problem: Problem, plan: Plan) -> list[tuple[Subject, str]]:
     """What is asked for, or all that the plan uses."""
     after = problem.after(plan)
+    if options.subject:
+        return [_subject(options.subject, problem.environment, after)]
     if options.unit:
         return [("unit", options.unit)]
     if options.transformation:
         return [("transformation", options.transformation)]
     if options.stream:
-        unit, _, port = options.stream.rpartition("/")
-        running = after.unit.get(unit)
-        return [("stream", f"{running.transformation if running else unit}/{port}")]
+        return [_stream(options.stream, after)]
     from cfgplan.cli.plan_text import with_the_stream
 
     used = dict.fromkeys(unit.transformation for unit in with_the_stream(after))
     return [("transformation", label) for label in used]
+
+
+def _subject(name: str, before: Environment, after: Environment) -> tuple[Subject, str]:
+    """What has this name: a unit before or after the update, a transformation, or a stream."""
+    if name in before.unit or name in after.unit:
+        return "unit", name
+    if "/" in name and name not in after.transformation:
+        return _stream(name, after)
+    units = {unit.id for unit in (*before.units, *after.units)}
+    return "transformation", known(name, {*after.transformation, *units}, "unit, transformation or stream")
+
+
+def _stream(name: str, after: Environment) -> tuple[Subject, str]:
+    unit, _, port = name.rpartition("/")
+    running = after.unit.get(unit)
+    return "stream", f"{running.transformation if running else unit}/{port}"
 
 
 MOST_LINES = 30

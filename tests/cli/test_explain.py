@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from unicodedata import normalize
 
+import pytest
 from command import MODELS, Run
 
 NAO = MODELS / "nao"
@@ -57,6 +58,25 @@ def test_units_and_streams_can_be_asked_for(run: Run) -> None:
     assert "Forced" in result.out
     result = run("explain", NAO / "2-segmenter-lost.yaml", "--stream", "segmenter(piff).1/hull")
     assert result.out.startswith("segmenter(piff)/hull runs as segmenter(piff).1, serves target ball")
+
+
+@pytest.mark.parametrize(
+    ("option", "name"),
+    [
+        ("--unit", "segmenter(piff).1"),
+        ("--unit", "bottom_cam(piff).1"),
+        ("--transformation", "segmenter(piff)"),
+        ("--stream", "segmenter(piff).1/hull"),
+        ("--stream", "segmenter(piff)/hull"),
+    ],
+)
+def test_a_name_alone_says_what_it_is(run: Run, option: str, name: str) -> None:
+    stage = NAO / "2-segmenter-lost.yaml"
+    assert run("explain", stage, name).out == run("explain", stage, option, name).out
+
+
+def test_a_name_that_nothing_has_is_told_the_nearest(run: Run) -> None:
+    assert "did you mean `segmenter(piff)`?" in run("explain", NAO / "2-segmenter-lost.yaml", "segmentor(piff)").err
 
 
 def test_an_unknown_subject_is_bad_input_with_the_nearest_name(run: Run) -> None:
