@@ -512,13 +512,13 @@ SUPERVISION = _room(
     (
         "what died during an update is believed to live",
         "applying.py",
-        "if unit.standby else unit.id not in actual.alive:",
+        "if unit.standby else unit.id not in self.actual.alive:",
         "if unit.standby else False:",
     ),
     (
         "spares on a host that is lost during an update are believed to be ready",
         "applying.py",
-        "if unit.host in actual.lost_hosts if unit.standby else",
+        "if unit.host in self.actual.lost_hosts if unit.standby else",
         "if False if unit.standby else",
     ),
     (

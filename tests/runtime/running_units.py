@@ -197,3 +197,9 @@ def timed() -> Iterator[At]:
 def lacks(x: Any, z: Any) -> Any:
     """Whether the second input has nothing."""
     return [x, z is None]
+
+
+def named(name: str) -> Iterator[list[Any]]:
+    """["name", 0], ["name", 1], ..."""
+    for number in count():
+        yield [name, number]

@@ -159,7 +159,21 @@ def test_a_span_of_time_that_is_none_is_refused(env: Path, span: str) -> None:
     assert main(["run", str(env), f"--for={span}"]) == 30
 
 
-def test_a_run_refuses_an_input_that_takes_several_streams(env: Path, capsys: Any) -> None:
-    env.write_text(ENVIRONMENT.replace("inputs: {image: Image}", "inputs: {image: {tag: Image, count: 2}}"))
-    assert main(["run", str(env), "--for", "1s"]) == 30
-    assert "a run can't feed input image of detector with several streams yet" in capsys.readouterr().err
+def test_a_step_gets_a_list_where_an_input_takes_several_streams(env: Path, capsys: Any) -> None:
+    firsts = "def firsts(image, threshold):\n    return [int(one[0, 0]) for one in image]\n"
+    (env.parent / "units.py").write_text(UNITS + firsts)
+    several = ENVIRONMENT.replace("inputs: {image: Image}", "inputs: {image: {tag: Image, count: 2}}")
+    env.write_text(several.replace("units.py:Detector", "units.py:firsts"))
+    with cfgplan("run", env, "--json") as running:
+        assert running.stdout is not None
+        begin = json.loads(running.stdout.readline())
+        assert (begin["event"], begin["units"]) == ("Running", 3)
+        assert main(["listen", "/result", "--count", "2", "--json", "--run", begin["run"], "--wait", "30s"]) == 0
+        assert [json.loads(line)["value"] for line in capsys.readouterr().out.splitlines()] == [[7, 7], [7, 7]]
+        assert main(["ctl", "state", "--json"]) == 0
+        units = {one["id"]: one for one in json.loads(capsys.readouterr().out)["units"]}
+        assert units["detector.1"]["inputs"] == {"image": ["camera.1/image", "camera.2/image"]}
+        assert units["detector.1"]["unfed"] == []
+        running.send_signal(signal.SIGINT)
+        _, err = running.communicate(timeout=PATIENCE_S)
+    assert running.returncode == 0, err

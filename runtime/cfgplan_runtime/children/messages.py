@@ -32,6 +32,8 @@ class UnitOrder(msgspec.Struct, frozen=True, tag=True):
     """The inputs that no step waits for."""
     services: list[str] = []
     """The inputs that neither start a step nor hold one back."""
+    counts: dict[str, int] = {}
+    """How many streams the inputs take that take several; ALL: as many as there are."""
 
 
 class OutletOrder(msgspec.Struct, frozen=True, tag=True):

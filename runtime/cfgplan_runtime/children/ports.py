@@ -33,6 +33,10 @@ def _nothing() -> None:
     pass
 
 
+def _no_input(_: str) -> None:
+    pass
+
+
 @dataclass(slots=True)
 class UnitInput:
     """An inlet and the receivers of its wires."""
@@ -66,12 +70,19 @@ class UnitOutput:
 class Ports:
     """All ports of this process; `wait` is the one place where it waits."""
 
-    def __init__(self, control: ControlConnection[ToChild], order: Callable[[ToChild, list[socket.socket]], None]):
+    def __init__(
+        self,
+        control: ControlConnection[ToChild],
+        order: Callable[[ToChild, list[socket.socket]], None],
+        make_input: Callable[[str], UnitInput | None] = _no_input,
+    ) -> None:
+        """`make_input` gives an input that is to be fed and is not there yet; None if there is none of that name."""
         self.inputs: dict[str, UnitInput] = {}
         self.outputs: dict[str, UnitOutput] = {}
         self.has_ended = False
         self._control = control
         self._order = order
+        self._make_input = make_input
         self._selector = selectors.DefaultSelector()
         self.watch(control.socket, self._hear)
 
@@ -181,7 +192,7 @@ class Ports:
         self._modify(self._control.socket, self._hear)
         for message, sockets in self._control.receive():
             match message:
-                case Feed(port, wire) if not sockets or port not in self.inputs:  # there was no descriptor left
+                case Feed(port, wire) if not self._has_input(port) or not sockets:  # there was no descriptor left
                     for end in sockets:
                         end.close()
                     self.say(Lost(port, wire))
@@ -189,14 +200,14 @@ class Ports:
                     self._feed(port, wire, sockets[0])
                 case Serve(port, wire, queue, blocks) if sockets and port in self.outputs:
                     self.add_sender(port, Sender(sockets[0], queue=queue, blocks=blocks, wire=wire))
-                case Cut(port, wire):
+                case Cut(port, wire) if port in self.inputs:
                     self._cut(port, wire)
                 case End(port, wire) if port in self.inputs:
                     self._read(self.inputs[port], wire)
                     self._cut(port, wire)
                 case Unserve(port, wire) if port in self.outputs:
                     self._unserve(self.outputs[port], wire)
-                case Serve() | End() | Unserve():  # no descriptor was left, or a topic or crossing is gone
+                case Serve() | Cut() | End() | Unserve():  # no descriptor was left, or a topic or crossing is gone
                     for end in sockets:
                         end.close()
                 case SwitchNow(port):
@@ -205,6 +216,13 @@ class Ports:
                     self._order(message, sockets)
         if self._control.has_ended:
             self.has_ended = True
+
+    def _has_input(self, name: str) -> bool:
+        """Whether there is an input of this name, or now is."""
+        made = None if name in self.inputs else self._make_input(name)
+        if made is not None:
+            self.inputs[name] = made
+        return name in self.inputs
 
     def _feed(self, name: str, wire: int, end: socket.socket) -> None:
         port = self.inputs[name]

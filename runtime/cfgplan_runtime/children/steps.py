@@ -5,15 +5,21 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 
+from cfgplan.domain import ALL
 from cfgplan_runtime.streams.element import Element, Moment
+from cfgplan_runtime.streams.inlet import port_of, slot
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """The elements of one step by input port, and the newest moment among those that started it."""
+    """The elements of one step by input port, and the newest moment among those that started it.
 
-    elements: Mapping[str, Element]
+    A port that takes several streams has a list, in order of time.
+    """
+
+    elements: Mapping[str, Element | list[Element]]
     moment: Moment
 
 
@@ -25,6 +31,9 @@ class StepQueue:
     no partner is skipped), or a port's name (each element of that port, with the latest of the others).
     No step starts before every port has had an element, but `optional` ones and `services`: a step has the latest of
     these, if there is any. Services start none, and optional ports only with `any`, by name, or if there are no others.
+
+    `counts` has the ports that take several streams, each with an inlet for every stream. One that takes k is like k
+    ports. One that takes ALL is like those of its streams that have an element; `all` waits for one of them only.
     """
 
     def __init__(
@@ -36,18 +45,35 @@ class StepQueue:
         limit: int,
         optional: Sequence[str] = (),
         services: Sequence[str] = (),
+        counts: Mapping[str, int] | None = None,
     ) -> None:
-        self._loose = {*optional, *services}
-        if ports and self._loose.issuperset(ports) and start in ("all", "aligned"):
+        loose = {*optional, *services}
+        if ports and loose.issuperset(ports) and start in ("all", "aligned"):
             start = "any"
-        starting = {*optional} - {*services} if start == "any" else {start}
+        if start in ("all", "aligned"):
+            starting = {*ports} - loose
+        else:
+            starting = {*ports}.difference(services) if start == "any" else {start}
+        counts = counts or {}
+        self._slots = {port: [slot(port, 1 + n) for n in range(count)] for port, count in counts.items()}
+        """The inlets of each port that takes several streams; those of one that takes all as they come."""
+        of_port = {port: self._slots.get(port, [port]) for port in ports}
         self._waiting: dict[str, deque[Element]] = {
-            port: deque() for port in ports if port not in self._loose or port in starting
+            inlet: deque() for port in ports if port in starting for inlet in of_port[port]
         }
         self._latest: dict[str, Element] = {}
+        self._open = {port for port, count in counts.items() if count == ALL}
+        self._needed = [inlet for port in ports if port not in loose | self._open for inlet in of_port[port]]
+        self._needed_open = [self._slots[port] for port in self._open - loose]
+        self._starting_open = self._open & starting
+        self._loose = loose
+        self._ended: set[str] = set()
+        """Inlets without a source, to be forgotten once no element waits there."""
         self._start = start
         self._tolerance_ns = tolerance_ns
         self._limit = limit
+        self.inlets = [inlet for inlets in of_port.values() for inlet in inlets]
+        """The inlets that there are from the beginning."""
         self.dropped = dict.fromkeys(ports, 0)
         """How many elements were dropped for want of room, by port."""
         self.skipped = dict.fromkeys(ports, 0)
@@ -55,70 +81,97 @@ class StepQueue:
 
     def waiting(self, port: str) -> int:
         """The number of elements that wait at a port."""
-        return len(self._waiting.get(port, ()))
+        return sum(len(self._waiting.get(inlet, ())) for inlet in self._slots.get(port, (port,)))
 
-    def is_full(self, port: str) -> bool:
-        return self.waiting(port) >= self._limit
+    def is_full(self, inlet: str) -> bool:
+        return len(self._waiting.get(inlet, ())) >= self._limit
 
-    def forget(self, port: str) -> None:
-        """Forget the latest element of an optional port or a service that has lost its source."""
-        if port in self._loose:
-            self._latest.pop(port, None)
+    def forget(self, inlet: str) -> None:
+        """Forget the latest element of an inlet that has lost its source, if steps go on without it."""
+        port = port_of(inlet)
+        if port in self._loose or port in self._open:
+            self._latest.pop(inlet, None)
+            if self._waiting.get(inlet):
+                self._ended.add(inlet)
+            elif port in self._open:
+                self._waiting.pop(inlet, None)
 
-    def put(self, port: str, element: Element, *, may_drop: bool) -> None:
-        """Add an element; the oldest of its port is dropped if there is no room and `may_drop`."""
-        waiting = self._waiting.get(port)
+    def put(self, inlet: str, element: Element, *, may_drop: bool) -> None:
+        """Add an element; the oldest of its inlet is dropped if there is no room and `may_drop`."""
+        waiting = self._waiting.get(inlet)
         if waiting is None:
-            self._latest[port] = element
-            return
+            port = port_of(inlet)
+            if port in self._open and inlet not in self._slots[port]:
+                self._slots[port].append(inlet)
+            if port not in self._starting_open:
+                self._latest[inlet] = element
+                return
+            waiting = self._waiting[inlet] = deque()
+        self._ended.discard(inlet)
         waiting.append(element)
-        if self._start not in ("all", "aligned", "any", port):
-            self._latest[port] = waiting.pop()
-        elif may_drop and len(waiting) > self._limit:
+        if may_drop and len(waiting) > self._limit:
             waiting.popleft()
-            self.dropped[port] += 1
+            self.dropped[port_of(inlet)] += 1
 
     def next(self) -> Step | None:
         """Remove and return the next step; None if none can start."""
         if self._start == "all":
-            return self._one_of_each() if all(self._waiting.values()) else None
+            return self._one_of_each() if self._has_needed(self._waiting) else None
         if self._start == "aligned":
             return self._aligned()
-        if self._start == "any":
-            ready = [(waiting[0].moment, port) for port, waiting in self._waiting.items() if waiting]
-            return self._with_latest(min(ready)[1]) if ready else None
-        return self._with_latest(self._start)
+        ready = [(waiting[0].moment, inlet) for inlet, waiting in self._waiting.items() if waiting]
+        return self._with_latest(min(ready)[1]) if ready else None
+
+    def _has_needed(self, found: Mapping[str, object]) -> bool:
+        """Whether there is something of each inlet that no step goes without."""
+        return all(map(found.get, self._needed)) and (
+            not self._needed_open or all(any(map(found.get, inlets)) for inlets in self._needed_open)
+        )
 
     def _one_of_each(self) -> Step:
-        elements = {port: waiting.popleft() for port, waiting in self._waiting.items()}
-        return Step(self._latest | elements, max(element.moment for element in elements.values()))
+        elements = {inlet: self._take(inlet) for inlet, waiting in list(self._waiting.items()) if waiting}
+        moment = max(element.moment for element in elements.values())
+        return Step(self._by_port(self._latest | elements), moment)
 
     def _aligned(self) -> Step | None:
-        while all(self._waiting.values()):
+        while all(self._waiting.values()) and self._has_needed(self._waiting):
             newest = max(waiting[0].time_ns for waiting in self._waiting.values())
-            late = [port for port, w in self._waiting.items() if w[0].time_ns < newest - self._tolerance_ns]
+            late = [inlet for inlet, w in self._waiting.items() if w[0].time_ns < newest - self._tolerance_ns]
             if not late:
                 return self._one_of_each()
-            for port in late:
-                self._waiting[port].popleft()
-                self.skipped[port] += 1
+            for inlet in late:
+                self._take(inlet)
+                self.skipped[port_of(inlet)] += 1
         return None
 
-    def _with_latest(self, port: str) -> Step | None:
-        if not self._waiting[port]:
-            return None
-        others = [name for name in self._waiting if name != port and name not in self._loose]
-        if any(name not in self._latest for name in others):
-            if self._start == "any":
-                self._latest_of_first_elements(others)
-            if any(name not in self._latest for name in others):
+    def _with_latest(self, inlet: str) -> Step | None:
+        if not self._has_needed(self._latest):
+            # Before the first step, the first element that waits at an inlet counts as its latest.
+            first = {one: waiting[0] for one, waiting in self._waiting.items() if waiting}
+            if not self._has_needed(first | self._latest):
                 return None
-        element = self._waiting[port].popleft()
-        self._latest[port] = element
-        return Step(dict(self._latest), element.moment)
+            self._latest = first | self._latest
+        element = self._latest[inlet] = self._waiting[inlet][0]
+        step = Step(self._by_port(dict(self._latest)), element.moment)
+        self._take(inlet)
+        return step
 
-    def _latest_of_first_elements(self, ports: Sequence[str]) -> None:
-        """Before the first step, count the first waiting element of each port as its latest."""
-        for port in ports:
-            if port not in self._latest and self._waiting[port]:
-                self._latest[port] = self._waiting[port][0]
+    def _take(self, inlet: str) -> Element:
+        """Remove the first element that waits at an inlet; the inlet goes with the last one if its source has."""
+        waiting = self._waiting[inlet]
+        element = waiting.popleft()
+        if not waiting and inlet in self._ended:
+            self._ended.discard(inlet)
+            self.forget(inlet)
+        return element
+
+    def _by_port(self, elements: dict[str, Element]) -> Mapping[str, Element | list[Element]]:
+        """The elements of inlets by port."""
+        if not self._slots:
+            return elements
+        found: dict[str, Element | list[Element]] = {
+            inlet: element for inlet, element in elements.items() if port_of(inlet) not in self._slots
+        }
+        for port, inlets in self._slots.items():
+            found[port] = sorted([elements[inlet] for inlet in inlets if inlet in elements], key=attrgetter("moment"))
+        return found

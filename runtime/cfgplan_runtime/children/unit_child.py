@@ -9,6 +9,7 @@ from collections.abc import Iterator
 
 import msgspec
 
+from cfgplan.domain import ALL
 from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.messages import (
     Exhausted,
@@ -26,7 +27,7 @@ from cfgplan_runtime.children.steps import Step, StepQueue
 from cfgplan_runtime.children.unit_code import Given, UnitCode
 from cfgplan_runtime.errors import EncodingError, WrongPortsError
 from cfgplan_runtime.streams.element import Element, Moment, Outgoing
-from cfgplan_runtime.streams.inlet import InputQueue
+from cfgplan_runtime.streams.inlet import InputQueue, port_of
 from cfgplan_runtime.streams.payload import PayloadEncoder, decode
 
 STATUS_PERIOD_S = 1.0
@@ -39,13 +40,17 @@ _LATEST_TICK_NS = 100_000_000
 """A source that is later than this skips ticks instead of catching up."""
 
 
+def _value(element: Element) -> object:
+    return decode(element.payload)
+
+
 class UnitChild:
     """One unit. Constructing it constructs the unit code, and raises whatever that raises."""
 
     def __init__(self, order: UnitOrder, control: ControlConnection[ToChild]) -> None:
         self._order = order
         self._clock_offset_ns = order.clock_offset_ns
-        self._ports = Ports(control, self._obey)
+        self._ports = Ports(control, self._obey, self._one_more_input)
         self._is_source = not order.inputs
         self._steps = StepQueue(
             order.inputs,
@@ -54,12 +59,13 @@ class UnitChild:
             limit=order.queue,
             optional=order.optional,
             services=order.services,
+            counts=order.counts,
         )
         self._code = UnitCode(order.source, order.params, order.outputs, folder=order.folder, is_source=self._is_source)
         if order.keeps_state and order.state is not None and self._code.has_state:
             self._code.set_state(msgspec.msgpack.decode(order.state))
-        for port in order.inputs:
-            self._ports.inputs[port] = self._input_port(port)
+        for inlet in self._steps.inlets:
+            self._ports.inputs[inlet] = self._input_port(inlet)
         for port in order.outputs:
             self._ports.outputs[port] = UnitOutput()
         self._encoder = PayloadEncoder()
@@ -139,8 +145,9 @@ class UnitChild:
         self.step += 1
         self._moment = step.moment
         try:
-            values = {port: decode(element.payload) for port, element in step.elements.items()}
-            values = dict.fromkeys(self._order.inputs) | values
+            values: dict[str, object] = dict.fromkeys(self._order.inputs)
+            for port, found in step.elements.items():
+                values[port] = list(map(_value, found)) if isinstance(found, list) else _value(found)
             self._results = self._code.step(values)
             self._give_next()
         except Exception as error:
@@ -223,17 +230,19 @@ class UnitChild:
         )
 
     def _input_counts(self) -> dict[str, PortCounts]:
-        steps = self._steps
-        return {
-            port: PortCounts(
-                counts.elements,
-                counts.dropped + steps.dropped[port],
-                counts.stale,
+        """The counts of each port, of all its streams together."""
+        steps, by_inlet = self._steps, self._ports.input_counts()
+        counts = dict[str, PortCounts]()
+        for port in self._order.inputs:
+            of_port = [counts for inlet, counts in by_inlet.items() if port_of(inlet) == port]
+            counts[port] = PortCounts(
+                sum(one.elements for one in of_port),
+                sum(one.dropped for one in of_port) + steps.dropped[port],
+                sum(one.stale for one in of_port),
                 steps.skipped[port],
                 steps.waiting(port),
             )
-            for port, counts in self._ports.input_counts().items()
-        }
+        return counts
 
     def _state(self) -> bytes | None:
         if not (self._order.keeps_state and self._code.has_state):
@@ -243,6 +252,10 @@ class UnitChild:
         except Exception as error:
             self._fail(error)
             return None
+
+    def _one_more_input(self, inlet: str) -> UnitInput | None:
+        """The input of one more stream, where a port takes all that there are."""
+        return self._input_port(inlet) if self._order.counts.get(port_of(inlet)) == ALL else None
 
     def _input_port(self, name: str) -> UnitInput:
         def take(element: Element) -> None:

@@ -17,6 +17,7 @@ def unit_order(unit: str, transformation: Transformation, state: bytes | None) -
         outputs=[port.name for port in transformation.outputs],
         optional=[port.name for port in transformation.inputs if port.optional],
         services=[port.name for port in transformation.inputs if port.service],
+        counts={port.name: port.count for port in transformation.inputs if port.count != 1},
         start=run.start,
         tolerance_ns=run.tolerance_us * 1000,
         period_ns=None if run.rate_hz is None else round(1e9 / run.rate_hz),

@@ -117,7 +117,7 @@ def _found(
 
 def _as_wired(unit: str, label: str, host: str, routes: Sequence[Route]) -> ComputationUnit:
     """A unit as its wires tell it."""
-    feeds = tuple(Subscription(one.inlet.port, one.stream) for one in routes if one.inlet.unit == unit)
+    feeds = tuple(Subscription(one.inlet.input, one.stream) for one in routes if one.inlet.unit == unit)
     published = tuple(
         Publication(one.stream.port, one.inlet.port)
         for one in routes

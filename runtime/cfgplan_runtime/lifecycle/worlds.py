@@ -95,7 +95,6 @@ class LivingWorld:
             raise InputError.of(str(error)) from None
         if self.refuses_hosts:
             refuse_hosts(self.base)
-        _refuse_counts(library)
         return World(environment, ontology, self.base.horizon_s, self.base.max_cost_us, survive=self.base.survive)
 
     @cached_property
@@ -206,15 +205,6 @@ def refuse_hosts(world: World) -> None:
         message = f"this run is on one computer, and can't place units on hosts ({hosts})"
         mend = "add --local to try all hosts on this computer, or --connect to reach their agents"
         raise InputError.of(message, file=str(world.file.path) if world.file else None, mend=mend)
-
-
-def _refuse_counts(library: Iterable[Transformation]) -> None:
-    """Raise InputError where an input takes several streams."""
-    for transformation in library:
-        for port in transformation.inputs:
-            if port.count != 1:
-                message = f"a run can't feed input {port.name} of {transformation.label} with several streams yet"
-                raise InputError.of(message, mend="declare an input for each, in one `distinct` group")
 
 
 def _told(old: Mapping[str, object], new: Mapping[str, object]) -> set[str]:

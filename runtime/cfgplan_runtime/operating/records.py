@@ -132,7 +132,8 @@ def _unit(view: UnitView, environment: Environment) -> Record:
     record = {**_wired(view.unit), "host": view.host}
     transformation = environment.transformation.get(view.unit.transformation)
     if transformation is not None and not view.unit.standby:
-        record["unfed"] = sorted({port.name for port in transformation.needed_inputs} - view.unit.feeds.keys())
+        feeds = view.unit.feeds
+        record["unfed"] = [port.name for port in transformation.inputs if not port.takes(len(feeds.get(port.name, ())))]
     seen = view.observation
     if seen is not None:
         record |= {

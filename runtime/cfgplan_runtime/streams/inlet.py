@@ -16,6 +16,16 @@ from cfgplan_runtime.streams.element import Element, Moment
 _BEFORE_ALL: Moment = (-(1 << 63), -1)
 
 
+def slot(port: str, number: int) -> str:
+    """The name of the inlet for one of the streams, from 1, of an input that takes several."""
+    return f"{port}/{number}"
+
+
+def port_of(inlet: str) -> str:
+    """The input port that the inlet of a unit belongs to: no port's name has a slash."""
+    return inlet.partition("/")[0]
+
+
 @dataclass(slots=True)
 class InputQueue:
     """One input. Sources are numbers of wires; sockets are handled elsewhere. `limit` is for a standby's elements."""

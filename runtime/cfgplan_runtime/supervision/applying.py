@@ -9,7 +9,7 @@ from collections.abc import Callable, Generator, Iterable, Mapping, Set
 from dataclasses import dataclass, field, replace
 from typing import Protocol, TypeAlias
 
-from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Stream, Transformation
+from cfgplan.domain import ALL, ChangeSet, ComputationUnit, Environment, Stream, Transformation
 from cfgplan.errors import InvalidValueError
 from cfgplan_runtime.errors import AbandonedError, ApplyError, NoSourceError, StaleChangeSetError
 from cfgplan_runtime.supervision.backend import Inlet
@@ -185,7 +185,8 @@ def carry_out(
 
     With `keeps_new`, new units that have not failed then run on, unconnected.
     """
-    update, seconds = _Update(actual, change_set, after, patience), dict[str, float]()
+    wanted = wanted_feeds(after, {inlet: wire.stream for inlet, wire in actual.feeds.items()})
+    update, seconds = _Update(actual, change_set, after, wanted, patience), dict[str, float]()
     try:
         yield from _timed("start", update.start(), actual, seconds)
         yield from _timed("rewire", update.rewire(), actual, seconds)
@@ -197,7 +198,7 @@ def carry_out(
     yield from _timed("stop", update.stop(), actual, seconds)
     yield WaitUntil(update.may_end, patience.stop_s)
     yield from update.close_topics(actual.topics.keys() - wanted_topics(after).keys())
-    return CarriedOut(_as_it_lives(after, actual), seconds, unswitched)
+    return CarriedOut(update.as_it_lives(), seconds, unswitched)
 
 
 def _timed(phase: str, commands: Commands, actual: Actual, seconds: dict[str, float]) -> Commands:
@@ -214,9 +215,11 @@ def _faults(after: Environment, change_set: ChangeSet, lost_hosts: Set[str]) -> 
         if transformation is None:
             yield f"unit {unit.id!r} has no transformation {unit.transformation!r} in the library"
             continue
-        for subscription in unit.subscriptions:
-            if subscription.port not in transformation.input:
-                yield f"{transformation.label!r} has no input {subscription.port!r}"
+        for port, streams in unit.feeds.items():
+            if port not in transformation.input:
+                yield f"{transformation.label!r} has no input {port!r}"
+            elif ALL != transformation.input[port].count < len(streams):
+                yield f"input {port} of {unit.id} takes {transformation.input[port].count} streams, not {len(streams)}"
     for inlet, stream in wanted_feeds(after).items():
         unit_of_stream = after.unit.get(stream.unit)
         producer = after.transformation.get(unit_of_stream.transformation) if unit_of_stream else None
@@ -224,25 +227,17 @@ def _faults(after: Environment, change_set: ChangeSet, lost_hosts: Set[str]) -> 
             yield f"{inlet} needs the stream {stream}, which nothing gives afterwards"
 
 
-def _as_it_lives(after: Environment, actual: Actual) -> Environment:
-    """The wanted environment without units that have died and wires that were lost meanwhile."""
-    environment = after
-    for unit in after.units:
-        if unit.host in actual.lost_hosts if unit.standby else unit.id not in actual.alive:
-            environment = without_unit(environment, unit.id)
-    for inlet in wanted_feeds(environment):
-        if inlet not in actual.feeds:
-            environment = without_feed(environment, inlet)
-    return environment
-
-
 @dataclass(frozen=True, slots=True)
 class _Update:
-    """One change set under way: the topics that it has opened, and the former stream of each rewired inlet."""
+    """One change set under way: the topics that it has opened, and the former stream of each rewired inlet.
+
+    `wanted` has the stream that is to feed each inlet.
+    """
 
     actual: Actual
     change_set: ChangeSet
     after: Environment
+    wanted: Mapping[Inlet, Stream]
     patience: Patience
     opened: list[str] = field(default_factory=list)
     rewired: dict[Inlet, Stream | None] = field(default_factory=dict)
@@ -275,7 +270,7 @@ class _Update:
             raise _StepFailedError(f"{', '.join(slow)} was not ready within {self.patience.start_s:g} s", slow)
 
     def rewire(self) -> Commands:
-        actual, wanted = self.actual, wanted_feeds(self.after)
+        actual, wanted = self.actual, self.wanted
         for inlet, stream in wanted.items():
             if not self.lives(inlet):
                 continue  # its unit has died meanwhile
@@ -307,7 +302,7 @@ class _Update:
         The old source is connected anew even if the inlet is not known to have left it: it may have done so
         just now, and what came in between would be lost.
         """
-        actual, wanted = self.actual, wanted_feeds(self.after)
+        actual, wanted = self.actual, self.wanted
         kept = actual.alive & set(self.started) - set(failed) if keeps_new else set[str]()
         yield Believe(self.with_unconnected(kept))
         back = {inlet: old for inlet, old in reversed(self.rewired.items()) if inlet.unit not in self.started}
@@ -396,8 +391,18 @@ class _Update:
 
     def wired(self) -> Set[str]:
         """The units that feed something after the update, or are fed."""
-        wanted = wanted_feeds(self.after)
-        return {stream.unit for stream in wanted.values()} | {inlet.unit for inlet in wanted}
+        return {stream.unit for stream in self.wanted.values()} | {inlet.unit for inlet in self.wanted}
+
+    def as_it_lives(self) -> Environment:
+        """The wanted environment without units that have died and wires that were lost meanwhile."""
+        environment = self.after
+        for unit in self.after.units:
+            if unit.host in self.actual.lost_hosts if unit.standby else unit.id not in self.actual.alive:
+                environment = without_unit(environment, unit.id)
+        for inlet, stream in self.wanted.items():
+            if inlet not in self.actual.feeds:
+                environment = without_feed(environment, inlet, stream)
+        return environment
 
     def loading(self, units: Set[str]) -> list[str]:
         """Those of these units that are not ready yet."""

@@ -7,12 +7,16 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from cfgplan.domain import ComputationUnit, Host, Stream, Transformation
+from cfgplan_runtime.streams.inlet import port_of
 from cfgplan_runtime.supervision.events import Event
 
 
 @dataclass(frozen=True, slots=True, order=True)
 class Inlet:
-    """Where a stream may lead: an input port of a unit, or (`unit` is "") a topic's outlet."""
+    """Where a stream may lead: an input port of a unit, or (`unit` is "") a topic's outlet.
+
+    An input that takes several streams has an inlet for each: `port` is then `port/1`, `port/2` and so on.
+    """
 
     unit: str
     port: str
@@ -20,6 +24,11 @@ class Inlet:
     @property
     def is_outlet(self) -> bool:
         return not self.unit
+
+    @property
+    def input(self) -> str:
+        """The input port of the unit."""
+        return port_of(self.port)
 
     def __str__(self) -> str:
         return self.port if self.is_outlet else f"{self.unit}/{self.port}"

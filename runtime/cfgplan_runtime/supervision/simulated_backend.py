@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from cfgplan.domain import Stream, Transformation
+from cfgplan.domain import InputPort, Stream, Transformation
 from cfgplan_runtime.children.messages import Flow, PortCounts
 from cfgplan_runtime.supervision.backend import Inlet, Usage
 from cfgplan_runtime.supervision.events import (
@@ -300,13 +300,24 @@ class SimulatedBackend:
         }
 
     def _gives(self, unit: str, above: frozenset[str] = frozenset()) -> bool:
-        """Whether a unit gives elements now: all that feed it must, but for units in `above`, which close a cycle."""
+        """Whether a unit gives elements now: all that it needs must, but for units in `above`, which close a cycle."""
         found = self.units.get(unit)
         if found is None or not found.is_ready or found.behaviour.quiet or found.behaviour.failing:
             return False
-        feeds = [self.feeding(Inlet(unit, port.name)) for port in found.transformation.inputs]
         above |= {unit}
-        return all(stream is not None and (stream.unit in above or self._gives(stream.unit, above)) for stream in feeds)
+        return all(
+            port.takes(sum(s.unit in above or self._gives(s.unit, above) for s in self._feeds(unit, port)))
+            for port in found.transformation.needed_inputs
+            if not port.service
+        )
+
+    def _feeds(self, unit: str, port: InputPort) -> list[Stream]:
+        """The streams that feed an input now."""
+        if port.count == 1:
+            stream = self.feeding(Inlet(unit, port.name))
+            return [] if stream is None else [stream]
+        inlets = [inlet for inlet in self._inputs if inlet.unit == unit and inlet.input == port.name]
+        return [stream for inlet in inlets if (stream := self.feeding(inlet)) is not None]
 
     def _switch(self, wire: int) -> bool:
         port = self._inputs.get(self.wires[wire][1]) if wire in self.wires else None

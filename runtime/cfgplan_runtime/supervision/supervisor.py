@@ -166,11 +166,11 @@ class Supervisor:
         self.backend.wake()
 
     def cut(self, unit: str | None, port: str) -> None:
-        """Disconnect an input, or a topic (`unit` is None), as if it had lost its source. Raises KeyError."""
+        """Disconnect an inlet, or a topic (`unit` is None), as if it had lost its source. Raises KeyError."""
         inlet = Inlet(unit or "", port)
         wire = self.wiring.feeds[inlet]
         self.wiring.disconnect(inlet)
-        self.environment = without_feed(self.environment, inlet)
+        self.environment = without_feed(self.environment, inlet, wire.stream)
         self._report(InputLost(unit, port, wire.id))
 
     @property
@@ -281,10 +281,10 @@ class Supervisor:
             case WireSwitched(wire):
                 self.wiring.note_switch(wire)
             case InputLost(_, _, wire):
-                inlet = self.wiring.note_loss(wire)
-                if inlet is None:
+                lost = self.wiring.note_loss(wire)
+                if lost is None:
                     return False
-                self.environment = without_feed(self.environment, inlet)
+                self.environment = without_feed(self.environment, lost.inlet, lost.stream)
             case UnitStatus(unit):
                 self._note_status(unit, event)
             case UnitFailed(unit):

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import itertools
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from cfgplan.domain import ComputationUnit, Environment, Stream, Subscription, Transformation
+from cfgplan_runtime.streams.inlet import slot
 from cfgplan_runtime.supervision.backend import Backend, FoundWire, Inlet
 
 OUTLET_QUEUE = 1024
@@ -62,13 +65,13 @@ class Wiring:
             if wire.replaces is not None:
                 self._wires.pop(wire.replaces.id, None)
 
-    def note_loss(self, wire_id: int) -> Inlet | None:
-        """The inlet that has lost its source with this wire; None if the wire was given up before."""
+    def note_loss(self, wire_id: int) -> Wire | None:
+        """The wire with which an inlet has lost its source; None if it was given up before."""
         wire = self._wires.pop(wire_id, None)
         if wire is None or self.feeds.get(wire.inlet) is not wire:
             return None
         del self.feeds[wire.inlet]
-        return wire.inlet
+        return wire
 
     def forget_unit(self, unit: str) -> None:
         """Give up all wires from and to a unit that is gone, including those that are being replaced."""
@@ -97,15 +100,44 @@ class Wiring:
         self._wires = {wire.id: wire for wire in self.feeds.values()}
 
 
-def wanted_feeds(environment: Environment) -> Mapping[Inlet, Stream]:
-    """The stream that is to feed each inlet, including the topics' outlets."""
+def wanted_feeds(environment: Environment, present: Mapping[Inlet, Stream] | None = None) -> Mapping[Inlet, Stream]:
+    """The stream that is to feed each inlet, including the topics' outlets.
+
+    Of an input that takes several streams, those that feed it in `present` keep their inlets. A new one takes that of
+    one that goes, as its successor, or else a free one.
+    """
+    several: dict[tuple[str, str], dict[str, Stream]] = {}
+    for inlet, stream in (present or {}).items():
+        if not inlet.is_outlet and inlet.port != inlet.input:
+            several.setdefault((inlet.unit, inlet.input), {})[inlet.port] = stream
     feeds: dict[Inlet, Stream] = {}
     for unit in environment.units:
-        for subscription in unit.subscriptions:
-            feeds[Inlet(unit.id, subscription.port)] = subscription.stream
+        for port, streams in unit.feeds.items():
+            if count_of(environment, unit, port) == 1:
+                feeds[Inlet(unit.id, port)] = streams[0]
+            else:
+                led = _led(port, streams, several.get((unit.id, port), {}))
+                feeds |= {Inlet(unit.id, name): stream for name, stream in led.items()}
         for publication in unit.publications:
             feeds[Inlet("", publication.topic)] = Stream(unit.id, publication.port)
     return feeds
+
+
+def count_of(environment: Environment, unit: ComputationUnit, port: str) -> int:
+    """How many streams an input of a unit takes."""
+    transformation = environment.transformation.get(unit.transformation)
+    known = None if transformation is None else transformation.input.get(port)
+    return 1 if known is None else known.count
+
+
+def _led(port: str, streams: Sequence[Stream], present: Mapping[str, Stream]) -> dict[str, Stream]:
+    """The streams of one input by inlet."""
+    led = {name: stream for name, stream in present.items() if stream in streams}
+    left = sorted(present.keys() - led.keys())
+    free = (name for n in itertools.count(1) if (name := slot(port, n)) not in present)
+    known = set(led.values())
+    new = [stream for stream in streams if stream not in known]
+    return {**led, **dict(zip(itertools.chain(left, free), new, strict=False))}
 
 
 def wanted_topics(environment: Environment) -> Mapping[str, str | None]:
@@ -131,12 +163,14 @@ def _starves(unit: ComputationUnit, environment: Environment, starved: set[str])
     transformation = environment.transformation.get(unit.transformation)
     if transformation is None or not transformation.inputs:
         return False
-    fed = {s.port for s in unit.subscriptions if s.stream.unit not in starved}
+    fed = Counter(s.port for s in unit.subscriptions if s.stream.unit not in starved)
     starting = {transformation.run.start}.intersection(transformation.input)
     if starting:
-        return fed.isdisjoint(starting)
-    needed = {port.name for port in transformation.needed_inputs if not port.service}
-    return not fed if transformation.run.start == "any" else not fed.issuperset(needed)
+        return fed.keys().isdisjoint(starting)
+    needed = [port for port in transformation.needed_inputs if not port.service]
+    if transformation.run.start == "any":
+        return not fed
+    return not all(port.takes(fed[port.name]) for port in needed)
 
 
 def without_unit(environment: Environment, unit_id: str) -> Environment:
@@ -149,17 +183,17 @@ def without_unit(environment: Environment, unit_id: str) -> Environment:
     return replace(environment, units=left)
 
 
-def without_feed(environment: Environment, inlet: Inlet) -> Environment:
-    """The environment with a gap at one inlet."""
-    left = tuple(_with_gap(unit, inlet) for unit in environment.units)
+def without_feed(environment: Environment, inlet: Inlet, stream: Stream | None = None) -> Environment:
+    """The environment with a gap at one inlet, which `stream` has fed; a topic's needs none."""
+    left = tuple(_with_gap(unit, inlet, stream) for unit in environment.units)
     return replace(environment, units=left)
 
 
-def _with_gap(unit: ComputationUnit, inlet: Inlet) -> ComputationUnit:
+def _with_gap(unit: ComputationUnit, inlet: Inlet, stream: Stream | None) -> ComputationUnit:
     subscriptions: tuple[Subscription, ...] = unit.subscriptions
     publications = unit.publications
     if inlet.is_outlet:
         publications = tuple(p for p in publications if p.topic != inlet.port)
     elif unit.id == inlet.unit:
-        subscriptions = tuple(s for s in subscriptions if s.port != inlet.port)
+        subscriptions = tuple(s for s in subscriptions if s.port != inlet.input or s.stream != stream)
     return replace(unit, subscriptions=subscriptions, publications=publications)
