@@ -46,11 +46,12 @@ def steps(
         else:
             queue.forget(inlet)
         while (step := queue.next()) is not None:
-            elements = step.elements.items()
-            found.append(
-                {name: e.time_ns if isinstance(e, Element) else [o.time_ns for o in e] for name, e in elements}
-            )
+            found.append({port: times(elements) for port, elements in step.elements.items()})
     return found
+
+
+def times(elements: Element | list[Element]) -> int | list[int]:
+    return elements.time_ns if isinstance(elements, Element) else [element.time_ns for element in elements]
 
 
 @pytest.mark.parametrize(

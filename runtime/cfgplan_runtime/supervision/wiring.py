@@ -168,9 +168,7 @@ def _starves(unit: ComputationUnit, environment: Environment, starved: set[str])
     if starting:
         return fed.keys().isdisjoint(starting)
     needed = [port for port in transformation.needed_inputs if not port.service]
-    if transformation.run.start == "any":
-        return not fed
-    return not all(port.takes(fed[port.name]) for port in needed)
+    return not fed if transformation.run.start == "any" else not all(port.takes(fed[port.name]) for port in needed)
 
 
 def without_unit(environment: Environment, unit_id: str) -> Environment:
