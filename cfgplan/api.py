@@ -181,7 +181,7 @@ def _tags(environment: Environment) -> tuple[frozenset[str], frozenset[str]]:
     """The tags that are offered, and those that are demanded."""
     offered = {port.tag for transformation in environment.library for port in transformation.outputs}
     demanded = {port.tag for transformation in environment.library for port in transformation.inputs}
-    return frozenset(offered), frozenset(demanded | {target.tag for target in environment.targets})
+    return frozenset(offered), frozenset(demanded | {target.tag for target in environment.stream_targets})
 
 
 def explain_match(

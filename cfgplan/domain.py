@@ -6,7 +6,7 @@ are equal exactly when they mean the same, whatever order they were written in.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import groupby
@@ -99,23 +99,33 @@ class ComputationUnit:
         return MappingProxyType({port: tuple([s.stream for s in group]) for port, group in ports})
 
 
+A_UNIT_OF = "a unit of "
+"""Before a label this is a tag that no port has: the demand for a unit of that transformation."""
+
+
 @dataclass(frozen=True, slots=True)
 class Target:
     """A semantic subscription from outside (Definition 4); a larger `priority` matters more.
 
     `quality` is what it asks of its stream. With a `host`, the stream has to come there. In a run it counts as unmet
-    once nothing has come for `silent_us`; planning does not look at that.
+    once nothing has come for `silent_us`; planning does not look at that. A target that wants no stream, but that a
+    unit of the transformation `run` runs, has no topic, and A_UNIT_OF that transformation as its tag.
     """
 
     label: str
-    tag: str
-    topic: str
+    tag: str = ""
+    topic: str = ""
     priority: int = 0
     quality: tuple[Wish, ...] = ()
     host: str | None = None
     silent_us: int | None = None
+    run: str | None = None
 
     def __post_init__(self) -> None:
+        if self.run is not None:
+            object.__setattr__(self, "tag", f"{A_UNIT_OF}{self.run}")
+            if self.topic or self.quality or self.host is not None:
+                raise InvalidValueError(f"target {self.label!r} wants no stream: it has no topic, quality or host")
         if self.quality:
             store_sorted(self, "quality", self.quality, attrgetter("attribute"))
             refuse_duplicates(f"quality attribute of target {self.label!r}", [q.attribute for q in self.quality])
@@ -299,7 +309,7 @@ class Environment:
         refuse_duplicates("unit", [unit.id for unit in self.units])
         refuse_duplicates("transformation", [transformation.label for transformation in self.library])
         refuse_duplicates("target", [target.label for target in self.targets])
-        refuse_duplicates("topic of a target", [target.topic for target in self.targets])
+        refuse_duplicates("topic of a target", [target.topic for target in self.stream_targets])
         store_sorted(self, "hosts", self.hosts, attrgetter("name"))
         store_sorted(self, "qualities", self.qualities, attrgetter("name"))
         store_whole(self, "transfer_us")
@@ -341,6 +351,28 @@ class Environment:
     def target(self) -> Mapping[str, Target]:
         """The targets by label."""
         return MappingProxyType({target.label: target for target in self.targets})
+
+    @cached_property
+    def stream_targets(self) -> tuple[Target, ...]:
+        """The targets that want a stream."""
+        return tuple(target for target in self.targets if target.run is None)
+
+    @cached_property
+    def wanted_to_run(self) -> Mapping[str, str]:
+        """The transformations of which targets want a unit to run, by the targets' labels."""
+        return MappingProxyType({target.label: target.run for target in self.targets if target.run is not None})
+
+    def meeting(self, units: Collection[ComputationUnit]) -> dict[str, ComputationUnit]:
+        """Of some units the one that meets each target that is met, by the target's label.
+
+        It publishes the target's stream or, by its id, is the first that runs of the transformation that is to run.
+        """
+        publishing = {publication.topic: unit for unit in units for publication in unit.publications}
+        found = {target.label: publishing.get(target.topic) for target in self.stream_targets}
+        for label, wanted in self.wanted_to_run.items():
+            running = (unit for unit in units if unit.transformation == wanted and not unit.standby)
+            found[label] = min(running, key=attrgetter("id"), default=None)
+        return {label: unit for label, unit in found.items() if unit is not None}
 
     @cached_property
     def host(self) -> Mapping[str, Host]:

@@ -14,7 +14,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from cfgplan.domain import ChangeSet, ComputationUnit, Environment
+from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Target
 from cfgplan.figures import qualities_of_targets
 from cfgplan.qualities import QualityAttribute
 from cfgplan.qualities import units as units_of
@@ -172,15 +172,14 @@ def picture(environment: Environment, change_set: ChangeSet | None = None) -> Pi
         *_arrows(environment, before=environment, after=after),
         *(arrow for arrow in _arrows(after, before=environment, after=after) if arrow.mark is Mark.STARTED),
     ]
-    served = {arrow.head for arrow in arrows if arrow.mark is not Mark.STOPPED}
+    met = after.meeting(after.units).keys()
     for target in environment.targets:
-        reached = Mark.KEPT if _target_key(target.topic) in served else Mark.STOPPED
-        lines: tuple[str, ...] = (
-            (target.label, target.topic) if reached is Mark.KEPT else (target.label, target.topic, "(not met)")
-        )
+        reached = Mark.KEPT if target.label in met else Mark.STOPPED
+        lines: tuple[str, ...] = (target.label, target.topic or target.tag)
+        lines += () if reached is Mark.KEPT else ("(not met)",)
         values = reached_qualities.get(target.label, {}) if reached is Mark.KEPT else {}
         lines += tuple(_quality_line(after.quality[name], value) for name, value in values.items())
-        nodes.append(Node(_target_key(target.topic), lines, reached, is_target=True, host=target.host))
+        nodes.append(Node(_target_key(target), lines, reached, is_target=True, host=target.host))
     known = {node.key for node in nodes}
     gone = {arrow.tail for arrow in arrows if arrow.tail not in known}
     nodes += [Node(key, (key, "(gone)"), Mark.STOPPED) for key in sorted(gone)]
@@ -205,7 +204,16 @@ def _arrows(drawn: Environment, *, before: Environment, after: Environment) -> I
             yield Arrow(subscription.stream.unit, unit.id, subscription.stream.port, subscription.port, mark)
         for publication in unit.publications:
             mark = _mark(publication, was.publications, becomes.publications)
-            yield Arrow(unit.id, _target_key(publication.topic), publication.port, "", mark)
+            yield Arrow(unit.id, _topic_key(publication.topic), publication.port, "", mark)
+    then, now = _wanted_units(before), _wanted_units(after)
+    for target, unit_id in _wanted_units(drawn):
+        yield Arrow(unit_id, _target_key(drawn.target[target]), "", "", _mark((target, unit_id), then, now))
+
+
+def _wanted_units(environment: Environment) -> tuple[tuple[str, str], ...]:
+    """The targets that want a unit to run, each with the id of the one that does."""
+    met = environment.meeting(environment.units)
+    return tuple((target, met[target].id) for target in environment.wanted_to_run if target in met)
 
 
 def _mark(item: object, before: tuple[object, ...], after: tuple[object, ...]) -> Mark:
@@ -214,7 +222,11 @@ def _mark(item: object, before: tuple[object, ...], after: tuple[object, ...]) -
     return Mark.KEPT if item in before else Mark.STARTED
 
 
-def _target_key(topic: str) -> str:
+def _target_key(target: Target) -> str:
+    return _topic_key(target.topic) if target.run is None else f"target {target.label}"
+
+
+def _topic_key(topic: str) -> str:
     return f"topic {topic}"
 
 

@@ -128,7 +128,7 @@ def qualities_of_targets(environment: Environment, units: Collection[Computation
     by_id = {unit.id: unit for unit in units}
     topic_stream = {p.topic: Stream(unit.id, p.port) for unit in units for p in unit.publications}
     found: dict[str, dict[str, int]] = {
-        target.label: {} for target in environment.targets if target.topic in topic_stream
+        target.label: {} for target in environment.stream_targets if target.topic in topic_stream
     }
     for attribute in environment.qualities:
         values: dict[Stream, int] = {}

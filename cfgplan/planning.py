@@ -38,6 +38,7 @@ class Notion(StrEnum):
     OPTIONAL = "optional inputs"
     COUNTS = "inputs that take several streams"
     LIMITS = "outputs that serve only so many"
+    RUNS = "targets that want a unit, not a stream"
 
 
 @dataclass(frozen=True)
@@ -85,6 +86,7 @@ class Problem:
             Notion.OPTIONAL: any(port.optional for t in environment.library for port in t.inputs),
             Notion.COUNTS: any(port.count != 1 for t in environment.library for port in t.inputs),
             Notion.LIMITS: any(port.serves is not None for t in environment.library for port in t.outputs),
+            Notion.RUNS: bool(environment.wanted_to_run),
             Notion.SURVIVAL: self.survive is not None or any(unit.standby for unit in environment.units),
         }
         return frozenset(notion for notion, is_asked in asked.items() if is_asked)

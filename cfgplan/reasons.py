@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import cached_property
 from typing import Protocol, TypeVar
 
-from cfgplan.domain import Environment, InputPort, Similarity, Transformation
+from cfgplan.domain import A_UNIT_OF, Environment, InputPort, Similarity, Transformation
 from cfgplan.planning import Problem
 
 Item = TypeVar("Item")
@@ -71,7 +71,9 @@ def with_pinned_reasons(given_up: Mapping[str, str], problem: Problem) -> dict[s
 
 
 class Givers:
-    """Which transformations have an output that may feed a demanded tag: the validity matrix by rows."""
+    """Which transformations meet a demanded tag: they have an output that may feed it (the validity matrix by rows), or
+    a unit of them is what is wanted.
+    """
 
     def __init__(self, library: Sequence[Transformation], similarity: Similarity) -> None:
         self._library = library
@@ -98,9 +100,11 @@ class Givers:
         return offering
 
     def of(self, tag: str) -> tuple[str, ...]:
-        """The labels of the transformations that offer what `tag` demands, sorted."""
+        """The labels of the transformations that give what `tag` demands, sorted."""
         if tag not in self._rows:
             labels = {label for each in self.accepted(tag) for label in self._offering.get(each, ())}
+            if tag.startswith(A_UNIT_OF):
+                labels = {t.label for t in self._library if t.label == tag.removeprefix(A_UNIT_OF)}
             self._rows[tag] = tuple(sorted(labels))
         return self._rows[tag]
 
@@ -256,7 +260,7 @@ def _reason(who: str, tag: str, environment: Environment, givers: Givers, possib
     """A sentence that names the nearest dead end: why nothing in `possible` can feed the demand of `who` for `tag`."""
     wanted = f"{who} wants {tag}"
     if not givers.of(tag):
-        return f"{wanted}, but no output matches"
+        return f"{wanted}, but " + ("there is no such one" if tag.startswith(A_UNIT_OF) else "no output matches")
     ahead, seen = list(givers.of(tag)), set(givers.of(tag))
     for label in ahead:
         transformation = environment.transformation[label]

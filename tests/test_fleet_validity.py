@@ -21,7 +21,7 @@ from cfgplan.domain import (
     Target,
     Transformation,
 )
-from cfgplan.drawing import picture
+from cfgplan.drawing import Mark, picture
 from cfgplan.errors import InvalidValueError
 from cfgplan.figures import cost_parts, qualities_of_targets
 from cfgplan.planning import Failures, Plan, Problem, Status
@@ -330,3 +330,14 @@ def test_what_is_in_a_ring_or_behind_one_has_the_worst_value() -> None:
     )
     found = [v for v in violations(behind, SIMILARITY) if v.rule is Broken.QUALITY]
     assert ["but its stream has 9" in str(v) for v in found] == [True]
+
+
+def test_the_picture_has_an_arrow_from_a_unit_to_the_target_that_wants_it() -> None:
+    environment = Environment((), (Transformation("screen"),), (Target("shown", run="screen"),))
+    assert "(not met)" in picture(environment).mermaid()
+    drawn = picture(environment, ChangeSet(started=(ComputationUnit("screen.1", "screen"),)))
+    assert [(arrow.tail, arrow.head, arrow.mark) for arrow in drawn.arrows] == [
+        ("screen.1", "target shown", Mark.STARTED)
+    ]
+    assert "a unit of screen" in drawn.mermaid()
+    assert "(not met)" not in drawn.mermaid()

@@ -133,6 +133,29 @@ def test_a_stream_that_more_take_than_it_serves_is_refused() -> None:
     assert Rule.SERVES in rules(replace(VALID, units=units, library=(scarce, DETECTOR)))
 
 
+SHOWN = Target("shown", run="screen")
+SCREEN = Transformation("screen", (InputPort("image", "Image"),))
+
+
+@pytest.mark.parametrize(
+    ("units", "expected"),
+    [
+        (1, []),
+        (0, ["no unit of screen runs, which target shown wants"]),
+        (2, ["unit screen.2 runs, but no target needs it"]),
+    ],
+)
+def test_a_target_that_wants_a_unit_needs_one_that_runs_and_what_feeds_it(units: int, expected: list[str]) -> None:
+    screens = [ComputationUnit(f"screen.{n + 1}", "screen", (fed("image", "camera.1/out"),)) for n in range(units)]
+    environment = Environment((camera, *screens)[: 3 * units], (CAMERA, SCREEN), (SHOWN,))
+    assert [str(violation) for violation in violations(environment, SIMILARITY)] == expected
+
+
+def test_a_cold_spare_is_no_unit_that_a_target_wants() -> None:
+    spare = ComputationUnit("screen.1", "screen", standby=True)
+    assert Rule.MET in rules(Environment((spare,), (CAMERA, SCREEN), (SHOWN,)))
+
+
 def test_an_optional_input_that_is_unfed_costs_its_worth() -> None:
     environment = second_camera(optional=True, worth_us=7)
     assert kept_us(environment, 10) == 40

@@ -66,7 +66,7 @@ def _asked(text: str, problem: Problem) -> tuple[str, str]:
         return pairs[0]
     if not environment.qualities:
         raise InputError.of("no quality attribute is declared", mend="declare one under `qualities:`")
-    known = [f"{t.label}:{a.name}" for t in environment.targets for a in environment.qualities]
+    known = [f"{t.label}:{a.name}" for t in environment.stream_targets for a in environment.qualities]
     message = "several targets and attributes could be meant" if pairs else f"there is no {text!r}"
     raise InputError.of(message, mend=f"write --front with one of {', '.join(known)}")
 

@@ -113,7 +113,7 @@ def _show_matrix(environment: Environment, similarity: Similarity, screen: Scree
 def _inputs(environment: Environment) -> dict[str, str]:
     """The tag of every input, as `transformation/port`, and of every target, as `target LABEL`."""
     ports = {f"{t.label}/{port.name}": port.tag for t in environment.library for port in t.inputs}
-    return ports | {f"target {target.label}": target.tag for target in environment.targets}
+    return ports | {f"target {target.label}": target.tag for target in environment.stream_targets}
 
 
 def _outputs(environment: Environment) -> dict[str, str]:
@@ -125,7 +125,7 @@ def _output_tag(environment: Environment, name: str) -> str:
 
 
 def _input_tag(environment: Environment, name: str) -> str:
-    if name in environment.target:
+    if name in environment.target and environment.target[name].run is None:
         return environment.target[name].tag
     return _named(_inputs(environment), name, "input or target")
 

@@ -84,8 +84,7 @@ class Kept:
 
 def unused_required(environment: Environment) -> tuple[str, ...]:
     """The labels of required transformations that serve no target of the environment."""
-    topics = {target.topic for target in environment.targets}
-    ahead = [unit for unit in environment.units if any(p.topic in topics for p in unit.publications)]
+    ahead = list(environment.meeting(environment.units).values())
     needed: set[str] = set()
     used: set[str] = set()
     while ahead:

@@ -167,6 +167,7 @@ def _choice(plan: Plan, otherwise: Plan) -> Choice:
 def _served(environment: Environment, units: Iterable[ComputationUnit], port: str | None) -> tuple[str, ...]:
     """The labels of the targets that use the units, or one output of them, directly or through others."""
     topics = {p.topic for u in units for p in u.publications if port in (None, p.port)}
+    units = list(units)
     seen: set[str] = set()
     ahead = [reader.rpartition("/")[0] for reader in _readers(environment, units, port)]
     ahead += [] if port is not None else _running_with(environment, units)
@@ -177,7 +178,10 @@ def _served(environment: Environment, units: Iterable[ComputationUnit], port: st
             topics.update(p.topic for p in unit.publications)
             ahead += [reader.rpartition("/")[0] for reader in _readers(environment, [unit], None)]
             ahead += _running_with(environment, [unit])
-    return tuple(target.label for target in environment.targets if target.topic in topics)
+    serving = seen.union(u.id for u in units if port is None)
+    to_run = environment.wanted_to_run.keys()
+    met = {label for label, u in environment.meeting(environment.units).items() if u.id in serving and label in to_run}
+    return tuple(target.label for target in environment.targets if target.topic in topics or target.label in met)
 
 
 def _running_with(environment: Environment, units: Iterable[ComputationUnit]) -> list[str]:

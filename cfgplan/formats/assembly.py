@@ -10,6 +10,7 @@ from cfgplan.errors import Fault, InputError, did_you_mean
 from cfgplan.formats.document import Document, File
 from cfgplan.formats.environment_file import EnvironmentFile
 from cfgplan.formats.expansion import Expander
+from cfgplan.formats.fields import TargetPart
 from cfgplan.formats.fleet import FleetReader
 from cfgplan.formats.garbage import no_garbage_collection
 from cfgplan.formats.left_out import LeftOut
@@ -37,19 +38,23 @@ def _build(document: Document, vocabulary: TagVocabulary) -> EnvironmentFile:
                 library[transformation.label] = transformation
     targets: dict[str, Target] = {}
     for entry, part in _parts(document, "targets", faults):
-        tags.check(part.tag, entry.at("tag"))
-        is_new = names.is_new("target", part.label, entry, "label")
-        if names.is_new("topic", part.topic, entry, "topic") and is_new:
-            wishes = fleet.wishes(entry.at("quality"), part)
-            if part.host is not None:
-                fleet.check_host(entry.at("host"), part.host, is_choice=True)
-            targets[part.label] = Target(**{**part.values(), "quality": wishes})
+        is_new = names.is_new("target", part.label, entry, "label") & _wants_one_thing(entry, part)
+        if part.tag is not None:
+            tags.check(part.tag, entry.at("tag"))
+        if part.topic is not None:
+            is_new &= names.is_new("topic", part.topic, entry, "topic")
+        if part.host is not None:
+            fleet.check_host(entry.at("host"), part.host, is_choice=True)
+        _check_labels(entry.at("run"), [part.run] if part.run else (), library, left_out)
+        if is_new:
+            targets[part.label] = Target(**{**part.values(), "quality": fleet.wishes(entry.at("quality"), part)})
     running = {
         part.id: (entry, part)
         for entry, part in _parts(document, "units", faults)
         if names.is_new("unit", part.id, entry, "id")
     }
-    units = UnitChecker(running, library, {target.topic for target in targets.values()}, fleet, left_out).units()
+    topics = {target.topic for target in targets.values() if target.run is None}
+    units = UnitChecker(running, library, topics, fleet, left_out).units()
     _check_named(library, left_out, names.origins)
     for file in document.files:
         _check_broken_tags(file, tags, faults)
@@ -81,6 +86,23 @@ def _parts(document: Document, kind: str, faults: list[Fault]) -> Iterator[tuple
     for file in document.files:
         for index, part in getattr(file, kind):
             yield Passage(file.source, (kind, index), faults), part
+
+
+_OF_A_STREAM = ("topic", "tag", "quality", "host", "silent")
+
+
+def _wants_one_thing(entry: Passage, part: TargetPart) -> bool:
+    """Whether a target says `topic` and `tag`, or else `run` and nothing that is said of a stream."""
+    said = [key for key in _OF_A_STREAM if getattr(part, key) is not None]
+    if part.run is not None:
+        for key in said:
+            entry.at(key).note(f"a target with `run` wants no stream, so it has no `{key}`", "remove it", at_key=True)
+        return not said
+    missing = [key for key in ("topic", "tag") if key not in said]
+    for key in missing:
+        mend = f"add `{key}:` here" + ("" if said else ", or `run:` with the transformation that is to run")
+        entry.note(f"the key `{key}` is missing", mend)
+    return not missing
 
 
 class _Names:
@@ -122,7 +144,7 @@ def _check_labels(entry: Passage, labels: Iterable[str], library: Collection[str
     """Note the labels that no transformation has."""
     for label in labels:
         if label not in library and not left_out.may_have("transformations", label):
-            mend = did_you_mean(label, library, "write the label of another transformation, templates expanded")
+            mend = did_you_mean(label, library, "write the label of a transformation, templates expanded")
             entry.note(f"there is no transformation `{label}`", mend)
 
 

@@ -179,7 +179,10 @@ def one_or_more(texts: list[str]) -> str | list[str]:
 
 
 def _target(target: Target, environment: Environment) -> dict[str, Any]:
-    return TargetPart.written(target, quality={wish.attribute: _wish(wish, environment) for wish in target.quality})
+    stream = {} if target.run is None else {"tag": None, "topic": None}
+    return TargetPart.written(
+        target, **stream, quality={wish.attribute: _wish(wish, environment) for wish in target.quality}
+    )
 
 
 class _Dumper(_DUMPER):  # type: ignore[misc]

@@ -314,11 +314,18 @@ class WishPart(Part):
 
 
 class TargetPart(Part):
-    """Information that is wanted on a topic."""
+    """Information that is wanted on a topic, or a unit that is wanted though it gives nothing."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        strict=True,
+        json_schema_extra={"oneOf": [{"required": ["topic", "tag"]}, {"required": ["run"]}]},
+    )
 
     label: Name = row("unique", ..., xml=ELEMENT)
-    topic: Name = row("where its stream is published; unique", ..., xml=ELEMENT)
-    tag: TagText = row("what is wanted, a concept in description logic or the paper's P(a)", ..., xml=ELEMENT)
+    topic: Name | None = row("where its stream is published; unique", xml=ELEMENT)
+    tag: TagText | None = row("what is wanted, a concept in description logic or the paper's P(a)", xml=ELEMENT)
+    run: Name | None = row("a transformation of which a unit is wanted, in place of `topic` and `tag`")
     priority: int = row("larger matters more", 0, ge=-LARGEST_AMOUNT, le=LARGEST_AMOUNT)
     quality: dict[Name, WishPart] | None = row("attribute to what is asked of it")
     host: Name | None = row("the host that the stream has to come to")

@@ -53,7 +53,8 @@ def _environment(data: Mapping[str, Any]) -> Iterator[str]:
     for part in data.get("targets") or ():
         yield f"  {_opened('target', _attributes(TargetPart, part))}"
         for name in ("label", "topic", "tag"):
-            yield f"    {_element(name, part[name])}"
+            if part.get(name) is not None:
+                yield f"    {_element(name, part[name])}"
         yield "  </target>"
     yield "</environment>"
 

@@ -26,7 +26,7 @@ from cfgplan.domain import (
 from cfgplan.errors import InputError
 from cfgplan.planning import Plan, Problem, Progress, Status, fresh_units
 from cfgplan.validity.counts import unfed_us
-from cfgplan.validity.environments import instance_violations, violations
+from cfgplan.validity.environments import instance_violations, missing_units, violations
 from cfgplan.validity.hosts import carried_us, company_violations, placing_violations
 from cfgplan.validity.plans import cost_us, unused_required
 from cfgplan.validity.quality import priced_us
@@ -235,7 +235,7 @@ def _places(problem: Problem, transformation: Transformation) -> Iterator[tuple[
 
 def _is_allowed(after: Environment, horizon_s: int) -> bool:
     broken = (instance_violations(after), placing_violations(after, horizon_s), company_violations(after))
-    return not any(any(each) for each in broken)
+    return not any(any(each) for each in (*broken, missing_units(after)))
 
 
 def _least(problem: Problem, after: Environment) -> OracleRank:
@@ -276,7 +276,7 @@ def _demands(problem: Problem, units: Units) -> list[_Demand]:
         several = [one for one in combinations(there, port.count) if len({s.unit for s in one}) == len(one)]
         return (*several, *([()] if port.optional else []))
 
-    targets = problem.environment.targets
+    targets = problem.environment.stream_targets
     return [_Demand(None, t.topic, tuple((stream,) for stream in streams(t.tag))) for t in targets] + [
         _Demand(unit.id, port.name, choices(unit, port), port.distinct, port.feedback)
         for unit in units

@@ -136,7 +136,7 @@ class _Budget:
 
 def used_pairs(environment: Environment, similarity: Similarity) -> Iterator[Pair]:
     """The open pairs by which units subscribe and targets are met."""
-    targets = {target.topic: target.tag for target in environment.targets}
+    targets = {target.topic: target.tag for target in environment.stream_targets}
     tag_of = {
         (unit.id, port.name): port.tag
         for unit in environment.units
@@ -209,7 +209,7 @@ def _pairs_among(environment: Environment, similarity: Similarity) -> Iterator[P
     kinds = {unit.transformation for unit in environment.units} & environment.transformation.keys()
     offered = {port.tag for label in kinds for port in environment.transformation[label].outputs}
     demanded = {port.tag for label in kinds for port in environment.transformation[label].inputs}
-    demanded.update(target.tag for target in environment.targets)
+    demanded.update(target.tag for target in environment.stream_targets)
     return ((o, d) for d in demanded for o in offered & similarity.open.get(d, frozenset()) if similarity.is_open(o, d))
 
 

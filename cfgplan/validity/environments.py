@@ -11,7 +11,7 @@ from cfgplan.planning import Failures
 from cfgplan.validity.counts import count_violations, serving_violations, unfed_violations
 from cfgplan.validity.hosts import company_violations, link_violations, placing_violations
 from cfgplan.validity.quality import quality_violations
-from cfgplan.validity.reading import company_of, known_units, needed_by, publishers, tag_of
+from cfgplan.validity.reading import company_of, known_units, meeting_targets, needed_by, tag_of
 from cfgplan.validity.rules import Rule, Violation
 from cfgplan.validity.survival import justified_spares, survival_violations
 
@@ -27,6 +27,7 @@ def violations(
         *_unknown_transformations(environment),
         *_bad_subscriptions(environment, similarity),
         *_bad_publications(environment, similarity),
+        *missing_units(environment),
         *count_violations(environment, similarity),
         *unfed_violations(environment, similarity),
         *serving_violations(environment),
@@ -74,7 +75,7 @@ def _bad_subscriptions(environment: Environment, similarity: Similarity) -> Iter
 
 def _bad_publications(environment: Environment, similarity: Similarity) -> Iterator[Violation]:
     published: dict[str, list[Stream]] = defaultdict(list)
-    topics = {target.topic for target in environment.targets}
+    topics = {target.topic for target in environment.stream_targets}
     for unit, transformation in known_units(environment):
         for publication in unit.publications:
             published[publication.topic].append(Stream(unit.id, publication.port))
@@ -84,7 +85,7 @@ def _bad_publications(environment: Environment, similarity: Similarity) -> Itera
             if publication.topic not in topics:
                 text = f"unit {unit.id} publishes on {publication.topic}, which no target names"
                 yield Violation(Rule.PUBLISHED, text, unit.id, publication.port)
-    for target in environment.targets:
+    for target in environment.stream_targets:
         streams = published[target.topic]
         if len(streams) != 1:
             found = f"{len(streams)} streams are" if streams else "no stream is"
@@ -96,6 +97,15 @@ def _bad_publications(environment: Environment, similarity: Similarity) -> Itera
                 is_open = similarity.is_open(offered, target.tag)
                 text = f"target {target.label} wants {target.tag}, {_unfit(stream, offered, is_open=is_open)}"
                 yield Violation(Rule.MATCHING, text, target=target.label, is_open=is_open)
+
+
+def missing_units(environment: Environment) -> Iterator[Violation]:
+    """Targets that want a unit of a transformation to run, though none does."""
+    running = {unit.transformation for unit in environment.units if not unit.standby}
+    for target in environment.targets:
+        if target.run is not None and target.run not in running:
+            text = f"no unit of {target.run} runs, which target {target.label} wants"
+            yield Violation(Rule.MET, text, target=target.label)
 
 
 def _unfit(stream: Stream, offered: str, *, is_open: bool) -> str:
@@ -134,7 +144,7 @@ def _needless_units(environment: Environment, similarity: Similarity, survive: F
     kept = {unit.id for unit, transformation in known_units(environment) if transformation.pinned and not unit.standby}
     kept |= asked_by_number(environment)
     company = company_of(environment)
-    needed = needed_by(environment, publishers(environment) | kept, company)
+    needed = needed_by(environment, meeting_targets(environment) | kept, company)
     if len(needed) < len(environment.units):
         needed |= needed_by(environment, justified_spares(environment, similarity, survive), company)
     for unit in environment.units:

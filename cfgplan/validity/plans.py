@@ -12,7 +12,7 @@ from cfgplan.validity.counts import unfed_us
 from cfgplan.validity.environments import violations
 from cfgplan.validity.hosts import carried_us, costs_there, rents_us
 from cfgplan.validity.quality import priced_us
-from cfgplan.validity.reading import known_units, needed_by, publishers
+from cfgplan.validity.reading import known_units, meeting_targets, needed_by
 from cfgplan.validity.rules import Rule, Violation
 from cfgplan.validity.startable import givers_by_tag, startable
 
@@ -117,7 +117,7 @@ def _dropped_pinned_units(problem: Problem, plan: Plan, after: Environment) -> I
 
 def unused_required(environment: Environment) -> tuple[str, ...]:
     """The labels of the required transformations without a unit that serves a target."""
-    needed = needed_by(environment, publishers(environment))
+    needed = needed_by(environment, meeting_targets(environment))
     used = {environment.unit[unit_id].transformation for unit_id in needed}
     return tuple(t.label for t in environment.library if t.required and t.label not in used)
 

@@ -21,9 +21,13 @@ def tag_of(environment: Environment, stream: Stream) -> str | None:
     return port.tag if port else None
 
 
-def publishers(environment: Environment) -> set[str]:
-    topics = {target.topic for target in environment.targets}
-    return {unit.id for unit in environment.units if any(p.topic in topics for p in unit.publications)}
+def meeting_targets(environment: Environment) -> set[str]:
+    """The units that publish on a target's topic, and the first running one of each transformation that is to run."""
+    topics = {target.topic for target in environment.targets if target.run is None}
+    found = {unit.id for unit in environment.units if any(p.topic in topics for p in unit.publications)}
+    for target in environment.targets:
+        found.update(sorted(u.id for u in environment.units if u.transformation == target.run and not u.standby)[:1])
+    return found
 
 
 NOBODY: Mapping[str, list[str]] = {}

@@ -11,7 +11,7 @@ class Rule(StrEnum):
 
     KNOWN = "every unit instantiates a transformation of the library (Definition 9.1)"
     FED = "every input of a unit is fed by a stream of a running unit (Definition 9.2)"
-    MET = "every target is met by exactly one stream, published on its topic (Definition 9.3)"
+    MET = "every target has its unit, or exactly one stream, published on its topic (Definition 9.3)"
     SERVES = "no stream is taken by more inputs and topics than its output serves"
     MATCHING = "every stream's tag is subsumed by the tag of what it feeds (Definition 9.4)"
     GROUNDED = "every unit's data comes from sources: no cycle without a feedback input"

@@ -60,15 +60,18 @@ def _can_be_fed(
 
 
 def givers_by_tag(environment: Environment, similarity: Similarity) -> dict[str, set[str]]:
-    """For each demanded tag the transformations with an output that matches it."""
+    """For each demanded tag the transformations with an output that matches it, or that are themselves wanted."""
     offering: dict[str, set[str]] = defaultdict(set)
     for transformation in environment.library:
         for port in transformation.outputs:
             offering[port.tag].add(transformation.label)
-    return {
+    to_run = [target for target in environment.targets if target.run in environment.transformation]
+    wanted = {target.tag: {target.run or ""} for target in to_run}
+    matching = {
         demanded: {label for tag in offered for label in offering.get(tag, ())}
         for demanded, offered in similarity.offers.items()
     }
+    return {**matching, **wanted}
 
 
 def different_choices_exist(choices: Mapping[str, set[str]]) -> bool:

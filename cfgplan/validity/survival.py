@@ -68,7 +68,11 @@ def _unmet(
             break
         anywhere = before
     for target in targets:
-        if not any(similarity.holds(port.tag, target.tag) for _, kind in anywhere for port in kind.outputs):
+        if target.run is not None:
+            is_met = any(kind.label == target.run for _, kind in anywhere)
+        else:
+            is_met = any(similarity.holds(port.tag, target.tag) for _, kind in anywhere for port in kind.outputs)
+        if not is_met:
             yield target
 
 

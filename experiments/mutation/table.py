@@ -269,6 +269,8 @@ MODEL = _room(
     ),
     ("units that conflict are together", "rules.py", "model.cp.add_at_most_one(one, second)", "pass"),
     ("too few units run", "rules.py", ">= t.min_instances", ">= 0"),
+    ("a wanted unit does not run", "rules.py", "model.rests_on_any(met, [runs for _, runs in running])", "pass"),
+    ("every wanted unit is the first", "rules.py", "for _, before in running[:number]:", "for _, before in ():"),
     ("too many units are there", "rules.py", "<= t.max_instances)", "<= t.max_instances + 1)"),
     (
         "units that conflict on a host are on one",
@@ -394,6 +396,8 @@ JUDGE = _room(
     ("a link bears anything", "hosts.py", "carried > link.bandwidth:", "carried < 0:"),
     ("energy never ends", "hosts.py", "energy > host.energy:", "False:"),
     ("too many units are on one host", "hosts.py", "number > most:", "number < 0:"),
+    ("a wanted unit does not run", "environments.py", "target.run not in running:", "False:"),
+    ("a wanted unit is needless", "reading.py", "and not u.standby)[:1])", "and not u.standby)[:0])"),
     ("too few units run", "environments.py", "if len(running[label]) < transformation.min_instances:", "if False:"),
 )
 

@@ -129,3 +129,12 @@ def test_what_others_run_with_serves_their_targets() -> None:
     problem = Problem(environment, Similarity({"Page": frozenset({"Page"})}), 1)
     why = why_transformation(problem, cpsat, cpsat(problem), "kernel")
     assert (why.units, why.targets, why.choice) == (("kernel.1",), ("t",), Choice.FORCED)
+
+
+def test_what_a_target_wants_to_run_serves_it_and_so_does_what_feeds_it() -> None:
+    library = source("camera", "A", 1), Transformation("screen", (InputPort("i", "A"),))
+    problem = Problem(Environment((), library, (Target("t", run="screen"),)), Similarity({"A": frozenset("A")}), 1)
+    plan = cpsat(problem)
+    for label in ("camera", "screen"):
+        found = why_transformation(problem, cpsat, plan, label)
+        assert (found.units, found.targets, found.choice) == ((f"{label}.1",), ("t",), Choice.FORCED)

@@ -80,6 +80,15 @@ TARGET = "targets: [{label: t, topic: /t, tag: T}]\n"
         ("transformations: [{label: a, inputs: {i: 'A Bad'}}]\n", (2, 45), "unknown name Bad", None),
         ('transformations: [{label: a, inputs: {i: "\\x41 Bad"}}]\n', (2, 42), "unknown name Bad", None),
         ("targets:\n- label: t\n  topic: /t\n  tag: >\n    A and\n    Bad\n", (5, 8), "unknown name Bad", None),
+        ("targets: [{label: t, topic: /t}]\n", (2, 11), "the key `tag` is missing", "add `tag:` here"),
+        ("targets: [{label: t}]\n", (2, 11), "the key `topic` is missing", "or `run:` with the transformation that"),
+        (
+            "transformations: [{label: a}]\ntargets: [{label: t, run: b}]\n",
+            (3, 27),
+            "there is no transformation `b`",
+            "a transformation",
+        ),
+        ("transformations: [{label: a}]\ntargets: [{label: t, run: a, topic: /t}]\n", (3, 30), "no `topic`", "remove"),
         ("targets: [{label: t, topic: /t, tag: T, priority: high}]\n", (2, 51), "a whole number", None),
         (
             "targets: [{label: t, topic: /t, tag: T}, {label: t, topic: /u, tag: T}]\n",

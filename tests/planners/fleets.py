@@ -57,6 +57,9 @@ def fleets(draw: st.DrawFn, notions: frozenset[Notion], *, most: int = 3) -> Pro
     labels = [t.label for t in environment.library]
     library = [draw(transformations(t, labels, hosts, qualities, notions)) for t in environment.library]
     targets = [draw(targets_of(target, hosts, qualities)) for target in environment.targets]
+    if Notion.RUNS in notions and draw(st.sampled_from([True, True, True, False])):
+        wanted = draw(st.lists(st.sampled_from(labels), min_size=1, max_size=2, unique=True))
+        targets = [*targets[draw(st.integers(0, 1)) :], *(Target(f"a unit of {label}", run=label) for label in wanted)]
     by_label = {t.label: t for t in library}
     survive = None
     if Notion.SURVIVAL in notions:

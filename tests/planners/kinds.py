@@ -63,6 +63,7 @@ BESIDE = frozenset({Notion.BESIDE})
 NUMBERS = frozenset({Notion.CONFLICTS, Notion.INSTANCES})
 WIRING = frozenset({Notion.OPTIONAL, Notion.COUNTS, Notion.LIMITS})
 LIMITS = frozenset({Notion.LIMITS})
+RUNS = frozenset({Notion.RUNS})
 OPTIONAL, COUNTS = (frozenset({notion}) for notion in (Notion.OPTIONAL, Notion.COUNTS))
 
 KINDS: Mapping[str, Kind] = MappingProxyType(
@@ -82,6 +83,17 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         "counts": Kind(st.one_of(fleets(COUNTS), fleets(WIRING)), of_one),
         "limits": Kind(st.one_of(fleets(LIMITS, most=4), fleets(LIMITS | OPTIONAL)), of_one),
         "wiring": Kind(fleets(WIRING | NUMBERS | HOSTS, most=2), of_one),
+        "runs": Kind(
+            st.one_of(
+                fleets(RUNS),
+                fleets(RUNS, most=4),
+                fleets(RUNS | NUMBERS | HOSTS | BESIDE, most=2),
+                fleets(RUNS | SURVIVAL, most=3),
+                fleets(RUNS | OPTIONAL | COUNTS, most=2),
+                fleets(RUNS | QUALITY | HOSTS, most=2),
+            ),
+            of_one,
+        ),
         "undecided": Kind(
             st.one_of(undecided.undecided(problems(most=3)), undecided.undecided(fleets(TOGETHER, most=2))),
             of_open_pairs,

@@ -351,6 +351,13 @@ def test_a_count_starts_as_many_units_as_it_takes() -> None:
     ]
 
 
+def test_branch_and_bound_refuses_targets_that_want_a_unit_by_name() -> None:
+    problem = world("", make("sink", gives="A"))
+    wanting = problem.with_parts(targets=(Target("t", run="sink"),))
+    with pytest.raises(InputError, match="does not know targets that want a unit, not a stream"):
+        PLANNERS["branch-and-bound"](wanting)
+
+
 @pytest.mark.parametrize("name", ["branch-and-bound"])
 def test_a_planner_that_does_not_know_counted_and_optional_inputs_refuses_them(name: str) -> None:
     for port in (InputPort("in0", "A", count=2), InputPort("in0", "A", optional=True)):

@@ -117,3 +117,51 @@ def test_alike_inputs_take_streams_as_they_do_now_else_sorted() -> None:
     again = planned("cpsat", replace(problem, environment=replace(problem.environment, units=units + there))).change_set
     assert again is not None
     assert again.rewired[0].feeds == {port: (Stream(unit, "o"),) for port, unit in {**now, "a": "s0.1"}.items()}
+
+
+SINK = Transformation("sink", (InputPort("i", "T"),), labor_us=3)
+WANTED = Target("wanted", run="sink")
+
+
+@BOTH
+def test_a_unit_that_a_target_wants_is_started_with_what_feeds_it(planner: str) -> None:
+    problem = Problem(Environment((), (gives("a", 5), gives("b", 4), SINK), (WANTED,)), MATCHING, 1)
+    found = planned(planner, problem)
+    assert found.change_set is not None
+    assert [unit.id for unit in found.change_set.started] == ["b.1", "sink.1"]
+    assert (found.cost_us, found.bound_us) == (7, 7)
+
+
+@BOTH
+def test_of_two_running_units_a_target_that_wants_one_keeps_one(planner: str) -> None:
+    fed = (Subscription("i", Stream("a.1", "o")),)
+    units = (ComputationUnit("a.1", "a"), *(ComputationUnit(f"sink.{n}", "sink", fed) for n in (1, 2)))
+    sink = replace(SINK, upkeep_us=1)
+    found = planned(planner, Problem(Environment(units, (gives("a", 5), sink), (WANTED,)), MATCHING, 1))
+    assert found.change_set is not None
+    assert (found.cost_us, len(found.change_set.stopped)) == (1, 1)
+
+
+@BOTH
+def test_a_required_transformation_may_serve_a_unit_that_a_target_wants(planner: str) -> None:
+    library = (gives("a", 5), gives("must", 9, required=True), SINK)
+    found = planned(planner, Problem(Environment((), library, (WANTED,)), MATCHING, 1))
+    assert (found.cost_us, found.unused_required) == (12, ())
+
+
+@BOTH
+def test_a_unit_that_a_target_wants_has_a_spare_where_failures_are_survived(planner: str) -> None:
+    sink = replace(SINK, standby_us=1)
+    environment = Environment((), (gives("a", 5, standby_us=2), sink), (WANTED,))
+    assert planned(planner, Problem(environment, MATCHING, 1, survive=Failures.UNITS)).cost_us == 5 + 2 + 3 + 1
+
+
+@BOTH
+def test_why_a_wanted_unit_can_not_run_is_said(planner: str) -> None:
+    found = planned(planner, Problem(Environment((), (SINK,), (WANTED, Target("no", run="none"))), MATCHING, 1))
+    assert found.status is Status.INFEASIBLE
+    if planner == "cpsat":
+        assert found.reasons == {
+            "wanted": "target wanted wants a unit of sink, but input i of sink needs T, and no output matches",
+            "no": "target no wants a unit of none, but there is no such one",
+        }

@@ -20,7 +20,7 @@ from fixed import (
     world,
 )
 
-from cfgplan.domain import ALL, ComputationUnit, Transformation
+from cfgplan.domain import ALL, ComputationUnit, Target, Transformation
 from cfgplan.planning import Problem
 
 every_model = pytest.mark.parametrize("model", [Hubs, Apart])
@@ -407,3 +407,19 @@ def test_an_input_that_starts_nothing_is_unfed_where_what_could_feed_it_is_taken
 def test_a_service_closes_a_cycle(model: type[Hubs]) -> None:
     assert model(world("B", kind("f", "C", "B", first={"service": True}), kind("g", "B", "C"))).allows()
     assert not model(world("B", kind("f", "C", "B"), kind("g", "B", "C"))).allows()
+
+
+@every_model
+def test_a_unit_runs_that_a_target_wants_and_what_feeds_it(model: type[Hubs]) -> None:
+    fixed = model(world((Target("t", run="f"),), SOURCE, kind("f", "A")))
+    assert fixed.allows(runs("f.1"), runs("s.1"))
+    assert not fixed.allows(~runs("f.1"))
+    assert not model(world((Target("t", run="f"),), kind("f", "A"), kind("g", "B", "A"), kind("h", "A", "B"))).allows()
+
+
+@every_model
+def test_of_units_that_run_the_first_makes_what_feeds_it_serve_a_target(model: type[Hubs]) -> None:
+    library = SOURCE, kind("r", gives="A", required=True), kind("f", "A", min_instances=2, max_instances=2)
+    fixed = model(world((Target("t", run="f"),), *library))
+    assert fixed.allows(feeds("r.1", "f.1/in0"), feeds("s.1", "f.2/in0"), uses("r"))
+    assert not fixed.allows(feeds("s.1", "f.1/in0"), uses("r"))

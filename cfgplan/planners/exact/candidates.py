@@ -245,7 +245,7 @@ class Candidates:
         if not may_stay(self.problem, self._units, unit):
             return False
         inputs = self.environment.transformation[unit.transformation].input
-        tag_of = {target.topic: target.tag for target in self.environment.targets} if unit.publications else {}
+        tag_of = {target.topic: target.tag for target in self.environment.stream_targets} if unit.publications else {}
         return (
             all(self.gives(s.stream, inputs[s.port].tag) for s in unit.subscriptions)
             and all(self.gives(Stream(unit.id, p.port), tag_of[p.topic]) for p in unit.publications)
@@ -253,8 +253,10 @@ class Candidates:
         )
 
     def is_asked_for(self, index: int) -> bool:
-        """Whether the candidate has to run or its transformation asks for a number of units."""
-        return self.is_pinned(index) or self.all[index].transformation.min_instances > 0
+        """Whether the candidate has to run, a target wants a unit of its transformation, or that asks for a number."""
+        kind = self.all[index].transformation
+        wanted = self.environment.wanted_to_run.values()
+        return self.is_pinned(index) or kind.min_instances > 0 or kind.label in wanted
 
     def is_pinned(self, index: int) -> bool:
         """Whether the candidate is a running unit that must be kept."""

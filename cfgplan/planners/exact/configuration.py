@@ -62,7 +62,10 @@ class Configuration:
         if self.candidates.problem.survive is Failures.HOSTS and not self._bears_lost_hosts():
             return None
         all_of, places = self.candidates.all, self._places
-        if len(places.published) < len(self.candidates.environment.targets):
+        environment = self.candidates.environment
+        if len(places.published) < len(environment.stream_targets):
+            return None
+        if not self._labels(self.hot).issuperset(environment.wanted_to_run.values()):
             return None
         topics: dict[str, list[Publication]] = {}
         for topic, stream in places.published.items():

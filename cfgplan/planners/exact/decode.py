@@ -42,12 +42,17 @@ class _Decoding:
     def units(self) -> list[ComputationUnit] | None:
         model, all_of = self.model, self.candidates.all
         topics: dict[int, list[Publication]] = defaultdict(list)
-        for target in model.environment.targets:
+        for target in model.environment.stream_targets:
             stream = self._published(target)
             if stream is None:
                 return None
             topics[model.unit_of(stream)].append(Publication(stream.port, target.topic))
-        ahead = sorted({*topics, *filter(self.candidates.is_pinned, model.runs)})
+        wanted = [model.to_run(label) for label in model.environment.wanted_to_run.values()]
+        running = [[i for i in units if i in self.host_of] for units in wanted]
+        if not all(running):
+            return None
+        first = {units[0] for units in running}
+        ahead = sorted(first | {*topics, *filter(self.candidates.is_pinned, model.runs)})
         if MAY_RUN_FOR_NOBODY & model.problem.notions:
             ahead += sorted(self.host_of.keys() - set(ahead))
         found: dict[int, ComputationUnit] = {}
@@ -140,7 +145,8 @@ def lean(candidates: Candidates, units: Collection[ComputationUnit], each: Each 
     problem, left = candidates.problem, list(units)
     spares: set[str] = set()
     for _ in each(repeat(None)):
-        roots = [u for u in left if u.publications or u.id in spares or _is_asked_for(problem, left, u)]
+        roots = [u for u in left if u.id in spares or _is_asked_for(problem, left, u)]
+        roots += problem.environment.meeting(left).values()
         needed = _needed(problem.environment, left, roots)
         needless = [unit for unit in left if unit.id not in needed]
         if not needless:

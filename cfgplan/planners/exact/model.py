@@ -141,9 +141,14 @@ class Model:
             for port in candidate.transformation.inputs if candidate.may_run else ():
                 if not (port.feedback or port.optional):
                     needing[self.demand(port.tag)].add(i)
-        for target in self.environment.targets:
+        for target in self.environment.stream_targets:
             self.demand(target.tag)
         return needing
+
+    def to_run(self, label: str) -> list[int]:
+        """The candidates of a transformation that may run, by id: the first that runs meets targets that want one."""
+        units = [i for i in self.candidates.units_of(label) if i in self.runs]
+        return sorted(units, key=lambda i: self.candidates.all[i].id)
 
     def unit_of(self, stream: Stream) -> int:
         return self.candidates.index_of[stream.unit]

@@ -135,7 +135,7 @@ class Places:
             carried.add((stream, host))
             return stream
 
-        for target in self.candidates.environment.targets:
+        for target in self.candidates.environment.stream_targets:
             if choices := grounded.published(target.tag):
                 self.published[target.topic] = taken(choices, target.host, ())
         for unit in grounded.order:

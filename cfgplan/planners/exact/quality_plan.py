@@ -44,7 +44,7 @@ class QualityPlanner:
         self.streams_of: list[list[int]] = [[] for _ in candidates.all]
         for stream, unit in enumerate(chains.unit.tolist()):
             self.streams_of[unit].append(stream)
-        self.targets = [(target, chains.demand[target.tag]) for target in candidates.environment.targets]
+        self.targets = [(target, chains.demand[target.tag]) for target in candidates.environment.stream_targets]
         self.steps = BadnessSteps(chains, self.inputs, self.targets, clock.tuning.quality)
 
     def best(self, plans: Iterable[Collection[int] | None], share: Floats) -> set[int] | None:

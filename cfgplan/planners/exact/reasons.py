@@ -55,13 +55,17 @@ def _missing_room(problem: Problem, target: Target) -> str | None:
     library, givers = problem.environment.library, Givers(problem.environment.library, problem.similarity)
     lacks = ((t.label, _lack(problem, t) or _missing_streams(problem, givers, t)) for t in library)
     too_large = {label: lack for label, lack in lacks if lack}
-    if not too_large or _has_stream(problem, target, too_large):
+    if not too_large or _can_be_met(problem, target, too_large):
         return None
     for label in reversed(list(too_large)):
         others = too_large.keys() - {label}
-        if not _has_stream(problem, target, others):
+        if not _can_be_met(problem, target, others):
             del too_large[label]
-    return f"target {target.label} would have no stream: {', and '.join(too_large.values())}"
+    return f"{_unmet(target)}: {', and '.join(too_large.values())}"
+
+
+def _unmet(target: Target) -> str:
+    return f"target {target.label} would have no {'stream' if target.run is None else 'unit'}"
 
 
 def _missing_streams(problem: Problem, givers: Givers, t: Transformation) -> str | None:
@@ -89,7 +93,7 @@ def _missing_together(problem: Problem) -> str | None:
     environment = problem.environment
     demands: dict[str, list[tuple[str, int, tuple[Host, ...]]]] = defaultdict(list)
     for t in environment.library if environment.hosts else ():
-        is_needed = t.needs and not all(_has_stream(problem, target, {t.label}) for target in environment.targets)
+        is_needed = t.needs and not all(_can_be_met(problem, target, {t.label}) for target in environment.targets)
         hosts = tuple(host for host in environment.places_for(t) if host is not None)
         for resource, amount in t.needs.items():
             demands[resource].append((t.label, amount * max(t.min_instances, bool(is_needed)), hosts))
@@ -183,8 +187,8 @@ def _lack(problem: Problem, t: Transformation) -> str | None:
     return None
 
 
-def _has_stream(problem: Problem, target: Target, without: Collection[str]) -> bool:
-    """Whether the target can have a stream without some transformations, whatever units there are."""
+def _can_be_met(problem: Problem, target: Target, without: Collection[str]) -> bool:
+    """Whether the target can be met without some transformations, whatever units there are."""
     library = tuple(t for t in problem.environment.library if t.label not in without)
     givers = Givers(library, problem.similarity)
     return not startable(Environment((), library), givers).isdisjoint(givers.of(target.tag))
@@ -206,6 +210,6 @@ def _fatal_failure(problem: Problem, target: Target) -> str | None:
         if t.max_instances == 1 or number[t.label] + problem.most_new(t) == 1:
             lost[f"the only unit of {t.label} fails"] = {t.label}
     for what, labels in lost.items():
-        if not _has_stream(problem, target, labels):
-            return f"target {target.label} would have no stream if {what}"
+        if not _can_be_met(problem, target, labels):
+            return f"{_unmet(target)} if {what}"
     return None

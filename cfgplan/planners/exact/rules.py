@@ -162,7 +162,7 @@ def inputs_of_a_group_are_fed_by_different_transformations(model: Model) -> None
 
 def a_target_is_published_by_one_unit(model: Model) -> None:
     """A staying unit publishes exactly what it published before."""
-    for target in model.environment.targets:
+    for target in model.environment.stream_targets:
         choices = model.publishes[target.label] = {}
         others: list[IntVar] = []
         for stream in model.choices(target.tag):
@@ -188,6 +188,23 @@ def a_target_is_published_by_one_unit(model: Model) -> None:
         model.rests_on_any(met, publishers)
         model.cp.add_exactly_one(publishers)
         model.cp.add(met == 1)
+
+
+def a_unit_runs_that_a_target_wants(model: Model) -> None:
+    """Where it matters who feeds whom there is a boolean for the first unit that runs, as for one that publishes."""
+    for target, label in model.environment.wanted_to_run.items():
+        running = [(i, model.runs[i]) for i in model.to_run(label)]
+        met = model.boolean()
+        model.rests_on_any(met, [runs for _, runs in running])
+        model.cp.add(met == 1)
+        choices = model.publishes[target] = {}
+        for number, (i, runs) in enumerate(running):
+            if i not in model.tracked:
+                continue
+            choices[Stream(model.candidates.all[i].id, "")] = first = model.boolean()
+            model.cp.add_implication(first, runs)
+            for _, before in running[:number]:
+                model.cp.add_implication(first, before.negated())
 
 
 def a_demand_is_met_first_by_a_unit_that_does_not_need_it(model: Model) -> None:
@@ -571,6 +588,7 @@ RULES: Final[tuple[ModelRule, ...]] = (
     inputs_of_a_group_are_fed_by_different_transformations,
     a_demand_is_met_first_by_a_unit_that_does_not_need_it,
     a_target_is_published_by_one_unit,
+    a_unit_runs_that_a_target_wants,
     what_is_made_on_a_host_is_not_carried_there,
     links_bear_what_is_carried_and_have_their_prices,
     pinned_units_run,

@@ -20,12 +20,12 @@ def wire(candidates: Candidates, chosen: Collection[int]) -> list[ComputationUni
     ordering = _Ordering(candidates, chosen)
     is_grounded = ordering.run()
     targets = candidates.environment.targets
-    publisher = {target.topic: _publisher(candidates, target, chosen) for target in targets}
+    publisher = {target.label: _publisher(candidates, target, chosen) for target in targets}
     if not is_grounded or None in publisher.values():
         return None
     topics: dict[int, list[Publication]] = defaultdict(list)
-    for target in targets:
-        who = publisher[target.topic]
+    for target in candidates.environment.stream_targets:
+        who = publisher[target.label]
         assert who is not None
         topics[who].append(Publication(published_stream(candidates, who, target).port, target.topic))
     ahead = sorted({*topics, *filter(candidates.is_pinned, chosen)} if candidates.problem.is_plain else chosen)
@@ -66,7 +66,7 @@ def published_stream(candidates: Candidates, publisher: int, target: Target) -> 
 def _publisher(candidates: Candidates, target: Target, chosen: Collection[int]) -> int | None:
     """The publisher of a target: a unit that is it already and may stay, else one that has to change anyway.
 
-    None if no chosen unit can be.
+    Of a target that wants a unit, such a one. None if no chosen unit can be.
     """
 
     def reluctance(feeder: int) -> tuple[bool, bool, int]:

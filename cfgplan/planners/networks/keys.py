@@ -32,7 +32,7 @@ def unused_required(problem: Problem, units: Collection[ComputationUnit]) -> tup
     if not problem.environment.required:
         return ()
     by_id = {unit.id: unit for unit in units}
-    ahead = [unit.id for unit in units if unit.publications]
+    ahead = [unit.id for unit in problem.environment.meeting(units).values()]
     serving = set(ahead)
     for unit_id in ahead:
         new = needed_feeders(problem.environment, by_id[unit_id]) - serving
@@ -72,7 +72,7 @@ def may_stay(problem: Problem, labels: Collection[str], unit: ComputationUnit) -
                 return False
             if port.distinct is not None:
                 feeders.add((port.distinct, feeder.transformation))
-    wanted = {target.topic: target.tag for target in environment.targets}
+    wanted = {target.topic: target.tag for target in environment.stream_targets}
     return all(
         publication.topic in wanted
         and publication.port in transformation.output

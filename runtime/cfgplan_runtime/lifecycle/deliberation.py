@@ -359,8 +359,7 @@ def _served(wanted: Environment, met: list[str], running: Environment) -> tuple[
 
 def _used(environment: Environment) -> set[str]:
     """The transformations of the units that serve some target, directly or through others."""
-    topics = {target.topic for target in environment.targets}
-    ahead = [unit for unit in environment.units if any(p.topic in topics for p in unit.publications)]
+    ahead = list(environment.meeting(environment.units).values())
     seen: set[str] = set()
     while ahead:
         unit = ahead.pop()

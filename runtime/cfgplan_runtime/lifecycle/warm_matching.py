@@ -35,7 +35,7 @@ class WarmMatching:
         environment = world.environment
         offered = frozenset(port.tag for t in environment.library for port in t.outputs)
         demanded = frozenset(port.tag for t in environment.library for port in t.inputs)
-        demanded |= {target.tag for target in environment.targets}
+        demanded |= {target.tag for target in environment.stream_targets}
         is_known = (self._offered, self._demanded) == (offered, demanded)
         if is_known and self._last is not None and self._last.ontology == world.ontology:
             self._last = world

@@ -229,7 +229,7 @@ def _check_known(what: str, names: Iterable[str], known: Mapping[str, object]) -
 
 def _check_tags(transformations: Iterable[Transformation], targets: Iterable[Target], ontology: Ontology) -> None:
     faults: list[Fault] = []
-    tagged = [(f"target {target.label!r}", target.tag) for target in targets]
+    tagged = [(f"target {target.label!r}", target.tag) for target in targets if target.run is None]
     for transformation in transformations:
         of = f"of transformation {transformation.label!r}"
         tagged += [(f"input {port.name} {of}", port.tag) for port in transformation.inputs]

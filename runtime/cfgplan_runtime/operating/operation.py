@@ -222,7 +222,7 @@ class Operation:
         match report:
             case Reviewed(review):
                 if self._following is not None:
-                    self._following.follow(target.topic for target in self.manager.world.environment.targets)
+                    self._following.follow(target.topic for target in self.manager.world.environment.stream_targets)
                 if review.decision not in (Decision.FAILED, Decision.UNDECIDED):
                     self._unmet = frozenset(review.unmet) - self.manager.silent
                 self.begun.set()

@@ -67,7 +67,7 @@ def of_targets(environment: Environment) -> DeclaredFeatures:
     return DeclaredFeatures(
         {
             target.label: Feature(target.label, target.tag, target.topic)
-            for target in environment.targets
+            for target in environment.stream_targets
             if _FEATURE_NAME.fullmatch(target.label) and target.label not in _RESERVED
         }
     )

@@ -143,7 +143,7 @@ def _led(port: str, streams: Sequence[Stream], present: Mapping[str, Stream]) ->
 def wanted_topics(environment: Environment) -> Mapping[str, str | None]:
     """The topics that need an address: those of targets, on their hosts, and any other that a unit publishes on."""
     published = {publication.topic: None for unit in environment.units for publication in unit.publications}
-    return {**published, **{target.topic: target.host for target in environment.targets}}
+    return {**published, **{target.topic: target.host for target in environment.stream_targets}}
 
 
 def starved_units(environment: Environment) -> set[str]:
