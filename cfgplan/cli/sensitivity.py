@@ -133,9 +133,11 @@ def _difference(before: Span | None, span: Span) -> Iterator[Text]:
 
 
 def _decimal(value: Fraction) -> str:
+    """Exact where six decimals are enough, else to four digits."""
     rounded = round(value, 6)
-    text = f"{float(rounded):.6f}".rstrip("0").rstrip(".")
-    return text if rounded == value else f"about {text}"
+    if rounded == value:
+        return f"{float(rounded):.6f}".rstrip("0").rstrip(".")
+    return f"about {float(value):.4g}" if value < 10_000 else f"about {round(value)}"
 
 
 def _draw(found: Sensitivity, axes: Axes) -> None:

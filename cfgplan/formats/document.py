@@ -148,7 +148,8 @@ def _read_source(source: Source, part: type[P]) -> tuple[P, File, list[Fault]]:
         model = part.model_validate(data)
     except ValidationError as error:
         errors = error.errors(include_url=False)
-        faults += schema_faults(source, (), errors, part)
+        told = {(fault.line, fault.column) for fault in source.faults}
+        faults += (f for f in schema_faults(source, (), errors, part) if (f.line, f.column) not in told)
         bad = _bad_entries([e["loc"] for e in errors])
         model = part.model_validate(_good_entries(data, bad))
     return model, _file(source, model, data, bad), faults

@@ -22,8 +22,8 @@ def test_it_says_for_which_horizons_the_plan_is_optimal_and_what_comes_next(
 ) -> None:
     result = run("sensitivity", write(TWO_WAYS))
     assert result.code == 0
-    assert "The plan for a horizon of 10 s is optimal from 0 s to about 26.666667 s." in result.out
-    assert "from about 26.666667 s on: 9 s once and 0.2 s/s\n    + dear\n    - cheap" in result.out
+    assert "The plan for a horizon of 10 s is optimal from 0 s to about 26.67 s." in result.out
+    assert "from about 26.67 s on: 9 s once and 0.2 s/s\n    + dear\n    - cheap" in result.out
 
 
 def test_its_json_has_the_exact_break_points(run: Run, write: Callable[[str], Path]) -> None:

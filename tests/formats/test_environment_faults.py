@@ -76,6 +76,7 @@ TARGET = "targets: [{label: t, topic: /t, tag: T}]\n"
         ("transformations: [{label: a, label: b}]\n", (2, 30), "the key `label` stands here twice", None),
         ("horizon: 1\nhorizon: 2\n", (3, 1), "the key `horizon` stands here twice", None),
         ("<<: {horizon: 1}\n", (2, 1), "merge keys (`<<`) are not supported", "write the merged keys out"),
+        ("transformations: [{label: a, <<: {labor: 1}}]\n", (2, 30), "merge keys (`<<`) are not supported", None),
         ("transformations: [{label: a, inputs: {i: A and Bad}}]\n", (2, 48), "unknown name Bad", "did you mean `Bed`?"),
         ("transformations: [{label: a, inputs: {i: 'A Bad'}}]\n", (2, 45), "unknown name Bad", None),
         ('transformations: [{label: a, inputs: {i: "\\x41 Bad"}}]\n', (2, 42), "unknown name Bad", None),
