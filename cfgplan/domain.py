@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from functools import cached_property
 from itertools import groupby
 from operator import attrgetter
@@ -285,13 +286,31 @@ class ChangeSet:
         return any(getattr(self, name) for name in self.__dataclass_fields__)
 
 
+class Objective(StrEnum):
+    """What of an update may be minimised."""
+
+    RENT = "rent"
+    """The rent of used hosts over the horizon, in microseconds; it is part of the cost too."""
+    COST = "cost"
+    """Definition 8, in microseconds."""
+    UNITS = "units"
+    """Running units."""
+    HOSTS = "hosts"
+    """Hosts that units are on, spares too."""
+    REWIRED = "rewired"
+    """Kept units with another wiring."""
+    STARTED = "started"
+    """New units, spares too."""
+
+
 @dataclass(frozen=True)
 class Environment:
     """Computation units, library and targets (Definition 5); ~ is a `Similarity` beside it.
 
     Without `hosts` nothing is placed; with them every unit has one. `transfer_us` is what it costs to carry a megabyte
     (10**6 bytes) from host to host, in microseconds of CPU time, where no link says otherwise: of `links`, which are in
-    order, the first that joins two hosts counts.
+    order, the first that joins two hosts counts. `minimise` says what an update minimises, the most important
+    objective first; the cost ends it where it is not named, and rewired and started units break ties.
     """
 
     units: tuple[ComputationUnit, ...] = ()
@@ -301,8 +320,12 @@ class Environment:
     qualities: tuple[QualityAttribute, ...] = ()
     transfer_us: int = 0
     links: tuple[Link, ...] = ()
+    minimise: tuple[Objective, ...] = (Objective.COST,)
 
     def __post_init__(self) -> None:
+        if Objective.COST not in self.minimise:
+            object.__setattr__(self, "minimise", (*self.minimise, Objective.COST))
+        refuse_duplicates("objective", [*self.minimise])
         store_sorted(self, "units", self.units, attrgetter("id"))
         store_sorted(self, "library", self.library, attrgetter("label"))
         store_sorted(self, "targets", self.targets, attrgetter("label"))

@@ -10,7 +10,7 @@ from typing import Any, Final, Protocol
 
 from cfgplan.canonical import fields_of, store_whole
 from cfgplan.costs import LARGEST_COST_US, standby_cost_us, start_cost_us, transfer_cost_us
-from cfgplan.domain import ChangeSet, Environment, Similarity, Transformation
+from cfgplan.domain import ChangeSet, Environment, Objective, Similarity, Transformation
 from cfgplan.errors import CfgplanError, InputError, InvalidValueError
 from cfgplan.qualities import price_us
 
@@ -39,12 +39,15 @@ class Notion(StrEnum):
     COUNTS = "inputs that take several streams"
     LIMITS = "outputs that serve only so many"
     RUNS = "targets that want a unit, not a stream"
+    ORDER = "an order of objectives"
 
 
 @dataclass(frozen=True)
 class Problem:
     """Find the optimal update of `environment` over `horizon_s` seconds, at most `max_cost_us` dear.
 
+    Where the environment does not minimise the cost first, the largest cost is still one of the cost: the best update
+    is the best of those that cost no more.
     With `survive`, no single failure of that kind may leave a target without a stream.
     Raises InvalidValueError if costs could add up to more than can be computed exactly.
     """
@@ -88,6 +91,7 @@ class Problem:
             Notion.LIMITS: any(port.serves is not None for t in environment.library for port in t.outputs),
             Notion.RUNS: bool(environment.wanted_to_run),
             Notion.SURVIVAL: self.survive is not None or any(unit.standby for unit in environment.units),
+            Notion.ORDER: environment.minimise != (Objective.COST,),
         }
         return frozenset(notion for notion, is_asked in asked.items() if is_asked)
 
@@ -179,16 +183,37 @@ class Status(StrEnum):
     """Stopped without a plan and without a proof that there is none."""
 
     @classmethod
-    def of_plan(cls, cost_us: int, bound_us: int) -> Status:
-        """Optimal if the proven bound reaches the cost, else feasible."""
-        return cls.OPTIMAL if bound_us == cost_us else cls.FEASIBLE
+    def of_plan(cls, cost_us: int, bound_us: int, objectives: tuple[Measured, ...] = ()) -> Status:
+        """Optimal if the proven bound reaches the cost, and all objectives are proven, else feasible."""
+        is_proven = bound_us == cost_us and all(one.is_proven for one in objectives)
+        return cls.OPTIMAL if is_proven else cls.FEASIBLE
 
 
 REFUSED: Final = (Status.INFEASIBLE, Status.TOO_EXPENSIVE)
 """The statuses by which a planner says: it is proven that there is no plan."""
 
-Rank = tuple[int, int, int, int]
-"""Unused required transformations, cost in microseconds, rewired and started units: the least is optimal."""
+Rank = tuple[int, ...]
+"""Unused required transformations, objectives in order, cost in microseconds, rewired and started units: the least is
+optimal.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """An objective's value in a plan. It is proven that no plan as good in what comes before has less than `bound`."""
+
+    objective: Objective
+    value: int
+    bound: int
+
+    @property
+    def is_proven(self) -> bool:
+        return self.value == self.bound
+
+    @property
+    def gap(self) -> float:
+        """How far the value may be above the optimum, as a share of it."""
+        return (self.value - self.bound) / self.value if self.value else 0.0
 
 
 @dataclass(frozen=True)
@@ -206,6 +231,10 @@ class Plan:
     units, or as many and starts fewer; `required_proven`, that no valid configuration uses more of the required
     transformations; `undecided` names the (offered, demanded) pairs of tags that the bound hangs on: a cheaper
     plan may exist if they match. A plan that is optimal has none.
+
+    Where the environment minimises more than the cost, `objectives` are what it minimises, in order. Then `bound_us`
+    holds of the updates that are as good in what comes before the cost, a plan is optimal if all of `objectives` are
+    proven, and `gap` is that of the first that is not.
     """
 
     planner: str
@@ -220,20 +249,34 @@ class Plan:
     undecided: tuple[Pair, ...] = ()
     seconds: Mapping[str, float] = field(default_factory=dict, compare=False)
     counts: Mapping[str, int] = field(default_factory=dict, compare=False)
+    objectives: tuple[Measured, ...] = ()
+
+    @property
+    def measured(self) -> tuple[Measured, ...]:
+        """What is minimised, in order: the cost alone where nothing else is; empty where the cost is not known."""
+        alone = () if self.cost_us is None else (Measured(Objective.COST, self.cost_us, self.bound_us),)
+        return self.objectives or alone
+
+    @property
+    def unproven(self) -> Plan:
+        """The same of which nothing is proven; its status is the same too."""
+        objectives = tuple(replace(one, bound=0) for one in self.objectives)
+        return replace(self, bound_us=0, ties_proven=False, required_proven=False, objectives=objectives)
 
     @property
     def gap(self) -> float | None:
-        """How far the cost may be above the optimum, as a share of the cost; None without a cost."""
+        """How far the first objective not proven may be above its optimum, as a share of it; None without a cost."""
         if self.cost_us is None:
             return None
-        return (self.cost_us - self.bound_us) / self.cost_us if self.cost_us else 0.0
+        return next((one.gap for one in self.measured if not one.is_proven), 0.0)
 
     @property
     def rank(self) -> Rank:
         """Where a plan with a change set stands in the order of optimality."""
         assert self.change_set is not None and self.cost_us is not None
         changes = self.change_set
-        return len(self.unused_required), self.cost_us, len(changes.rewired), len(changes.started)
+        first = [one.value for one in self.objectives]
+        return len(self.unused_required), *first, self.cost_us, len(changes.rewired), len(changes.started)
 
 
 class PlannerFaultError(CfgplanError):
@@ -243,7 +286,7 @@ class PlannerFaultError(CfgplanError):
         self.plan = plan
         if plan.change_set is not None and plan.cost_us is not None:
             status = Status.of_plan(plan.cost_us, 0)
-            self.plan = replace(plan, status=status, bound_us=0, ties_proven=False, required_proven=False)
+            self.plan = replace(plan.unproven, status=status)
         super().__init__(message)
 
     def __reduce__(self) -> tuple[type[PlannerFaultError], tuple[str, Plan]]:
@@ -303,6 +346,13 @@ def fresh_units(environment: Environment, numbers: Mapping[str, int]) -> dict[st
         label: (first[label], *(_free_id(label, taken) for _ in range(number - 1))) if number else ()
         for label, number in numbers.items()
     }
+
+
+def refuse_order(problem: Problem, who: str) -> None:
+    """Raise InputError if a problem minimises anything before or beside the cost."""
+    if Notion.ORDER in problem.notions:
+        named = ", ".join(problem.environment.minimise)
+        raise InputError.of(f"{who} compare costs, but `minimise` is [{named}]", mend="leave `minimise` out")
 
 
 def refuse_notions(problem: Problem, who: str) -> None:

@@ -11,7 +11,7 @@ from rich.text import Text
 from cfgplan.canonical import normal
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import OF_STATUS, Exit
-from cfgplan.cli.plan_text import cpu
+from cfgplan.cli.plan_text import amount, cpu
 from cfgplan.cli.screen import Screen
 from cfgplan.domain import Environment
 from cfgplan.errors import known
@@ -221,18 +221,20 @@ def why_text(why: Why) -> Text:
 def choice_line(why: Why) -> str:
     """Forced, cheaper or a tie, as a sentence."""
     how = "without it" if why.units else "with it"
-    more = why.difference_us or 0
+    more = why.difference or 0
     match why.choice:
         case Choice.FORCED:
             return "Forced: there is no plan without it."
         case Choice.CHEAPER:
-            return f"{'Used' if why.units else 'Not used'} because the next best plan, {how}, costs {cpu(more)} more."
+            used = "Used" if why.units else "Not used"
+            return f"{used} because the next best plan, {how}, costs {amount(why.decides, more)} more."
         case Choice.LESS_CHANGE:
             return f"A tie in cost: the next best plan, {how}, costs the same, but rewires or starts more units."
         case Choice.TIE:
             return f"A tie: there is a plan {how} that is as good."
         case Choice.DEMANDED if more < 0:
-            return f"Used because something is required or pinned: a plan {how} would cost {cpu(-more)} less."
+            less = f"would cost {amount(why.decides, -more)} less"
+            return f"Used because something is required or pinned: a plan {how} {less}."
         case Choice.DEMANDED:
             return f"Used because something is required or pinned: a plan {how} would be as cheap."
         case Choice.IMPOSSIBLE:
@@ -257,13 +259,13 @@ def _briefly(why: Why) -> str:
         case Choice.FORCED:
             return "forced"
         case Choice.CHEAPER:
-            return f"without it {cpu(why.difference_us or 0)} more"
+            return f"without it {amount(why.decides, why.difference or 0)} more"
         case Choice.LESS_CHANGE:
             return "without it the same cost, more changes"
         case Choice.TIE:
             return "a tie"
         case Choice.DEMANDED:
-            return f"required or pinned: without it {cpu(-(why.difference_us or 0))} less"
+            return f"required or pinned: without it {amount(why.decides, -(why.difference or 0))} less"
     return "not decided"
 
 

@@ -9,7 +9,7 @@ from rich.text import Text
 
 from cfgplan.cli.screen import counted
 from cfgplan.costs import keep_cost_us, labor_us, seconds, standby_cost_us, upkeep_us
-from cfgplan.domain import CPU, MEMORY, POWER, ComputationUnit, Environment, Host, Stream, Target
+from cfgplan.domain import CPU, MEMORY, POWER, ComputationUnit, Environment, Host, Objective, Stream, Target
 from cfgplan.figures import cost_parts, loads, qualities_of_targets, transfers
 from cfgplan.planners import IGNORING_REQUIRED
 from cfgplan.planning import Failures, Plan, Problem, Status
@@ -19,6 +19,12 @@ _STYLE = {"+": "green", "~": "yellow", "-": "red", "=": "dim"}
 MOST_OPEN_PAIRS, MOST_NAMES = 10, 3
 """More open pairs, and more ports of one tag, are left to `--json`."""
 _DECIDED = "pairs decided by "
+_COUNTED = {
+    Objective.UNITS: "running unit",
+    Objective.HOSTS: "host",
+    Objective.REWIRED: "rewired unit",
+    Objective.STARTED: "started unit",
+}
 _VERB = {"+": "start", "~": "rewire", "-": "stop", "=": "keep"}
 
 
@@ -31,6 +37,13 @@ def update_text(problem: Problem, plan: Plan, given_up: Collection[str] = ()) ->
 def cpu(cost_us: int) -> str:
     """A cost for people: `1.25 s`."""
     return f"{seconds(cost_us):f} s"
+
+
+def amount(objective: Objective, value: int) -> str:
+    """So much of an objective: `2 hosts`, `1.25 s of rent`, `1.25 s`."""
+    if objective in _COUNTED:
+        return counted(value, _COUNTED[objective])
+    return cpu(value) if objective is Objective.COST else f"{cpu(value)} of rent"
 
 
 def _changes(problem: Problem, plan: Plan) -> Iterator[Text]:
@@ -147,6 +160,11 @@ def _summary(problem: Problem, plan: Plan, given_up: Collection[str]) -> Iterato
             f"+ {rest} {cpu(plan.cost_us - labor)}. What runs now costs {cpu(now)} of upkeep."
         )
         yield from fleet_lines(problem, before.update(changes))
+        if plan.objectives:
+            told = ", ".join(
+                f"{amount(m.objective, m.value)}{'' if m.is_proven else ' (open)'}" for m in plan.objectives
+            )
+            yield Text(f"Minimised, in this order: {told}.")
     yield verdict(problem, plan)
     yield from undecided_lines(problem, plan)
     if plan.change_set is not None and given_up:
@@ -201,10 +219,12 @@ def verdict(problem: Problem, plan: Plan) -> Text:
             return Text(f"Optimal: nothing to change, proven by {plan.planner}.", style="bold green")
         case Status.OPTIMAL:
             ties = "" if plan.ties_proven else "; another of this cost may rewire or start fewer units"
-            return Text(f"Optimal: no update is cheaper, proven by {plan.planner}{ties}.", style="bold green")
+            better = "better in this order" if plan.objectives else "cheaper"
+            return Text(f"Optimal: no update is {better}, proven by {plan.planner}{ties}.", style="bold green")
         case Status.FEASIBLE:
-            bound = f"no update costs less than {cpu(plan.bound_us)}, a gap of {plan.gap:.1%}"
-            proven = bound if plan.bound_us else "it has no bound on the optimum"
+            first = next((one for one in plan.measured if not one.is_proven), plan.measured[-1])
+            bound = f"no update costs less than {amount(first.objective, first.bound)}, a gap of {plan.gap:.1%}"
+            proven = bound if first.bound else "it has no bound on the optimum"
             return Text(f"Feasible: {plan.planner} has not proven it optimal; {proven}.", style="bold yellow")
         case Status.INFEASIBLE:
             return Text("No plan: these targets can't be met by any configuration.", style="bold red")

@@ -13,7 +13,7 @@ from cfgplan.costs import keep_cost_us, start_cost_us
 from cfgplan.errors import InputError
 from cfgplan.explaining.kept import Kept, Labels, unused_required
 from cfgplan.explaining.what_if import requiring, without_transformations
-from cfgplan.planning import REFUSED, Notion, Plan, Planner, Problem, Rank, Status
+from cfgplan.planning import REFUSED, Notion, Plan, Planner, Problem, Rank, Status, refuse_order
 from cfgplan.reasons import Givers, startable
 
 FIRST_LOOK_S = 1.0
@@ -46,6 +46,7 @@ def alternatives(problem: Problem, planner: Planner, count: int, *, time_limit_s
     and must not run, and the part that can hold the cheapest is looked at next. None if there is no plan; the plan
     alone if it is not proven optimal, ties included.
     """
+    refuse_order(problem, "alternatives")
     if Notion.SURVIVAL in problem.notions:
         raise InputError.of(
             "alternatives differ in what serves targets, and the spares of a plan that survives failures serve none",

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from cfgplan.domain import Target
 from cfgplan.figures import qualities_of_targets
-from cfgplan.planning import REFUSED, Plan, Planner, Problem, Status
+from cfgplan.planning import REFUSED, Plan, Planner, Problem, Status, refuse_order
 from cfgplan.qualities import Better, QualityAttribute, Wish
 
 
@@ -47,6 +47,7 @@ def front(
 
     The target's own bound and price of the attribute are set aside, its other wishes are kept.
     """
+    refuse_order(problem, "fronts")
     end_s = None if time_limit_s is None else time.monotonic() + time_limit_s
     measure = problem.environment.quality[attribute]
     found: list[FrontPoint] = []

@@ -11,7 +11,7 @@ from itertools import pairwise, product
 from cfgplan.costs import LARGEST_COST_US, keep_cost_us, standby_cost_us
 from cfgplan.domain import Environment, Transformation
 from cfgplan.errors import InputError
-from cfgplan.planning import Plan, Planner, Problem, Status
+from cfgplan.planning import Plan, Planner, Problem, Status, refuse_order
 from cfgplan.qualities import MICRO
 from cfgplan.validity.hosts import carried_us, rents_us
 
@@ -147,6 +147,7 @@ class _Envelope:
         at: Callable[[int], Problem],
         each_us: Callable[[Environment], int],
     ) -> None:
+        refuse_order(problem, "sensitivities")
         self.exact = True
         self._problem = problem
         self._planner = planner

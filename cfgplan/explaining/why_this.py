@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from cfgplan.domain import ComputationUnit, Environment
+from cfgplan.domain import ComputationUnit, Environment, Objective
 from cfgplan.explaining.kept import Kept, unused_required
 from cfgplan.explaining.what_if import requiring, without_transformations
 from cfgplan.planning import Notion, Plan, Planner, Problem, Status
@@ -18,7 +18,7 @@ class Choice(StrEnum):
     FORCED = "forced"
     """There is no plan without it."""
     CHEAPER = "cheaper"
-    """The next best plan costs more."""
+    """The next best plan costs more, or has more of what is minimised before the cost."""
     LESS_CHANGE = "less change"
     """The next best plan costs the same, but rewires or starts more units."""
     TIE = "tie"
@@ -40,7 +40,8 @@ class Why:
     `units` are those concerned that run after the update; if there are none, it is not used. They serve `targets`
     and feed `consumers` (as unit/port). `otherwise` is the next best plan: without the subject, or with it if it
     is not used. It costs `difference_us` more, whatever the largest cost is; then it runs the transformations
-    `more`, and not those in `less`. If `is_spare`, the units are there for when something fails.
+    `more`, and not those in `less`. Of what is minimised, `decides` is the first in which it differs, by `difference`
+    more; it is the cost if it differs in nothing. If `is_spare`, the units are there for when something fails.
     """
 
     subject: str
@@ -53,6 +54,8 @@ class Why:
     more: tuple[str, ...] = ()
     less: tuple[str, ...] = ()
     is_spare: bool = False
+    decides: Objective = Objective.COST
+    difference: int | None = None
 
 
 def why_unit(problem: Problem, planner: Planner, plan: Plan, unit: str) -> Why:
@@ -124,8 +127,11 @@ def _why(
     assert plan.cost_us is not None and otherwise.cost_us is not None
     then = {u.transformation for u in other.after(otherwise).units}
     now = {u.transformation for u in after.units}
+    decides, difference = _apart(plan, otherwise)
     return replace(
         why,
+        decides=decides,
+        difference=difference,
         difference_us=otherwise.cost_us - plan.cost_us,
         more=tuple(sorted(then - now)),
         less=tuple(sorted(now - then)),
@@ -153,15 +159,22 @@ def _choice(plan: Plan, otherwise: Plan) -> Choice:
         return Choice.FORCED
     if otherwise.status is not Status.OPTIMAL or plan.status is not Status.OPTIMAL:
         return Choice.UNDECIDED
-    assert plan.cost_us is not None and otherwise.cost_us is not None
-    if otherwise.cost_us != plan.cost_us:
-        return Choice.CHEAPER if otherwise.cost_us > plan.cost_us else Choice.DEMANDED
+    _, difference = _apart(plan, otherwise)
+    if difference:
+        return Choice.CHEAPER if difference > 0 else Choice.DEMANDED
     if not (plan.ties_proven and otherwise.ties_proven):
         return Choice.UNDECIDED
     one, two = plan.rank[1:], otherwise.rank[1:]
     if one == two:
         return Choice.TIE
     return Choice.LESS_CHANGE if one < two else Choice.DEMANDED
+
+
+def _apart(plan: Plan, otherwise: Plan) -> tuple[Objective, int]:
+    """The first objective in which two plans differ, and how much more of it the other has; the cost if in none."""
+    both = zip(plan.measured, otherwise.measured, strict=True)
+    differences = ((one.objective, other.value - one.value) for one, other in both)
+    return next((each for each in differences if each[1]), (Objective.COST, 0))
 
 
 def _served(environment: Environment, units: Iterable[ComputationUnit], port: str | None) -> tuple[str, ...]:

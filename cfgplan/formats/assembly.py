@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Any
 
-from cfgplan.domain import Environment, Target, Transformation
+from cfgplan.domain import Environment, Objective, Target, Transformation
 from cfgplan.errors import Fault, InputError, did_you_mean
 from cfgplan.formats.document import Document, File
 from cfgplan.formats.environment_file import EnvironmentFile
@@ -68,6 +68,7 @@ def _build(document: Document, vocabulary: TagVocabulary) -> EnvironmentFile:
         tuple(fleet.attributes.values()),
         document.header.transfer,
         fleet.links,
+        tuple(map(Objective, dict.fromkeys(document.header.minimise))),
     )
     return EnvironmentFile(
         document.path,

@@ -30,6 +30,7 @@ from cfgplan.formats.schema_values import (
     InputKind,
     Micro,
     Name,
+    Objectives,
     Params,
     PortName,
     PositiveMicro,
@@ -412,6 +413,9 @@ class EnvironmentPart(Part):
     hosts: list[HostPart] | None = row("where units run; if absent, nothing is placed")
     transfer: Cost = row("CPU seconds for each megabyte that goes from host to host", 0, "transfer_us")
     links: list[LinkPart] | None = row("what carries streams from host to host: the first that fits two hosts")
+    minimise: Objectives = row(
+        "what is minimised, the most important first; the cost follows if it is not named", ["cost"]
+    )
     qualities: list[AttributePart] | None = row("the quality attributes of streams")
     survive: Literal[0, 1, "units", "hosts"] = row(
         "single failures to survive; 1: of hosts where hosts are declared, else of units", 0

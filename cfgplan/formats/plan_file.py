@@ -9,20 +9,31 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path as FilePath
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from cfgplan.costs import seconds
-from cfgplan.domain import CPU, MEMORY, ChangeSet, ComputationUnit, Environment, Publication, Stream, Subscription
+from cfgplan.domain import (
+    CPU,
+    MEMORY,
+    ChangeSet,
+    ComputationUnit,
+    Environment,
+    Objective,
+    Publication,
+    Stream,
+    Subscription,
+)
 from cfgplan.errors import InputError, InvalidValueError
 from cfgplan.figures import cost_parts, loads, qualities_of_targets, transfers
 from cfgplan.formats.dump import plain_unit
 from cfgplan.formats.files import read_text
 from cfgplan.formats.json_text import read_json
 from cfgplan.formats.schema_faults import schema_faults
-from cfgplan.planning import Plan, Problem, Status
+from cfgplan.planning import Measured, Plan, Problem, Status
 from cfgplan.qualities import units
 
 FORMAT_VERSION = 1
@@ -55,6 +66,14 @@ class ChangeSetPart(_PlanPart):
     stopped: list[str] = []
 
 
+class MeasuredPart(_PlanPart):
+    """An objective; rent and cost are in microseconds."""
+
+    objective: Literal["rent", "cost", "units", "hosts", "rewired", "started"]
+    value: int = Field(ge=0)
+    bound: int = Field(ge=0, description="no update that is as good in what comes before has less")
+
+
 class PlanPart(_PlanPart):
     """A planner's answer and the environment it holds for."""
 
@@ -80,6 +99,9 @@ class PlanPart(_PlanPart):
     required_proven: bool = Field(default=False, description="no configuration uses more required transformations")
     undecided: list[tuple[str, str]] = Field(
         default=[], description="pairs of tags (offered, demanded) that nobody has decided and the bound hangs on"
+    )
+    objectives: list[MeasuredPart] = Field(
+        default=[], description="what is minimised, in order, where it is more than the cost"
     )
     seconds: dict[str, Any] = Field(default={}, description="wall time of each phase")
     counts: dict[str, int] = Field(default={}, description="the planner's own figures")
@@ -166,6 +188,8 @@ def _beyond_the_paper(plan: Plan, problem: Problem) -> dict[str, Any]:
     if problem.is_plain:
         return {}
     found: dict[str, Any] = {"survive": None if problem.survive is None else problem.survive.value}
+    if plan.objectives:
+        found["objectives"] = [asdict(one) for one in plan.objectives]
     if plan.change_set is not None:
         found["figures"] = _figures(problem, problem.environment.update(plan.change_set))
     return found
@@ -217,6 +241,7 @@ def _plan(part: PlanPart) -> Plan:
         tuple(part.undecided),
         _floats(part.seconds),
         part.counts,
+        tuple(Measured(Objective(one.objective), one.value, one.bound) for one in part.objectives),
     )
 
 

@@ -13,6 +13,7 @@ from pydantic_core import PydanticCustomError
 
 from cfgplan.canonical import normal
 from cfgplan.costs import SPAN, microseconds, seconds, span_s
+from cfgplan.domain import Objective
 from cfgplan.errors import InvalidValueError
 from cfgplan.qualities import MICRO, Better, QualityRule, micro_units, units
 from cfgplan.transformations import ALL, CPU, LEAST_HANG_S, RunOptions
@@ -268,6 +269,8 @@ Count = Annotated[
 Amount = Annotated[Decimal | int, PlainValidator(_amount), WithJsonSchema({**_NUMBER, "maximum": LARGEST_AMOUNT})]
 Resources = Annotated[dict[Name, Amount], AfterValidator(_resources)]
 Params = Annotated[dict[str, Any], PlainValidator(_params), WithJsonSchema({"type": ["object", "null"]})]
+ObjectiveName = Annotated[Literal["rent", "cost", "units", "hosts", "rewired", "started"], AfterValidator(Objective)]
+Objectives = Annotated[list[ObjectiveName], Written(lambda named: [one.value for one in named])]
 BetterName = Annotated[Literal["lower", "higher"], AfterValidator(Better), Written(str)]
 RuleName = Annotated[Literal["add", "limit", "scale", "set"], AfterValidator(QualityRule), Written(str)]
 InputKind = Annotated[

@@ -22,12 +22,14 @@ from cfgplan.formats.dump import dump_yaml, plain_environment
 from cfgplan.formats.environment_file import EnvironmentFile
 from cfgplan.formats.wsc_files import Service, TestSet, read_test_set
 
-Objective = Literal["services", "length"]
+WscObjective = Literal["services", "length"]
 SERVICE_LABOR_US = 1_000_000
 _WSC_IRI = "urn:cfgplan:wsc#"
 
 
-def read_wsc(folder: str | os.PathLike[str], objective: Objective = "services") -> tuple[EnvironmentFile, Similarity]:
+def read_wsc(
+    folder: str | os.PathLike[str], objective: WscObjective = "services"
+) -> tuple[EnvironmentFile, Similarity]:
     """The environment of a set (a folder with taxonomy.xml, services.xml, problem.xml) and its matching relation.
 
     With the objective "length" only compositions of the shortest length are possible; where none is possible at
@@ -39,7 +41,7 @@ def read_wsc(folder: str | os.PathLike[str], objective: Objective = "services") 
 
 
 def wsc_texts(
-    folder: str | os.PathLike[str], objective: Objective = "services", *, ontology: str = "taxonomy.ofn"
+    folder: str | os.PathLike[str], objective: WscObjective = "services", *, ontology: str = "taxonomy.ofn"
 ) -> tuple[str, str]:
     """A set as an environment file (YAML) and the ontology file (OWL functional syntax) that it refers to.
 
@@ -58,7 +60,7 @@ def shortest_length(test_set: TestSet) -> int | None:
     return None if None in layers else max((layer for layer in layers if layer is not None), default=0)
 
 
-def _environment(test_set: TestSet, objective: Objective) -> Environment:
+def _environment(test_set: TestSet, objective: WscObjective) -> Environment:
     length = shortest_length(test_set) if objective == "length" else None
     last = "" if length is None else _by(length)
     return Environment(

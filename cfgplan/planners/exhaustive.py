@@ -18,17 +18,18 @@ from cfgplan.domain import (
     ComputationUnit,
     Environment,
     InputPort,
+    Objective,
     Publication,
     Stream,
     Subscription,
     Transformation,
 )
 from cfgplan.errors import InputError
-from cfgplan.planning import Plan, Problem, Progress, Status, fresh_units
+from cfgplan.planning import Measured, Notion, Plan, Problem, Progress, Status, fresh_units
 from cfgplan.validity.counts import unfed_us
 from cfgplan.validity.environments import instance_violations, missing_units, violations
 from cfgplan.validity.hosts import carried_us, company_violations, placing_violations
-from cfgplan.validity.plans import cost_us, unused_required
+from cfgplan.validity.plans import cost_us, unused_required, values_of
 from cfgplan.validity.quality import priced_us
 from cfgplan.validity.startable import givers_by_tag, startable
 from cfgplan.validity.survival import survival_violations
@@ -44,6 +45,8 @@ class OracleRank(NamedTuple):
     """How good a configuration is: the least is best."""
 
     unused: int
+    first: tuple[int, ...]
+    """Whether it costs more than is allowed, and the objectives in order; empty where the cost alone is minimised."""
     cost_us: int
     rewired: int
     started: int
@@ -126,7 +129,8 @@ def _configurations(
             steps.wirings += 1
             after = replace(environment, units=wired)
             more_us = carried_us(after, problem.horizon_s) + priced_us(after) + unfed_us(after, problem.horizon_s)
-            rank = OracleRank(len(unused_required(after)), least.cost_us + more_us, rewired, least.started)
+            unused, dear_us = len(unused_required(after)), least.cost_us + more_us
+            rank = OracleRank(unused, _first(problem, after, dear_us, rewired), dear_us, rewired, least.started)
             if may_do(rank) and not violations(after, similarity, problem.survive, problem.horizon_s):
                 yield rank, after
 
@@ -143,13 +147,17 @@ def _answer(problem: Problem, best: tuple[OracleRank, Environment] | None, steps
         return Plan("exhaustive", Status.INFEASIBLE, reasons=_reasons(problem), seconds=seconds, counts=counts)
     rank, after = best
     bound_us = 0 if stopped else rank.cost_us
+    if rank.first and rank.first[0]:
+        status, bound_us = (Status.UNKNOWN, 0) if stopped else (Status.TOO_EXPENSIVE, (problem.max_cost_us or 0) + 1)
+        return Plan("exhaustive", status, None, None, bound_us, seconds=seconds, counts=counts)
     if problem.max_cost_us is not None and rank.cost_us > problem.max_cost_us:
         status, known = (Status.UNKNOWN, None) if stopped else (Status.TOO_EXPENSIVE, rank.cost_us)
         return Plan("exhaustive", status, None, known, bound_us, seconds=seconds, counts=counts)
-    unused = unused_required(after)
+    unused, named = unused_required(after), zip(problem.environment.minimise, rank.first[1:], strict=False)
+    objectives = tuple(Measured(each, value, 0 if stopped else value) for each, value in named)
     return Plan(
         "exhaustive",
-        Status.of_plan(rank.cost_us, bound_us),
+        Status.of_plan(rank.cost_us, bound_us, objectives),
         problem.environment.change_to(after.units),
         rank.cost_us,
         bound_us,
@@ -158,6 +166,7 @@ def _answer(problem: Problem, best: tuple[OracleRank, Environment] | None, steps
         required_proven=not (stopped and unused),
         seconds=seconds,
         counts=counts,
+        objectives=objectives,
     )
 
 
@@ -242,7 +251,17 @@ def _least(problem: Problem, after: Environment) -> OracleRank:
     there = {unit.transformation for unit in after.units if not unit.standby}
     unused = sum(t.required and t.label not in there for t in after.library)
     started = sum(unit.id not in problem.environment.unit for unit in after.units)
-    return OracleRank(unused, cost_us(problem, after) - unfed_us(after, problem.horizon_s), 0, started)
+    least_us = cost_us(problem, after) - unfed_us(after, problem.horizon_s)
+    return OracleRank(unused, _first(problem, after, least_us, 0), least_us, 0, started)
+
+
+def _first(problem: Problem, after: Environment, dear_us: int, rewired: int) -> tuple[int, ...]:
+    """What comes first of a configuration with this cost and number of rewired units."""
+    if Notion.ORDER not in problem.notions:
+        return ()
+    values = {**values_of(problem, after), Objective.COST: dear_us, Objective.REWIRED: rewired}
+    is_too_dear = problem.max_cost_us is not None and dear_us > problem.max_cost_us
+    return int(is_too_dear), *(values[each] for each in problem.environment.minimise)
 
 
 @dataclass(frozen=True)

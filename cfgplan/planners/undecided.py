@@ -20,7 +20,7 @@ from typing import Final
 
 from cfgplan.costs import keep_cost_us, start_cost_us
 from cfgplan.domain import ALL, Environment, Similarity
-from cfgplan.planning import REFUSED, Decider, Pair, Plan, Planner, Problem, Progress, Status
+from cfgplan.planning import REFUSED, Decider, Notion, Pair, Plan, Planner, Problem, Progress, Status
 from cfgplan.reasons import Givers, startable
 
 FIRST_BATCH: Final = 16
@@ -154,7 +154,12 @@ def used_pairs(environment: Environment, similarity: Similarity) -> Iterator[Pai
 
 
 def _compelling_pairs(problem: Problem) -> tuple[Pair, ...]:
-    """The open pairs that forbid plans if they match: at inputs that have to be fed by what there is."""
+    """The open pairs that forbid plans if they match: at inputs that have to be fed by what there is.
+
+    All of them where more than the cost is minimised: what else gets less by more matches is not known.
+    """
+    if Notion.ORDER in problem.notions:
+        return tuple(problem.similarity.open_pairs())
     ports = [port for t in problem.environment.library for port in t.inputs]
     tags = {port.tag for port in ports if port.count == ALL or port.starts_nothing}
     return tuple(pair for pair in problem.similarity.open_pairs() if pair[1] in tags) if tags else ()
@@ -164,16 +169,8 @@ def _without_a_claim(plan: Plan, undecided: tuple[Pair, ...]) -> Plan:
     """A plan of which nothing is known to be proven if the pairs match."""
     status = Status.UNKNOWN if plan.change_set is None else Status.FEASIBLE
     cost_us = None if plan.change_set is None else plan.cost_us
-    return replace(
-        plan,
-        status=status,
-        cost_us=cost_us,
-        bound_us=0,
-        reasons=plan.reasons if plan.change_set is not None else {},
-        ties_proven=False,
-        required_proven=False,
-        undecided=undecided,
-    )
+    reasons = plan.reasons if plan.change_set is not None else {}
+    return replace(plan.unproven, status=status, cost_us=cost_us, reasons=reasons, undecided=undecided)
 
 
 def _hopeful(problem: Problem) -> Problem:

@@ -4,7 +4,7 @@ It shares no code with any planner and recomputes feasibility and cost from the 
 """
 
 from cfgplan.validity.environments import violations
-from cfgplan.validity.plans import kept_us, plan_violations, silent_stops
+from cfgplan.validity.plans import kept_us, plan_violations, silent_stops, values_of
 from cfgplan.validity.rules import Rule, Violation
 
-__all__ = ["Rule", "Violation", "kept_us", "plan_violations", "silent_stops", "violations"]
+__all__ = ["Rule", "Violation", "kept_us", "plan_violations", "silent_stops", "values_of", "violations"]

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
-from cfgplan.domain import ComputationUnit, Environment, Transformation
+from cfgplan.domain import ComputationUnit, Environment, Objective, Transformation
 from cfgplan.errors import InvalidValueError
-from cfgplan.planning import Plan, Problem, Status
+from cfgplan.planning import Measured, Notion, Plan, Problem, Status
 from cfgplan.validity.counts import unfed_us
 from cfgplan.validity.environments import violations
 from cfgplan.validity.hosts import carried_us, costs_there, rents_us
@@ -40,6 +40,7 @@ def plan_violations(problem: Problem, plan: Plan) -> list[Violation]:
         *_dropped_pinned_units(problem, plan, after),
         *_misreported_required(plan, after),
         *_bad_cost(problem, plan, after),
+        *_bad_objectives(problem, plan, after),
         *_refuted_by_what_runs(problem, plan),
     ]
 
@@ -136,14 +137,25 @@ def _refuted_by_what_runs(problem: Problem, plan: Plan) -> Iterator[Violation]:
     before, changes = problem.environment, plan.change_set
     if not changes or violations(before, problem.similarity, problem.survive, problem.horizon_s):
         return
-    cost, more_unused = cost_us(problem, before), len(unused_required(before)) - len(plan.unused_required)
+    values, more_unused = values_of(problem, before), len(unused_required(before)) - len(plan.unused_required)
+    if (
+        Notion.ORDER in problem.notions
+        and problem.max_cost_us is not None
+        and values[Objective.COST] > problem.max_cost_us
+    ):
+        return
     if plan.required_proven and more_unused < 0:
         text = "the plan says that no valid configuration uses more required transformations, but what runs does"
         yield Violation(Rule.REQUIRED, text)
-    if plan.bound_us > cost and more_unused <= 0:
-        yield Violation(Rule.BOUND, f"the bound is {plan.bound_us} us, but what runs costs {cost} us")
-    if plan.ties_proven and (changes.rewired or changes.started) and plan.cost_us == cost and more_unused == 0:
-        yield Violation(Rule.BOUND, "the plan says that ties are proven, but what runs costs the same without a change")
+    for one in plan.measured if more_unused <= 0 else ():
+        value = values[one.objective]
+        if one.bound > value:
+            text = f"the bound of the {one.objective} is {one.bound}, but what runs has {value}"
+            yield Violation(Rule.BOUND, text)
+        if more_unused < 0 or not one.is_proven or value != one.value:
+            return
+    if plan.ties_proven and (changes.rewired or changes.started) and more_unused == 0:
+        yield Violation(Rule.BOUND, "the plan says that ties are proven, but what runs is as good without a change")
 
 
 def kept_us(environment: Environment, horizon_s: int) -> int:
@@ -163,6 +175,36 @@ def cost_us(problem: Problem, after: Environment) -> int:
     return kept_us(after, problem.horizon_s) + sum(costs_there(after, *known)[0] for known in new)
 
 
+def values_of(problem: Problem, after: Environment) -> Mapping[Objective, int]:
+    """What may be minimised, of the update to an environment."""
+    before = problem.environment.unit
+    there = {unit.host for unit in after.units}
+    return {
+        Objective.RENT: rents_us(after) * problem.horizon_s,
+        Objective.COST: cost_us(problem, after),
+        Objective.UNITS: sum(not unit.standby for unit in after.units),
+        Objective.HOSTS: sum(host.name in there for host in after.hosts),
+        Objective.REWIRED: sum(unit.id in before and unit != before[unit.id] for unit in after.units),
+        Objective.STARTED: sum(unit.id not in before for unit in after.units),
+    }
+
+
+def _bad_objectives(problem: Problem, plan: Plan, after: Environment) -> Iterator[Violation]:
+    named = problem.environment.minimise if Notion.ORDER in problem.notions else ()
+    if tuple(one.objective for one in plan.objectives) != named:
+        yield Violation(Rule.CONSISTENT, f"what is minimised is {', '.join(named)}, but the plan names something else")
+        return
+    values = values_of(problem, after)
+    for one in plan.objectives:
+        value, cost = values[one.objective], Measured(Objective.COST, plan.cost_us or 0, plan.bound_us)
+        if one.value != value or (one.objective is Objective.COST and one != cost):
+            yield Violation(Rule.COST, f"the update has a {one.objective} of {value}, but the plan says {one.value}")
+        if one.bound > value:
+            yield Violation(Rule.BOUND, f"the bound {one.bound} exceeds the {one.objective}, {value}")
+    if plan.status is Status.OPTIMAL and not all(one.is_proven for one in plan.objectives):
+        yield Violation(Rule.BOUND, "the plan says optimal, but not all that is minimised is proven")
+
+
 def _bad_cost(problem: Problem, plan: Plan, after: Environment) -> Iterator[Violation]:
     for unit, transformation in known_units(after):
         if unit.standby and transformation.standby_us is None:
@@ -176,7 +218,8 @@ def _bad_cost(problem: Problem, plan: Plan, after: Environment) -> Iterator[Viol
         yield Violation(Rule.BOUND, f"the bound {plan.bound_us} us exceeds the cost {cost} us")
     if plan.status is Status.OPTIMAL and plan.bound_us != cost:
         yield Violation(Rule.BOUND, f"the plan says optimal, but its bound is {plan.bound_us} us of {cost} us")
-    if plan.status is Status.FEASIBLE and plan.bound_us == cost and not plan.undecided:
+    is_proven = all(one.is_proven for one in plan.measured)
+    if plan.status is Status.FEASIBLE and is_proven and not plan.undecided:
         yield Violation(Rule.BOUND, f"the plan says feasible, but its bound is its cost of {cost} us")
     if plan.status is Status.FEASIBLE and plan.ties_proven:
         yield Violation(Rule.BOUND, "the plan says that ties are proven, but its cost is not")

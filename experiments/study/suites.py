@@ -7,7 +7,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from cfgplan.errors import InputError
-from cfgplan.formats.wsc import Objective, read_wsc
+from cfgplan.formats.wsc import WscObjective, read_wsc
 from cfgplan.planning import Problem
 from experiments.study.instances import Instance, generated
 
@@ -88,7 +88,7 @@ def full() -> Iterator[Instance]:
 
 SUITES: Mapping[str, Callable[[], Iterator[Instance]]] = MappingProxyType({"tiny": tiny, "short": short, "full": full})
 
-OBJECTIVES: tuple[Objective, ...] = ("services", "length")
+OBJECTIVES: tuple[WscObjective, ...] = ("services", "length")
 
 
 def wsc_sets(folder: Path) -> list[Instance]:
@@ -102,7 +102,7 @@ def wsc_sets(folder: Path) -> list[Instance]:
     return [_instance(path, objective) for path in sets for objective in OBJECTIVES]
 
 
-def _instance(folder: Path, objective: Objective) -> Instance:
+def _instance(folder: Path, objective: WscObjective) -> Instance:
     def make() -> Problem:
         world, similarity = read_wsc(folder, objective)
         return Problem(world.environment, similarity, world.horizon_s, world.max_cost_us)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,11 +12,20 @@ from environments import NAMES, environments
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Publication, Similarity, Target, Transformation
+from cfgplan.domain import (
+    ChangeSet,
+    ComputationUnit,
+    Environment,
+    Objective,
+    Publication,
+    Similarity,
+    Target,
+    Transformation,
+)
 from cfgplan.errors import InputError, InvalidValueError
 from cfgplan.formats import EnvironmentFile, dump_plan, load_plan
 from cfgplan.formats.plan_file import PlanPart
-from cfgplan.planning import Plan, Problem, Status
+from cfgplan.planning import Measured, Plan, Problem, Status
 
 LIBRARY = (Transformation("a", labor_us=7, upkeep_us=3),)
 PROBLEM = Problem(Environment(library=LIBRARY), Similarity({}), horizon_s=60, max_cost_us=5)
@@ -54,6 +64,15 @@ def test_what_is_written_loads_back(environment: Environment, status: Status, da
     with tempfile.TemporaryDirectory() as folder:
         text = dump_plan(plan, Problem(environment, Similarity({}), 0), "digest")
         assert load_plan(written(Path(folder), text), "digest") == plan
+
+
+def test_what_is_minimised_before_the_cost_loads_back(tmp_path: Path) -> None:
+    hosts, cost = Measured(Objective.HOSTS, 2, 1), Measured(Objective.COST, 1_500_187, 0)
+    plan = replace(PLAN, status=Status.FEASIBLE, change_set=ChangeSet(), bound_us=0, objectives=(hosts, cost))
+    problem = replace(PROBLEM, environment=replace(PROBLEM.environment, minimise=(Objective.HOSTS,)))
+    text = dump_plan(plan, problem, "digest")
+    assert json.loads(text)["gap"] == 0.5
+    assert load_plan(written(tmp_path, text), "digest") == plan
 
 
 def test_a_plan_says_its_costs_twice_in_microseconds_and_in_seconds() -> None:
@@ -114,6 +133,6 @@ def test_what_is_no_plan_is_refused(tmp_path: Path) -> None:
 
 def test_the_schema_of_plans_names_every_key() -> None:
     data = json.loads(dump_plan(PLAN, PROBLEM, "digest"))
-    beyond_the_paper = {"survive", "figures"}
+    beyond_the_paper = {"survive", "figures", "objectives"}
     assert set(data) | beyond_the_paper == set(PlanPart.model_fields)
     assert beyond_the_paper.isdisjoint(data)

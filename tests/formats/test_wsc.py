@@ -12,7 +12,7 @@ from cfgplan import api
 from cfgplan.domain import InputPort, OutputPort, Similarity
 from cfgplan.errors import InputError
 from cfgplan.formats import EnvironmentFile, read_wsc, wsc_texts
-from cfgplan.formats.wsc import Objective, shortest_length
+from cfgplan.formats.wsc import WscObjective, shortest_length
 from cfgplan.formats.wsc_files import read_test_set
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import Problem, Status
@@ -78,7 +78,7 @@ def test_the_files_that_are_written_say_the_same_as_the_direct_way(tmp_path: Pat
     source = tmp_path / "set"
     source.mkdir()
     small_set(source)
-    objectives: tuple[Objective, ...] = ("services", "length")
+    objectives: tuple[WscObjective, ...] = ("services", "length")
     for objective in objectives:
         text, ontology = wsc_texts(source, objective, ontology="taxonomy.ofn")
         (tmp_path / "env.yaml").write_text(text)

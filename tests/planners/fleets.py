@@ -15,6 +15,7 @@ from cfgplan.domain import (
     Host,
     InputPort,
     Link,
+    Objective,
     OutputPort,
     Stream,
     Subscription,
@@ -67,9 +68,19 @@ def fleets(draw: st.DrawFn, notions: frozenset[Notion], *, most: int = 3) -> Pro
     units = [draw(placed(unit, by_label.get(unit.transformation), hosts, survive)) for unit in environment.units]
     units = [draw(fed_by_several(unit, units, by_label)) for unit in units]
     transfer_us = draw(st.sampled_from([0, 1, 700_000])) if hosts else 0
+    minimise = draw(st.lists(st.sampled_from(Objective), unique=True, max_size=4)) if Notion.ORDER in notions else ()
     links = draw(st.lists(LINKS, max_size=2)) if len(hosts) > 1 and draw(st.booleans()) else []
     return Problem(
-        Environment(tuple(units), tuple(library), tuple(targets), hosts, qualities, transfer_us, tuple(links)),
+        Environment(
+            tuple(units),
+            tuple(library),
+            tuple(targets),
+            hosts,
+            qualities,
+            transfer_us,
+            tuple(links),
+            minimise=tuple(minimise),
+        ),
         plain.similarity,
         plain.horizon_s,
         plain.max_cost_us,

@@ -31,7 +31,7 @@ def as_good(plan: Plan) -> tuple[object, ...]:
     """What two optimal plans have in common."""
     changes = plan.change_set
     counts = changes and (len(changes.rewired), len(changes.started))
-    return plan.status, len(plan.unused_required), plan.cost_us, counts, plan.ties_proven
+    return plan.status, len(plan.unused_required), plan.cost_us, counts, plan.ties_proven, plan.objectives
 
 
 def differences(problem: Problem, found: Plan, oracle: Plan) -> list[str]:
@@ -64,6 +64,7 @@ NUMBERS = frozenset({Notion.CONFLICTS, Notion.INSTANCES})
 WIRING = frozenset({Notion.OPTIONAL, Notion.COUNTS, Notion.LIMITS})
 LIMITS = frozenset({Notion.LIMITS})
 RUNS = frozenset({Notion.RUNS})
+ORDER = frozenset({Notion.ORDER})
 OPTIONAL, COUNTS = (frozenset({notion}) for notion in (Notion.OPTIONAL, Notion.COUNTS))
 
 KINDS: Mapping[str, Kind] = MappingProxyType(
@@ -82,6 +83,7 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         "optional": Kind(st.one_of(fleets(OPTIONAL), fleets(OPTIONAL, most=4)), of_one),
         "counts": Kind(st.one_of(fleets(COUNTS), fleets(WIRING)), of_one),
         "limits": Kind(st.one_of(fleets(LIMITS, most=4), fleets(LIMITS | OPTIONAL)), of_one),
+        "order": Kind(st.one_of(fleets(ORDER), fleets(ORDER | HOSTS), fleets(ORDER | WIRING | HOSTS, most=2)), of_one),
         "wiring": Kind(fleets(WIRING | NUMBERS | HOSTS, most=2), of_one),
         "runs": Kind(
             st.one_of(

@@ -12,6 +12,7 @@ from cfgplan.domain import (
     Environment,
     Host,
     InputPort,
+    Objective,
     OutputPort,
     Publication,
     Similarity,
@@ -20,8 +21,10 @@ from cfgplan.domain import (
     Target,
     Transformation,
 )
+from cfgplan.errors import InputError
+from cfgplan.explaining import Choice, alternatives, horizon_sensitivity, why_transformation
 from cfgplan.planners import PLANNERS
-from cfgplan.planning import Failures, Plan, Problem, Status
+from cfgplan.planning import Failures, Measured, Plan, Problem, Status
 from cfgplan.validity import Rule, plan_violations
 
 MATCHING = Similarity({"T": frozenset({"T"})})
@@ -56,6 +59,107 @@ def test_the_bound_on_plans_without_a_required_transformation_is_none_on_plans_w
     environment = Environment((), library, TARGET, hosts=(Host("h"),))
     found = planned(planner, Problem(environment, MATCHING, 0))
     assert (found.status, found.cost_us, found.bound_us, found.ties_proven) == (Status.OPTIMAL, 2, 2, True)
+
+
+ROOMS = (Host("big", memory_mb=9, rent_us=9), Host("one", memory_mb=4, rent_us=2), Host("two", memory_mb=4, rent_us=2))
+TWO = (
+    replace(gives("t", 1, memory_mb=3), inputs=(InputPort("i", "S"),)),
+    Transformation("s", (), (OutputPort("o", "S"),), labor_us=1, memory_mb=3),
+    gives("alone", 90, memory_mb=9),
+)
+
+
+def in_order(*minimise: str, max_cost_us: int | None = None, units: tuple[ComputationUnit, ...] = ()) -> Problem:
+    """One dear host bears two cheap units, or a dear unit; two cheap hosts bear a cheap unit each."""
+    named = tuple(map(Objective, minimise))
+    environment = Environment(units, TWO, TARGET, ROOMS, minimise=named)
+    return Problem(environment, Similarity({tag: frozenset(tag) for tag in "ST"}), 1, max_cost_us=max_cost_us)
+
+
+@BOTH
+@pytest.mark.parametrize(
+    ("minimise", "values"),
+    [
+        (["hosts"], [1, 11]),
+        (["hosts", "units"], [1, 1, 99]),
+        (["rent", "hosts"], [4, 2, 6]),
+        (["units", "rent"], [1, 9, 99]),
+        (["cost", "hosts"], [6, 2]),
+        (["started", "cost"], [1, 99]),
+    ],
+)
+def test_objectives_are_minimised_in_their_order_and_the_cost_after_them(
+    planner: str, minimise: list[str], values: list[int]
+) -> None:
+    found = planned(planner, in_order(*minimise))
+    assert (found.status, found.ties_proven, found.gap) == (Status.OPTIMAL, True, 0.0)
+    assert [one.value for one in found.objectives] == [one.bound for one in found.objectives] == values
+    assert found.objectives[-1].objective == Objective.COST or minimise[-1] == "hosts"
+
+
+@BOTH
+def test_the_largest_cost_is_one_of_the_cost_whatever_is_minimised_first(planner: str) -> None:
+    found = planned(planner, in_order("units", max_cost_us=98))
+    assert (found.status, [one.value for one in found.objectives]) == (Status.OPTIMAL, [2, 6])
+    dear = planned(planner, in_order("units", max_cost_us=5))
+    assert (dear.status, dear.cost_us, dear.bound_us) == (Status.TOO_EXPENSIVE, None, 6)
+
+
+def test_the_gap_is_that_of_the_first_objective_that_is_not_proven() -> None:
+    names = (Objective.HOSTS, Objective.COST)
+    first, second = (Measured(each, 4, 1) for each in names)
+    plan = Plan("by hand", Status.FEASIBLE, ChangeSet(), 4, 1, objectives=(first, second))
+    assert plan.gap == 0.75
+    assert replace(plan, objectives=(replace(first, bound=4), replace(second, bound=2))).gap == 0.5
+    assert [one.bound for one in plan.unproven.objectives] == [0, 0]
+
+
+def test_a_plan_that_says_something_untrue_of_an_objective_is_found_out() -> None:
+    problem = in_order("hosts", "rent")
+    found = PLANNERS["exhaustive"](problem)
+    hosts, rent, cost = found.objectives
+
+    def rules(*objectives: Measured, **claims: object) -> set[Rule]:
+        changed = replace(found, objectives=objectives, **claims)  # type: ignore[arg-type]
+        return {violation.rule for violation in plan_violations(problem, changed)}
+
+    assert rules(hosts, rent) == rules(rent, hosts, cost) == {Rule.CONSISTENT}
+    assert Rule.COST in rules(hosts, replace(rent, value=8, bound=8), cost)
+    assert Rule.COST in rules(hosts, rent, replace(cost, value=10, bound=10))
+    assert rules(hosts, replace(rent, bound=8), cost) == {Rule.BOUND}
+    assert Rule.BOUND in rules(hosts, replace(rent, bound=10), cost, status=Status.FEASIBLE, ties_proven=False)
+    assert rules(hosts, replace(rent, bound=8), cost, status=Status.FEASIBLE, ties_proven=False) == set()
+
+
+def test_the_bound_of_an_objective_is_held_against_what_runs() -> None:
+    first = PLANNERS["exhaustive"](in_order("hosts")).change_set
+    assert first is not None
+    problem = in_order("hosts", units=first.started)
+    alone = ComputationUnit("alone.1", "alone", (), (Publication("o", "/t"),), "big")
+    changes = problem.environment.change_to([alone])
+    hosts, cost = Measured(Objective.HOSTS, 1, 1), Measured(Objective.COST, 99, 99)
+    said = plan_violations(problem, Plan("by hand", Status.OPTIMAL, changes, 99, 99, objectives=(hosts, cost)))
+    assert [str(violation) for violation in said] == ["the bound of the cost is 99, but what runs has 9"]
+
+
+def test_what_compares_costs_refuses_another_order_by_name() -> None:
+    problem = in_order("hosts")
+    ask = PLANNERS["cpsat"]
+    for asked in (lambda: alternatives(problem, ask, 2), lambda: horizon_sensitivity(problem, ask)):
+        with pytest.raises(InputError, match=r"compare costs, but `minimise` is \[hosts, cost\]"):
+            asked()
+    with pytest.raises(InputError, match="does not know an order of objectives"):
+        PLANNERS["branch-and-bound"](problem)
+
+
+@pytest.mark.parametrize(
+    ("minimise", "label", "decides", "difference"),
+    [("hosts", "s", Objective.COST, 88), ("units", "alone", Objective.UNITS, 1), ("cost", "s", Objective.COST, 93)],
+)
+def test_why_says_which_objective_decides(minimise: str, label: str, decides: Objective, difference: int) -> None:
+    problem, ask = in_order(minimise), PLANNERS["cpsat"]
+    why = why_transformation(problem, ask, ask(problem), label)
+    assert (why.choice, why.decides, why.difference) == (Choice.CHEAPER, decides, difference)
 
 
 def surviving(units: tuple[ComputationUnit, ...], *library: Transformation) -> Problem:

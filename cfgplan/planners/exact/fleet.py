@@ -35,7 +35,7 @@ def plan_fleet(candidates: Candidates, standing: Standing, last: Collection[str]
     attempts = 0 if problem.survive is not None or is_known else clock.tuning.begin.attempts
     first.look(attempts)  # each attempt needs spares where failures are to be survived
     clock.end("first plans")
-    if standing.best is not None and standing.best.key == (standing.fewest_unused, least_us, rewired, started):
+    if standing.best is not None and standing.best.key == (standing.fewest_unused, (), least_us, rewired, started):
         standing.prove_cost()
         standing.are_ties_proven = True
         return

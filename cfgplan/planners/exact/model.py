@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Sequence
 from ortools.sat.python.cp_model import CpModel, IntVar, LinearExpr, LinearExprT
 
 from cfgplan.costs import transfer_cost_us
-from cfgplan.domain import ALL, InputPort, Stream
+from cfgplan.domain import ALL, InputPort, Objective, Stream
 from cfgplan.planners.exact.best_case import demands_of_quality
 from cfgplan.planners.exact.candidates import Candidates, HostName
 from cfgplan.planners.solving.engine import at_least
@@ -55,6 +55,8 @@ class Model:
         self.is_fed: dict[tuple[int, str], IntVar] = {}
         """By input that is optional or takes several streams: that it is fed."""
         self.uses_required: dict[str, IntVar] = {}
+        self.uses: dict[str, IntVar] = {}
+        """By host that is counted or has a rent: that something is there."""
         self.more_costs: list[LinearExprT] = []
         self.missed_by: dict[tuple[str, str], tuple[LinearExprT, int]] = {}
         """By how much each target's stream misses the best of an attribute, in steps, and the size of a step."""
@@ -248,11 +250,31 @@ class Model:
                     terms.append(more_us * self.waits_on[i][host])
         return LinearExpr.sum([*terms, *self.more_costs])
 
+    def objective(self, which: Objective) -> LinearExprT:
+        """What may be minimised, as a sum."""
+        match which:
+            case Objective.COST:
+                return self.cost()
+            case Objective.RENT:
+                rent_us = {host.name: host.rent_us * self.problem.horizon_s for host in self.environment.hosts}
+                return LinearExpr.weighted_sum([*self.uses.values()], [rent_us[name] for name in self.uses])
+            case Objective.UNITS:
+                return LinearExpr.sum([*self.runs.values()])
+            case Objective.HOSTS:
+                return LinearExpr.sum([*self.uses.values()])
+            case Objective.REWIRED:
+                return LinearExpr.sum(self.rewired())
+            case Objective.STARTED:
+                return LinearExpr.sum(self.started())
+
     def changes(self) -> LinearExprT:
         """Rewired kept units, then started ones: one rewired unit outweighs all that can be started."""
-        rewired = [self.is_wired[i] for i in self.runs if self.candidates.all[i].running is not None]
         started = self.started()
-        return (len(started) + 1) * LinearExpr.sum(rewired) + LinearExpr.sum(started)
+        return (len(started) + 1) * LinearExpr.sum(self.rewired()) + LinearExpr.sum(started)
+
+    def rewired(self) -> list[IntVar]:
+        """The booleans that kept units are wired anew."""
+        return [self.is_wired[i] for i in self.runs if self.candidates.all[i].running is not None]
 
     def started(self) -> list[IntVar]:
         """The booleans that new units are there."""

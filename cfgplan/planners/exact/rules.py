@@ -9,7 +9,7 @@ from typing import Final
 
 from ortools.sat.python.cp_model import IntVar, LinearExpr, LinearExprT
 
-from cfgplan.domain import ALL, InputPort, Link, Stream
+from cfgplan.domain import ALL, InputPort, Link, Objective, Stream
 from cfgplan.planners.exact.candidates import HostName
 from cfgplan.planners.exact.model import Model, ModelRule
 from cfgplan.planners.exact.quality import targets_get_the_quality_they_ask_for
@@ -457,10 +457,10 @@ def hosts_bear_their_units(model: Model) -> None:
                 model.cp.add(LinearExpr.sum(taken) <= room)
 
 
-def a_host_is_paid_while_something_is_there(model: Model) -> None:
+def a_host_is_paid_and_counted_while_something_is_there(model: Model) -> None:
     for host in model.environment.hosts:
-        if host.rent_us:
-            used = model.boolean()
+        if host.rent_us or Objective.HOSTS in model.environment.minimise:
+            used = model.uses[host.name] = model.boolean()
             model.more_costs.append(host.rent_us * model.problem.horizon_s * used)
             for places in (*model.runs_on.values(), *model.waits_on.values()):
                 if host.name in places:
@@ -597,7 +597,7 @@ RULES: Final[tuple[ModelRule, ...]] = (
     an_input_that_starts_nothing_is_fed_by_what_is_needed_anyway,
     an_input_that_starts_nothing_is_fed_where_it_can_be,
     hosts_bear_their_units,
-    a_host_is_paid_while_something_is_there,
+    a_host_is_paid_and_counted_while_something_is_there,
     units_that_conflict_are_not_there_together,
     there_are_as_many_units_as_asked_for_and_allowed,
     no_host_has_more_units_of_a_transformation_than_it_allows,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Sequence
+from functools import partial
 from math import ceil, inf
 
 from ortools.sat.python.cp_model import (
@@ -17,6 +18,7 @@ from ortools.sat.python.cp_model import (
     LinearExprT,
 )
 
+from cfgplan.domain import Objective
 from cfgplan.errors import InputError
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.decode import decode, lean, named
@@ -30,6 +32,7 @@ from cfgplan.planners.exact.survival import Survival
 from cfgplan.planners.networks.keys import Key
 from cfgplan.planners.solving.clock import Clock, ContradictionError
 from cfgplan.planners.solving.engine import OnSolution, repeatable_solver, solve
+from cfgplan.planning import Notion
 
 EXACT = 2**50
 """Up to here the solver's bound, a double, is exact."""
@@ -93,7 +96,7 @@ class Search:
         """
         self._left_s = slice_s
         try:
-            if self._use_required():
+            if self._use_required() and self._minimise_in_order():
                 self._minimise_cost_then_changes()
         except InfeasibleError:
             if self.is_all:
@@ -118,12 +121,45 @@ class Search:
         used = LinearExpr.sum(list(model.uses_required.values()))
         most = len(model.uses_required) + hopeless
         if model.uses_required:
-            if not self.minimise(-used, lambda key: key.unused - most, 0):
+            if not self.minimise(-used, lambda key: key.unused - most):
                 return False
             assert standing.best is not None
             if self.is_all:
                 standing.fewest_unused = standing.best.key.unused
             model.cp.add(used >= most - standing.best.key.unused)
+        return True
+
+    def _minimise_in_order(self) -> bool:
+        """Minimise what comes before the cost or beside it, in order, each with those before it at their least.
+
+        False if the time is over before all are proven, or if each plan is proven to cost more than is allowed.
+        """
+        standing, largest_us = self.standing, self.problem.max_cost_us
+        named = self.problem.environment.minimise if Notion.ORDER in self.problem.notions else ()
+        if named and largest_us is not None:
+            is_too_dear = self.model.boolean()
+            self.model.cp.add(self._cost <= largest_us).only_enforce_if(is_too_dear.negated())
+            if not self._minimise_one(is_too_dear, 0, None):
+                return False
+            if standing.best is not None and standing.best.key.first[0]:
+                standing.raise_bound(largest_us + 1)
+                return False
+        for place, each in enumerate(named[:-1] if named[-1:] == (Objective.COST,) else named, 1):
+            if not self._minimise_one(self.model.objective(each), place, partial(standing.raise_bound_of, each)):
+                return False
+            if each is Objective.COST:
+                standing.prove_cost()
+        return True
+
+    def _minimise_one(self, objective: LinearExprT, place: int, learn: Callable[[int], None] | None) -> bool:
+        """Minimise what has a place in `Key.first`, and keep it at its least; False if the time is over."""
+        if not self.minimise(objective, lambda key: key.first[place], learn) or not self.is_all:
+            return False
+        assert self.standing.best is not None
+        least = self.standing.best.key.first[place]
+        if learn is not None:
+            learn(least)
+        self.model.cp.add(objective <= least)
         return True
 
     def _minimise_cost_then_changes(self) -> None:
@@ -132,16 +168,20 @@ class Search:
         is_proven = standing.is_cost_proven
         if not is_proven and scale:
             both = LinearExpr.weighted_sum([self._cost, model.changes()], [scale, 1])
-            if self.minimise(both, lambda key: scale * key.cost_us + self._changes(key), scale) and self.is_all:
+
+            def level_of(key: Key) -> int:
+                return scale * key.cost_us + self._changes(key)
+
+            if self.minimise(both, level_of, lambda bound: standing.raise_bound(bound // scale)) and self.is_all:
                 standing.prove_all()
             return
         if not is_proven:
-            if not self.minimise(self._cost, lambda key: key.cost_us, 1) or not self.is_all:
+            if not self.minimise(self._cost, lambda key: key.cost_us, standing.raise_bound) or not self.is_all:
                 return
             standing.prove_cost()
             assert standing.best is not None
             model.cp.add(self._cost <= standing.best.key.cost_us)
-        standing.are_ties_proven = self.minimise(model.changes(), self._changes, 0)
+        standing.are_ties_proven = self.minimise(model.changes(), self._changes)
 
     def _hopeless_required(self) -> int:
         """How many required transformations can never be used, whatever is planned."""
@@ -160,18 +200,20 @@ class Search:
         exact_us = largest_us if best is None else best.key.cost_us
         return scale if scale * (1 + largest_us) < LARGEST and scale * (1 + exact_us) < EXACT else 0
 
-    def minimise(self, objective: LinearExprT, level_of: Callable[[Key], int], scale: int) -> bool:
+    def minimise(
+        self, objective: LinearExprT, level_of: Callable[[Key], int], learn: Callable[[int], None] | None = None
+    ) -> bool:
         """Solve and forbid in rounds. True if the incumbent is proven best in this objective; False if time is over.
 
-        `level_of` gives the objective of a plan. A microsecond of cost weighs `scale` in it, 0 if it does not count.
+        `level_of` gives the objective of a plan. `learn` is called with bounds on it.
         Raises InfeasibleError if there is no plan at all. The rounds end: each forbids a solution.
         """
         self.model.cp.minimize(objective)
         standing = self.standing
 
         def learn_bound(bound: float) -> None:
-            if scale and self.is_all:
-                standing.raise_bound(ceil(bound - 0.5) // scale)
+            if learn is not None and self.is_all:
+                learn(ceil(bound - 0.5))
 
         while self._left_s > 0 and not standing.clock.is_over():
             standing.counts["rounds"] += 1

@@ -69,16 +69,17 @@ class PlannerSession:
 
 
 def _tuning_for(problem: Problem, usual: Tuning) -> Tuning:
-    """The solver alone for what only the model knows. Raises InputError if it does not know that together with all."""
+    """The solver alone for what only the model knows, and where more than the cost is minimised.
+
+    Raises InputError if the model does not know all that is asked together.
+    """
     wiring = ONLY_IN_THE_MODEL & problem.notions
-    if not wiring:
-        return usual
     of_optional = {Notion.BESIDE} if Notion.OPTIONAL in wiring else set()
     beside = {Notion.QUALITY, Notion.SURVIVAL, *of_optional} & problem.notions
-    if beside:
+    if wiring and beside:
         what, and_what = (" and ".join(sorted(notions)) for notions in (beside, wiring))
         raise InputError.of(f"the planner does not know {what} together with {and_what}")
-    return replace(usual, is_solver_only=True)
+    return replace(usual, is_solver_only=True) if wiring or Notion.ORDER in problem.notions else usual
 
 
 def plan(

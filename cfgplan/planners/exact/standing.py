@@ -8,12 +8,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-from cfgplan.domain import ComputationUnit
+from cfgplan.domain import ComputationUnit, Objective
 from cfgplan.planners.exact.decode import in_order
 from cfgplan.planners.exact.reasons import joint_reasons
 from cfgplan.planners.networks.keys import Key, key_of, unused_required
 from cfgplan.planners.solving.clock import Clock, ContradictionError
-from cfgplan.planning import Plan, Problem, Progress, Status
+from cfgplan.planning import Measured, Plan, Problem, Progress, Status
 
 
 class Incumbent(NamedTuple):
@@ -32,6 +32,8 @@ class Standing:
         self.report = report
         self.best: Incumbent | None = None
         self.bound_us = 0
+        self.bounds: dict[Objective, int] = {}
+        """What is proven of objectives other than the cost, each of the plans as good in those before it."""
         self.holds_for: int | None = None
         """If given, the bound holds only for plans that leave no more required transformations unused than this."""
         self.is_infeasible = False
@@ -99,6 +101,20 @@ class Standing:
             self.bound_us = bound_us
             self.tell()
 
+    def raise_bound_of(self, objective: Objective, bound: int) -> None:
+        """Note that no plan as good in what comes before an objective has less of it."""
+        if objective is Objective.COST:
+            self.raise_bound(bound)
+        else:
+            self.bounds[objective] = max(bound, self.bounds.get(objective, 0))
+
+    def measured(self) -> tuple[Measured, ...]:
+        """The objectives in the incumbent; empty where the cost alone is minimised."""
+        bounds = {**self.bounds, Objective.COST: self.bound_us}
+        named = self.problem.environment.minimise
+        values = () if self.best is None else self.best.key.first[1:]
+        return tuple(Measured(each, value, bounds.get(each, 0)) for each, value in zip(named, values, strict=False))
+
     def tell(self) -> None:
         if self.report is not None:
             cost_us = self.best.key.cost_us if self.best else None
@@ -117,9 +133,10 @@ class Standing:
         if self.best is None or (largest is not None and self.best.key.cost_us > largest):
             return Plan("cpsat", Status.UNKNOWN, bound_us=bound_us, seconds=seconds, counts=counts)
         key, units = self.best
+        objectives = self.measured()
         return Plan(
             "cpsat",
-            Status.of_plan(key.cost_us, bound_us),
+            Status.of_plan(key.cost_us, bound_us, objectives),
             problem.environment.change_to([in_order(problem.environment, unit) for unit in units]),
             key.cost_us,
             bound_us,
@@ -128,4 +145,5 @@ class Standing:
             required_proven=key.unused <= self.fewest_unused,
             seconds=seconds,
             counts=counts,
+            objectives=objectives,
         )

@@ -127,11 +127,11 @@ class Work:
         if best is None:
             return False
         fewest_changes = self.left.weighing.changes(self.left.value)
-        if fewest_changes is not None and best.key == (0, standing.bound_us, *fewest_changes):
+        if fewest_changes is not None and best.key == (0, (), standing.bound_us, *fewest_changes):
             return True
         return (
             self.left.is_complete
-            and best.key[:2] == (0, standing.bound_us)
+            and best.key[:3] == (0, (), standing.bound_us)
             and len(chosen) == len(candidates.all) == len(best.units)
             and all(c.cost_us or candidates.is_pinned(i) for i, c in enumerate(candidates.all))
             and best.key.rewired == forced_changes(candidates, chosen)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import NamedTuple
 
-from cfgplan.domain import ALL, ComputationUnit, Environment
-from cfgplan.figures import cost_parts
-from cfgplan.planning import Problem
+from cfgplan.domain import ALL, ComputationUnit, Environment, Objective
+from cfgplan.figures import cost_parts, used_hosts
+from cfgplan.planning import Notion, Problem
 
 
 class Key(NamedTuple):
@@ -15,6 +15,8 @@ class Key(NamedTuple):
 
     unused: int
     """Required transformations that serve no target."""
+    first: tuple[int, ...]
+    """Whether it costs more than is allowed, and the objectives in order; empty where the cost alone is minimised."""
     cost_us: int
     rewired: int
     started: int
@@ -23,8 +25,21 @@ class Key(NamedTuple):
 def key_of(problem: Problem, units: Collection[ComputationUnit]) -> Key:
     """How good a configuration is; its cost has transfers, spares and missed quality in it."""
     changes = problem.environment.change_to(units)
-    cost_us = cost_parts(problem, units).total_us
-    return Key(len(unused_required(problem, units)), cost_us, len(changes.rewired), len(changes.started))
+    parts = cost_parts(problem, units)
+    values = {
+        Objective.RENT: parts.rent_us,
+        Objective.COST: parts.total_us,
+        Objective.UNITS: sum(not unit.standby for unit in units),
+        Objective.HOSTS: len(used_hosts(problem.environment, units)),
+        Objective.REWIRED: len(changes.rewired),
+        Objective.STARTED: len(changes.started),
+    }
+    first: tuple[int, ...] = ()
+    if Notion.ORDER in problem.notions:
+        is_too_dear = problem.max_cost_us is not None and parts.total_us > problem.max_cost_us
+        first = int(is_too_dear), *(values[each] for each in problem.environment.minimise)
+    unused = len(unused_required(problem, units))
+    return Key(unused, first, parts.total_us, len(changes.rewired), len(changes.started))
 
 
 def unused_required(problem: Problem, units: Collection[ComputationUnit]) -> tuple[str, ...]:

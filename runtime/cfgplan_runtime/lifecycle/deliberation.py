@@ -11,7 +11,7 @@ from operator import is_
 
 from cfgplan import validity
 from cfgplan.api import World
-from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Transformation
+from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Objective, Transformation
 from cfgplan.errors import CfgplanError
 from cfgplan.explaining.best_effort import BestEffort, best_effort
 from cfgplan.planners.undecided import Deciding
@@ -321,11 +321,13 @@ def _judged(thought: Thought, found: BestEffort, *, optimises: bool) -> Thought:
     )
     met_now = [target.label for target in planned.targets if target.label not in unmet_now]
     met_then = [target.label for target in found.problem.environment.targets]
+    now = {**validity.values_of(asked, planned), Objective.COST: thought.cost_before_us}
     decision = _decision(
         thought,
         _served(planned, met_now, planned),
         _served(planned, met_then, found.problem.environment.update(plan.change_set)),
         is_sound=all(violation.rule is Rule.MET for violation in violations),
+        saves=[one.value for one in plan.measured] < [now[one.objective] for one in plan.measured],
         optimises=optimises,
     )
     if decision is Decision.KEPT:
@@ -334,17 +336,16 @@ def _judged(thought: Thought, found: BestEffort, *, optimises: bool) -> Thought:
 
 
 def _decision(
-    thought: Thought, before: tuple[int, ...], after: tuple[int, ...], *, is_sound: bool, optimises: bool
+    thought: Thought, before: tuple[int, ...], after: tuple[int, ...], *, is_sound: bool, saves: bool, optimises: bool
 ) -> Decision:
-    """What to do, by what is served before and after the update."""
-    assert thought.change_set is not None and thought.cost_us is not None
+    """What to do, by what is served before and after the update, and whether that `saves` what is minimised."""
     if is_sound and before > after and not thought.is_proven:
         return Decision.KEPT  # the planner had no time to find a plan that serves as much
     if not thought.change_set:
         return Decision.KEPT
     if not is_sound or before < after:
         return Decision.APPLIED
-    if thought.cost_us >= thought.cost_before_us and before == after:
+    if not saves and before == after:
         return Decision.KEPT
     return Decision.APPLIED if optimises else Decision.DEFERRED
 

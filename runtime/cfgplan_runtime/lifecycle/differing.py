@@ -31,6 +31,7 @@ def difference(before: World, after: World) -> Difference:
         "hosts": before.environment.hosts != after.environment.hosts,
         "transfer": before.environment.transfer_us != after.environment.transfer_us,
         "links": before.environment.links != after.environment.links,
+        "minimise": before.environment.minimise != after.environment.minimise,
         "qualities": before.environment.qualities != after.environment.qualities,
         "survive": before.survive != after.survive,
     }
