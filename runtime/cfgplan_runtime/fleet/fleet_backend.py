@@ -148,7 +148,8 @@ class FleetBackend:
         """Topics for which no host was asked, while none is there."""
         self._routes = Routes(run_folder.id)
         self._counts = Counts()
-        self._clock = HostClock(time.monotonic_ns)
+        began_ns = time.time_ns() - time.monotonic_ns()
+        self._clock = HostClock(lambda: time.monotonic_ns() + began_ns)
         self._run_ahead_ns = 0
         """How far this process's clock is ahead of the run's, which may be an earlier manager's."""
         self._serial = 0
