@@ -74,6 +74,11 @@ def used_hosts(environment: Environment, units: Iterable[ComputationUnit]) -> li
 
 def links_bear(problem: Problem, units: Collection[ComputationUnit]) -> bool:
     """Whether no link has to carry more bytes each second than it bears."""
+    return all(link.bandwidth is None or load <= link.bandwidth for link, load in link_loads(problem, units).items())
+
+
+def link_loads(problem: Problem, units: Collection[ComputationUnit]) -> Counter[Link]:
+    """The bytes that each link carries each second."""
     environment = problem.environment
     loads: Counter[Link] = Counter()
     kind = {unit.id: environment.transformation[unit.transformation] for unit in units} if environment.links else {}
@@ -81,7 +86,7 @@ def links_bear(problem: Problem, units: Collection[ComputationUnit]) -> bool:
         link = environment.link.get((transfer.origin or "", transfer.to))
         if link is not None:
             loads[link] += kind[transfer.stream.unit].output[transfer.stream.port].bytes_per_s
-    return all(link.bandwidth is None or load <= link.bandwidth for link, load in loads.items())
+    return loads
 
 
 def _unfed(transformation: Transformation, unit: ComputationUnit) -> Iterator[InputPort]:

@@ -10,7 +10,7 @@ from rich.text import Text
 from cfgplan.cli.screen import counted
 from cfgplan.costs import keep_cost_us, labor_us, seconds, standby_cost_us, upkeep_us
 from cfgplan.domain import CPU, MEMORY, POWER, ComputationUnit, Environment, Host, Objective, Stream, Target
-from cfgplan.figures import cost_parts, loads, qualities_of_targets, transfers
+from cfgplan.figures import cost_parts, link_loads, loads, qualities_of_targets, transfers
 from cfgplan.planners import IGNORING_REQUIRED
 from cfgplan.planning import Failures, Plan, Problem, Status
 from cfgplan.qualities import Better, QualityAttribute, Wish, units
@@ -303,9 +303,14 @@ def _hosts(problem: Problem, after: Environment) -> Iterator[Text]:
             yield Text(f"Host {name}: {', '.join([counted(number[name], 'unit'), *amounts])}.")
     if empty := [host.name for host in after.hosts if not number[host.name]]:
         yield Text(f"Nothing on {', '.join(empty)}.")
-    carried = transfers(problem, after.units)
-    for transfer in carried[:MOST_TRANSFERS]:
+    for link, carried in link_loads(problem, after.units).items():
+        limit = "" if link.bandwidth is None else f" of {link.bandwidth}"
+        yield Text(f"Link {' - '.join(link.between)}: {carried}{limit} bytes/s.")
+    journeys = transfers(problem, after.units)
+    if journeys:
+        yield Text("Streams from host to host:")
+    for transfer in journeys[:MOST_TRANSFERS]:
         dear = f", {cpu(transfer.cost_us)}" if transfer.cost_us else ""
         yield Text(f"  {transfer.stream}: {transfer.origin} -> {transfer.to}{dear}", style="dim")
-    if len(carried) > MOST_TRANSFERS:
-        yield Text(f"  ... and {len(carried) - MOST_TRANSFERS} more transfers", style="dim")
+    if len(journeys) > MOST_TRANSFERS:
+        yield Text(f"  ... and {len(journeys) - MOST_TRANSFERS} more transfers", style="dim")
