@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import runpy
 import signal
 import subprocess
 import sys
@@ -23,6 +25,7 @@ from cfgplan.errors import InputError
 ROOT = Path(__file__).parents[2]
 CFGPLAN = (sys.executable, "-c", "import sys; from cfgplan.cli import main; sys.exit(main())")
 START = ROOT / "models" / "fleet" / "1-start.yaml"
+RESCUE = ROOT / "models" / "rescue" / "1-start.yaml"
 
 
 @contextmanager
@@ -56,6 +59,25 @@ def test_the_map_goes_on_when_a_host_is_given_up_and_when_an_agent_is_killed() -
             eventually(lambda: {unit["host"] for unit in control.call("state")["units"]} == {"base", "r2"})
             eventually(lambda: next(received).time_ns > time.time_ns() - 500_000_000)
             assert next(received).time_ns > last
+
+
+def test_people_are_found_at_their_time_of_day_with_and_without_the_gpu() -> None:
+    people = runpy.run_path(str(RESCUE.with_name("units.py")))["PEOPLE"]
+    with local_run(RESCUE) as process, subscribe("/people", wait_s=PATIENCE_S, timeout_s=PATIENCE_S) as maps:
+        received = iter(maps)
+
+        def all_are_found(since_ns: int) -> bool:
+            one = next(received)
+            assert all(min(math.dist(place, person) for person in people) < 1 for place in one.value)
+            return one.time_ns > since_ns and len(one.value) == len(people)
+
+        assert abs(next(received).time_ns - time.time_ns()) < PATIENCE_S * 1e9
+        eventually(lambda: all_are_found(0))
+        with connect() as control:
+            assert "person_finder(bee).1" in {unit["id"] for unit in control.call("state")["units"]}
+            agent_of(process, "mule").send_signal(signal.SIGKILL)
+            eventually(lambda: {unit["host"] for unit in control.call("state")["units"]} == {"ant", "bee", "station"})
+            eventually(lambda: all_are_found(time.time_ns() - 500_000_000))
 
 
 def test_hosts_of_a_run_that_no_option_reaches_are_refused_with_the_mend() -> None:
