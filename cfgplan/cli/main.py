@@ -44,6 +44,7 @@ VERBS: Mapping[str, str] = MappingProxyType(
         "compare": "run planners side by side, each run in a process of its own, and check them against each other",
         "import": "turn the paper's XML, or a web service composition test set, into an environment file",
         "export": "write the environment file's JSON Schema, or an environment as YAML or the paper's XML",
+        "init": "write a small environment of one's own, with its ontology and unit code",
         "help": "show a page of the manual",
     }
 )
@@ -170,9 +171,22 @@ class Parser(argparse.ArgumentParser):
         raise InputError.of(message, mend=f"{self.prog} --help tells more")
 
 
-def _parser(arguments: Sequence[str]) -> Parser:
-    from cfgplan import __version__
+class _Version(argparse.Action):
+    """Prints versions and exits."""
 
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
+        from importlib.metadata import version
+        from platform import python_version
+
+        from cfgplan import __version__
+
+        solver, reasoner = version("ortools"), version("owlready2")
+        python = f"Python {python_version()}"
+        print(f"cfgplan {__version__} (OR-Tools {solver}, HermiT of owlready2 {reasoner}, {python})")
+        parser.exit()
+
+
+def _parser(arguments: Sequence[str]) -> Parser:
     parser = Parser(
         prog="cfgplan",
         description="Wire stream-processing components by meaning: the cheapest update of a running system, "
@@ -181,7 +195,7 @@ def _parser(arguments: Sequence[str]) -> Parser:
         "11 too expensive, 12 best effort with targets given up, "
         "20 stopped with an unproven plan, 21 stopped with none, 30 bad input, 31 internal error.",
     )
-    parser.add_argument("--version", action="version", version=f"cfgplan {__version__}")
+    parser.add_argument("--version", action=_Version, nargs=0, help="show the versions of cfgplan, solver and reasoner")
     verbs = parser.add_subparsers(metavar="VERB")
     asked = next((each for each in arguments if not each.startswith("-")), None)
     if asked is not None:
