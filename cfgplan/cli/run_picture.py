@@ -197,7 +197,8 @@ def _unit(unit: Mapping[str, Any], more: list[Text]) -> list[Text]:
     elif unit.get("errors") and unit["last_error"]:
         state = Text(printable(short(unit["last_error"])), style="yellow")
     elif "steps" not in unit:
-        state = Text("a cold spare" if unit.get("standby") else "new", style="cyan")
+        spare = "a cold spare, prepared" if unit.get("prepared") else "a cold spare"
+        state = Text(spare if unit.get("standby") else "new", style="cyan")
     if "steps" not in unit:
         return [Text(unit["id"]), *more, *[Text("")] * 5, state]
     return [

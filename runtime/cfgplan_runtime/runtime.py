@@ -182,11 +182,12 @@ class Runtime:
     def listen(self, listener: Callable[[Event], None]) -> None:
         """Have every event told, signs of life too, in order, from the supervisor's thread; it returns at once.
 
-        First it is told the last of each host that the backend has told of: whether it is there.
+        First it is told the last of each host that the backend has told of, whether it is there, and of the cold spares
+        that are prepared.
         """
 
         def begin() -> None:
-            for last in self.supervisor.hosts.values():
+            for last in (*self.supervisor.hosts.values(), *self.supervisor.spares.prepared):
                 listener(last)
             self._listeners = (*self._listeners, listener)
 

@@ -66,6 +66,9 @@ from cfgplan_runtime.supervision.events import (
     HostJoined,
     HostLost,
     InputLost,
+    SpareLost,
+    SparePrepared,
+    SpareUsed,
     TopicsStatus,
     UnitDied,
     UnitFailed,
@@ -212,6 +215,9 @@ def test_what_happens_is_a_perturbation_and_a_review_is_due(
         UnitDied("stranger.1", "crash"),
         UnitStopped("work.1"),
         UnitFailed("work.1", "raised", 3, "bad"),
+        SparePrepared("work.9", 1),
+        SpareUsed("work.1", "work.9"),
+        SpareLost("work.9", "crash"),
         Unusable("f", ()),
         HostLost("stranger", "cut"),
         HostJoined("stranger"),
@@ -251,6 +257,31 @@ def test_the_clock_of_a_host_is_known_while_it_is_there() -> None:
     assert joined.situation.clocks_ahead_us == {"near": 2_000_000, "far": -500_000} and not effects
     lost, _ = after(joined, 2.0, HostLost("far", "cut"))
     assert lost.situation.clocks_ahead_us == {"near": 2_000_000}
+
+
+@pytest.mark.parametrize(
+    ("what", "prepared"),
+    [
+        ([], {"work.9"}),
+        ([SparePrepared("work.8", 1)], {"work.8", "work.9"}),
+        ([SpareUsed("work.2", "work.9")], set()),
+        ([SpareLost("work.9", "crash")], set()),
+        ([SpareLost("work.9", "crash"), SparePrepared("work.9", 1)], {"work.9"}),
+        ([UnitDied("work.9", "crash"), HostLost("far", "cut")], {"work.9"}),
+    ],
+)
+def test_a_cold_spare_is_known_to_be_prepared_until_it_is_used_or_lost(
+    what: list[Happening], prepared: set[str]
+) -> None:
+    state, _ = after(stable(), 3.0, SparePrepared("work.9", 1), *what)
+    assert state.situation.prepared == prepared
+
+
+def test_another_spare_of_the_same_id_is_not_known_to_be_prepared() -> None:
+    state, _ = after(updating(), 3.0, SparePrepared("work.1", 1))
+    assert state.situation.prepared == {"work.1"}
+    state, _ = after(planning(), 3.0, SparePrepared("work.1", 1), Planned(thought()))
+    assert not state.situation.prepared
 
 
 def test_a_unit_without_a_good_step_for_long_is_given_up_and_blamed() -> None:

@@ -105,8 +105,10 @@ def test_a_cold_spare_is_told_from_what_runs() -> None:
     spare = replace(DETECTOR, id="detector.2", subscriptions=(), publications=(), host="nao2", standby=True)
     units = (*SNAPSHOT.environment.units, spare)
     snapshot = replace(SNAPSHOT, environment=replace(SNAPSHOT.environment, units=units, hosts=(Host("nao2"),)))
-    text = "\n".join(drawn(replace(snapshot, units=(*SNAPSHOT.units, UnitView(spare, "nao2")))))
-    assert re.search(r"detector.2 +nao2 .* a cold spare", text)
+    for is_prepared, says in ((False, "a cold spare$"), (True, "a cold spare, prepared$")):
+        view = UnitView(spare, "nao2", is_prepared=is_prepared)
+        text = "\n".join(line.rstrip() for line in drawn(replace(snapshot, units=(*SNAPSHOT.units, view))))
+        assert re.search(rf"detector.2 +nao2 .* {says}", text, re.MULTILINE)
     assert "nothing feeds" not in text
 
 

@@ -83,6 +83,16 @@ class Slow:
         return x
 
 
+class SlowToConstruct:
+    """Takes so many seconds until it can give its first value."""
+
+    def __init__(self, seconds: float) -> None:
+        time.sleep(seconds)
+
+    def __call__(self, x: Any) -> Any:
+        return x
+
+
 class Tally:
     """Counts its steps; the count survives a restart."""
 

@@ -36,6 +36,12 @@ class UnitOrder(msgspec.Struct, frozen=True, tag=True):
     """How many streams the inputs take that take several; ALL: as many as there are."""
 
 
+class SpareOrder(msgspec.Struct, frozen=True, tag=True):
+    """All that a child needs to construct the code of a unit, and to be one once it is told to Begin."""
+
+    order: UnitOrder
+
+
 class OutletOrder(msgspec.Struct, frozen=True, tag=True):
     """All that a child needs to be the outlets of a run."""
 
@@ -44,7 +50,7 @@ class OutletOrder(msgspec.Struct, frozen=True, tag=True):
     clock_offset_ns: int
 
 
-ChildOrder: TypeAlias = UnitOrder | OutletOrder
+ChildOrder: TypeAlias = UnitOrder | SpareOrder | OutletOrder
 
 
 # To a child.
@@ -131,13 +137,20 @@ class Release(msgspec.Struct, tag=True):
     crossing: str
 
 
+class Begin(msgspec.Struct, tag=True):
+    """Be this unit from now on, with the state of an earlier one."""
+
+    unit: str
+    state: bytes | None
+
+
 class Finish(msgspec.Struct, tag=True):
     """Process what has arrived, then end."""
 
 
 ToRelay: TypeAlias = Export | Import | Release
 ToChild: TypeAlias = (
-    Feed | Serve | Cut | End | Unserve | SwitchNow | OpenOutlet | CloseOutlet | SetClock | ToRelay | Finish
+    Feed | Serve | Cut | End | Unserve | SwitchNow | OpenOutlet | CloseOutlet | SetClock | ToRelay | Begin | Finish
 )
 
 
@@ -148,6 +161,16 @@ class Ready(msgspec.Struct, tag=True):
     """The unit code is constructed; `cpu_ns` is the CPU time that took."""
 
     cpu_ns: int
+
+
+class Prepared(msgspec.Struct, tag=True):
+    """The unit code is constructed, and waits for Begin.
+
+    `changed_ns` has the files in the code folder that were imported, and when each was last changed.
+    """
+
+    cpu_ns: int
+    changed_ns: dict[str, int]
 
 
 class Switched(msgspec.Struct, tag=True):
@@ -244,7 +267,9 @@ class CrossingCounts(msgspec.Struct, frozen=True):
     waiting: int = 0
 
 
-FromChild: TypeAlias = Ready | Switched | Lost | Trouble | Exhausted | UnitSign | Flowing | Unserved | ImportUnused
+FromChild: TypeAlias = (
+    Ready | Prepared | Switched | Lost | Trouble | Exhausted | UnitSign | Flowing | Unserved | ImportUnused
+)
 
 
 # To and from the nursery.

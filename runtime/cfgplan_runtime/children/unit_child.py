@@ -6,15 +6,18 @@ import socket
 import time
 import traceback
 from collections.abc import Iterator
+from pathlib import Path
 
 import msgspec
 
 from cfgplan.domain import ALL
 from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.messages import (
+    Begin,
     Exhausted,
     Finish,
     PortCounts,
+    Prepared,
     Ready,
     SetClock,
     ToChild,
@@ -24,7 +27,7 @@ from cfgplan_runtime.children.messages import (
 )
 from cfgplan_runtime.children.ports import Ports, UnitInput, UnitOutput
 from cfgplan_runtime.children.steps import Step, StepQueue
-from cfgplan_runtime.children.unit_code import Given, UnitCode
+from cfgplan_runtime.children.unit_code import Given, UnitCode, imported_files
 from cfgplan_runtime.errors import EncodingError, WrongPortsError
 from cfgplan_runtime.streams.element import Element, Moment, Outgoing
 from cfgplan_runtime.streams.inlet import InputQueue, port_of
@@ -62,8 +65,7 @@ class UnitChild:
             counts=order.counts,
         )
         self._code = UnitCode(order.source, order.params, order.outputs, folder=order.folder, is_source=self._is_source)
-        if order.keeps_state and order.state is not None and self._code.has_state:
-            self._code.set_state(msgspec.msgpack.decode(order.state))
+        self._set_state(order.state)
         for inlet in self._steps.inlets:
             self._ports.inputs[inlet] = self._input_port(inlet)
         for port in order.outputs:
@@ -80,7 +82,15 @@ class UnitChild:
         self._is_exhausted = self._is_finishing = False
         self._raised: Exception | None = None
         """The last exception of a source that has given nothing since; the cause if the source then ends."""
-        self._tick_ns = time.monotonic_ns()
+        self._tick_ns = 0
+        self._begun: str | None = None
+
+    def await_beginning(self) -> str | None:
+        """Wait, as a spare, until told to be a unit. Returns its id; None if the supervisor is gone."""
+        self._ports.say(Prepared(time.process_time_ns(), imported_files(Path(self._order.folder))))
+        while self._begun is None and not self._ports.has_ended:
+            self._ports.wait(None)
+        return self._begun
 
     def run(self) -> None:
         """Work until told to finish, or until the supervisor is gone.
@@ -88,7 +98,7 @@ class UnitChild:
         Raises SystemExit if unit code does, and the last exception of a source that gives nothing after it.
         """
         self._ports.say(Ready(time.process_time_ns()))
-        self._status_ns = time.monotonic_ns()
+        self._status_ns = self._tick_ns = time.monotonic_ns()
         while not self._ports.has_ended:
             self._ports.wait(self._patience_s())
             self._work()
@@ -102,6 +112,9 @@ class UnitChild:
         match message:
             case SetClock(offset_ns):
                 self._clock_offset_ns = offset_ns
+            case Begin(unit, state):
+                self._set_state(state)
+                self._begun = unit
             case Finish():
                 self._ports.drain()
                 self._is_finishing = True
@@ -243,6 +256,10 @@ class UnitChild:
                 steps.waiting(port),
             )
         return counts
+
+    def _set_state(self, state: bytes | None) -> None:
+        if self._order.keeps_state and state is not None and self._code.has_state:
+            self._code.set_state(msgspec.msgpack.decode(state))
 
     def _state(self) -> bytes | None:
         if not (self._order.keeps_state and self._code.has_state):

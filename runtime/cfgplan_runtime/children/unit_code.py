@@ -14,6 +14,7 @@ import importlib.util
 import inspect
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -120,6 +121,17 @@ def find_source(source: str, folder: Path) -> Callable[..., Any]:
     if not callable(found):
         raise BadSourceError(f"{source} is neither a class nor a function")
     return found  # type: ignore[no-any-return]
+
+
+def imported_files(folder: Path) -> dict[str, int]:
+    """The files in a folder that this process has imported, packages apart, and when each was changed (nanoseconds)."""
+    found = dict[str, int]()
+    for module in list(sys.modules.values()):
+        file = Path(getattr(module, "__file__", None) or "/")
+        if file.is_relative_to(folder) and "site-packages" not in file.parts:
+            with suppress(OSError):
+                found[str(file)] = file.stat().st_mtime_ns
+    return found
 
 
 def _module_of_file(path: Path) -> ModuleType:

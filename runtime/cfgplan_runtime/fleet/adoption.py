@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from cfgplan.domain import ComputationUnit, Host, Publication, Stream, Subscription, Transformation
 from cfgplan_runtime.children.messages import Release
 from cfgplan_runtime.children.unit_order import unit_order
-from cfgplan_runtime.fleet.orders import CutOrder, Held, HeldExport, KillOrder
+from cfgplan_runtime.fleet.orders import CutOrder, DiscardOrder, Held, HeldExport, HeldUnit, KillOrder
 from cfgplan_runtime.fleet.routes import Crossing, OrderTo, Route, Routes
 from cfgplan_runtime.processes.process_backend import RELAY
 from cfgplan_runtime.supervision.backend import Found, FoundWire
@@ -16,10 +16,13 @@ from cfgplan_runtime.supervision.backend import Found, FoundWire
 
 @dataclass(frozen=True, slots=True)
 class Adoption:
-    """What is kept: the host of each unit; by topic the host that was asked for and the one where it is; the routes."""
+    """What is kept: the host of each unit and spare; by topic the host that was asked for and the one where it is; the
+    routes.
+    """
 
     found: Found | None
     units: Mapping[str, str]
+    spares: Mapping[str, str]
     topics: Mapping[str, tuple[str | None, str]]
     routes: Routes
     orders: Sequence[OrderTo]
@@ -31,31 +34,41 @@ def adopt(run: str, held: Mapping[str, Held], library: Mapping[str, Transformati
 
     `held` has what each host holds. New crossings will bear the name of `run`.
     """
-    units, ended_units = _units(held, library)
+    units, ended_units = _kept({host: one.units for host, one in held.items()}, library)
+    spares, ended_spares = _kept({host: one.spares for host, one in held.items()}, library)
+    ended_spares += [(spares.pop(unit), unit) for unit in sorted(spares.keys() & units.keys())]
     crossings, released = _crossings(held)
     routes, has_switched, cut = _routes(held, units, crossings)
     topics = {topic: (asked, host) for host, one in held.items() for topic, asked in one.topics.items()}
     fed = [crossing for crossing in crossings.values() if crossing.stream.unit in units]
     return Adoption(
-        _found(held, units, topics, routes, has_switched, library) if units or topics else None,
+        _found(held, units, spares, topics, routes, has_switched, library) if units or spares or topics else None,
         units,
+        spares,
         topics,
         Routes(run, routes, crossings.values(), fed),
-        [*ended_units, *released, *cut],
+        [
+            *((host, KillOrder(unit, dump=False)) for host, unit in ended_units),
+            *((host, DiscardOrder(spare)) for host, spare in ended_spares),
+            *released,
+            *cut,
+        ],
     )
 
 
-def _units(held: Mapping[str, Held], library: Mapping[str, Transformation]) -> tuple[dict[str, str], list[OrderTo]]:
-    """The host of each unit that was started as it would be now, and the ends of all others."""
-    units, orders = dict[str, str](), list[OrderTo]()
-    for host, one in held.items():
-        for unit, known in one.units.items():
+def _kept(
+    held: Mapping[str, Mapping[str, HeldUnit]], library: Mapping[str, Transformation]
+) -> tuple[dict[str, str], list[tuple[str, str]]]:
+    """The host of each unit that was started as it would be now, and the hosts and ids of all others."""
+    kept, ended = dict[str, str](), list[tuple[str, str]]()
+    for host, units in held.items():
+        for unit, known in units.items():
             transformation = library.get(known.label)
             if transformation is not None and unit_order(unit, transformation, None) == known.order:
-                units[unit] = host
+                kept[unit] = host
             else:
-                orders.append((host, KillOrder(unit, dump=False)))
-    return units, orders
+                ended.append((host, unit))
+    return kept, ended
 
 
 def _crossings(held: Mapping[str, Held]) -> tuple[dict[str, Crossing], list[OrderTo]]:
@@ -98,18 +111,22 @@ def _routes(
 def _found(
     held: Mapping[str, Held],
     units: Mapping[str, str],
+    spares: Mapping[str, str],
     topics: Mapping[str, tuple[str | None, str]],
     routes: Sequence[Route],
     has_switched: set[int],
     library: Mapping[str, Transformation],
 ) -> Found:
-    labels = {unit: held[host].units[unit].label for unit, host in units.items()}
-    labor_us = {unit: held[host].units[unit].labor_us for unit, host in units.items()}
+    running = {unit: held[host].units[unit] for unit, host in units.items()}
+    prepared = {spare: held[host].spares[spare] for spare, host in spares.items()}
+    known = {**prepared, **running}
+    cold = [ComputationUnit(spare, prepared[spare].label, host=host, standby=True) for spare, host in spares.items()]
+    hot = [_as_wired(unit, running[unit].label, host, routes) for unit, host in units.items()]
     return Found(
-        tuple(_as_wired(unit, labels[unit], host, routes) for unit, host in sorted(units.items())),
-        tuple(library[label] for label in sorted(set(labels.values()))),
-        tuple(Host(host) for host in sorted(set(units.values()))),
-        {unit: labor for unit, labor in labor_us.items() if labor is not None},
+        tuple(sorted([*hot, *cold], key=lambda unit: unit.id)),
+        tuple(library[label] for label in sorted({one.label for one in known.values()})),
+        tuple(Host(host) for host in sorted({*units.values(), *spares.values()})),
+        {unit: one.labor_us for unit, one in known.items() if one.labor_us is not None},
         tuple(FoundWire(one.wire, one.stream, one.inlet, one.wire in has_switched) for one in routes),
         {topic: asked for topic, (asked, _) in topics.items()},
     )

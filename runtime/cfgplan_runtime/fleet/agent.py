@@ -28,6 +28,7 @@ from cfgplan_runtime.fleet.orders import (
     CloseTopicOrder,
     ConnectOrder,
     CutOrder,
+    DiscardOrder,
     EndWireOrder,
     FromAgent,
     GreetOrder,
@@ -40,6 +41,7 @@ from cfgplan_runtime.fleet.orders import (
     LeaveOrder,
     OpenTopicOrder,
     Order,
+    PrepareOrder,
     RenewOrder,
     Session,
     StartOrder,
@@ -62,6 +64,8 @@ from cfgplan_runtime.supervision.events import (
     ElementsLost,
     Event,
     InputLost,
+    SpareLost,
+    SparePrepared,
     UnitDied,
     UnitReady,
     UnitStopped,
@@ -128,6 +132,7 @@ class Agent:
         self._arrived: deque[tuple[str, bytes, bytes]] = deque()
         self._talk: Talk[Order] | None = None
         self._units: dict[str, HeldUnit] = {}
+        self._spares: dict[str, HeldUnit] = {}
         self._wires: dict[Inlet, HeldWire] = {}
         self._topics: dict[str, str | None] = {}
         self._exports: dict[str, HeldExport] = {}
@@ -247,7 +252,7 @@ class Agent:
         now_s = time.monotonic()
         if now_s >= self._usage_due_s:
             self._usage_due_s = now_s + USAGE_PERIOD_S
-            self._tell_usage(self._units)
+            self._tell_usage([*self._units, *self._spares])
         if self._talk is not None:
             self._talk.pump(now_s)
 
@@ -300,6 +305,11 @@ class Agent:
                 backend.correct_clock(ahead_ns)
             case StartOrder():
                 self._start(order)
+            case PrepareOrder():
+                self._prepare(order)
+            case DiscardOrder(spare):
+                self._spares.pop(spare, None)
+                backend.discard(spare)
             case StopOrder(unit):
                 backend.stop(unit)
             case KillOrder(unit, dump):
@@ -339,7 +349,7 @@ class Agent:
 
     def _held(self) -> Held:
         wires = list(self._wires.values())
-        return Held(self._units, wires, self._topics, self._exports, self._imports, self._ahead_ns)
+        return Held(self._units, self._spares, wires, self._topics, self._exports, self._imports, self._ahead_ns)
 
     def _hold_wire(self, order: ConnectOrder) -> None:
         if order.inlet.unit == RELAY and order.inlet.port in self._exports:
@@ -357,23 +367,43 @@ class Agent:
         self._ending = set(self._units)
         for unit in self._units:
             self._backend.kill(unit)
+        for spare in self._spares:
+            self._backend.discard(spare)
         for topic in self._topics:
             self._backend.close_outlet(topic)
         for crossing in (*self._exports, *self._imports):
             self._backend.tell_relay(Release(crossing))
         self._ahead_ns = None
-        for held in (self._wires, self._topics, self._exports, self._imports):
+        for held in (self._spares, self._wires, self._topics, self._exports, self._imports):
             held.clear()
 
     def _start(self, start: StartOrder) -> None:
-        unit, source = start.order.unit, start.order.source
-        file = source_file(source, self._backend.code_folder)
-        if start.digest is not None and file is not None and digest_of(file) != start.digest:
-            is_there = "another version than the manager's" if file.exists() else "not there"
-            self._say(told(UnitDied(unit, f"can't be started on {self.name}: {file} is {is_there}")))
+        unit = start.order.unit
+        if start.spare is not None:
+            self._spares.pop(start.spare, None)
+        other = self._other_version(start)
+        if other:
+            self._backend.discard(start.spare or "")
+            self._say(told(UnitDied(unit, other)))
             return
         self._units[unit] = HeldUnit(start.label, msgspec.structs.replace(start.order, state=None))
-        self._backend.start_unit(start.order)
+        self._backend.start_unit(start.order, start.spare)
+
+    def _prepare(self, prepare: PrepareOrder) -> None:
+        spare, other = prepare.order.unit, self._other_version(prepare)
+        if other:
+            self._say(told(SpareLost(spare, other)))
+            return
+        self._spares[spare] = HeldUnit(prepare.label, prepare.order)
+        self._backend.prepare_unit(prepare.order)
+
+    def _other_version(self, order: StartOrder | PrepareOrder) -> str:
+        """In words why an order can't be carried out with the code that is here; empty if it can."""
+        file = source_file(order.order.source, self._backend.code_folder)
+        if order.digest is None or file is None or digest_of(file) == order.digest:
+            return ""
+        is_there = "another version than the manager's" if file.exists() else "not there"
+        return f"can't be started on {self.name}: {file} is {is_there}"
 
     def _tell(self, event: Event) -> None:
         match event:
@@ -396,6 +426,12 @@ class Agent:
             case UnitReady(unit, labor_us):
                 self._units[unit].labor_us = labor_us
                 self._tell_usage([unit])
+                self._say(told(event))
+            case SparePrepared(spare, labor_us):
+                self._spares[spare].labor_us = labor_us
+                self._say(told(event))
+            case SpareLost(spare):
+                self._spares.pop(spare, None)
                 self._say(told(event))
             case _:
                 self._say(told(event))

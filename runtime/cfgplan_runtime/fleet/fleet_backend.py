@@ -31,6 +31,7 @@ from cfgplan_runtime.fleet.orders import (
     SAY,
     ClockOrder,
     CloseTopicOrder,
+    DiscardOrder,
     EventTold,
     FromAgent,
     GreetOrder,
@@ -39,6 +40,7 @@ from cfgplan_runtime.fleet.orders import (
     LeaveOrder,
     OpenTopicOrder,
     Order,
+    PrepareOrder,
     RenewOrder,
     Session,
     StartOrder,
@@ -67,6 +69,7 @@ from cfgplan_runtime.supervision.events import (
     OutletsLost,
     OutletsOpened,
     OutOfDescriptors,
+    SpareLost,
     TopicsStatus,
     UnitDied,
     UnitStopped,
@@ -142,6 +145,7 @@ class FleetBackend:
         self._events: list[Event] = []
         self._hosts: dict[str, _HostState] = {}
         self._units: dict[str, str] = {}
+        self._spares: dict[str, str] = {}
         self._topics: dict[str, tuple[str | None, str]] = {}
         """By topic: the host that was asked for, and the one where it is."""
         self._unplaced: set[str] = set()
@@ -191,7 +195,8 @@ class FleetBackend:
     def found(self) -> Found | None:
         held = {name: host.held for name, host in self._hosts.items() if host.is_there}
         adopted = adopt(self.id, held, self._library)
-        self._units, self._topics, self._routes = dict(adopted.units), dict(adopted.topics), adopted.routes
+        self._units, self._spares = dict(adopted.units), dict(adopted.spares)
+        self._topics, self._routes = dict(adopted.topics), adopted.routes
         self._give(adopted.orders)
         for topic, (_, host) in self._topics.items():
             self._show(topic, host)
@@ -214,14 +219,30 @@ class FleetBackend:
         events, self._events = self._events, []
         return events
 
-    def start(self, unit: str, transformation: Transformation, state: bytes | None, host: str | None) -> None:
+    def start(
+        self, unit: str, transformation: Transformation, state: bytes | None, host: str | None, spare: str | None = None
+    ) -> None:
         there = self._place(host)
+        if spare is not None and self._spares.get(spare) != there:
+            self.discard(spare)
+            spare = None
+        self._spares.pop(spare or "", None)
         if there is None:
             return
         self._units[unit] = there
-        file = source_file(transformation.source or "", self._folder)
-        digest = None if file is None else digest_of(file)
-        self._say(there, StartOrder(transformation.label, unit_order(unit, transformation, state), digest))
+        order = unit_order(unit, transformation, state)
+        self._say(there, StartOrder(transformation.label, order, self._digest(transformation), spare))
+
+    def prepare(self, spare: str, transformation: Transformation, host: str | None) -> None:
+        there = self._place(host)
+        if there is None:
+            return
+        self._spares[spare] = there
+        order = unit_order(spare, transformation, None)
+        self._say(there, PrepareOrder(transformation.label, order, self._digest(transformation)))
+
+    def discard(self, spare: str) -> None:
+        self._say(self._spares.pop(spare, None), DiscardOrder(spare))
 
     def stop(self, unit: str) -> None:
         self._say(self._units.get(unit), StopOrder(unit))
@@ -269,7 +290,7 @@ class FleetBackend:
         self._say(host, RenewOrder(name))
 
     def usage(self, unit: str) -> Usage | None:
-        host = self._hosts.get(self._units.get(unit, ""))
+        host = self._hosts.get(self._units.get(unit) or self._spares.get(unit, ""))
         return None if host is None else host.usage.get(unit)
 
     def pid(self, unit: str) -> int | None:
@@ -404,6 +425,7 @@ class FleetBackend:
         if not host.is_there:
             return
         self._units = {unit: at for unit, at in self._units.items() if at != host.name}
+        self._spares = {spare: at for spare, at in self._spares.items() if at != host.name}
         self._give(self._routes.forget_host(host.name))
         self._events.append(HostLost(host.name, cause))
         moved = [topic for topic, (asked, at) in self._topics.items() if at == host.name and asked is None]
@@ -510,6 +532,9 @@ class FleetBackend:
                 self._units.pop(unit, None)
                 host.usage.pop(unit, None)
                 self._routes.forget_unit(unit)
+            case SpareLost(spare):
+                self._spares.pop(spare, None)
+                host.usage.pop(spare, None)
             case WireSwitched(wire):
                 self._routes.note_switch(wire)
             case InputLost(_, _, wire):
@@ -532,6 +557,10 @@ class FleetBackend:
         """Give an order to a host; does nothing if it is not there."""
         if host is not None and self._is_there(host):
             self._hosts[host].talk.say(order, self.now())
+
+    def _digest(self, transformation: Transformation) -> str | None:
+        file = source_file(transformation.source or "", self._folder)
+        return None if file is None else digest_of(file)
 
     def _is_there(self, host: str) -> bool:
         return host in self._hosts and self._hosts[host].is_there

@@ -63,13 +63,28 @@ class ClockOrder(msgspec.Struct, tag=True):
 
 
 class StartOrder(msgspec.Struct, tag=True):
-    """Start a unit of the transformation `label`. `digest` is that of its source file at the manager, None if it has
-    none there.
+    """Start a unit of the transformation `label`, as the `spare` that was prepared. `digest` is that of its source file
+    at the manager, None if it has none there.
     """
 
     label: str
     order: UnitOrder
     digest: str | None
+    spare: str | None = None
+
+
+class PrepareOrder(msgspec.Struct, tag=True):
+    """Prepare a cold spare, which `order` names; the rest is as in StartOrder."""
+
+    label: str
+    order: UnitOrder
+    digest: str | None
+
+
+class DiscardOrder(msgspec.Struct, tag=True):
+    """End what was prepared for a cold spare."""
+
+    spare: str
 
 
 class StopOrder(msgspec.Struct, tag=True):
@@ -127,6 +142,8 @@ Order: TypeAlias = (
     GreetOrder
     | ClockOrder
     | StartOrder
+    | PrepareOrder
+    | DiscardOrder
     | StopOrder
     | KillOrder
     | ConnectOrder
@@ -145,7 +162,7 @@ Order: TypeAlias = (
 
 
 class HeldUnit(msgspec.Struct):
-    """A unit that runs: the transformation's label, how it was started, and its labor once it is ready."""
+    """A unit that runs, or a spare: its transformation's label, how it was started, and its labor once it is ready."""
 
     label: str
     order: UnitOrder
@@ -180,6 +197,7 @@ class Held(msgspec.Struct):
     """What an agent keeps on its host. `topics` have the host of their target."""
 
     units: dict[str, HeldUnit] = {}
+    spares: dict[str, HeldUnit] = {}
     wires: list[HeldWire] = []
     topics: dict[str, str | None] = {}
     exports: dict[str, HeldExport] = {}

@@ -47,6 +47,8 @@ class Situation:
     """Whether a host of which the middleware has said nothing is not there yet."""
     given_up_hosts: frozenset[str] = frozenset()
     """Hosts that are to be done without, by request."""
+    prepared: frozenset[str] = frozenset()
+    """Ids of the cold spares that the middleware has prepared."""
     silences: tuple[Silence, ...] = ()
     """Targets that count as unmet though a stream is published for them."""
 
@@ -66,7 +68,8 @@ class Situation:
     def without(self, *gone: str) -> Situation:
         """The situation without these units."""
         left = {unit: running for unit, running in self.units.items() if unit not in gone}
-        return replace(self, units=left, failing=self.failing.difference(gone), killed=self.killed.difference(gone))
+        failing, killed, prepared = (ids.difference(gone) for ids in (self.failing, self.killed, self.prepared))
+        return replace(self, units=left, failing=failing, killed=killed, prepared=prepared)
 
     def with_started(self, units: Iterable[ComputationUnit], library: Environment, now_s: float) -> Situation:
         """Add the units that are not known yet: they run since `now_s` as `library` says."""

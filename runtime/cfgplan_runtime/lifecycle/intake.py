@@ -32,6 +32,9 @@ from cfgplan_runtime.supervision.events import (
     HostJoined,
     HostLost,
     InputLost,
+    SpareLost,
+    SparePrepared,
+    SpareUsed,
     TopicsStatus,
     UnitDied,
     UnitFailed,
@@ -62,6 +65,10 @@ def heard(turn: Turn, event: Event) -> Turn:
             return _noted(turn, unit, replace(_note(state, unit), error=text))
         case UnitDied(unit, cause):
             return _gone(turn, unit, cause)
+        case SparePrepared(spare):
+            return turn.situated(replace(state.situation, prepared=state.situation.prepared | {spare}))
+        case SpareLost(spare) | SpareUsed(_, spare):
+            return turn.situated(replace(state.situation, prepared=state.situation.prepared - {spare}))
         case HostLost(host, cause):
             return _host_lost(turn, host, cause)
         case HostJoined(host, ahead_us):

@@ -87,11 +87,12 @@ class TargetView:
 
 @dataclass(frozen=True)
 class UnitView:
-    """A unit now; `observation` is the last one, if there was any yet."""
+    """A unit now; `observation` is the last one, if there was any yet. Of cold spares, some are prepared."""
 
     unit: ComputationUnit
     host: str | None = None
     observation: Observation | None = None
+    is_prepared: bool = False
 
 
 @dataclass(frozen=True, slots=True)

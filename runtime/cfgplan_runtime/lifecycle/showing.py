@@ -53,10 +53,15 @@ def silence_reason(silence: Silence, now_s: float) -> str:
 def unit_views(
     running: Environment, situation: Situation, observations: Mapping[str, Observation]
 ) -> tuple[UnitView, ...]:
-    """Each unit that runs, with its host and what was last observed of it."""
+    """Each unit that runs, or is a cold spare, with its host and what was last observed of it."""
     units = situation.units
     return tuple(
-        UnitView(unit, known.host if (known := units.get(unit.id)) else unit.host, observations.get(unit.id))
+        UnitView(
+            unit,
+            known.host if (known := units.get(unit.id)) else unit.host,
+            observations.get(unit.id),
+            unit.standby and unit.id in situation.prepared,
+        )
         for unit in running.units
     )
 

@@ -68,6 +68,9 @@ _OF_ALL: Final[Sequence[_Measure[Snapshot]]] = (
         "Cold spares, which can run but do not.",
         lambda now: sum(view.unit.standby for view in now.units),
     ),
+    _Measure(
+        "prepared_spares", "Cold spares whose code is constructed.", lambda now: sum(v.is_prepared for v in now.units)
+    ),
     _Measure("lost_hosts", "Hosts that nothing is planned on.", lambda now: len(now.lost_hosts)),
     _Measure("transformations", "Transformations in the library.", lambda now: len(now.environment.library)),
     _Measure("pending_perturbations", "Perturbations that wait for a review.", lambda now: len(now.pending)),

@@ -131,7 +131,9 @@ def _target(target: TargetView, flow: Record | None) -> Record:
 def _unit(view: UnitView, environment: Environment) -> Record:
     record = {**_wired(view.unit), "host": view.host}
     transformation = environment.transformation.get(view.unit.transformation)
-    if transformation is not None and not view.unit.standby:
+    if view.unit.standby:
+        record["prepared"] = view.is_prepared
+    elif transformation is not None:
         feeds = view.unit.feeds
         record["unfed"] = [port.name for port in transformation.inputs if not port.takes(len(feeds.get(port.name, ())))]
     seen = view.observation

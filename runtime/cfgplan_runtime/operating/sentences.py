@@ -59,7 +59,9 @@ def sentence(report: Report) -> str | None:
 def details(report: Report) -> str | None:
     """The traceback's frames in the user's own files, for failed unit code; None if there are none."""
     match report:
-        case UnitEvent(events.UnitFailed(text=text) | events.UnitDied(cause=text)) if _TRACEBACK in text:
+        case UnitEvent(events.UnitFailed(text=text) | events.UnitDied(cause=text) | events.SpareLost(cause=text)) if (
+            _TRACEBACK in text
+        ):
             frames = _FRAME.findall(text)
             own = [frame for frame in frames if _OUR_CODE not in frame.partition("\n")[0]]
             return "".join(own).rstrip("\n") or None
@@ -78,7 +80,9 @@ def level(report: Report) -> int:
             | events.OutOfDescriptors()
         ):
             return ERROR
-        case UnitEvent(events.UnitFailed() | events.InputLost() | events.RolledBack()) | BackedOff():
+        case UnitEvent(events.UnitFailed() | events.SpareLost() | events.InputLost() | events.RolledBack()):
+            return WARNING
+        case BackedOff():
             return WARNING
         case WorldRefused(_, faults) if faults:
             return WARNING
@@ -224,6 +228,10 @@ def _event(event: events.Event) -> str | None:
     match event:
         case events.UnitDied(unit, cause):
             return f"{unit} died: {short(cause)}"
+        case events.SpareUsed(unit, spare):
+            return f"{unit} begins where {spare} was prepared"
+        case events.SpareLost(unit, cause):
+            return f"the cold spare {unit} is not prepared any more, and will be again: {short(cause)}"
         case events.UnitFailed(unit, kind, step, text, suppressed):
             if suppressed:
                 return f"{unit} failed {_times(suppressed)} more, up to step {step}, such as ({kind}): {short(text)}"

@@ -36,7 +36,15 @@ class ChildProcess:
     """The number of steps begun, by its last sign of life."""
     trouble: str = ""
     """The cause of its end, as it told it."""
+    is_spare: bool = False
+    """Whether it waits to be a unit. Until then its name is that of a cold spare."""
+    changed_ns: dict[str, int] = field(default_factory=dict)
+    """The files of its code, as far as known, and when each was last changed, as the spare has read it."""
     _line: bytearray = field(default_factory=bytearray)
+
+    def changed_file(self) -> str | None:
+        """A file of a spare's code that has changed since it was read; None if none has."""
+        return next((file for file, at_ns in self.changed_ns.items() if changed_ns(Path(file)) != at_ns), None)
 
     def printed_lines(self) -> tuple[list[str], bool]:
         """The lines printed since the last call, and whether more may come."""
@@ -51,6 +59,14 @@ class ChildProcess:
         is_cut = not data or len(lines[-1]) > _LONGEST_LINE
         self._line = bytearray() if is_cut else lines.pop()
         return [line.decode(errors="backslashreplace") for line in lines if line or not is_cut], bool(data)
+
+
+def changed_ns(file: Path) -> int | None:
+    """When a file was last changed, in nanoseconds; None if it is not there."""
+    try:
+        return file.stat().st_mtime_ns
+    except OSError:
+        return None
 
 
 def cause_of_end(child: ChildProcess, status: int) -> str:

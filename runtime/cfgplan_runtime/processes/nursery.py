@@ -32,10 +32,10 @@ from cfgplan_runtime.children.messages import (
     Kill,
     NotForked,
     OutletOrder,
+    SpareOrder,
     ToChild,
     ToNursery,
     Trouble,
-    UnitOrder,
 )
 from cfgplan_runtime.children.outlet_child import NO_DESCRIPTOR, OutletChild
 from cfgplan_runtime.children.unit_child import UnitChild
@@ -97,8 +97,7 @@ class Nursery:
             status = FAILED
             try:
                 self._become_child(parent)
-                setproctitle(f"cfgplan {self._run} {_title(order)}")
-                status = be_child(order, *sockets)
+                status = be_child(order, *sockets, run=self._run)
             finally:
                 os._exit(status)
         for end in sockets:
@@ -139,24 +138,28 @@ class Nursery:
                 self._control.send(Gone(serial, status))
 
 
-def _title(order: ChildOrder) -> str:
-    return order.unit if isinstance(order, UnitOrder) else "outlets"
-
-
-def be_child(order: ChildOrder, control_end: socket.socket, printed: socket.socket) -> int:
-    """Run as a unit or the outlets until told to finish. Returns the exit status."""
+def be_child(order: ChildOrder, control_end: socket.socket, printed: socket.socket, *, run: str) -> int:
+    """Run as a unit, a spare or the outlets until told to finish. Returns the exit status."""
     _redirect(printed)
     random.seed()
     control: ControlConnection[ToChild] = ControlConnection(control_end, ToChild)
     unit: UnitChild | None = None
     try:
         if isinstance(order, OutletOrder):
+            setproctitle(f"cfgplan {run} outlets")
             OutletChild(order, control).run()
             return 0
         if "numpy.random" in sys.modules:
             sys.modules["numpy.random"].seed()
-        _limit_memory(order.memory_bytes)
-        unit = UnitChild(order, control)
+        of_unit, title = (order.order, "spare ") if isinstance(order, SpareOrder) else (order, "")
+        setproctitle(f"cfgplan {run} {title}{of_unit.unit}")
+        _limit_memory(of_unit.memory_bytes)
+        unit = UnitChild(of_unit, control)
+        if isinstance(order, SpareOrder):
+            begun = unit.await_beginning()
+            if begun is None:
+                return 0
+            setproctitle(f"cfgplan {run} {begun}")
         unit.run()
     except SystemExit as error:
         _tell(control, Trouble("exited", unit.step if unit else 0, "".join(traceback.format_exception(error))))

@@ -18,6 +18,7 @@ from cfgplan.domain import Stream, Transformation
 from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.messages import (
     Alive,
+    Begin,
     ChildOrder,
     CloseOutlet,
     Cut,
@@ -34,9 +35,11 @@ from cfgplan_runtime.children.messages import (
     NotForked,
     OpenOutlet,
     OutletOrder,
+    Prepared,
     Ready,
     Serve,
     SetClock,
+    SpareOrder,
     Switched,
     SwitchNow,
     ToRelay,
@@ -47,7 +50,7 @@ from cfgplan_runtime.children.messages import (
     Unserved,
 )
 from cfgplan_runtime.children.unit_order import unit_order
-from cfgplan_runtime.processes.child_process import ChildProcess, cause_of_end, cpu_us, memory_bytes
+from cfgplan_runtime.processes.child_process import ChildProcess, cause_of_end, changed_ns, cpu_us, memory_bytes
 from cfgplan_runtime.processes.nursery_link import NurseryLink
 from cfgplan_runtime.streams.channel import socket_pair
 from cfgplan_runtime.streams.run_folder import RunFolder
@@ -61,6 +64,9 @@ from cfgplan_runtime.supervision.events import (
     OutletsOpened,
     OutOfDescriptors,
     SourceExhausted,
+    SpareLost,
+    SparePrepared,
+    SpareUsed,
     TopicsStatus,
     UnitDied,
     UnitFailed,
@@ -82,6 +88,8 @@ HELPER_S = 10.0
 _HELPER_START_S = 60.0
 """Seconds until the first sign of life: the nursery imports modules first."""
 _OUTLET_QUEUE = 1024
+_LOOK_S = 1.0
+"""Seconds until it is looked again whether the code of spares has changed."""
 _AGAIN_S, _MOST_AGAIN_S, _GOOD_LIFE_S = 0.1, 5.0, 10.0
 """Seconds until outlets that were lost twice in a row are made anew, doubled for each further loss up to the second
 value. A loss after a life of the third value is not in a row."""
@@ -102,6 +110,9 @@ class ProcessBackend:
         self._events: list[Event] = []
         self._children: dict[int, ChildProcess] = {}
         self._by_name: dict[str, ChildProcess] = {}
+        self._spares: dict[str, ChildProcess] = {}
+        """By the ids of cold spares; none of these is in `_by_name`."""
+        self._look_due_s = 0.0
         self._topics: list[str] = []
         self._unopened: set[str] = set()
         """Topics whose address could not be made. It is tried again when they are to be fed."""
@@ -151,22 +162,57 @@ class ProcessBackend:
                 key.data()
         if self._outlets_due_s is not None and self._outlets_due_s <= self.now():
             self._start_outlets()
+        if self._look_due_s <= self.now():
+            self._look_due_s = self.now() + _LOOK_S
+            self._end_changed_spares()
         events, self._events = self._events, []
         return events
 
-    def start(self, unit: str, transformation: Transformation, state: bytes | None, host: str | None) -> None:  # noqa: ARG002
-        self.start_unit(unit_order(unit, transformation, state))
+    def start(
+        self,
+        unit: str,
+        transformation: Transformation,
+        state: bytes | None,
+        host: str | None,  # noqa: ARG002
+        spare: str | None = None,
+    ) -> None:
+        self.start_unit(unit_order(unit, transformation, state), spare)
 
-    def start_unit(self, order: UnitOrder) -> None:
-        """Start a unit with this computer's code and clock: UnitReady or UnitDied follows."""
-        offset_ns = self.clock_offset_ns - self._ahead_ns
-        self._fork(order.unit, msgspec.structs.replace(order, folder=self._code_folder, clock_offset_ns=offset_ns))
+    def start_unit(self, order: UnitOrder, spare: str | None = None) -> None:
+        """Start a unit with this computer's code and clock; see `Backend.start`."""
+        prepared = None if spare is None else self._spares.get(spare)
+        if spare is None or prepared is None or prepared.changed_file() is not None:
+            self.discard(spare or "")
+            self._fork(order.unit, self._here(order))
+            return
+        del self._spares[spare]
+        prepared.name, prepared.is_spare = order.unit, False
+        self._by_name[order.unit] = prepared
+        self._events.append(SpareUsed(order.unit, spare))
+        self._tell(prepared, Begin(order.unit, order.state))
+
+    def prepare(self, spare: str, transformation: Transformation, host: str | None) -> None:  # noqa: ARG002
+        self.prepare_unit(unit_order(spare, transformation, None))
+
+    def prepare_unit(self, order: UnitOrder) -> None:
+        """Prepare a spare with this computer's code and clock; see `Backend.prepare`."""
+        self.discard(order.unit)
+        child = self._fork(order.unit, SpareOrder(self._here(order)))
+        place = Path(self._code_folder, order.source.rpartition(":")[0])
+        changed = changed_ns(place)
+        if child is not None and changed is not None:
+            child.changed_ns = {str(place): changed}
+
+    def discard(self, spare: str) -> None:
+        child = self._spares.pop(spare, None)
+        if child is not None:
+            self._nursery.kill(child.serial)
 
     def correct_clock(self, ahead_ns: int) -> None:
         """Have elements' times be so much less than this computer's clock from now on."""
         self._ahead_ns = ahead_ns
-        for name, child in self._by_name.items():
-            if name != RELAY:
+        for child in self._children.values():
+            if child.name != RELAY:
                 self._tell(child, SetClock(self.clock_offset_ns - ahead_ns))
 
     def open_relay(self) -> socket.socket:
@@ -262,7 +308,7 @@ class ProcessBackend:
             self.kill(OUTLETS)
 
     def usage(self, unit: str) -> Usage | None:
-        child = self._by_name.get(unit)
+        child = self._by_name.get(unit) or self._spares.get(unit)
         if child is None or child.pid is None:
             return None
         cpu, memory = cpu_us(child.pid), memory_bytes(child.pid)
@@ -324,13 +370,18 @@ class ProcessBackend:
         except OSError as error:
             for end in ends:
                 end.close()
-            self._tell_end(name, f"no process can be made: {error.strerror}", was_asked=False)
+            cause = f"no process can be made: {error.strerror}"
+            if isinstance(order, SpareOrder):
+                self._events.append(SpareLost(name, cause))
+            else:
+                self._tell_end(name, cause, was_asked=False)
             return None
         self._serial += 1
         ours, theirs, printed, printing = ends
         printed.setblocking(False)
         child = ChildProcess(self._serial, name, ControlConnection(ours, FromChild), printed)
-        self._children[child.serial] = self._by_name[name] = child
+        child.is_spare = isinstance(order, SpareOrder)
+        self._children[child.serial] = (self._spares if child.is_spare else self._by_name)[name] = child
         self._selector.register(ours, selectors.EVENT_READ, lambda: self._hear(child))
         self._selector.register(printed, selectors.EVENT_READ, lambda: self._hear_print(child))
         self._nursery.fork(child.serial, order, [theirs, printing])
@@ -371,8 +422,13 @@ class ProcessBackend:
             self._understand(child, message)
         while self._hear_print(child):
             pass
+        is_wanted = self._spares.get(child.name) is child
         self._forget(child)
-        self._tell_end(child.name, cause_of_end(child, status), was_asked=child.is_stopping)
+        cause = cause_of_end(child, status)
+        if not child.is_spare:
+            self._tell_end(child.name, cause, was_asked=child.is_stopping)
+        elif is_wanted:
+            self._events.append(SpareLost(child.name, cause))
 
     def _tell_end(self, name: str, cause: str, *, was_asked: bool) -> None:
         if name == OUTLETS:
@@ -382,8 +438,9 @@ class ProcessBackend:
 
     def _forget(self, child: ChildProcess) -> None:
         self._children.pop(child.serial, None)
-        if self._by_name.get(child.name) is child:
-            del self._by_name[child.name]
+        names = self._spares if child.is_spare else self._by_name
+        if names.get(child.name) is child:
+            del names[child.name]
         for end in (child.control.socket, child.printed):
             with suppress(KeyError, ValueError):
                 self._selector.unregister(end)
@@ -415,6 +472,10 @@ class ProcessBackend:
             case Ready(cpu_ns):
                 child.labor_us = cpu_ns // 1000
                 self._tell_ready(child)
+            case Prepared(cpu_ns, changed):
+                child.changed_ns |= changed
+                if self._spares.get(name) is child:
+                    self._events.append(SparePrepared(name, cpu_ns // 1000))
             case Switched(_, wire):
                 self._events.append(WireSwitched(wire))
             case Lost(port, wire):
@@ -439,6 +500,18 @@ class ProcessBackend:
         """Report a unit as ready once it has said so and its process id is known, in either order."""
         if child.name != OUTLETS and child.pid is not None and child.labor_us is not None:
             self._events.append(UnitReady(child.name, child.labor_us))
+
+    def _here(self, order: UnitOrder) -> UnitOrder:
+        """An order with this computer's code folder and clock."""
+        offset_ns = self.clock_offset_ns - self._ahead_ns
+        return msgspec.structs.replace(order, folder=self._code_folder, clock_offset_ns=offset_ns)
+
+    def _end_changed_spares(self) -> None:
+        for child in self._spares.values():
+            changed = child.changed_file()
+            if changed is not None:
+                child.trouble = f"{changed} has changed since it was prepared"
+                self._nursery.kill(child.serial)
 
     def _tell(self, child: ChildProcess, message: object, sockets: Sequence[socket.socket] = ()) -> None:
         child.control.send(message, sockets)  # type: ignore[arg-type]

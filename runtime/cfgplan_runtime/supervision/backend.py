@@ -57,7 +57,8 @@ class FoundWire:
 class Found:
     """What an earlier supervisor has left running: its units, with their transformations and hosts, wires and topics.
 
-    `labor_us` has the units that are ready, `topics` the host of each topic's target.
+    `labor_us` has the units that are ready, and the cold spares that are prepared; `topics` the host of each topic's
+    target.
     """
 
     units: tuple[ComputationUnit, ...]
@@ -91,8 +92,24 @@ class Backend(Protocol):
     def wake(self) -> None:
         """Let `wait` return; for any thread."""
 
-    def start(self, unit: str, transformation: Transformation, state: bytes | None, host: str | None) -> None:
-        """Start a unit on a host: UnitReady or UnitDied follows, or HostLost."""
+    def start(
+        self, unit: str, transformation: Transformation, state: bytes | None, host: str | None, spare: str | None = None
+    ) -> None:
+        """Start a unit on a host: UnitReady or UnitDied follows, or HostLost.
+
+        It begins in the process that was prepared as `spare`, if that is there and its code has not changed: SpareUsed
+        is told first. In no case is the spare there any more.
+        """
+
+    def prepare(self, spare: str, transformation: Transformation, host: str | None) -> None:
+        """Construct the code of a cold spare, so that a unit begins at once: SparePrepared or SpareLost follows.
+
+        SpareLost is told later too, if it ends unasked or its code changes. Another of that name is discarded. A
+        backend may do nothing here, and tell nothing: a start then takes as long as any.
+        """
+
+    def discard(self, spare: str) -> None:
+        """End what was prepared: nothing follows."""
 
     def stop(self, unit: str) -> None:
         """Ask a unit to process what it has taken in, then end: UnitStopped (or UnitDied) follows."""
@@ -125,7 +142,7 @@ class Backend(Protocol):
         """Replace a helper process that gives no sign of life: OutletsLost or UnitDied may follow."""
 
     def usage(self, unit: str) -> Usage | None:
-        """What a unit has used so far; None if it does not run."""
+        """What a unit, or a spare that is prepared, has used so far; None if it does not run."""
 
     def pid(self, unit: str) -> int | None:
         """The process id of a unit; None if it has none."""

@@ -32,6 +32,30 @@ class UnitStopped:
 
 
 @dataclass(frozen=True, slots=True)
+class SparePrepared:
+    """The code of a cold spare is constructed in a process that waits; `labor_us` is the CPU time that took."""
+
+    unit: str
+    labor_us: int
+
+
+@dataclass(frozen=True, slots=True)
+class SpareUsed:
+    """A unit begins in the process that was prepared for a cold spare."""
+
+    unit: str
+    spare: str
+
+
+@dataclass(frozen=True, slots=True)
+class SpareLost:
+    """The process that was prepared for a cold spare has ended unasked, or could not be prepared."""
+
+    unit: str
+    cause: str
+
+
+@dataclass(frozen=True, slots=True)
 class UnitFailed:
     """Unit code failed in a step, and the unit goes on.
 
@@ -223,6 +247,9 @@ Event: TypeAlias = (
     UnitReady
     | UnitDied
     | UnitStopped
+    | SparePrepared
+    | SpareUsed
+    | SpareLost
     | UnitFailed
     | UnitHung
     | UnitTooLarge

@@ -15,6 +15,9 @@ from cfgplan_runtime.supervision.events import (
     HostJoined,
     HostLost,
     InputLost,
+    SpareLost,
+    SparePrepared,
+    SpareUsed,
     TopicsStatus,
     UnitDied,
     UnitReady,
@@ -22,8 +25,6 @@ from cfgplan_runtime.supervision.events import (
     UnitStopped,
     WireSwitched,
 )
-
-_OF_A_UNIT = (UnitReady, UnitDied, UnitStopped, UnitStatus)
 
 
 @dataclass
@@ -76,6 +77,15 @@ class _Unit:
         return self.used_us
 
 
+@dataclass(frozen=True, eq=False)
+class _Spare:
+    """What was prepared for a cold spare: where, and when a unit can begin in it."""
+
+    host: str | None
+    ready_s: float
+    usage: Usage
+
+
 @dataclass
 class _Input:
     active: int | None = None
@@ -96,11 +106,12 @@ class SimulatedBackend:
     calls: list[tuple[str, ...]] = field(default_factory=list)
     topics: dict[str, str | None] = field(default_factory=dict)
     """By topic that can be subscribed to: its host."""
+    spares: dict[str, _Spare] = field(default_factory=dict)
     lost_hosts: set[str] = field(default_factory=set)
     units: dict[str, _Unit] = field(default_factory=dict)
     wires: dict[int, tuple[Stream, Inlet]] = field(default_factory=dict)
     _now: float = 0.0
-    _due: list[tuple[float, int, Event, _Unit | None]] = field(default_factory=list)
+    _due: list[tuple[float, int, Event, _Unit | _Spare | None]] = field(default_factory=list)
     _count: int = 0
     _inputs: dict[Inlet, _Input] = field(default_factory=dict)
     _gave_s: dict[str, float | None] = field(default_factory=dict)
@@ -118,9 +129,9 @@ class SimulatedBackend:
         end = None if timeout_s is None else self._now + timeout_s
         while self._due and (end is None or self._due[0][0] <= end):
             self._now = max(self._now, self._due[0][0])
-            _, _, event, unit = heapq.heappop(self._due)
-            if isinstance(event, _OF_A_UNIT) and self.units.get(event.unit) is not unit:
-                continue  # it is about an earlier unit of this id
+            _, _, event, subject = heapq.heappop(self._due)
+            if self._subject(event) is not subject:
+                continue  # it is about an earlier unit or spare of this id
             if self._happens(event):
                 return [event]
         if end is not None:
@@ -147,6 +158,7 @@ class SimulatedBackend:
         self.lost_hosts.add(host)
         for unit in [unit for unit, at in self.units.items() if at.host == host]:
             del self.units[unit]
+        self.spares = {spare: at for spare, at in self.spares.items() if at.host != host}
         for topic in [topic for topic, at in self.topics.items() if at == host]:
             del self.topics[topic]
         for wire, (_, inlet) in list(self.wires.items()):
@@ -164,21 +176,40 @@ class SimulatedBackend:
         active = self._inputs.get(inlet, _Input()).active
         return None if active is None else self.wires[active][0]
 
-    def start(self, unit: str, transformation: Transformation, state: bytes | None, host: str | None) -> None:
+    def start(
+        self, unit: str, transformation: Transformation, state: bytes | None, host: str | None, spare: str | None = None
+    ) -> None:
         self.calls.append(("start", unit))
         if host in self.lost_hosts:
             return
         behaviour = self.behaviours.get(transformation.label, Behaviour())
-        ready_s = self._now + behaviour.start_s
-        self.units[unit] = _Unit(transformation, behaviour, state, host, used_until_s=ready_s)
+        start_s, prepared = behaviour.start_s, self.spares.pop(spare or "", None)
+        if prepared is not None and spare is not None:
+            start_s = max(0.0, prepared.ready_s - self._now)
+            self._later(0.0, SpareUsed(unit, spare))
+        self.units[unit] = _Unit(transformation, behaviour, state, host, used_until_s=self._now + start_s)
         if behaviour.dies_at_start is not None:
-            self._later(behaviour.start_s, UnitDied(unit, behaviour.dies_at_start))
+            self._later(start_s, UnitDied(unit, behaviour.dies_at_start))
             return
-        self._later(behaviour.start_s, UnitReady(unit, behaviour.labor_of(transformation)))
+        self._later(start_s, UnitReady(unit, behaviour.labor_of(transformation)))
         if behaviour.dies_s is not None:
-            self._later(behaviour.start_s + behaviour.dies_s, UnitDied(unit, "died of old age"))
+            self._later(start_s + behaviour.dies_s, UnitDied(unit, "died of old age"))
         if not behaviour.hung:
-            self._later(behaviour.start_s + self.sign_period_s, UnitStatus(unit, 0, 0, {}, {}))
+            self._later(start_s + self.sign_period_s, UnitStatus(unit, 0, 0, {}, {}))
+
+    def prepare(self, spare: str, transformation: Transformation, host: str | None) -> None:
+        self.calls.append(("prepare", spare))
+        if host in self.lost_hosts:
+            return
+        behaviour = self.behaviours.get(transformation.label, Behaviour())
+        labor_us, start_s = behaviour.labor_of(transformation), behaviour.start_s
+        self.spares[spare] = _Spare(host, self._now + start_s, Usage(labor_us, behaviour.memory_bytes))
+        cause = behaviour.dies_at_start
+        self._later(start_s, SparePrepared(spare, labor_us) if cause is None else SpareLost(spare, cause))
+
+    def discard(self, spare: str) -> None:
+        self.calls.append(("discard", spare))
+        self.spares.pop(spare, None)
 
     def stop(self, unit: str) -> None:
         self.calls.append(("stop", unit))
@@ -243,7 +274,7 @@ class SimulatedBackend:
     def usage(self, unit: str) -> Usage | None:
         found = self.units.get(unit)
         if found is None:
-            return None
+            return self.spares[unit].usage if unit in self.spares else None
         labor_us = found.behaviour.labor_of(found.transformation)
         return Usage(labor_us + round(found.use(self._now)), found.behaviour.memory_bytes)
 
@@ -257,8 +288,16 @@ class SimulatedBackend:
 
     def _later(self, delay_s: float, event: Event) -> None:
         self._count += 1
-        unit = self.units.get(event.unit) if isinstance(event, _OF_A_UNIT) else None
-        heapq.heappush(self._due, (self._now + delay_s, self._count, event, unit))
+        heapq.heappush(self._due, (self._now + delay_s, self._count, event, self._subject(event)))
+
+    def _subject(self, event: Event) -> _Unit | _Spare | None:
+        """The unit or spare that an event is about; None if there is none."""
+        match event:
+            case UnitReady(unit) | UnitDied(unit) | UnitStopped(unit) | UnitStatus(unit):
+                return self.units.get(unit)
+            case SparePrepared(spare) | SpareLost(spare):
+                return self.spares.get(spare)
+        return None
 
     def _happens(self, event: Event) -> bool:
         """Let a due event take effect. Returns False if it no longer can."""
@@ -285,6 +324,8 @@ class SimulatedBackend:
                     for port in of_unit.transformation.outputs
                 }
                 self._later(self.sign_period_s, UnitStatus(unit, steps, errors, {}, given))
+            case SpareLost(spare):
+                return self.spares.pop(spare, None) is not None
             case UnitReady() | UnitDied() | UnitStopped() | UnitStatus():
                 return False
         return True

@@ -39,6 +39,8 @@ from cfgplan_runtime.supervision.events import (
     InputLost,
     OutletsOpened,
     RolledBack,
+    SpareLost,
+    SparePrepared,
     UnitDied,
     UnitFailed,
     UnitHung,
@@ -49,6 +51,7 @@ from cfgplan_runtime.supervision.events import (
     WireSwitched,
 )
 from cfgplan_runtime.supervision.observation import Observation, UnitRecord
+from cfgplan_runtime.supervision.spares import MEGABYTE, Spares
 from cfgplan_runtime.supervision.wiring import Wire, Wiring, without_feed, without_unit
 
 HANG_S = 10.0
@@ -57,7 +60,6 @@ HANG_S = 10.0
 WATCH_PERIOD_S = 0.25
 _LONGEST_ROUND_S = 1.0
 """A longer round is a gap: this process was suspended, and has seen nothing meanwhile."""
-MEGABYTE = 1 << 20
 _TIME_TO_DUMP_S = 0.2
 _DRY_S = 2.5
 _MOST_REMEMBERED = 1000
@@ -74,6 +76,7 @@ class Supervisor:
         self.backend = backend
         self.environment = environment
         self.wiring = Wiring(backend)
+        self.spares = Spares(backend)
         self.alive: set[str] = set()
         self.ready: set[str] = set()
         self.topics: dict[str, str | None] = {}
@@ -127,11 +130,13 @@ class Supervisor:
             commands = carry_out(self, change_set, after, patience or Patience(), keeps_new=keeps_new)
             carried = self._drive(commands)
         except ApplyError as error:
+            self.spares.keep(self.environment, self.now())
             self._report(RolledBack(name, str(error)))
             raise
         finally:
             self.wiring.settle()
         self.environment = carried.environment
+        self.spares.keep(self.environment, self.now())
         applied = self._applied[name] = Applied(name, dict(carried.seconds), carried.unswitched)
         if len(self._applied) > _MOST_REMEMBERED:
             del self._applied[next(iter(self._applied))]
@@ -197,7 +202,10 @@ class Supervisor:
         self.environment = replace(self.environment, units=found.units, library=found.library, hosts=found.hosts)
         self.topics.update(found.topics)
         self.wiring.adopt(found.wires)
+        self.spares.adopt(self.environment, found.labor_us, self.now())
         for unit in found.units:
+            if unit.standby:
+                continue
             self.alive.add(unit.id)
             self._library[unit.id] = self.environment.transformation[unit.transformation]
             record = self._records[unit.id] = UnitRecord(unit.transformation, unit.host, sign_s=self.now())
@@ -253,7 +261,8 @@ class Supervisor:
         self.cause_of_death.pop(unit.id, None)
         self._library[unit.id] = transformation
         self._records[unit.id] = UnitRecord(transformation.label, unit.host)
-        self.backend.start(unit.id, transformation, self._states.get(transformation.label), unit.host)
+        spare = self.spares.take(transformation, unit.host)
+        self.backend.start(unit.id, transformation, self._states.get(transformation.label), unit.host, spare)
 
     def _hear(self, timeout_s: float) -> None:
         events = self.backend.wait(timeout_s)
@@ -278,6 +287,10 @@ class Supervisor:
                 self.environment = without_unit(self.environment, unit)
             case UnitStopped(unit):
                 self._bury(unit)
+            case SparePrepared():
+                return self.spares.note_prepared(event, self.now())
+            case SpareLost(unit):
+                return self.spares.note_loss(unit, self.now())
             case WireSwitched(wire):
                 self.wiring.note_switch(wire)
             case InputLost(_, _, wire):
@@ -325,6 +338,7 @@ class Supervisor:
         for unit in [unit for unit, record in self._records.items() if record.host == host]:
             self.cause_of_death[unit] = f"was on {host}, which is gone: {cause}"
             self._bury(unit)
+        self.spares.lose_host(host)
         for unit_there in [unit for unit in self.environment.units if unit.host == host]:
             self.environment = without_unit(self.environment, unit_there.id)
         for topic in [topic for topic, at in self.topics.items() if at == host]:
@@ -342,6 +356,8 @@ class Supervisor:
     def _watch(self) -> None:
         """Renew helpers that hang, and kill units that hang or have grown too large."""
         now = self.now()
+        for lost in self.spares.watch(now):
+            self._report(lost)
         for helper, (sign_s, silence_s) in list(self._patience.items()):
             if now - sign_s > silence_s:
                 del self._patience[helper]
