@@ -8,7 +8,8 @@ import time
 from cfgplan_runtime import Runtime
 from cfgplan_runtime.fleet.fleet_backend import FleetBackend
 from cfgplan_runtime.streams.run_folder import RunFolder
-from small_fleet import FOLDER, PATIENCE_S, RESULT, source, unit, worker
+from cfgplan_runtime.supervision.events import SparePrepared
+from small_fleet import FOLDER, PATIENCE_S, RESULT, cold, eventually, seen, source, unit, worker
 
 from cfgplan.domain import ChangeSet, Host
 
@@ -16,10 +17,12 @@ hosts = sys.argv[1].split(",")
 run = RunFolder()
 backend = lambda: FleetBackend(hosts, run, connect=sys.argv[2:], folder=FOLDER, wait_s=PATIENCE_S)  # noqa: E731
 with Runtime(backend=backend) as runtime:
-    units = (unit("count.1", "r1"), unit("work.1", hosts[-1], topic="/result", x="count.1/n"))
+    work = unit("work.1", hosts[-1], topic="/result", x="count.1/n")
+    units = (unit("count.1", "r1"), work, cold("work.9", "r1"))
     everywhere = tuple(Host(name) for name in hosts)
     library = (source(), worker())
     runtime.apply(ChangeSet(units, added_transformations=library, added_targets=(RESULT,), added_hosts=everywhere))
+    eventually(lambda: bool(seen(runtime, SparePrepared)))
     sys.stdout.write("applied\n")
     sys.stdout.flush()
     time.sleep(PATIENCE_S)

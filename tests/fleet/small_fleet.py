@@ -63,6 +63,11 @@ def unit(unit_id: str, host: str | None, *, topic: str | None = None, x: str | N
     return ComputationUnit(unit_id, unit_id.rpartition(".")[0], feeds, published, host)
 
 
+def cold(unit_id: str, host: str) -> ComputationUnit:
+    """A cold spare `label.N`."""
+    return ComputationUnit(unit_id, unit_id.rpartition(".")[0], host=host, standby=True)
+
+
 def fed_by(stream: str) -> tuple[Subscription, ...]:
     """The subscriptions of a worker."""
     return (Subscription("x", Stream.parse(stream)),)
@@ -128,7 +133,10 @@ class SmallFleet:
 
     @contextmanager
     def other_manager(self) -> Iterator[subprocess.Popen[bytes]]:
-        """Another process that manages the hosts: it runs count.1 on r1 and work.1 on r2, which is published."""
+        """Another process that manages the hosts: it runs count.1 on r1 and work.1 on r2, which is published.
+
+        It has the cold spare work.9 on r1.
+        """
         command = [sys.executable, str(FOLDER / "other_manager.py"), ",".join(self.agents.processes), *self.endpoints]
         with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
             assert process.stdout is not None
@@ -147,16 +155,20 @@ class SmallFleet:
 
     def units(self) -> list[str]:
         """The units that really run, on all hosts."""
-        found = []
+        return [words[2] for words, _ in self._children() if len(words) == 3 and words[2] not in ("nursery", "outlets")]
+
+    def spares(self) -> dict[str, int]:
+        """The cold spares that are prepared, or being prepared, on all hosts, and their processes."""
+        return {words[3]: pid for words, pid in self._children() if words[2:3] == ["spare"]}
+
+    def _children(self) -> Iterator[tuple[list[str], int]]:
+        """What the agents' processes are called, in words, and their ids."""
         for agent in self.agents.processes.values():
             if agent.poll() is not None:
                 continue
             for child in psutil.Process(agent.pid).children(recursive=True):
                 with suppress(psutil.Error):  # it has just ended
-                    words = " ".join(child.cmdline()).split()
-                    if len(words) == 3 and words[2] not in ("nursery", "outlets"):
-                        found.append(words[2])
-        return found
+                    yield " ".join(child.cmdline()).split(), child.pid
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import time
 from collections.abc import Iterator
@@ -17,10 +18,19 @@ from cfgplan_runtime.fleet.links import config
 from cfgplan_runtime.operating.flows import Flows
 from cfgplan_runtime.streams.run_folder import address, base_folder, topics_of
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
-from cfgplan_runtime.supervision.events import HostJoined, HostLost, SourceExhausted, UnitDied
+from cfgplan_runtime.supervision.events import (
+    HostJoined,
+    HostLost,
+    SourceExhausted,
+    SpareLost,
+    SparePrepared,
+    SpareUsed,
+    UnitDied,
+)
 from cfgplan_runtime.testing import Bench, check_middleware
 from small_fleet import (
     Listener,
+    cold,
     eventually,
     fed_by,
     kill_unit,
@@ -268,12 +278,15 @@ def test_what_a_killed_manager_has_left_goes_on_under_the_next_without_a_gap() -
             listener.await_more(20)
             first.kill()
             listener.await_more(20)
+        (prepared,) = fleet.spares().values()
         with fleet.runtime(source(), worker()) as runtime:
-            assert set(runtime.environment.units) == {COUNT, WORK}
+            assert set(runtime.environment.units) == {COUNT, WORK, cold("work.9", "r1")}
             listener.await_more(20)
             for number in range(3):
                 old, new = (moved(WORK, f"work.{number + n}", ("r1", "r2")[(number + n) % 2]) for n in (1, 2))
                 runtime.apply(swap(WORK if number == 0 else old, new))
+                if number == 0:
+                    assert runtime.pid("work.2") == prepared, "it begins where the spare was prepared"
             listener.await_more(20)
             assert listener.values == list(range(listener.values[0], listener.values[0] + len(listener.values)))
             assert sorted(fleet.units()) == ["count.1", "work.4"]
@@ -284,9 +297,60 @@ def test_units_that_would_be_started_otherwise_now_are_not_adopted() -> None:
         with fleet.other_manager():
             pass
         with fleet.runtime(source(rate_hz=100), worker()) as runtime:
-            assert {one.id for one in runtime.environment.units} == {"work.1"}
+            assert {one.id for one in runtime.environment.units} == {"work.1", "work.9"}
             assert runtime.environment.unit["work.1"].subscriptions == ()
             eventually(lambda: fleet.units() == ["work.1"])
+
+
+def test_spares_that_would_be_started_otherwise_now_are_ended() -> None:
+    with small_fleet("r1", "r2") as fleet:
+        with fleet.other_manager():
+            assert fleet.spares().keys() == {"work.9"}
+        with fleet.runtime(source(), worker(code="slow")) as runtime:
+            assert {one.id for one in runtime.environment.units} == {"count.1"}
+            eventually(lambda: not fleet.spares())
+
+
+def test_a_unit_begins_where_a_spare_is_prepared_on_another_host() -> None:
+    with small_fleet("r1", "r2") as fleet, fleet.runtime(source(), worker()) as runtime:
+        runtime.apply(ChangeSet(started=(COUNT, cold("work.9", "r2"), cold("work.8", "r1"))))
+        eventually(lambda: len(seen(runtime, SparePrepared)) == 2)
+        prepared = fleet.spares()
+        runtime.apply(ChangeSet(started=(WORK,), stopped=("work.9",)))
+        assert seen(runtime, SpareUsed) == [SpareUsed("work.1", "work.9")]
+        Listener(runtime).await_more(10)
+        assert runtime.pid("work.1") == prepared["work.9"]
+        assert fleet.spares() == {"work.8": prepared["work.8"]}
+        os.kill(prepared["work.8"], signal.SIGKILL)
+        eventually(lambda: len(seen(runtime, SparePrepared)) == 3)
+        assert seen(runtime, SpareLost) == [SpareLost("work.8", "killed by SIGKILL")]
+        runtime.apply(ChangeSet(stopped=("work.8",)))
+        eventually(lambda: not fleet.spares())
+
+
+def test_a_host_that_returns_is_cleared_of_its_spares() -> None:
+    with small_fleet("r1", "r2") as fleet, fleet.runtime(source(), worker()) as runtime:
+        runtime.apply(ChangeSet(started=(COUNT, cold("work.9", "r2"))))
+        eventually(lambda: bool(seen(runtime, SparePrepared)))
+        joined = len(seen(runtime, HostJoined))
+        fleet.agents.processes["r2"].send_signal(signal.SIGSTOP)
+        eventually(lambda: bool(seen(runtime, HostLost)))
+        assert runtime.environment.unit.keys() == {"count.1"}
+        fleet.agents.processes["r2"].send_signal(signal.SIGCONT)
+        eventually(lambda: len(seen(runtime, HostJoined)) > joined)
+        eventually(lambda: not fleet.spares())
+
+
+def test_a_spare_of_other_code_on_a_host_is_not_prepared_and_the_host_is_named(tmp_path: Path) -> None:
+    with small_fleet("r1") as fleet:
+        (tmp_path / "fleet_units.py").write_text("def count(): yield 1")
+        with fleet.backend("r1", folder=tmp_path) as backend:
+            backend.prepare("count.9", source(), "r1")
+            lost = None
+            while lost is None:
+                lost = next((event for event in backend.wait(1.0) if isinstance(event, SpareLost)), None)
+            assert "on r1" in lost.cause
+            assert "another version than the manager's" in lost.cause
 
 
 def test_who_sees_fewer_than_half_of_the_hosts_does_not_take_over() -> None:

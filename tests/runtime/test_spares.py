@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -181,7 +182,11 @@ def spare_pid(runtime: Runtime, spare: str) -> int:
 
 def titles() -> list[str]:
     """What the processes below this one are called."""
-    return [" ".join(child.cmdline()).strip() for child in psutil.Process().children(recursive=True)]
+    found = []
+    for child in psutil.Process().children(recursive=True):
+        with suppress(psutil.Error):  # it has just ended
+            found.append(" ".join(child.cmdline()).strip())
+    return found
 
 
 def test_a_unit_begins_in_the_process_of_a_spare_with_the_state_of_the_one_before(run_units: StartRuntime) -> None:

@@ -37,7 +37,7 @@ class UnitOrder(msgspec.Struct, frozen=True, tag=True):
 
 
 class SpareOrder(msgspec.Struct, frozen=True, tag=True):
-    """All that a child needs to construct the code of a unit, and to be one once it is told to Begin."""
+    """All that a child needs to construct the code of a unit, and to be one once it is told to BeginUnit."""
 
     order: UnitOrder
 
@@ -137,7 +137,7 @@ class Release(msgspec.Struct, tag=True):
     crossing: str
 
 
-class Begin(msgspec.Struct, tag=True):
+class BeginUnit(msgspec.Struct, tag=True):
     """Be this unit from now on, with the state of an earlier one."""
 
     unit: str
@@ -150,7 +150,7 @@ class Finish(msgspec.Struct, tag=True):
 
 ToRelay: TypeAlias = Export | Import | Release
 ToChild: TypeAlias = (
-    Feed | Serve | Cut | End | Unserve | SwitchNow | OpenOutlet | CloseOutlet | SetClock | ToRelay | Begin | Finish
+    Feed | Serve | Cut | End | Unserve | SwitchNow | OpenOutlet | CloseOutlet | SetClock | ToRelay | BeginUnit | Finish
 )
 
 
@@ -164,7 +164,7 @@ class Ready(msgspec.Struct, tag=True):
 
 
 class Prepared(msgspec.Struct, tag=True):
-    """The unit code is constructed, and waits for Begin.
+    """The unit code is constructed, and waits for BeginUnit.
 
     `changed_ns` has the files in the code folder that were imported, and when each was last changed.
     """

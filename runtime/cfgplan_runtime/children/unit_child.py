@@ -13,7 +13,7 @@ import msgspec
 from cfgplan.domain import ALL
 from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.messages import (
-    Begin,
+    BeginUnit,
     Exhausted,
     Finish,
     PortCounts,
@@ -112,7 +112,7 @@ class UnitChild:
         match message:
             case SetClock(offset_ns):
                 self._clock_offset_ns = offset_ns
-            case Begin(unit, state):
+            case BeginUnit(unit, state):
                 self._set_state(state)
                 self._begun = unit
             case Finish():

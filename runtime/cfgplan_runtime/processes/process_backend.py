@@ -18,7 +18,7 @@ from cfgplan.domain import Stream, Transformation
 from cfgplan_runtime.children.control import ControlConnection
 from cfgplan_runtime.children.messages import (
     Alive,
-    Begin,
+    BeginUnit,
     ChildOrder,
     CloseOutlet,
     Cut,
@@ -88,7 +88,7 @@ HELPER_S = 10.0
 _HELPER_START_S = 60.0
 """Seconds until the first sign of life: the nursery imports modules first."""
 _OUTLET_QUEUE = 1024
-_LOOK_S = 1.0
+_CODE_LOOK_S = 1.0
 """Seconds until it is looked again whether the code of spares has changed."""
 _AGAIN_S, _MOST_AGAIN_S, _GOOD_LIFE_S = 0.1, 5.0, 10.0
 """Seconds until outlets that were lost twice in a row are made anew, doubled for each further loss up to the second
@@ -163,7 +163,7 @@ class ProcessBackend:
         if self._outlets_due_s is not None and self._outlets_due_s <= self.now():
             self._start_outlets()
         if self._look_due_s <= self.now():
-            self._look_due_s = self.now() + _LOOK_S
+            self._look_due_s = self.now() + _CODE_LOOK_S
             self._end_changed_spares()
         events, self._events = self._events, []
         return events
@@ -189,7 +189,7 @@ class ProcessBackend:
         prepared.name, prepared.is_spare = order.unit, False
         self._by_name[order.unit] = prepared
         self._events.append(SpareUsed(order.unit, spare))
-        self._tell(prepared, Begin(order.unit, order.state))
+        self._tell(prepared, BeginUnit(order.unit, order.state))
 
     def prepare(self, spare: str, transformation: Transformation, host: str | None) -> None:  # noqa: ARG002
         self.prepare_unit(unit_order(spare, transformation, None))

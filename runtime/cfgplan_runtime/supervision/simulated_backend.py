@@ -78,7 +78,7 @@ class _Unit:
 
 
 @dataclass(frozen=True, eq=False)
-class _Spare:
+class _Prepared:
     """What was prepared for a cold spare: where, and when a unit can begin in it."""
 
     host: str | None
@@ -106,12 +106,12 @@ class SimulatedBackend:
     calls: list[tuple[str, ...]] = field(default_factory=list)
     topics: dict[str, str | None] = field(default_factory=dict)
     """By topic that can be subscribed to: its host."""
-    spares: dict[str, _Spare] = field(default_factory=dict)
+    spares: dict[str, _Prepared] = field(default_factory=dict)
     lost_hosts: set[str] = field(default_factory=set)
     units: dict[str, _Unit] = field(default_factory=dict)
     wires: dict[int, tuple[Stream, Inlet]] = field(default_factory=dict)
     _now: float = 0.0
-    _due: list[tuple[float, int, Event, _Unit | _Spare | None]] = field(default_factory=list)
+    _due: list[tuple[float, int, Event, _Unit | _Prepared | None]] = field(default_factory=list)
     _count: int = 0
     _inputs: dict[Inlet, _Input] = field(default_factory=dict)
     _gave_s: dict[str, float | None] = field(default_factory=dict)
@@ -203,7 +203,7 @@ class SimulatedBackend:
             return
         behaviour = self.behaviours.get(transformation.label, Behaviour())
         labor_us, start_s = behaviour.labor_of(transformation), behaviour.start_s
-        self.spares[spare] = _Spare(host, self._now + start_s, Usage(labor_us, behaviour.memory_bytes))
+        self.spares[spare] = _Prepared(host, self._now + start_s, Usage(labor_us, behaviour.memory_bytes))
         cause = behaviour.dies_at_start
         self._later(start_s, SparePrepared(spare, labor_us) if cause is None else SpareLost(spare, cause))
 
@@ -290,7 +290,7 @@ class SimulatedBackend:
         self._count += 1
         heapq.heappush(self._due, (self._now + delay_s, self._count, event, self._subject(event)))
 
-    def _subject(self, event: Event) -> _Unit | _Spare | None:
+    def _subject(self, event: Event) -> _Unit | _Prepared | None:
         """The unit or spare that an event is about; None if there is none."""
         match event:
             case UnitReady(unit) | UnitDied(unit) | UnitStopped(unit) | UnitStatus(unit):

@@ -14,13 +14,13 @@ from cfgplan_runtime.supervision.delays import doubling_s
 from cfgplan_runtime.supervision.events import SpareLost, SparePrepared
 
 MEGABYTE = 1 << 20
-_AGAIN_S, _MOST_AGAIN_S, _GOOD_LIFE_S = 1.0, 300.0, 60.0
+_PUT_OFF_S, _MOST_PUT_OFF_S, _WELL_S = 1.0, 300.0, 60.0
 """Seconds until a spare that was lost twice in a row is prepared anew, doubled for each further loss up to the second
 value. A loss this long after it was prepared is not in a row."""
 
 
 @dataclass(slots=True)
-class _Spare:
+class _ColdSpare:
     """A cold spare. `order` is what constructs it: costs and tags of its transformation do not matter."""
 
     transformation: Transformation
@@ -41,7 +41,7 @@ class Spares:
 
     def __init__(self, backend: Backend) -> None:
         self._backend = backend
-        self._spares: dict[str, _Spare] = {}
+        self._spares: dict[str, _ColdSpare] = {}
 
     @property
     def prepared(self) -> list[SparePrepared]:
@@ -99,9 +99,9 @@ class Spares:
         """A spare was lost: it is prepared again, after losses in a row ever later. Returns whether it is wanted."""
         spare = self._spares.get(unit)
         if spare is not None:
-            lived_well = spare.prepared is not None and now_s - spare.prepared_s >= _GOOD_LIFE_S
+            lived_well = spare.prepared is not None and now_s - spare.prepared_s >= _WELL_S
             spare.losses = 1 if lived_well else spare.losses + 1
-            spare.due_s = now_s + doubling_s(spare.losses, _AGAIN_S, _MOST_AGAIN_S)
+            spare.due_s = now_s + doubling_s(spare.losses, _PUT_OFF_S, _MOST_PUT_OFF_S)
             spare.is_asked, spare.prepared = False, None
         return spare is not None
 
@@ -116,9 +116,9 @@ class Spares:
                 self._backend.prepare(unit, spare.transformation, spare.host)
 
 
-def _spares(environment: Environment) -> dict[str, _Spare]:
+def _spares(environment: Environment) -> dict[str, _ColdSpare]:
     return {
-        unit.id: _Spare(transformation, unit.host, unit_order("", transformation, None))
+        unit.id: _ColdSpare(transformation, unit.host, unit_order("", transformation, None))
         for unit in environment.units
         if unit.standby
         for transformation in [environment.transformation[unit.transformation]]
