@@ -31,6 +31,11 @@ def same(x: Any) -> Any:
     return x
 
 
+def package() -> Iterator[int]:
+    """What only has to be there."""
+    yield from ()
+
+
 def image(x: int) -> Any:
     """A picture of 460 kB that is bright as `x`."""
     return np.full((480, 960), x % 256, np.uint8)

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -68,9 +69,9 @@ def cold(unit_id: str, host: str) -> ComputationUnit:
     return ComputationUnit(unit_id, unit_id.rpartition(".")[0], host=host, standby=True)
 
 
-def fed_by(stream: str) -> tuple[Subscription, ...]:
+def fed_by(*streams: str) -> tuple[Subscription, ...]:
     """The subscriptions of a worker."""
-    return (Subscription("x", Stream.parse(stream)),)
+    return tuple(Subscription("x", Stream.parse(stream)) for stream in streams)
 
 
 def swap(old: ComputationUnit, new: ComputationUnit, *rewired: ComputationUnit) -> ChangeSet:
@@ -87,12 +88,17 @@ class SmallFleet:
 
     @contextmanager
     def runtime(
-        self, *library: Transformation, hosts: Sequence[str] = (), wait_s: float = PATIENCE_S
+        self,
+        *library: Transformation,
+        hosts: Sequence[str] = (),
+        wait_s: float = PATIENCE_S,
+        takes_over: bool = False,
     ) -> Iterator[Runtime]:
         named = tuple(hosts or self.agents.processes)
         run, everywhere = RunFolder(), tuple(Host(name) for name in named)
         try:
-            with Runtime(backend=lambda: self._backend(named, run, library, wait_s=wait_s)) as runtime:
+            backend = partial(self._backend, named, run, library, wait_s=wait_s, takes_over=takes_over)
+            with Runtime(backend=backend) as runtime:
                 runtime.apply(ChangeSet(added_transformations=library, added_targets=(RESULT,), added_hosts=everywhere))
                 yield runtime
         finally:

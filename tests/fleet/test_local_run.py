@@ -80,6 +80,44 @@ def test_people_are_found_at_their_time_of_day_with_and_without_the_gpu() -> Non
             eventually(lambda: all_are_found(time.time_ns() - 500_000_000))
 
 
+RENTED = """
+format: cfgplan/1
+horizon: 60
+hosts:
+  - {name: rented, copies: 2, labels: [cloud], rent: 0.1, memory: 500, speed: 2}
+  - {name: robot, labels: [battery], energy: 6000, offers: {power: 50, gpu: 1}}
+links: [{between: [cloud, battery], bandwidth: 100000, price: 0.001}]
+transformations:
+  - {label: asking, source: units.py:count, on: battery, run: {rate: 100}, outputs: {n: {tag: N, rate: 100, size: 4}}}
+  - {label: package, source: units.py:package, memory: 10}
+  - {label: backend, source: units.py:same, on: cloud and not battery, per_host: 1, with: [package], memory: 200,
+     inputs: {x: N}, outputs: {y: {tag: Y, rate: 100, size: 4}}}
+  - {label: gather, source: units.py:same, needs: {gpu: 1, power: 20}, inputs: {x: Y}, outputs: {z: Z}}
+targets: [{label: answers, topic: /answers, tag: Z, host: robot}]
+"""
+
+
+def test_rented_copies_links_and_packages_run_on_hosts_of_this_computer(tmp_path: Path) -> None:
+    (tmp_path / "units.py").write_text((Path(__file__).parent / "fleet_units.py").read_text())
+    env = tmp_path / "env.yaml"
+    env.write_text(RENTED)
+
+    def hosts() -> dict[str, str]:
+        return {unit["transformation"]: unit["host"] for unit in control.call("state")["units"]}
+
+    def placed(rented: str) -> dict[str, str]:
+        return {"asking": "robot", "gather": "robot", "backend": rented, "package": rented}
+
+    with local_run(env), subscribe("/answers", wait_s=PATIENCE_S, timeout_s=PATIENCE_S) as answers:
+        first = next(iter(answers)).value
+        with connect() as control:
+            there = hosts()
+            assert there == placed(there["backend"])
+            control.call("lose_host", host=there["backend"])
+            assert hosts() == placed("rented.1" if there["backend"] == "rented.2" else "rented.2")
+            assert next(iter(answers)).value > first
+
+
 def test_hosts_of_a_run_that_no_option_reaches_are_refused_with_the_mend() -> None:
     command = [*CFGPLAN, "run", str(START)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

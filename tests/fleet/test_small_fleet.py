@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -43,7 +44,7 @@ from small_fleet import (
     worker,
 )
 
-from cfgplan.domain import ChangeSet, ComputationUnit, Publication, RunOptions, Target, Transformation
+from cfgplan.domain import ChangeSet, ComputationUnit, InputPort, Publication, RunOptions, Target, Transformation
 from cfgplan.errors import InputError
 
 COUNT = unit("count.1", "r1")
@@ -95,6 +96,31 @@ def test_swaps_across_hosts_lose_repeat_and_reorder_nothing() -> None:
         listener.await_more(20)
         assert listener.values == list(range(listener.values[0], listener.values[0] + len(listener.values)))
         assert listener.subscription.dropped == 0
+
+
+def test_streams_of_several_hosts_feed_one_input_and_each_is_moved_without_loss_for_any() -> None:
+    gather = replace(worker("gather"), inputs=(InputPort("x", "N", count=2),))
+    one, two = unit("work.1", "r1", x="count.1/n"), unit("work.2", "r2", x="count.1/n")
+    gathering = replace(
+        unit("gather.1", "r2", topic="/result", x="work.1/y"), subscriptions=fed_by("work.1/y", "work.2/y")
+    )
+    with small_fleet("r1", "r2") as fleet, fleet.runtime(source(), worker(), gather) as runtime:
+        runtime.apply(ChangeSet(started=(COUNT, one, two, gathering)))
+        listener = Listener(runtime)
+        listener.await_more(20)
+        for number, (old, new, host) in enumerate((("work.1", "work.3", "r2"), ("work.2", "work.4", "r1"))):
+            streams = fed_by("work.3/y", "work.2/y" if number == 0 else "work.4/y")
+            fed = replace(gathering, subscriptions=streams)
+            assert runtime.apply(ChangeSet((moved(one, new, host),), (fed,), (old,))).unswitched == 0
+        listener.await_more(20)
+        assert all(len(value) == 2 for value in listener.values)
+        for one_stream in zip(*listener.values, strict=True):
+            assert {after - before for before, after in pairwise(one_stream)} == {1}
+        with fleet.runtime(source(), worker(), gather, takes_over=True) as later:
+            assert later.environment.unit["gather.1"] == replace(
+                gathering, subscriptions=fed_by("work.3/y", "work.4/y")
+            )
+            assert set(later.environment.unit) == {"count.1", "work.3", "work.4", "gather.1"}
 
 
 def test_a_source_that_ends_is_heard_to_its_last_element_on_another_host(tmp_path: Path) -> None:
