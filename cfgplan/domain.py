@@ -17,7 +17,7 @@ from typing import TypeVar
 
 from cfgplan.canonical import fields_of, refuse_duplicates, store_resources, store_sorted, store_whole
 from cfgplan.errors import InvalidValueError
-from cfgplan.qualities import MICRO, QualityAttribute, Wish
+from cfgplan.qualities import LARGEST_QUALITY, MICRO, Better, QualityAttribute, Wish
 from cfgplan.selectors import check_selector, selector
 from cfgplan.transformations import ALL as ALL
 from cfgplan.transformations import CPU as CPU
@@ -182,17 +182,22 @@ class Link:
 
     All journeys over it together carry at most `bandwidth` bytes a second (None: no limit): a stream makes one to each
     host that it is wanted on. A megabyte costs `price_us` instead of the environment's `transfer_us` if that is given.
+    The journey adds `latency` (micro-units) to a stream's value of the quality attribute `adds`.
     """
 
     between: tuple[str, str]
     bandwidth: int | None = None
     price_us: int | None = None
+    latency: int = 0
+    adds: str | None = None
 
     def __post_init__(self) -> None:
         for text in self.between:
             check_selector(text)
         store_whole(self, "bandwidth")
         store_whole(self, "price_us")
+        if not 0 <= self.latency <= LARGEST_QUALITY or (self.adds is None) != (self.latency == 0):
+            raise InvalidValueError("a link has a `latency` of 0 or more and names the attribute that it `adds` to")
         if (self.bandwidth or 0) < 0 or (self.price_us or 0) < 0:
             raise InvalidValueError(f"the link between {' and '.join(self.between)} has a negative bandwidth or price")
 
@@ -338,6 +343,9 @@ class Environment:
         store_whole(self, "transfer_us")
         refuse_duplicates("host", [host.name for host in self.hosts])
         refuse_duplicates("quality attribute", [attribute.name for attribute in self.qualities])
+        for attribute in [link.adds for link in self.links if link.adds is not None]:
+            if attribute not in self.quality or self.quality[attribute].better is Better.HIGHER:
+                raise InvalidValueError(f"a link adds to {attribute}, which is no attribute of which less is better")
         placed = next((unit for unit in self.units if unit.host is not None), None)
         if placed is not None and not self.hosts:
             raise InvalidValueError(f"unit {placed.id!r} runs on {placed.host}, but the environment has no hosts")
@@ -438,6 +446,11 @@ class Environment:
         """What it costs to carry a megabyte between two hosts."""
         link = self.link.get((one or "", other or ""))
         return self.transfer_us if link is None or link.price_us is None else link.price_us
+
+    def latency(self, attribute: str, one: str | None, other: str | None) -> int:
+        """What the journey between two hosts adds to a stream's value of an attribute."""
+        link = self.link.get((one or "", other or ""))
+        return 0 if link is None or link.adds != attribute else link.latency
 
     def place_of(self, unit: ComputationUnit) -> Host | None:
         """The host of a unit; None if it has none that is known."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from cfgplan.costs import keep_cost_us, labor_us, standby_cost_us, taken, transfer_cost_us
 from cfgplan.domain import CPU, MEMORY, ComputationUnit, Environment, Host, InputPort, Link, Stream, Transformation
 from cfgplan.planning import Problem
-from cfgplan.qualities import QualityAttribute, price_us, propagated
+from cfgplan.qualities import QualityAttribute, delayed, price_us, propagated
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,8 +140,22 @@ def qualities_of_targets(environment: Environment, units: Collection[Computation
         for target in environment.targets:
             if target.label in found:
                 stream = topic_stream[target.topic]
-                found[target.label][attribute.name] = _value(environment, by_id, attribute, stream, values)
+                value = _value(environment, by_id, attribute, stream, values)
+                found[target.label][attribute.name] = _come(environment, by_id, attribute, stream, value, target.host)
     return found
+
+
+def _come(
+    environment: Environment,
+    units: Mapping[str, ComputationUnit],
+    attribute: QualityAttribute,
+    stream: Stream,
+    value: int,
+    host: str | None,
+) -> int:
+    """The value of a stream where it has come to a host."""
+    origin = units[stream.unit].host if stream.unit in units else None
+    return delayed(attribute, value, environment.latency(attribute.name, origin, host))
 
 
 def _value(
@@ -170,7 +184,12 @@ def _value(
             opened.add(stream)
             ahead += waiting
             continue
-        inputs = [attribute.worst if feed is None else values.get(feed, attribute.worst) for feed in feeds]
+        inputs = [
+            attribute.worst
+            if feed is None
+            else _come(environment, units, attribute, feed, values.get(feed, attribute.worst), unit.host)
+            for feed in feeds
+        ]
         stated = {c.attribute: c for c in transformation.output[stream.port].quality}
         values[stream] = propagated(attribute, stated.get(attribute.name), inputs)
         ahead.pop()

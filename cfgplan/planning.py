@@ -40,6 +40,7 @@ class Notion(StrEnum):
     LIMITS = "outputs that serve only so many"
     RUNS = "targets that want a unit, not a stream"
     ORDER = "an order of objectives"
+    LATENCY = "latencies of links"
 
 
 @dataclass(frozen=True)
@@ -91,6 +92,9 @@ class Problem:
             Notion.LIMITS: any(port.serves is not None for t in environment.library for port in t.outputs),
             Notion.RUNS: bool(environment.wanted_to_run),
             Notion.SURVIVAL: self.survive is not None or any(unit.standby for unit in environment.units),
+            Notion.LATENCY: not {link.adds for link in environment.links}.isdisjoint(
+                wish.attribute for target in environment.targets for wish in target.quality
+            ),
             Notion.ORDER: environment.minimise != (Objective.COST,),
         }
         return frozenset(notion for notion, is_asked in asked.items() if is_asked)

@@ -155,6 +155,11 @@ def propagated(attribute: QualityAttribute, contribution: Contribution | None, i
             return _within(attribute, contribution.value)
 
 
+def delayed(attribute: QualityAttribute, value: int, by: int) -> int:
+    """The value of a stream after a journey that adds something to it."""
+    return _within(attribute, value + by) if by else value
+
+
 def price_us(attribute: QualityAttribute, wish: Wish, value: int) -> int:
     """What a target charges for a stream of this value."""
     return -(-wish.weight_us * abs(value - attribute.best) // MICRO)

@@ -218,6 +218,27 @@ def test_a_link_has_its_price_and_bears_no_more_than_its_bandwidth() -> None:
     assert cost_parts(problem, linked.units).total_us == cost
 
 
+@pytest.mark.parametrize(("where", "reached"), [("base", 110_000), ("robot", 120_000)])
+def test_a_link_adds_its_latency_to_what_it_carries_to_inputs_and_targets(where: str, reached: int) -> None:
+    link = Link(("robot", "base"), latency=20_000, adds="error")
+    roomy = (Host("robot"), HOSTS[1])
+    late = replace(VALID, hosts=roomy, links=(link,), units=(camera, replace(detector, host=where)))
+    assert rules(replace(late, links=())) == set()
+    assert rules(late) == {Broken.QUALITY}
+    assert qualities_of_targets(late, late.units) == {"ball": {"error": reached}}
+    wish = replace(TARGET.quality[0], bound=reached)
+    assert rules(replace(late, targets=(replace(TARGET, quality=(wish,)),))) == set()
+
+
+def test_a_link_adds_to_an_attribute_of_which_less_is_better() -> None:
+    with pytest.raises(InvalidValueError, match="names the attribute"):
+        Link(("robot", "base"), latency=1)
+    link = Link(("robot", "base"), latency=1, adds="error")
+    for qualities in ((), (replace(ERROR, better=Better.HIGHER, worst=0, best=9_000_000),)):
+        with pytest.raises(InvalidValueError, match="a link adds to error"):
+            Environment(hosts=HOSTS, qualities=qualities, links=(link,))
+
+
 def test_the_cost_counts_the_rent_of_hosts_where_something_is() -> None:
     hosts = (Host("robot", 5, 50, rent_us=2), Host("base", rent_us=30), Host("empty", rent_us=500))
     rented = replace(PROBLEM, environment=replace(PROBLEM.environment, hosts=hosts))

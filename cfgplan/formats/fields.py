@@ -367,6 +367,8 @@ class LinkPart(Part):
         "bytes per second of all that is carried over it; no limit if absent", ge=0, le=LARGEST_AMOUNT**2
     )
     price: Cost | None = row("CPU seconds for each megabyte over it; `transfer` if absent", to="price_us")
+    latency: PositiveMicro = row("what it adds to a quality of each stream that it carries", 0)
+    adds: Name | None = row("the attribute that `latency` is added to, one of which less is better")
 
 
 class AttributePart(Part):

@@ -8,7 +8,7 @@ from typing import Any
 from cfgplan.domain import Host, Link
 from cfgplan.errors import Fault, InvalidValueError, TagError, did_you_mean
 from cfgplan.formats.document import Document
-from cfgplan.formats.fields import ContributionPart, HostPart, TargetPart, UnitPart, WishPart
+from cfgplan.formats.fields import ContributionPart, HostPart, LinkPart, TargetPart, UnitPart, WishPart
 from cfgplan.formats.left_out import LeftOut
 from cfgplan.formats.places import Passage
 from cfgplan.planning import Failures
@@ -52,9 +52,29 @@ class FleetReader:
                     left_out.add("qualities", part.name)
         for index, link in enumerate(header.links or ()):
             ends = [main.at("links", index, "between", number) for number in range(len(link.between))]
-            if sum(map(self.is_selector, ends, link.between)) == len(ends):
-                self.links += (Link((link.between[0], link.between[1]), link.bandwidth, link.price),)
+            if sum(map(self.is_selector, ends, link.between)) == len(ends) and self._may_add(
+                main.at("links", index), link
+            ):
+                between = link.between[0], link.between[1]
+                self.links += (Link(between, link.bandwidth, link.price, link.latency, link.adds),)
         self.survive = self._survived(main.at("survive"), header.survive, has_hosts=bool(header.hosts))
+
+    def _may_add(self, entry: Passage, link: LinkPart) -> bool:
+        """Whether the latency of a link may be added to an attribute, if it has one."""
+        if link.latency and link.adds is None:
+            names = ", ".join(self.attributes) or "one of `qualities:`"
+            entry.at("latency").note(
+                "it is not said what the latency is added to", f"write `adds:`, {names}", at_key=True
+            )
+        elif link.adds is not None and not link.latency:
+            entry.at("adds").note("nothing is added: the link has no latency", "add `latency:`", at_key=True)
+        elif link.adds is not None:
+            attribute = self._attribute(entry.at("adds"), link.adds, at_key=False)
+            if attribute is not None and attribute.better is Better.HIGHER:
+                message = f"a latency can't be added to {link.adds}, of which more is better"
+                entry.at("adds").note(message, "name an attribute with `better: lower`")
+            return attribute is not None and attribute.better is Better.LOWER
+        return not link.latency and link.adds is None
 
     def _survived(self, entry: Passage, written: int | str, *, has_hosts: bool) -> Failures | None:
         if written == "hosts" and not has_hosts and not self._left_out.any_of("hosts"):
@@ -152,10 +172,10 @@ class FleetReader:
             return False
         return True
 
-    def _attribute(self, entry: Passage, name: str) -> QualityAttribute | None:
+    def _attribute(self, entry: Passage, name: str, *, at_key: bool = True) -> QualityAttribute | None:
         if name not in self.attributes and not self._left_out.any_of("qualities"):
             mend = did_you_mean(name, self.attributes, "declare it under `qualities:` in the main file")
-            entry.note(f"there is no quality attribute `{name}`", mend, at_key=True)
+            entry.note(f"there is no quality attribute `{name}`", mend, at_key=at_key)
         return self.attributes.get(name)
 
     def _is_new(self, entry: Passage, name: str, known: Collection[str]) -> bool:

@@ -126,6 +126,12 @@ def _journeys(environment: Environment) -> Iterator[tuple[int, str | None, str]]
             yield -(-port.rate_uhz * port.size_bytes // 1_000_000), at[feeder], to
 
 
+def latency(environment: Environment, attribute: str, one: str | None, other: str | None) -> int:
+    """What a journey between two hosts adds to a stream's value of an attribute."""
+    link = None if one == other or other is None else _link(environment, one, other)
+    return link.latency if link is not None and link.adds == attribute else 0
+
+
 def _link(environment: Environment, one: str | None, other: str) -> Link | None:
     """The first link that joins two hosts."""
     ends = environment.host.get(one or ""), environment.host.get(other)

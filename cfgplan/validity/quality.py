@@ -7,7 +7,8 @@ from contextlib import suppress
 from graphlib import CycleError, TopologicalSorter
 
 from cfgplan.domain import ComputationUnit, Environment, Stream, Target, Transformation
-from cfgplan.qualities import QualityAttribute, Wish, is_met, price_us, propagated, units
+from cfgplan.qualities import QualityAttribute, Wish, delayed, is_met, price_us, propagated, units
+from cfgplan.validity.hosts import latency
 from cfgplan.validity.reading import known_units
 from cfgplan.validity.rules import Rule, Violation
 
@@ -37,11 +38,13 @@ def _asked(environment: Environment) -> Iterator[tuple[Target, Wish, int]]:
     served = [target for target in environment.targets if target.topic in publisher]
     asked = {wish.attribute for target in served for wish in target.quality}
     order = _feeders_first(environment) if asked else []
-    values = {name: _values(environment.quality[name], order) for name in asked}
+    values = {name: _values(environment, environment.quality[name], order) for name in asked}
     for target in served:
         for wish in target.quality:
-            worst = environment.quality[wish.attribute].worst
-            yield target, wish, values[wish.attribute].get(publisher[target.topic], worst)
+            attribute, stream = environment.quality[wish.attribute], publisher[target.topic]
+            value = values[wish.attribute].get(stream, attribute.worst)
+            by = latency(environment, attribute.name, environment.unit[stream.unit].host, target.host)
+            yield target, wish, delayed(attribute, value, by)
 
 
 def _feeders_first(environment: Environment) -> list[tuple[ComputationUnit, Transformation]]:
@@ -61,14 +64,25 @@ def _feeders_first(environment: Environment) -> list[tuple[ComputationUnit, Tran
     return [known[unit_id] for unit_id in order if unit_id in known]
 
 
-def _values(attribute: QualityAttribute, order: Iterable[tuple[ComputationUnit, Transformation]]) -> dict[Stream, int]:
+def _values(
+    environment: Environment,
+    attribute: QualityAttribute,
+    order: Iterable[tuple[ComputationUnit, Transformation]],
+) -> dict[Stream, int]:
     """The value of each stream; an input counts as the worst if it is not fed, or from outside the order."""
     values: dict[Stream, int] = {}
+
+    def come(feed: Stream | None, host: str | None) -> int:
+        if feed not in values:
+            return attribute.worst
+        return delayed(attribute, values[feed], latency(environment, attribute.name, at[feed.unit], host))
+
+    at = {unit.id: unit.host for unit, _ in order}
     for unit, transformation in order:
         ordinary = [port.name for port in transformation.inputs if not port.feedback]
         gap = {port.name: () if port.optional else (None,) for port in transformation.inputs}
         feeds = [feed for name in ordinary for feed in unit.feeds.get(name, gap[name])]
-        inputs = [attribute.worst if feed is None else values.get(feed, attribute.worst) for feed in feeds]
+        inputs = [come(feed, unit.host) for feed in feeds]
         for port in transformation.outputs:
             stated = {contribution.attribute: contribution for contribution in port.quality}
             values[Stream(unit.id, port.name)] = propagated(attribute, stated.get(attribute.name), inputs)

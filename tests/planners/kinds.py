@@ -79,6 +79,7 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
             of_one,
         ),
         "quality": Kind(st.one_of(fleets(QUALITY), fleets(QUALITY | HOSTS, most=2)), of_one),
+        "latency": Kind(fleets(QUALITY | HOSTS | {Notion.LATENCY}, most=2), of_one),
         "survival": Kind(st.one_of(fleets(SURVIVAL), fleets(SURVIVAL | HOSTS, most=2)), of_one),
         "optional": Kind(st.one_of(fleets(OPTIONAL), fleets(OPTIONAL, most=4)), of_one),
         "counts": Kind(st.one_of(fleets(COUNTS), fleets(WIRING)), of_one),

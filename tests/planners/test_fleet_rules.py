@@ -10,8 +10,11 @@ from alone import search_alone
 from fixed import Apart, Hubs, kind, on, publishes, rewired, runs, unit, waits, world
 
 from cfgplan.domain import Host, Link, OutputPort, Target, Transformation
-from cfgplan.planning import Failures, Problem
+from cfgplan.figures import qualities_of_targets
+from cfgplan.planners import PLANNERS
+from cfgplan.planning import Failures, Problem, Status
 from cfgplan.qualities import MICRO, Better, Contribution, Over, QualityAttribute, QualityRule, Wish
+from cfgplan.validity import plan_violations
 
 every_model = pytest.mark.parametrize("model", [Apart, Hubs])
 
@@ -417,6 +420,28 @@ WITHOUT_THE_BEST = (~runs("best0.1"), ~runs("best1.1"))
 
 def states(value: int, rule: QualityRule = QualityRule.SET, over: Over = Over.WORST) -> OutputPort:
     return OutputPort("x", "", (Contribution("q", rule, value, over),))
+
+
+@pytest.mark.parametrize("planner", ["cpsat", "exhaustive"])
+@pytest.mark.parametrize(
+    ("weight_us", "where", "quality"), [(0, "far", 57), (MICRO, "far", 57), (3 * MICRO, "near", 12)]
+)
+def test_what_a_stream_loses_on_a_journey_is_weighed(planner: str, weight_us: int, where: str, quality: int) -> None:
+    hosts = (Host("near"), Host("far", labels=("cheap",)))
+    library = (
+        kind("s", gives="A", output=states(5), host="near"),
+        kind("f", "A", "B", output=states(7, QualityRule.ADD), on="cheap"),
+        kind("g", "A", "B", output=states(7, QualityRule.ADD), host="near", labor_us=100),
+    )
+    wish = Wish("q", weight_us=weight_us)
+    link = Link(("near", "far"), latency=45, adds="q")
+    targets = (Target("B", "B", "/B", quality=(wish,)),)
+    problem = world(targets, *library, hosts=hosts, qualities=(LOW,), links=(link,))
+    found = PLANNERS[planner](problem)
+    assert plan_violations(problem, found) == []
+    after = problem.after(found)
+    assert (found.status, {unit.host for unit in after.units}) == (Status.OPTIMAL, {"near", where})
+    assert qualities_of_targets(after, after.units)["B"]["q"] == quality
 
 
 RESULTS = [

@@ -34,7 +34,7 @@ class Model:
         self.problem = candidates.problem
         self.environment = candidates.environment
         self.asks_for_quality = Notion.QUALITY in self.problem.notions
-        self.is_apart = is_apart
+        self.is_apart = is_apart or Notion.LATENCY in self.problem.notions
         self.cp = CpModel()
         self.support = Support()
         self.anywhere = Support()

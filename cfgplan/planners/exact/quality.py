@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from math import gcd
 
 from ortools.sat.python.cp_model import IntVar, LinearExpr, LinearExprT, LiteralT
 
 from cfgplan.domain import InputPort, Stream
 from cfgplan.planners.exact.best_case import best_values, worst_of_use
-from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.exact.candidates import Candidates, HostName
 from cfgplan.planners.exact.model import Model
 from cfgplan.planners.exact.quality_chains import ChainCut
 from cfgplan.planning import Notion
@@ -59,7 +60,8 @@ class Scaled:
             c for t in transformations for port in t.outputs for c in port.quality if c.attribute == attribute.name
         ]
         is_cut = any(c.rule is QualityRule.SCALE or c.over is Over.MEAN for c in stated)
-        self.step = 1 if is_cut else gcd(attribute.worst, attribute.best, *(c.value for c in stated))
+        late = [link.latency for link in candidates.environment.links if link.adds == attribute.name]
+        self.step = 1 if is_cut else gcd(attribute.worst, attribute.best, *(c.value for c in stated), *late)
         self.attribute = replace(attribute, worst=attribute.worst // self.step, best=attribute.best // self.step)
         self.best = {stream: value // self.step for stream, value in best_values(candidates, attribute).items()}
 
@@ -79,7 +81,7 @@ class _Values:
         self.attribute = self.scaled.attribute
         self._is_low = attribute.better is Better.LOWER
         self._of: dict[Hashable, IntVar] = {}
-        self._choices: list[tuple[IntVar, Mapping[Stream, IntVar]]] = []
+        self._choices: list[tuple[Hashable, IntVar, Mapping[Stream, IntVar]]] = []
         self._worst: dict[int, int] = {}
         """The worst value at which a demand is of use to anybody; spares may get any quality."""
         allowed = worst_of_use(model.candidates, attribute) if Notion.SURVIVAL not in model.problem.notions else {}
@@ -100,15 +102,17 @@ class _Values:
             worst = self._worst.get(self.model.demand(tag), self.attribute.worst)
             best = self._better(worst, *(self.scaled.best[stream] for stream in known))
             self._of[where] = self.model.cp.new_int_var(min(best, worst), max(best, worst), "")
-            self._choices.append((self._of[where], known))
+            self._choices.append((where, self._of[where], known))
         return self._of[where]
 
     def follow_rules(self) -> None:
         """Let each variable be what the rules of the streams make of their inputs, which get variables too."""
-        for value, choices in self.model.candidates.clock.each(self._choices):
-            self._is_no_better_than_what_is_taken(value, choices)
+        for where, value, choices in self.model.candidates.clock.each(self._choices):
+            self._is_no_better_than_what_is_taken(where, value, choices)
 
-    def _is_no_better_than_what_is_taken(self, value: IntVar, choices: Mapping[Stream, IntVar]) -> None:
+    def _is_no_better_than_what_is_taken(
+        self, where: Hashable, value: IntVar, choices: Mapping[Stream, IntVar]
+    ) -> None:
         cp, ends = self.model.cp, list(value.proto.domain)
         start, worst = self._better(*ends), self._worse(*ends)
         held: list[LiteralT] = []
@@ -123,11 +127,34 @@ class _Values:
                 cp.add_bool_or([taken.negated()])
                 continue
             terms.append((best - start) * taken)
+            delay = self._delay(where, stream)
+            if delay is not None:
+                cp.add(value - delay >= best).only_enforce_if([taken, *held])
+            sent = value if delay is None else value - delay
             for other, by in self._made(stream):
-                no_better = by * value >= other if self._is_low else by * value <= other
+                no_better = by * sent >= other if self._is_low else by * sent <= other
                 cp.add(no_better).only_enforce_if([taken, *held])
         at_best = LinearExpr.sum(terms)  # implied, but what the linear relaxation needs
         cp.add(value >= at_best if self._is_low else value <= at_best)
+
+    def _delay(self, where: Hashable, stream: Stream) -> IntVar | None:
+        """What links add to a stream's value on its way to a target or an input told apart; None if they do not."""
+        model, made_on = self.model, self.model.runs_on[self.model.unit_of(stream)]
+        if Notion.LATENCY not in model.problem.notions:
+            return None
+        wanted: Mapping[HostName, list[IntVar]] = {}
+        if isinstance(where, str):
+            wanted = {model.environment.target[where].host: []}
+        elif isinstance(where, tuple) and where[0] == "input":
+            wanted = {host: [on] for host, on in model.runs_on[where[1]].items()}
+        latency = partial(model.environment.latency, self.attribute.name)
+        late = {(one, other): latency(one, other) // self.scaled.step for one in made_on for other in wanted}
+        if not any(late.values()):
+            return None
+        delay = model.cp.new_int_var(0, max(late.values()), "")
+        for (one, other), by in late.items():
+            model.cp.add(delay >= by).only_enforce_if([made_on[one], *wanted[other]])
+        return delay
 
     def _made(self, stream: Stream) -> Iterable[tuple[LinearExprT, int]]:
         """What a stream's value times a number is no better than."""
@@ -170,7 +197,8 @@ class _Values:
             low, high = sorted((self.attribute.worst, self.attribute.best))
             value = self._of[where] = model.cp.new_int_var(low, high, "")
             if kept is not None:
-                self._choices.append((value, {kept: model.stays[unit]} if kept in self.scaled.best else {}))
+                known = {kept: model.stays[unit]} if kept in self.scaled.best else {}
+                self._choices.append((where, value, known))
             for wired, theirs in met:
                 model.cp.add(value >= theirs if self._is_low else value <= theirs).only_enforce_if(wired)
         return self._of[where]

@@ -25,7 +25,9 @@ from cfgplan.planners.undecided import Deciding
 from cfgplan.planning import Notion, Plan, Problem, Progress, Status
 
 ONLY_IN_THE_MODEL: Final = frozenset({Notion.OPTIONAL, Notion.COUNTS, Notion.LIMITS})
-"""What first plans and bounds don't know: such a problem goes to the solver at once."""
+"""What first plans and bounds don't know."""
+SOLVED_AT_ONCE: Final = ONLY_IN_THE_MODEL | {Notion.ORDER, Notion.LATENCY}
+"""Such a problem goes to the solver at once."""
 
 
 class PlannerSession:
@@ -69,7 +71,7 @@ class PlannerSession:
 
 
 def _tuning_for(problem: Problem, usual: Tuning) -> Tuning:
-    """The solver alone for what only the model knows, and where more than the cost is minimised.
+    """The solver alone for what only the model knows.
 
     Raises InputError if the model does not know all that is asked together.
     """
@@ -79,7 +81,7 @@ def _tuning_for(problem: Problem, usual: Tuning) -> Tuning:
     if wiring and beside:
         what, and_what = (" and ".join(sorted(notions)) for notions in (beside, wiring))
         raise InputError.of(f"the planner does not know {what} together with {and_what}")
-    return replace(usual, is_solver_only=True) if wiring or Notion.ORDER in problem.notions else usual
+    return replace(usual, is_solver_only=True) if SOLVED_AT_ONCE & problem.notions else usual
 
 
 def plan(
