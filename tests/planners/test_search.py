@@ -10,6 +10,7 @@ from unittest import mock
 
 import pytest
 from alone import search_alone
+from fixed import kind, unit, world
 from ortools.sat.python.cp_model import (
     FEASIBLE,
     INFEASIBLE,
@@ -20,6 +21,7 @@ from ortools.sat.python.cp_model import (
     LinearExprT,
 )
 
+from cfgplan.domain import Similarity, Target
 from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planners.exact import search
 from cfgplan.planners.exact.model import Model
@@ -97,3 +99,22 @@ def test_a_failure_that_is_not_survived_although_enough_is_demanded_is_an_error(
     alone = search_alone(problem)
     with mock.patch.object(Survival, "missed", lambda *_: always), pytest.raises(ContradictionError):
         alone.run()
+
+
+def test_inputs_that_need_not_be_fed_close_no_ring_that_has_to_be_cut() -> None:
+    loose = {"optional": True, "worth_us": 8}
+    library = (
+        kind("t0", "B", "CB"),
+        kind("t1", "AB", "DC", 5, first=loose, upkeep_us=8),
+        kind("t2", "A", "B", first={"optional": True}),
+    )
+    units = (
+        unit("t1", "t1.2/x1", "t1.1/x1"),
+        unit("t1", "t1.1/x1", "t2.3/x0", number=2),
+        *(unit("t2", number=number) for number in (3, 4)),
+    )
+    targets = tuple(Target(f"q{n}", tag, f"/{n}") for n, tag in enumerate("CCB"))
+    offers = {"A": frozenset("AC"), "B": frozenset("DB"), "C": frozenset("C")}
+    problem = replace(world(targets, *library, units=units, horizon_s=10), similarity=Similarity(offers))
+    found = PlannerSession().plan(problem)
+    assert (found.status, found.counts["cuts"]) == (Status.OPTIMAL, 0)

@@ -13,6 +13,7 @@ from cfgplan.domain import ALL, InputPort, Link, Objective, Stream
 from cfgplan.planners.exact.candidates import HostName
 from cfgplan.planners.exact.model import Model, ModelRule
 from cfgplan.planners.exact.quality import targets_get_the_quality_they_ask_for
+from cfgplan.planning import Notion
 
 
 def a_unit_runs_or_waits_in_one_place(model: Model) -> None:
@@ -122,6 +123,27 @@ def _grounded_if_it_holds(model: Model, literal: IntVar) -> IntVar:
     model.support.rests_on_all(unneeded.index, [])
     model.rests_on_any(found, [literal, unneeded])
     return found
+
+
+def units_that_feed_each_other_come_one_after_the_other(model: Model) -> None:
+    """Implied, but where inputs need not be fed there are too many ways to close a ring to cut them one by one."""
+    if Notion.OPTIONAL not in model.problem.notions:
+        return
+    from networkx import DiGraph, strongly_connected_components
+
+    candidates = model.candidates
+    feeds = [
+        (candidates.index_of[stream.unit], unit, connected)
+        for (unit, name), connects in model.connects.items()
+        for stream, connected in connects.items()
+        if not candidates.all[unit].transformation.input[name].feedback
+    ]
+    rings = strongly_connected_components(DiGraph([(feeder, unit) for feeder, unit, _ in feeds]))
+    for ring in (ring for ring in rings if len(ring) > 1):
+        place = {unit: model.cp.new_int_var(1, len(ring), "") for unit in sorted(ring)}
+        for feeder, unit, connected in feeds:
+            if feeder in ring and unit in ring:
+                model.cp.add(place[feeder] < place[unit]).only_enforce_if(connected)
 
 
 def an_input_takes_its_number_of_streams_or_none(model: Model, unit: int, port: InputPort) -> None:
@@ -586,6 +608,7 @@ RULES: Final[tuple[ModelRule, ...]] = (
     a_staying_unit_keeps_its_feeders,
     a_wired_unit_is_fed,
     inputs_of_a_group_are_fed_by_different_transformations,
+    units_that_feed_each_other_come_one_after_the_other,
     a_demand_is_met_first_by_a_unit_that_does_not_need_it,
     a_target_is_published_by_one_unit,
     a_unit_runs_that_a_target_wants,
