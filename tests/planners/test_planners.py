@@ -339,6 +339,21 @@ def test_it_is_said_which_inputs_take_more_streams_than_outputs_serve() -> None:
     assert more.status is Status.OPTIMAL
 
 
+def test_a_unit_that_takes_all_streams_is_rewired_when_one_comes() -> None:
+    logger = Transformation("logger", (InputPort("alarms", "A", count=ALL),), (), labor_us=1)
+    units = (
+        ComputationUnit("fire.1", "fire", (), (Publication("out0", "/f"),)),
+        ComputationUnit("logger.1", "logger", (Subscription("alarms", Stream("fire.1", "out0")),)),
+    )
+    targets = (Target("f", "F", "/f"), Target("w", "W", "/w"), Target("log", run="logger"))
+    environment = Environment(units, (make("fire", gives="F"), make("water", gives="W"), logger), targets)
+    pairs = {"A": frozenset("FW"), "F": frozenset("F"), "W": frozenset("W")}
+    plan = cpsat_plan(Problem(environment, Similarity(pairs), 0))
+    assert plan.status is Status.OPTIMAL
+    assert plan.change_set is not None
+    assert [unit.id for unit in plan.change_set.rewired] == ["logger.1"]
+
+
 def test_a_count_starts_as_many_units_as_it_takes() -> None:
     sink = replace(make("sink", "A", "B"), inputs=(InputPort("in0", "A", count=3),))
     problem = world("B", make("source", gives="A"), sink)

@@ -99,6 +99,8 @@ def an_input_told_apart_has_its_feeders(model: Model, unit: int, port: InputPort
             model.cp.add_implication(model.stays[unit], same[0])
         if not feeds:
             model.cp.add_implication(model.stays[unit], model.is_fed[unit, port.name].negated())
+        for connected in [c for s, c in connects.items() if s not in feeds] if port.count == ALL else ():
+            model.cp.add_implication(model.stays[unit], connected.negated())
     for stream, connected in connects.items():
         feeder = model.runs[model.unit_of(stream)]
         if port.feedback:
