@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 HOSTS = ("base", "r1", "r2")
 UNITS = Path(__file__).parents[1] / "runtime"
 RATE_HZ = 200
+SOME = 600
+"""The elements of a source that ends."""
 PATIENCE_S = 30.0
 HELPERS = ("nursery", "outlets")
 
@@ -197,16 +199,17 @@ class Fleet:
 
 
 def library() -> tuple[Any, ...]:
-    """Numbers at 200 Hz, images of 460 kB at 40 Hz, and a unit that gives on what it gets."""
+    """Numbers at 200 Hz, for ever or some; images of 460 kB at 40 Hz; and a unit that gives on what it gets."""
     from cfgplan.domain import InputPort, OutputPort, RunOptions, Transformation
 
-    def source(label: str, rate_hz: float) -> Transformation:
-        run = RunOptions(rate_hz=rate_hz)
-        return Transformation(label, outputs=(OutputPort("n", "N"),), source=f"measured_units.py:{label}", run=run)
+    def source(label: str, rate_hz: float, **params: int) -> Transformation:
+        code, run = f"measured_units.py:{label}", RunOptions(rate_hz=rate_hz)
+        return Transformation(label, outputs=(OutputPort("n", "N"),), source=code, params=params, run=run)
 
     ports = (InputPort("x", "N"),), (OutputPort("n", "Y"),)
     return (
         source("count", RATE_HZ),
+        source("some", RATE_HZ, number=SOME),
         source("images", 40),
         Transformation("same", *ports, source="measured_units.py:same"),
     )

@@ -20,6 +20,11 @@ def count() -> Iterator[int]:
         number += 1
 
 
+def some(number: int) -> Iterator[int]:
+    """0, 1, 2, ..., so many."""
+    yield from range(number)
+
+
 def images() -> Iterator[Any]:
     """Pictures of 460 kB whose pixels are their number modulo 256."""
     number = 0

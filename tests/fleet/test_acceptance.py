@@ -22,6 +22,8 @@ CASES = (
     "storm",
     "host returns",
     "cut for good",
+    "source ends in a cut",
+    "swap in a long cut",
 )
 
 

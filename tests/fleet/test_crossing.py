@@ -22,6 +22,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 
+MARK = Frame(9, 3, Piece(0, 0, b"work.1", is_mark=True))
+
+
 def piece(number: int, size: int = 8) -> Piece:
     return Piece(number, 0, number.to_bytes(8, "little") + bytes(size - 8))
 
@@ -84,6 +87,15 @@ def test_what_is_lost_if_no_more_is_sent_is_known_to_the_element() -> None:
     assert (sending.dropped, sending.lost) == (15, MOST_PIECES + 5)
 
 
+def test_the_end_of_a_stream_that_was_lost_in_a_cut_comes_at_once_when_the_link_is_there_again() -> None:
+    sending, receiving = Sending(granted=PIECES_UNDER_WAY), Receiving()
+    for number in range(200):
+        sending.offer(piece(number))
+    sending.due(0.0)  # lost
+    came = carry(sending, receiving, Random(1), loss=0.0, until_s=2.0)
+    assert [one.time_ns for one in came] == list(range(200))
+
+
 def test_a_blocking_crossing_drops_nothing_and_is_full_at_its_queue() -> None:
     sending = Sending(blocks=True, most=5)
     for number in range(5):
@@ -137,7 +149,7 @@ def test_a_sender_without_any_credit_asks_for_one() -> None:
 
 
 def test_frames_and_told_credits_are_read_as_they_were_written() -> None:
-    for frame in (Frame(7, 3, piece(5)), Frame(8, 3, LAST_PIECE), Frame(9, 0, None)):
+    for frame in (Frame(7, 3, piece(5)), Frame(8, 3, LAST_PIECE), MARK, Frame(9, 0, None)):
         assert read_frame(frame.head(), b"" if frame.piece is None else bytes(frame.piece.payload)) == frame
     for credit in (Credit(5, 261), Credit(5, 261, (6, 9))):
         assert read_credit(credit.packed()) == credit

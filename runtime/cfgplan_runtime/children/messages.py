@@ -148,7 +148,14 @@ class Finish(msgspec.Struct, tag=True):
     """Process what has arrived, then end."""
 
 
-ToRelay: TypeAlias = Export | Import | Release
+class Mark(msgspec.Struct, tag=True):
+    """Have the other host told, for a unit there, once everything has come that was given to an export until now."""
+
+    crossing: str
+    unit: str
+
+
+ToRelay: TypeAlias = Export | Import | Release | Mark
 ToChild: TypeAlias = (
     Feed | Serve | Cut | End | Unserve | SwitchNow | OpenOutlet | CloseOutlet | SetClock | ToRelay | BeginUnit | Finish
 )
@@ -229,7 +236,7 @@ class Flow(msgspec.Struct, frozen=True):
 
     An element's age is counted from when its source element was made. Rate and age are over the last 3 seconds:
     `rate_hz` is 0 and `latency_ms` None if nothing came. `silent_s` is the time since the last element, None if none
-    ever came; `dropped` counts what subscribers have not fetched in time.
+    ever came; `dropped` counts what had no room on its way to the topic, and what subscribers have not fetched in time.
     """
 
     rate_hz: float = 0.0
@@ -259,6 +266,13 @@ class ImportUnused(msgspec.Struct, tag=True):
     served: int
 
 
+class Marked(msgspec.Struct, tag=True):
+    """Everything that was given before the mark for a unit has been handed on to it."""
+
+    crossing: str
+    unit: str
+
+
 class CrossingCounts(msgspec.Struct, frozen=True):
     """Of a stream to another host: what there was to send, what had no room, and what has not arrived yet."""
 
@@ -267,8 +281,9 @@ class CrossingCounts(msgspec.Struct, frozen=True):
     waiting: int = 0
 
 
+FromRelay: TypeAlias = ImportUnused | Marked
 FromChild: TypeAlias = (
-    Ready | Prepared | Switched | Lost | Trouble | Exhausted | UnitSign | Flowing | Unserved | ImportUnused
+    Ready | Prepared | Switched | Lost | Trouble | Exhausted | UnitSign | Flowing | Unserved | FromRelay
 )
 
 

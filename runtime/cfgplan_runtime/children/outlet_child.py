@@ -84,8 +84,11 @@ class OutletChild:
                 self._accept_again()
 
     def _flows(self) -> dict[str, Flow]:
-        now_s, counts = time.monotonic(), self._ports.output_counts()
-        return {topic: meter.flow(counts[topic].dropped, now_s) for topic, meter in self._meters.items()}
+        now_s, taken, given = time.monotonic(), self._ports.input_counts(), self._ports.output_counts()
+        return {
+            topic: meter.flow(taken[topic].dropped + given[topic].dropped, now_s)
+            for topic, meter in self._meters.items()
+        }
 
     def _obey(self, message: ToChild, sockets: list[socket.socket]) -> None:
         match message:

@@ -136,10 +136,14 @@ class Ports:
 
     def drain(self) -> None:
         """Hand on what has arrived, then discard what still comes."""
-        for port in self.inputs.values():
-            for wire in list(port.receivers):
-                self._read(port, wire)
+        for name, port in self.inputs.items():
+            self.take_in(name)
             port.take = _ignore
+
+    def take_in(self, port: str) -> None:
+        """Hand on what has arrived at an input."""
+        for wire in list(self.inputs[port].receivers):
+            self._read(self.inputs[port], wire)
 
     def add_sender(self, port: str, sender: Sender) -> None:
         output = self.outputs[port]

@@ -16,7 +16,7 @@ from urllib.parse import quote
 import msgspec
 
 from cfgplan.errors import InputError
-from cfgplan_runtime.children.messages import Export, Import, Release
+from cfgplan_runtime.children.messages import Export, Import, Mark, Marked, Release
 from cfgplan_runtime.fleet.certificates import MANAGER
 from cfgplan_runtime.fleet.clocks import HostClock
 from cfgplan_runtime.fleet.links import LEASE_S, Config, config, sign_period_s
@@ -138,6 +138,10 @@ class Agent:
         self._exports: dict[str, HeldExport] = {}
         self._imports: dict[str, HeldImport] = {}
         self._ahead_ns: int | None = None
+        self._stopping: dict[str, tuple[str, ...]] = {}
+        """Units that are to stop once marks for them have come by these crossings, unless those are gone."""
+        self._marked: set[tuple[str, str]] = set()
+        """The marks that have come: by which crossing, for which unit."""
         self._ending: set[str] = set()
         """Units of before the last greeting that have not ended yet: orders wait for that, and nothing is told."""
         self._owes_welcome = False
@@ -237,7 +241,10 @@ class Agent:
         for event in events:
             self._tell(event)
         for message in self._backend.heard_from_relay():
-            self._say(message)
+            if isinstance(message, Marked):
+                self._marked.add((message.crossing, message.unit))
+            else:
+                self._say(message)
         while self._arrived:
             self._hear(*self._arrived.popleft())
         while not self._ending and (self._owes_welcome or self._orders):
@@ -249,6 +256,7 @@ class Agent:
                     self._lost = 0
             else:
                 self._obey(self._orders.popleft())
+        self._stop_due()
         now_s = time.monotonic()
         if now_s >= self._usage_due_s:
             self._usage_due_s = now_s + USAGE_PERIOD_S
@@ -310,9 +318,11 @@ class Agent:
             case DiscardOrder(spare):
                 self._spares.pop(spare, None)
                 backend.discard(spare)
-            case StopOrder(unit):
-                backend.stop(unit)
+            case StopOrder(unit, after):
+                self._stopping[unit] = after
             case KillOrder(unit, dump):
+                if self._stopping.pop(unit, None) is not None:
+                    backend.stop(unit)
                 backend.kill(unit, dump=dump)
             case ConnectOrder(wire, stream, inlet, queue, blocks):
                 self._hold_wire(order)
@@ -345,6 +355,9 @@ class Agent:
                 self._tell_usage(())  # the last that is heard of it
                 self._exports.pop(crossing, None)
                 self._imports.pop(crossing, None)
+                self._marked = {mark for mark in self._marked if mark[0] != crossing}
+                backend.tell_relay(order)
+            case Mark():
                 backend.tell_relay(order)
 
     def _held(self) -> Held:
@@ -374,8 +387,16 @@ class Agent:
         for crossing in (*self._exports, *self._imports):
             self._backend.tell_relay(Release(crossing))
         self._ahead_ns = None
-        for held in (self._spares, self._wires, self._topics, self._exports, self._imports):
-            held.clear()
+        held = self._spares, self._wires, self._topics, self._exports, self._imports, self._stopping, self._marked
+        for one in held:
+            one.clear()
+
+    def _stop_due(self) -> None:
+        """Stop the units that have taken in what was given before they were to stop."""
+        for unit, after in list(self._stopping.items()):
+            if all((crossing, unit) in self._marked or crossing not in self._imports for crossing in after):
+                del self._stopping[unit]
+                self._backend.stop(unit)
 
     def _start(self, start: StartOrder) -> None:
         unit = start.order.unit

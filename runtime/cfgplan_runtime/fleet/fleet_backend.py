@@ -44,7 +44,6 @@ from cfgplan_runtime.fleet.orders import (
     RenewOrder,
     Session,
     StartOrder,
-    StopOrder,
     SwitchOrder,
     Talk,
     UsageTold,
@@ -245,7 +244,8 @@ class FleetBackend:
         self._say(self._spares.pop(spare, None), DiscardOrder(spare))
 
     def stop(self, unit: str) -> None:
-        self._say(self._units.get(unit), StopOrder(unit))
+        if unit in self._units:
+            self._give(self._routes.stop(unit, self._units[unit]))
 
     def kill(self, unit: str, *, dump: bool = False) -> None:
         self._say(self._units.get(unit), KillOrder(unit, dump))

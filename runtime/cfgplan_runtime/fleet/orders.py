@@ -88,7 +88,10 @@ class DiscardOrder(msgspec.Struct, tag=True):
 
 
 class StopOrder(msgspec.Struct, tag=True):
+    """Stop a unit once it has what was given before to the crossings that it comes `after`."""
+
     unit: str
+    after: tuple[str, ...] = ()
 
 
 class KillOrder(msgspec.Struct, tag=True):

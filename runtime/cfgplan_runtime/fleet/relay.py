@@ -16,7 +16,16 @@ from dataclasses import dataclass, field
 from math import inf
 
 from cfgplan_runtime.children.control import ControlConnection
-from cfgplan_runtime.children.messages import CrossingCounts, Export, Import, ImportUnused, Release, ToChild
+from cfgplan_runtime.children.messages import (
+    CrossingCounts,
+    Export,
+    Import,
+    ImportUnused,
+    Mark,
+    Marked,
+    Release,
+    ToChild,
+)
 from cfgplan_runtime.children.ports import Ports, UnitInput, UnitOutput
 from cfgplan_runtime.streams.crossing import (
     LAST_PIECE,
@@ -55,6 +64,8 @@ class _Import:
     skipped: int = 0
     has_ended: bool = False
     told_unused: int = 0
+    marks: list[str] = field(default_factory=list)
+    """The units for which a mark has come, but not all that was given before it is handed on."""
 
 
 class Relay:
@@ -153,6 +164,9 @@ class Relay:
                 put = self._link.publisher(crossing_key(self._host, "credit", host, name), "orders")
                 self._imports[name] = _Import(host, PutThread(put))
                 self._ports.outputs[name] = UnitOutput()
+            case Mark(name, unit) if name in self._exports:
+                self._ports.take_in(name)
+                self._exports[name].sending.offer(Piece(0, 0, unit.encode(), is_mark=True))
             case Release(name):
                 self._release(name)
 
@@ -200,6 +214,8 @@ class Relay:
                 one.skipped = one.receiving.dropped
             if piece.is_last:
                 one.has_ended = True
+            elif piece.is_mark:
+                one.marks.append(bytes(piece.payload).decode())
             else:
                 self._ports.emit(name, Outgoing(piece.time_ns, piece.turn, [piece.payload]))
 
@@ -219,6 +235,10 @@ class Relay:
             export.thread.give(frame.head(), payload)
 
     def _acknowledge(self, name: str, one: _Import, now_s: float) -> None:
+        if one.marks and not any(sender.depth for sender in self._ports.outputs[name].senders):
+            for unit in one.marks:
+                self._ports.say(Marked(name, unit))
+            one.marks.clear()
         if not self._ports.outputs[name].served:
             return  # what comes before anybody takes it would be lost
         credit = one.receiving.credit(now_s, has_room=not self._ports.is_full(name))

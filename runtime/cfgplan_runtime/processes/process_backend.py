@@ -29,9 +29,11 @@ from cfgplan_runtime.children.messages import (
     Flowing,
     Forked,
     FromChild,
+    FromRelay,
     Gone,
     ImportUnused,
     Lost,
+    Marked,
     NotForked,
     OpenOutlet,
     OutletOrder,
@@ -130,7 +132,7 @@ class ProcessBackend:
         """When the outlets are to be made anew; None if they need not."""
         self._is_short = False
         """Whether there was no descriptor for the last wire."""
-        self._from_relay: list[ImportUnused] = []
+        self._from_relay: list[FromRelay] = []
 
     @property
     def id(self) -> str:
@@ -234,7 +236,7 @@ class ProcessBackend:
         """Have the relay do something."""
         self._tell(self._by_name[RELAY], message)
 
-    def heard_from_relay(self) -> list[ImportUnused]:
+    def heard_from_relay(self) -> list[FromRelay]:
         """What the relay has said since the last call."""
         heard, self._from_relay = self._from_relay, []
         return heard
@@ -488,7 +490,7 @@ class ProcessBackend:
                 self._events.append(SourceExhausted(name))
             case Flowing(flows):
                 self._events += [HelperAlive(OUTLETS_HELPER, HELPER_S), TopicsStatus(flows)]
-            case ImportUnused():
+            case ImportUnused() | Marked():
                 self._from_relay.append(message)
             case Unserved(topic, cause):
                 self._events.append(OutOfDescriptors(f"subscribers of {topic} wait: {cause}"))

@@ -36,15 +36,21 @@ _MISSING_NUMBER = struct.Struct("<Q")
 
 
 class Piece(NamedTuple):
-    """An element on its way between hosts; with `is_last`, the end of its stream, which has no payload."""
+    """An element on its way between hosts; with `is_last`, the end of its stream, which has no payload.
+
+    With `is_mark` it tells whoever is named in it that everything that was given before has come.
+    """
 
     time_ns: int
     turn: int
     payload: Buffer
     is_last: bool = False
+    is_mark: bool = False
 
 
 LAST_PIECE = Piece(0, 0, b"", is_last=True)
+_ELEMENT, _LAST, _QUESTION, _MARK = range(4)
+"""Kinds of frames."""
 
 
 class Frame(NamedTuple):
@@ -58,8 +64,9 @@ class Frame(NamedTuple):
         """All but the payload."""
         piece = self.piece
         if piece is None:
-            return _HEAD.pack(self.number, self.dropped, 0, 0, 2)
-        return _HEAD.pack(self.number, self.dropped, piece.time_ns, piece.turn, piece.is_last)
+            return _HEAD.pack(self.number, self.dropped, 0, 0, _QUESTION)
+        kind = _LAST if piece.is_last else _MARK if piece.is_mark else _ELEMENT
+        return _HEAD.pack(self.number, self.dropped, piece.time_ns, piece.turn, kind)
 
 
 def read_frame(head: bytes, payload: bytes) -> Frame | None:
@@ -67,7 +74,9 @@ def read_frame(head: bytes, payload: bytes) -> Frame | None:
     if len(head) != _HEAD.size:
         return None
     number, dropped, time_ns, turn, kind = _HEAD.unpack(head)
-    return Frame(number, dropped, None if kind == 2 else Piece(time_ns, turn, payload, kind == 1))
+    return Frame(
+        number, dropped, None if kind == _QUESTION else Piece(time_ns, turn, payload, kind == _LAST, kind == _MARK)
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +173,9 @@ class Sending:
             self._next += 1
             frames.append(frame)
         if self.depth and self._again_s is not None and now_s >= self._again_s:
-            frames.append(next(iter(self._under_way.values()), Frame(self._next, self.dropped, None)))
+            # By the last one the receiver sees what else is missing.
+            known = list(self._under_way.values())
+            frames += known[:1] + known[1:][-1:] or [Frame(self._next, self.dropped, None)]
             self._patience_s, self._again_s = min(2 * self._patience_s, _MOST_RESEND_S), None
         if not self.depth:
             self._again_s = None
