@@ -21,7 +21,6 @@ from cfgplan_runtime.streams.crossing import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-
 MARK = Frame(9, 3, Piece(0, 0, b"work.1", is_mark=True))
 
 
