@@ -156,7 +156,7 @@ def managed(fleet: Fleet) -> Iterator[tuple[Any, Listener, Any]]:
     import cfgplan
     from cfgplan.domain import Environment, Host
 
-    numbers, _, same = library()
+    numbers, *_, same = library()
     placed = replace(numbers, hosts=("base",)), replace(same, hosts=("r1", "r2"))
     environment = Environment(library=placed, targets=targets()[:1], hosts=tuple(Host(name) for name in HOSTS))
     with (
