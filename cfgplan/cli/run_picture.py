@@ -155,12 +155,14 @@ def _target(target: Mapping[str, Any]) -> Iterator[Text]:
     has_stream = target["stream"] is not None
     rate, latency_ms = (target.get(key) if has_stream else None for key in ("rate_hz", "latency_ms"))
     yield Text(target["label"], style="green" if target["met"] else "red")
-    yield Text(target["topic"])
+    yield Text(target["topic"] or "")
     yield Text("" if rate is None else f"{rate:.1f} Hz", style="" if rate else "yellow")
     yield Text("" if latency_ms is None else milliseconds(latency_ms / 1e3))
     silent_s = target.get("silent_s")
     if not target["met"]:
         yield Text(target["reason"], style="red")
+    elif not has_stream:
+        yield Text(target["unit"])
     elif silent_s is None or silent_s > _OLD_S:
         silent = "nothing came yet" if silent_s is None else f"silent for {_span(silent_s)}"
         yield Text().append(f"{target['stream']}  ").append(silent, style="yellow")
@@ -193,7 +195,8 @@ def _unit(unit: Mapping[str, Any], more: list[Text]) -> list[Text]:
     said = ((port, [streams] if isinstance(streams, str) else streams) for port, streams in unit["inputs"].items())
     state = Text(", ".join(f"{port} ← {stream}" for port, streams in said for stream in streams), style="dim")
     if unit.get("unfed"):
-        state = Text(f"nothing feeds {', '.join(unit['unfed'])}", style="red")
+        has_some = not unit["inputs"].keys().isdisjoint(unit["unfed"])
+        state = Text(f"{'too little' if has_some else 'nothing'} feeds {', '.join(unit['unfed'])}", style="red")
     elif unit.get("errors") and unit["last_error"]:
         state = Text(printable(short(unit["last_error"])), style="yellow")
     elif "steps" not in unit:

@@ -25,12 +25,23 @@ from cfgplan_runtime.lifecycle.perturbations import (
     WorldChanged,
 )
 from cfgplan_runtime.lifecycle.reports import PHASES, Decision
+from cfgplan_runtime.lifecycle.showing import target_views
 from cfgplan_runtime.operating.records import review_record
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
 from living import HORIZON_S, RESULT, Life, source, started, worker
 
 from cfgplan import api
-from cfgplan.domain import ChangeSet, RunOptions, Target
+from cfgplan.domain import (
+    ALL,
+    ChangeSet,
+    ComputationUnit,
+    Environment,
+    InputPort,
+    OutputPort,
+    RunOptions,
+    Target,
+    Transformation,
+)
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import Plan, Problem, Status
 
@@ -51,6 +62,35 @@ def test_a_review_says_how_long_each_phase_took() -> None:
     life = started()
     assert set(life.reviews[0].seconds) == set(PHASES)
     assert life.reviews[0].seconds["detect"] >= 0
+
+
+LOGGER = Transformation("logger", (InputPort("x", "N", count=ALL),), labor_us=1000, source="units.py:logger")
+LOGGED = Target("logged", run="logger")
+
+
+def test_a_unit_that_a_target_wants_to_run_is_kept_running_and_takes_what_comes_and_goes() -> None:
+    more = Transformation("more", outputs=(OutputPort("m", "M"), OutputPort("n", "N")), source="units.py:more")
+    life = started(source(pinned=True), LOGGER, targets=(LOGGED,))
+    assert life.units == {"count.1", "logger.1"}
+    (view,) = life.manager.snapshot().targets
+    assert (view.is_met, view.unit, view.stream) == (True, "logger.1", None)
+    life.fail("logger.1")
+    assert (life.met, life.starts("logger")) == ({"logged"}, 2)
+    (logger,) = (unit for unit in life.runtime.environment.units if unit.transformation == "logger")
+    life.reviewed(Add(targets=(Target("other", "M", "/other"),), transformations=(more,)))
+    streams = [str(stream) for stream in life.runtime.environment.unit[logger.id].feeds["x"]]
+    assert streams == ["count.1/n", "more.1/n"]
+    life.reviewed(Remove(targets=("other",)))
+    assert len(life.runtime.environment.unit[logger.id].feeds["x"]) == 1
+    assert life.starts("logger") == 2
+    assert life.reviewed(Remove(targets=("logged",))).decision is Decision.APPLIED
+    assert life.units == {"count.1"}
+
+
+def test_a_unit_that_a_target_wants_to_run_does_not_meet_it_without_its_inputs() -> None:
+    running = Environment((ComputationUnit("logger.1", "logger"),), (source(), LOGGER), (LOGGED,))
+    (view,) = target_views(running, running, (), (), 0.0)
+    assert (view.is_met, view.unit, view.reason) == (False, None, "it waits for a review")
 
 
 @pytest.mark.parametrize("unit", ["count.1", "work.1"])

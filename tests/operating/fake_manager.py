@@ -52,7 +52,7 @@ SNAPSHOT = Snapshot(
     phase=Phase.STABLE,
     environment=Environment((CAMERA, DETECTOR), (), (Target("ball", "Ball", "/result"),)),
     targets=(
-        TargetView("ball", "Ball", "/result", 1, Stream("detector.1", "ball")),
+        TargetView("ball", "Ball", "/result", 1, Stream("detector.1", "ball"), unit="detector.1"),
         TargetView("goal", "Goal", "/goal", 0, None, "nothing gives Goal"),
     ),
     units=(UnitView(CAMERA, None, observation("camera.1")), UnitView(DETECTOR, "nao1", observation("detector.1"))),

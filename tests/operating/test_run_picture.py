@@ -26,7 +26,7 @@ from operated_world import PATIENCE_S, command, write_world
 from rich.console import Console
 
 from cfgplan.cli.run_picture import LogLine, RunPicture
-from cfgplan.domain import ComputationUnit, Environment, Host, InputPort, Stream, Transformation
+from cfgplan.domain import ComputationUnit, Environment, Host, InputPort, Stream, Subscription, Transformation
 from cfgplan.errors import Fault
 
 FLOWS = {"/result": Flow(29.97, 12.4, 300, 0, 0.01)}
@@ -47,8 +47,11 @@ def large() -> Snapshot:
     seen = views[30].observation
     assert seen is not None
     views[30] = replace(views[30], observation=replace(seen, errors=3, last_error="Traceback ...\nValueError: five\n"))
-    targets = [TargetView(f"t{number}", "T", f"/t/{number}", 0, Stream("stage00.1", "y")) for number in range(20)]
-    targets[13] = replace(targets[13], stream=None, reason="nothing gives T")
+    targets = [
+        TargetView(f"t{number}", "T", f"/t/{number}", 0, Stream("stage00.1", "y"), unit="stage00.1")
+        for number in range(20)
+    ]
+    targets[13] = replace(targets[13], stream=None, unit=None, reason="nothing gives T")
     return replace(
         SNAPSHOT,
         units=tuple(views),
@@ -99,6 +102,19 @@ def test_a_gap_and_a_silent_stream_stand_out() -> None:
     assert "nothing feeds pose" in text
     assert "silent for 75 s" in text
     assert "nothing came yet" in "\n".join(drawn(flows={}))
+
+
+def test_a_target_that_wants_no_stream_has_its_unit_and_an_input_of_several_streams_has_them_all() -> None:
+    more = (*DETECTOR.subscriptions, Subscription("image", Stream("camera.2", "image")))
+    units = (UnitView(replace(DETECTOR, subscriptions=more), None, observation("detector.1")),)
+    shown = TargetView("shown", "a unit of display", "", 0, unit="display.1")
+    text = "\n".join(drawn(replace(SNAPSHOT, units=units, targets=(shown,))))
+    assert re.search(r"shown +display\.1", text)
+    assert "nothing came yet" not in text
+    assert "image ← camera.1/image, image ← camera.2/image" in text
+    library = (Transformation("detector", (InputPort("image", "I", count=3),)),)
+    fewer = replace(SNAPSHOT, units=units, environment=Environment((), library))
+    assert "too little feeds image" in "\n".join(drawn(fewer))
 
 
 def test_a_cold_spare_is_told_from_what_runs() -> None:

@@ -69,7 +69,7 @@ class Review:
 
 @dataclass(frozen=True)
 class TargetView:
-    """A target now: the stream that meets it, or the reason why none does."""
+    """A target now: the unit that meets it, with its stream if the target wants one, or the reason why none does."""
 
     label: str
     tag: str
@@ -79,10 +79,11 @@ class TargetView:
     reason: str = ""
     is_silent: bool = False
     """Whether nothing has come for longer than it may be silent."""
+    unit: str | None = None
 
     @property
     def is_met(self) -> bool:
-        return self.stream is not None and not self.is_silent
+        return self.unit is not None and not self.is_silent
 
 
 @dataclass(frozen=True)

@@ -15,19 +15,16 @@ from cfgplan_runtime.supervision.wiring import starved_units
 def target_views(
     world: Environment, running: Environment, reviews: Sequence[Review], silences: Sequence[Silence], now_s: float
 ) -> tuple[TargetView, ...]:
-    """Each target with the stream that is published on its topic, or why there is none."""
-    streams = {
-        publication.topic: Stream(unit.id, publication.port)
-        for unit in running.units
-        for publication in unit.publications
-    }
+    """Each target with the unit that meets it, and the stream on its topic, or why there is none."""
     starved = starved_units(running)
-    streams = {topic: stream for topic, stream in streams.items() if stream.unit not in starved}
+    fed = [unit for unit in running.units if unit.id not in starved]
+    meeting = world.meeting(fed)
+    streams = {p.topic: Stream(unit.id, p.port) for unit in fed for p in unit.publications}
     reasons = reviews[-1].unmet if reviews else {}
     silent = {silence.target: silence_reason(silence, now_s) for silence in silences if silence.topic in streams}
 
     def reason(target: Target) -> str:
-        if target.topic in streams:
+        if target.label in meeting:
             return silent.get(target.label, "")
         return reasons.get(target.label, "it waits for a review")
 
@@ -40,6 +37,7 @@ def target_views(
             streams.get(target.topic),
             reason(target),
             target.label in silent,
+            unit.id if (unit := meeting.get(target.label)) else None,
         )
         for target in world.targets
     )

@@ -251,6 +251,8 @@ class Operation:
         """Warn once for each met target on whose topic nothing comes, and again if something has come in between."""
         now, flows = time.monotonic(), self.flows.now()
         for target in self.manager.snapshot().targets:
+            if not target.topic:
+                continue
             silent_s = flows.get(target.topic, Flow()).silent_s
             if not target.is_met or (silent_s is not None and silent_s < SILENT_S):
                 self._quiet_s.pop(target.topic, None)

@@ -118,11 +118,12 @@ def _number(value: float) -> float | None:
 def _target(target: TargetView, flow: Record | None) -> Record:
     record = {
         "label": target.label,
-        "topic": target.topic,
+        "topic": target.topic or None,
         "tag": target.tag,
         "priority": target.priority,
         "met": target.is_met,
         "stream": None if target.stream is None else str(target.stream),
+        "unit": target.unit,
         "reason": target.reason,
     }
     return {**record, **(flow or {})}

@@ -83,7 +83,8 @@ class RemoteSubscriptions:
     def declared(self) -> DeclaredFeatures:
         """The targets that the run has, as features."""
         targets = self._control.call("state", timeout_s=_PATIENCE_S)["targets"]
-        return DeclaredFeatures({each["label"]: Feature(each["label"], each["tag"], each["topic"]) for each in targets})
+        wanted = [Feature(each["label"], each["tag"], each["topic"]) for each in targets if each["topic"] is not None]
+        return DeclaredFeatures({feature.name: feature for feature in wanted})
 
     def add(self, targets: Sequence[Target]) -> None:
         name = targets[0].label.rpartition(" ")[0]
