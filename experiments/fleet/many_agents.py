@@ -96,7 +96,7 @@ class Simulated:
             found += [UnitStatus(unit, count, 0, {}, {}) for unit, count in steps]
         return [event for event in found if event is not None]
 
-    def start_unit(self, order: UnitOrder) -> None:
+    def start_unit(self, order: UnitOrder, spare: str | None = None) -> None:  # noqa: ARG002
         self._started_s[order.unit] = time.monotonic()
         self._events.put(UnitReady(order.unit, 1000))
 

@@ -37,6 +37,16 @@ def same(x: Any) -> Any:
     return x
 
 
+class Constructed:
+    """Takes so many seconds to construct, as a model takes to load; gives its process and what it gets."""
+
+    def __init__(self, seconds: float) -> None:
+        time.sleep(seconds)
+
+    def __call__(self, x: Any) -> Any:
+        return [os.getpid(), x]
+
+
 class FailsToStart:
     def __init__(self) -> None:
         raise RuntimeError("no such device")

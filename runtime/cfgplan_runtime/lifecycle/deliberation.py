@@ -15,7 +15,7 @@ from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Objective, T
 from cfgplan.errors import CfgplanError
 from cfgplan.explaining.best_effort import BestEffort, best_effort
 from cfgplan.planners.undecided import Deciding
-from cfgplan.planning import Failures, Pair, Plan, Planner, Problem, Progress, Status
+from cfgplan.planning import Failures, Pair, Plan, Planner, Problem, Progress, Status, fresh_unit_ids
 from cfgplan.reasons import unmet_reasons
 from cfgplan.validity import Rule
 from cfgplan_runtime.lifecycle.configuration import (
@@ -288,7 +288,38 @@ def _waiting(unit: ComputationUnit, gone: Set[str], taken: Set[str]) -> Computat
     return replace(unit, subscriptions=subscriptions, publications=publications)
 
 
+def where_spares_are(problem: Problem, plan: Plan) -> Plan:
+    """A plan as good as this one, that starts units where cold spares of their transformations are, if there is one.
+
+    Such a unit takes the place of a spare. A spare that the plan keeps takes the place that the unit was to have.
+    """
+    spares = [unit for unit in problem.environment.units if unit.standby]
+    for new in plan.change_set.started if plan.change_set is not None and spares else ():
+        alike = [spare for spare in spares if spare.transformation == new.transformation and not new.standby]
+        alike = [spare for spare in alike if spare.host == new.host] or alike
+        for spare in alike:
+            other = plan if spare.host == new.host else _exchanged(problem.environment, plan, new, spare)
+            if other is plan or not validity.plan_violations(problem, other):
+                plan = other
+                spares.remove(spare)
+                break
+    return plan
+
+
+def _exchanged(before: Environment, plan: Plan, new: ComputationUnit, spare: ComputationUnit) -> Plan:
+    """A plan with a new unit where a spare is, and, if it keeps the spare, one where the unit was to be."""
+    assert plan.change_set is not None
+    after = before.update(plan.change_set).unit
+    units = {**after, new.id: replace(new, host=spare.host)}
+    if units.pop(spare.id, None) is not None:
+        known = replace(before, units=tuple({**before.unit, **after}.values()))
+        (fresh,) = fresh_unit_ids(known, [spare.transformation]).values()
+        units[fresh] = replace(spare, id=fresh, host=new.host)
+    return replace(plan, change_set=before.change_to(units.values()), ties_proven=False)
+
+
 def _judged(thought: Thought, found: BestEffort, *, optimises: bool) -> Thought:
+    found = replace(found, plan=where_spares_are(found.problem, found.plan))
     plan, planned = found.plan, thought.planned
     # The planner does not know of what is left out, which may be all that is missing.
     left_out = f" (left out for now: {', '.join(sorted(thought.avoided))})" if thought.avoided else ""
