@@ -138,6 +138,7 @@ def test_a_sender_without_any_credit_asks_for_one() -> None:
     assert sending.due(0.0) == []
     due_s = sending.due_s
     assert due_s is not None
+    assert due_s <= 0.01, "a stream does not wait long for a credit that was told before its sender was there"
     (asked,) = sending.due(due_s)
     assert asked.piece is None
     receiving = Receiving()

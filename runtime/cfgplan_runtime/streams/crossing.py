@@ -27,6 +27,8 @@ _LATEST_CREDIT_S = 0.05
 """A piece that came is acknowledged so much later at most."""
 _RESEND_S, _MOST_RESEND_S = 0.25, 0.5
 """Seconds without any acknowledgement until a piece is sent again, doubled each time up to the second value."""
+_FIRST_ASK_S = 0.01
+"""Seconds until a sender asks for its first credit, doubled each time: what was told before it was there is lost."""
 _ASK_AGAIN_S = 0.1
 _MOST_MISSING = 64
 
@@ -125,7 +127,7 @@ class Sending:
         self._missing: tuple[int, ...] = ()
         self._again_s: float | None = None
         """When to send again if nothing is heard; None if nothing waits for an acknowledgement."""
-        self._patience_s = _RESEND_S
+        self._patience_s = _RESEND_S if granted else _FIRST_ASK_S
 
     @property
     def depth(self) -> int:
