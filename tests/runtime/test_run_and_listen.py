@@ -47,6 +47,9 @@ class Detector:
 """
 
 
+ALARMS = Path(__file__).parents[2] / "models" / "building" / "alarms-1-start.yaml"
+
+
 @pytest.fixture
 def env(tmp_path: Path) -> Path:
     (tmp_path / "units.py").write_text(UNITS)
@@ -177,3 +180,23 @@ def test_a_step_gets_a_list_where_an_input_takes_several_streams(env: Path, caps
         running.send_signal(signal.SIGINT)
         _, err = running.communicate(timeout=PATIENCE_S)
     assert running.returncode == 0, err
+
+
+def test_a_buildings_alarms_are_logged_without_a_people_counter_and_by_another_logger() -> None:
+    with cfgplan("run", ALARMS, "--plain", "--no-estimates", "--for", "60s") as running:
+        lines = iter(running.stdout or ())
+
+        def comes(end: str) -> bool:
+            """Whether such a line comes before the run is over."""
+            return any(line.rstrip().endswith(end) for line in lines)
+
+        assert comes("logger.1 | fire room102 4")
+        assert comes("logger.1 | fire room101 37.0 3")
+        assert main(["ctl", "kill", "people_counter(room101).1"]) == 0
+        assert comes("logger.1 | fire room101 37.0")
+        assert main(["ctl", "kill", "logger.1"]) == 0
+        assert any("logger.1 died" in line for line in lines)
+        assert comes("logger.1 | fire room102 4")
+        running.send_signal(signal.SIGINT)
+        running.communicate(timeout=PATIENCE_S)
+    assert running.returncode == 0
