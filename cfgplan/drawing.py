@@ -42,13 +42,14 @@ class Mark(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """A unit or, where `is_target`, a target; on a `host` if there are any."""
+    """A unit or, where `is_target`, a target; on a `host` if there are any. A cold spare is ready, and does not run."""
 
     key: str
     lines: tuple[str, ...]
     mark: Mark
     is_target: bool = False
     host: str | None = None
+    is_spare: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,9 +114,13 @@ class Picture:
 
         graph = pygraphviz.AGraph(directed=True, strict=False, rankdir="LR", nodesep="0.25", ranksep="0.7")
         graph.graph_attr.update(fontname="Helvetica,Arial,sans-serif", bgcolor="white")
-        marks = {node.mark for node in self.nodes} | {arrow.mark for arrow in self.arrows}
-        if marks != {Mark.KEPT}:
-            legend = [f'<font color="{mark.line}">&#9632; {mark.value[0]}</font>' for mark in Mark if mark in marks]
+        units = {node.mark for node in self.nodes if not node.is_target}
+        marks = units | {arrow.mark for arrow in self.arrows}
+        if marks - {Mark.KEPT}:
+            said = {mark: mark.value[0] for mark in Mark if mark in marks}
+            if Mark.STOPPED in said and Mark.STOPPED not in units:
+                said[Mark.STOPPED] = "disconnected"
+            legend = [f'<font color="{mark.line}">&#9632; {text}</font>' for mark, text in said.items()]
             graph.graph_attr.update(label=f"<{'&#160;&#160;&#160;'.join(legend)}>", fontsize="11")
         graph.node_attr.update(
             shape="box", style="rounded,filled", fontname="Helvetica,Arial,sans-serif", fontsize="11"
@@ -129,10 +134,12 @@ class Picture:
                 label="\\n".join(map(_in_dot, node.lines)),
                 shape=shape,
                 margin="0.3,0.1" if node.is_target else "0.11,0.055",
-                style="filled" if node.is_target else _node_style(node.mark),
+                style="filled" if node.is_target else _node_style(node),
                 color=node.mark.line,
-                fillcolor=node.mark.fill,
+                fillcolor="white" if node.is_spare else node.mark.fill,
                 penwidth=width,
+                id=_in_dot(f"node {node.key}"),
+                **{"class": node.mark.name.lower() + " spare" * node.is_spare},
             )
         for number, (host, nodes) in enumerate(self._by_host().items()):
             if host is not None:
@@ -153,6 +160,8 @@ class Picture:
                 color=arrow.mark.line,
                 fontcolor=arrow.mark.line,
                 style="dashed" if arrow.mark is Mark.STOPPED else "solid",
+                id=_in_dot(f"arrow {arrow.tail}/{arrow.port} {arrow.head}/{arrow.input}"),
+                **{"class": arrow.mark.name.lower()},
             )
         return graph
 
@@ -166,7 +175,10 @@ def picture(environment: Environment, change_set: ChangeSet | None = None) -> Pi
     mark |= {unit.id: Mark.STARTED for unit in change_set.started}
     mark |= dict.fromkeys(change_set.stopped, Mark.STOPPED)
     units = {**environment.unit, **after.unit}
-    nodes = [Node(unit.id, _unit_lines(unit), mark[unit.id], host=unit.host) for unit in units.values()]
+    nodes = [
+        Node(unit.id, _unit_lines(unit), mark[unit.id], host=unit.host, is_spare=unit.standby)
+        for unit in units.values()
+    ]
     reached_qualities = qualities_of_targets(after, after.units)
     arrows = [
         *_arrows(environment, before=environment, after=after),
@@ -250,8 +262,8 @@ def _in_mermaid(text: str) -> str:
     return "".join(f"#{ord(c)};" if c in _SPECIAL_IN_MERMAID else c for c in text)
 
 
-def _node_style(mark: Mark) -> str:
-    return "rounded,filled,dashed" if mark is Mark.STOPPED else "rounded,filled"
+def _node_style(node: Node) -> str:
+    return "rounded,filled,dashed" if node.is_spare or node.mark is Mark.STOPPED else "rounded,filled"
 
 
 @contextmanager

@@ -25,6 +25,8 @@ _EXTRA_OF = {
     "jinja2": "demo",
     "matplotlib": "plots",
     "prometheus_client": "metrics",
+    "starlette": "page",
+    "uvicorn": "page",
 }
 VERBS: Mapping[str, str] = MappingProxyType(
     {
@@ -37,6 +39,7 @@ VERBS: Mapping[str, str] = MappingProxyType(
         "run": "start what meets the targets, as processes, and keep it the best there is",
         "agent": "run units on this computer for a run of several computers",
         "ctl": "steer a run that is under way",
+        "page": "serve a page about a run that is under way",
         "listen": "print what comes on a topic of a running system",
         "query": "answer a temporal formula over the streams of semantic subscriptions",
         "certificates": "make a fleet's own authority, and a certificate for each of its hosts",

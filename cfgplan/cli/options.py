@@ -206,6 +206,12 @@ def horizon(text: str) -> int:
         raise argparse.ArgumentTypeError(str(error)) from None
 
 
+def port(text: str) -> int:
+    if not text.isdecimal() or int(text) > 65535:
+        raise argparse.ArgumentTypeError(f"{text!r} is no port: write a number from 0 to 65535")
+    return int(text)
+
+
 def positive(text: str) -> float:
     value = _decimal(text)
     if value <= 0:

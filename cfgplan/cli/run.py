@@ -6,7 +6,8 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from importlib.machinery import PathFinder
 from pathlib import Path
@@ -56,7 +57,10 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--log", metavar="FILE", help="add every event to FILE, one JSON line each")
     parser.add_argument("--record", metavar="FILE", help="record the targets' streams and all events to FILE (MCAP)")
     parser.add_argument(
-        "--metrics-port", type=port, metavar="N", help="serve metrics for Prometheus on 127.0.0.1:N (0: any port)"
+        "--metrics-port",
+        type=shared.port,
+        metavar="N",
+        help="serve metrics for Prometheus on 127.0.0.1:N (0: any port)",
     )
     parser.add_argument(
         "--estimator", choices=_ESTIMATORS, default="trend", help="how costs are forecast from observations (trend)"
@@ -73,6 +77,9 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     longest = "longest wait until a failing transformation that nothing can replace is started again (3s)"
     shared.add_time(parser, "--back-off", 3.0, longest)
     shared.add_several(parser, "--preload", "MODULE", "import this module before units start (repeat)")
+    parser.add_argument(
+        "--page", type=shared.port, nargs="?", const=0, metavar="N", help="serve a page about the run on 127.0.0.1:N"
+    )
     parser.add_argument("--local", action="store_true", help="run all of the file's hosts on this computer")
     add_links(parser)
     parser.add_argument(
@@ -83,12 +90,6 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     shared.add_json(parser)
     # A life-cycle's planner remembers from plan to plan; one of PLANNERS is used if it is named.
     parser.set_defaults(run=run, planner=None)
-
-
-def port(text: str) -> int:
-    if not text.isdecimal() or int(text) > 65535:
-        raise argparse.ArgumentTypeError(f"{text!r} is no port: write a number from 0 to 65535")
-    return int(text)
 
 
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
@@ -145,7 +146,9 @@ def _operate(options: argparse.Namespace, world: World, screen: Screen) -> Exit:
             _await_first_review(operation, interrupts, screen)
             operation.observe()
             output = _output_for(screen, operation, plain=options.plain)
-            with output:
+            with _page(options, operation) as url, output:
+                if url is not None:
+                    output.note(f"The page is at {url}")
                 _hold(operation, output, interrupts, options.span)
         output.sum_up()
     if interrupts.count > 1:
@@ -153,6 +156,19 @@ def _operate(options: argparse.Namespace, world: World, screen: Screen) -> Exit:
     if operation.failure:
         return Exit.INTERNAL
     return Exit.OK if operation.all_met else Exit.UNMET
+
+
+@contextmanager
+def _page(options: argparse.Namespace, operation: Operation) -> Iterator[str | None]:
+    """Serve the page; gives its address, if there is one. Raises InputError."""
+    if options.page is None:
+        yield None
+        return
+    from cfgplan_runtime.operating.control_client import connect
+    from cfgplan_runtime.page.server import PageServer
+
+    with PageServer(lambda: connect(operation.id), port=options.page) as server:
+        yield server.url
 
 
 def _await_first_review(operation: Operation, interrupts: Interrupts, screen: Screen) -> None:

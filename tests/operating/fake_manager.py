@@ -87,6 +87,10 @@ class FakeManager:
     def snapshot(self) -> Snapshot:
         return self._snapshot
 
+    def shows(self, snapshot: Snapshot) -> None:
+        """From now on there is this."""
+        self._snapshot = snapshot
+
     @property
     def declared(self) -> Declare:
         change = self.requested[-1]

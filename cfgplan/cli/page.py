@@ -1,0 +1,43 @@
+"""`cfgplan page`: a run in the browser."""
+
+from __future__ import annotations
+
+import argparse
+
+from cfgplan.cli import options as shared
+from cfgplan.cli.agent import add_links, reached
+from cfgplan.cli.exits import Exit
+from cfgplan.cli.screen import Screen
+
+_EXAMPLE = """\
+example:
+  cfgplan run env.yaml --page
+  cfgplan page                (for a run that goes on)
+
+Whoever opens the address that is printed can steer the run; without what follows its #, only look at it."""
+
+
+def add_to(parser: argparse.ArgumentParser) -> None:
+    parser.epilog = _EXAMPLE
+    parser.add_argument("--run", dest="run_id", metavar="ID", help="the run, if several are live")
+    parser.add_argument("--address", default="127.0.0.1", metavar="IP", help="where to serve it (127.0.0.1)")
+    parser.add_argument("--port", type=shared.port, default=0, metavar="N", help="(0: any that is free)")
+    add_links(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace, screen: Screen) -> Exit:
+    from cfgplan_runtime.operating.control_client import connect
+    from cfgplan_runtime.page.server import PageServer
+
+    with (
+        reached(options) as fleet,
+        PageServer(lambda: connect(options.run_id, fleet), options.address, options.port) as server,
+    ):
+        screen.tell(f"The page is at {server.url}; Ctrl-C ends it, not the run.")
+        try:
+            server.watched.has_ended.wait()
+            screen.tell("The run has ended.")
+        except KeyboardInterrupt:
+            screen.note("stopped")
+    return Exit.OK

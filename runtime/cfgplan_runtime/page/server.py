@@ -1,0 +1,141 @@
+"""The page's server: loopback unless told otherwise, and nobody changes the run without its token."""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import json
+import secrets
+import socket
+import threading
+from collections.abc import AsyncIterator, Callable
+from contextlib import suppress
+from pathlib import Path
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.middleware import Middleware
+from starlette.middleware.trustedhost import TrustedHostMiddleware
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
+from starlette.routing import Route
+
+from cfgplan.errors import InputError
+from cfgplan_runtime.errors import ControlError
+from cfgplan_runtime.operating.control_client import Control
+from cfgplan_runtime.operating.protocol import RefusedError
+from cfgplan_runtime.page.watched import Watched
+
+LOOPBACK = "127.0.0.1"
+METHODS = ("kill", "lose_host", "regain_host", "review", "remove_target", "remove_transformation", "restore", "stop")
+"""What the page may ask of a run."""
+_ALIVE_S = 5.0
+_LARGEST_REQUEST = 10_000
+_FILES = Path(__file__).parent
+_HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
+    "img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cache-Control": "no-store",
+}
+
+
+class PageServer:
+    """Serves the page of a run from a thread of its own until it is closed; a context manager.
+
+    Anybody who reaches a loopback address may look; elsewhere looking needs the token too, as changing the run does
+    everywhere. Port 0 is any that is free. Raises InputError if the address can't be used, ControlError if there is
+    no run.
+    """
+
+    def __init__(self, reach: Callable[[], Control], address: str = LOOPBACK, port: int = 0) -> None:
+        self.watched = Watched(reach)
+        self.watched.start()
+        self._token = secrets.token_urlsafe(16)
+        self._is_open = address in (LOOPBACK, "localhost", "::1")
+        family = socket.AF_INET6 if ":" in address else socket.AF_INET
+        self._socket = socket.socket(family, socket.SOCK_STREAM)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            self._socket.bind((address, port))
+        except (OSError, OverflowError) as error:
+            self._socket.close()
+            raise InputError.of(f"{address}:{port} can't be served: {error}", mend="name another port") from None
+        name = f"[{address}]" if ":" in address else address
+        self._origin = f"http://{name}:{self._socket.getsockname()[1]}"
+        hosts = [name, "localhost"] if self._is_open else ["*"]
+        app = Starlette(
+            routes=[
+                Route("/", self._file("page.html", "text/html")),
+                Route("/page.js", self._file("page.js", "text/javascript")),
+                Route("/page.css", self._file("page.css", "text/css")),
+                Route("/messages", self._messages),
+                Route("/do", self._do, methods=["POST"]),
+            ],
+            middleware=[Middleware(TrustedHostMiddleware, allowed_hosts=hosts)],
+        )
+        config = uvicorn.Config(app, log_level="warning", lifespan="off", timeout_graceful_shutdown=1)
+        self._server = uvicorn.Server(config)
+        self._thread = threading.Thread(target=self._server.run, args=([self._socket],), daemon=True)
+
+    @property
+    def url(self) -> str:
+        """Where the page is, with the token that its buttons need."""
+        return f"{self._origin}/#{self._token}"
+
+    def __enter__(self) -> PageServer:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._server.should_exit = True
+        self._thread.join(timeout=5)
+        self._socket.close()
+
+    def _file(self, name: str, media_type: str) -> Callable[[Request], Response]:
+        def get(_: Request) -> Response:
+            return FileResponse(_FILES / name, media_type=media_type, headers=_HEADERS)
+
+        return get
+
+    def _may(self, token: str | None) -> bool:
+        return token is not None and hmac.compare_digest(token.encode(), self._token.encode())
+
+    async def _messages(self, request: Request) -> Response:
+        if not (self._is_open or self._may(request.query_params.get("token"))):
+            return JSONResponse({"message": "looking needs the token of the page's address"}, 403, headers=_HEADERS)
+        return StreamingResponse(self._told(), media_type="text/event-stream", headers=_HEADERS)
+
+    async def _told(self) -> AsyncIterator[str]:
+        system = self.watched.system
+        yield _event("run", json.dumps({"run": system.run, "environment": Path(system.environment).name}))
+        with self.watched.viewer(asyncio.get_running_loop()) as messages:
+            while not self._server.should_exit:
+                with suppress(TimeoutError):
+                    kind, data = await asyncio.wait_for(messages.get(), _ALIVE_S)
+                    yield _event(kind, data)
+                    if kind == "ended":
+                        return
+
+    async def _do(self, request: Request) -> Response:
+        """A change of the run: `{"method": ..., "params": {...}}`, from this page and with its token."""
+        origin = request.headers.get("origin")
+        if not self._may(request.headers.get("x-token")) or (self._is_open and origin != self._origin):
+            return JSONResponse({"message": "only the page with its token may do this"}, 403, headers=_HEADERS)
+        body = await request.body()
+        try:
+            asked = json.loads(body[:_LARGEST_REQUEST])
+            method, params = asked["method"], dict(asked.get("params", {}))
+        except (ValueError, KeyError, TypeError):
+            return JSONResponse({"message": "this is no request"}, 400, headers=_HEADERS)
+        if method not in METHODS:
+            return JSONResponse({"message": f"the page does not do {method}"}, 400, headers=_HEADERS)
+        try:
+            return JSONResponse(await asyncio.to_thread(self.watched.call, method, params), headers=_HEADERS)
+        except (RefusedError, ControlError) as error:
+            return JSONResponse({"message": str(error)}, 409, headers=_HEADERS)
+
+
+def _event(kind: str, data: str) -> str:
+    return f"event: {kind}\ndata: {data}\n\n"

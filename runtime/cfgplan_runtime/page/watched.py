@@ -1,0 +1,142 @@
+"""What viewers of a run are told: fetched once for all of them, and only while somebody looks."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from asyncio import AbstractEventLoop, Queue
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import Any
+
+from cfgplan.domain import Environment
+from cfgplan_runtime.errors import ControlError
+from cfgplan_runtime.operating.control_client import Control
+from cfgplan_runtime.page.pictures import anew, configuration, svg, without
+
+FRAME_S = 0.1
+"""Viewers are told of the state so often."""
+MARKED_S = 5.0
+"""What an update has changed is marked in the picture for so long."""
+_MOST_EVENTS = 100
+_MOST_WAITING = 200
+"""A viewer that does not fetch more messages than these loses the oldest."""
+_PATIENCE_S = 10.0
+
+Message = tuple[str, str]
+"""A kind and its data as JSON."""
+
+
+class Watched:
+    """A run for its viewers. `reach` connects to its control socket."""
+
+    def __init__(self, reach: Callable[[], Control]) -> None:
+        self._reach = reach
+        self._lock = threading.Lock()
+        self._viewers: dict[Queue[Message], AbstractEventLoop] = {}
+        self._somebody_looks = threading.Event()
+        self._events: deque[Message] = deque(maxlen=_MOST_EVENTS)
+        self._picture: Message | None = None
+        self._wanted: tuple[Environment, Environment] | None = None
+        self._is_wanted = threading.Condition(self._lock)
+        self.has_ended = threading.Event()
+
+    def start(self) -> None:
+        """Begin to listen. Raises ControlError if there is no run to be reached."""
+        events, states = self._reach(), self._reach()
+        events.subscribe()
+        self.system = events.system
+        for work in (lambda: self._hear(events), lambda: self._look(states), self._draw):
+            threading.Thread(target=self._until_the_end, args=(work,), daemon=True).start()
+
+    @contextmanager
+    def viewer(self, loop: AbstractEventLoop) -> Iterator[Queue[Message]]:
+        """A queue of messages for one viewer: the picture and the last events, then what comes."""
+        messages: Queue[Message] = Queue()
+        with self._lock:
+            for message in ([] if self._picture is None else [self._picture], self._events):
+                for each in message:
+                    messages.put_nowait(each)
+            self._viewers[messages] = loop
+            self._somebody_looks.set()
+        try:
+            yield messages
+        finally:
+            with self._lock:
+                del self._viewers[messages]
+                if not self._viewers:
+                    self._somebody_looks.clear()
+
+    def call(self, method: str, params: dict[str, Any]) -> Any:
+        """Ask the run for something. Raises RefusedError and ControlError."""
+        with self._reach() as control:
+            return control.call(method, timeout_s=_PATIENCE_S, **params)
+
+    def _until_the_end(self, work: Callable[[], None]) -> None:
+        try:
+            work()
+        finally:
+            if not self.has_ended.is_set():
+                self.has_ended.set()
+                self._tell(("ended", "null"))
+
+    def _hear(self, control: Control) -> None:
+        with control:
+            for event in control.events():
+                message = ("event", json.dumps({"at": time.time(), **event}))
+                if event.get("says") is not None:
+                    self._events.append(message)
+                    self._tell(message)
+
+    def _look(self, control: Control) -> None:
+        shown: Environment | None = None
+        reviewed, marked_s = None, 0.0
+        with control, suppress(ControlError):
+            while not self.has_ended.is_set():
+                self._somebody_looks.wait()
+                began_s = time.monotonic()
+                state = control.call("state", timeout_s=_PATIENCE_S)
+                now = configuration(state)
+                last = state["reviews"][-1] if state["reviews"] else None
+                if shown is None or now != shown or (last and last["number"] != reviewed):
+                    # A unit that died and is there again may be the same at both looks.
+                    fresh = anew(last) if shown and last and last["number"] != reviewed else ()
+                    self._want(without(shown or now, fresh), now)
+                    marked_s, shown = began_s + MARKED_S, now
+                    reviewed = last and last["number"]
+                elif marked_s and began_s > marked_s:
+                    self._want(now, now)
+                    marked_s = 0.0
+                self._tell(("state", json.dumps(state)))
+                time.sleep(max(0.0, FRAME_S - (time.monotonic() - began_s)))
+
+    def _want(self, before: Environment, now: Environment) -> None:
+        with self._is_wanted:
+            self._wanted = (before, now)
+            self._is_wanted.notify()
+
+    def _draw(self) -> None:
+        """Lay pictures out, the latest that is wanted: a large one takes longer than a frame."""
+        while not self.has_ended.is_set():
+            with self._is_wanted:
+                self._is_wanted.wait_for(lambda: self._wanted is not None, timeout=1.0)
+                wanted, self._wanted = self._wanted, None
+            if wanted is not None:
+                message = ("picture", json.dumps(svg(*wanted)))
+                self._picture = message
+                self._tell(message)
+
+    def _tell(self, message: Message) -> None:
+        with self._lock:
+            viewers = list(self._viewers.items())
+        for messages, loop in viewers:
+            with suppress(RuntimeError):  # its loop has just been closed
+                loop.call_soon_threadsafe(_put, messages, message)
+
+
+def _put(messages: Queue[Message], message: Message) -> None:
+    while messages.qsize() >= _MOST_WAITING:
+        messages.get_nowait()
+    messages.put_nowait(message)
