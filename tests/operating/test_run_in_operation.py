@@ -20,6 +20,17 @@ from operated_world import ENVIRONMENT, PATIENCE_S, ROBOT, UNITS, await_event, c
 
 from cfgplan.cli import main
 
+DISPLAY = """
+transformations:
+  - {label: display, source: displays.py:show, labor: 0.1, inputs: {balls: {tag: Ball, count: all}}}
+targets:
+  - {label: shown, run: display}
+  - {label: piffs ball, topic: /piff, tag: Ball and of value piff}
+"""
+SHOW = """
+def show(balls):
+    print("seen by", *(ball["robot"] for ball in balls))
+"""
 SLOW_END = """
     def set_state(self, state):
         pass
@@ -75,6 +86,25 @@ def test_a_robot_registers_itself_is_used_and_leaves_again(env: Path, capsys: py
     withdrawn = ctl(capsys, "withdraw", "robot2")
     assert set(withdrawn["review"]["change_set"]["stopped"]) >= {"camera(paff).1", "detector(paff).1"}
     assert ctl(capsys, "state")["declared"] == []
+
+
+def test_a_display_of_all_streams_is_wanted_shows_those_that_come_and_is_not_wanted_any_more(
+    env: Path, run: subprocess.Popen[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    (env.parent / "displays.py").write_text(SHOW)
+    (env.parent / "display.yaml").write_text(DISPLAY)
+    (env.parent / "robot2.yaml").write_text(ROBOT)
+    ctl(capsys, "add", env.parent / "display.yaml")
+    await_event(run, "UnitPrinted", unit="display.1", line="seen by piff")
+    (shown,) = (target for target in ctl(capsys, "state")["targets"] if target["label"] == "shown")
+    assert (shown["met"], shown["unit"], shown["topic"], shown["stream"]) == (True, "display.1", None, None)
+    ctl(capsys, "add", env.parent / "robot2.yaml")
+    await_event(run, "UnitPrinted", unit="display.1", line="seen by paff")
+    units = {unit["id"]: unit for unit in ctl(capsys, "state")["units"]}
+    assert units["display.1"]["inputs"] == {"balls": ["detector(paff).1/ball", "detector(piff).1/ball"]}
+    withdrawn = ctl(capsys, "withdraw", "robot2")
+    assert "display.1" in {unit["id"] for unit in withdrawn["review"]["change_set"]["rewired"]}
+    assert ctl(capsys, "remove-target", "shown")["review"]["change_set"]["stopped"] == ["display.1"]
 
 
 def test_unit_code_that_changes_is_told_and_counts_from_the_next_start(
