@@ -96,6 +96,24 @@ class QualityAttribute:
         """Whether a value is better than another."""
         return one < other if self.better is Better.LOWER else one > other
 
+    @property
+    def sign(self) -> int:
+        """1 where less is better, else -1."""
+        return 1 if self.better is Better.LOWER else -1
+
+    @property
+    def scale(self) -> int:
+        """How bad the worst value is."""
+        return self.badness(self.worst)
+
+    def badness(self, value: int) -> int:
+        """By how much a value misses the best, in micro-units; less than 0 if it is better."""
+        return self.sign * (value - self.best)
+
+    def at(self, badness: int) -> int:
+        """The value that misses the best by so much."""
+        return self.best + self.sign * badness
+
 
 @dataclass(frozen=True, slots=True, order=True)
 class Contribution:

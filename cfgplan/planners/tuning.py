@@ -152,21 +152,16 @@ class Fleets:
 
 @dataclass(frozen=True)
 class Quality:
-    """Quality of streams: first plans and linear cuts."""
+    """Quality of streams: linear cuts."""
 
-    badness_steps: int = said(48, "steps of badness", "First plans tell this many apart.", FLEETS)
-    reach: int = said(3, "times", "Without a bound these steps end at this multiple of the best badness.", FLEETS)
-    attempts: int = said(40, "members", "This many members of such a plan are tried to be left out.", FLEETS)
     rounds: int = said(40, "linear programs", "At most this many are solved for cuts.", FLEETS)
     guesses: int = said(4, "potentials", "Each round tries this many for each target.", FLEETS)
-    enough: float = said(0.02, "share", "A cut violated by this much is good enough: no other is tried.", FLEETS)
     passes: int = said(4, "times", "Potentials are made to follow from each other this often.", FLEETS)
     least: float = said(1e-3, "share", "A cut is violated by this much at least.", FLEETS)
     wait: int = said(4, "rounds", "Cuts go on if so many rounds raise the bound by `rise`.", FLEETS)
     rise: float = said(5e-4, "share", "The rise of the bound with which cuts go on.", FLEETS)
     largest: int = said(300_000, "coefficients", "A larger linear program is not built.", FLEETS)
     gains: int = said(12, "units", "Potentials count this many amplifying units in a row.", FLEETS)
-    few: float = said(0.03, "share", "An input that decides less than this counts for nothing.", FLEETS)
     lifts: int = said(6, "times", "Potentials are raised this often where that costs nothing.", FLEETS)
 
 

@@ -19,7 +19,7 @@ sys.path.append(str(Path(__file__).parents[2]))
 
 from cfgplan.domain import Environment, Host
 from cfgplan.planners.cpsat import plan
-from cfgplan.planners.exact.best_case import best_values
+from cfgplan.planners.exact.best_case import least_badness
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planning import Problem
 from cfgplan.qualities import MICRO, Better, Contribution, QualityAttribute, QualityRule, Wish
@@ -43,7 +43,7 @@ def with_latency(seed: int, slack: float | None = None, weight_us: int = 0) -> P
     )
     environment = replace(problem.environment, library=library, qualities=(LATENCY,))
     candidates = Candidates(replace(problem, environment=environment))
-    best = best_values(candidates, LATENCY)
+    best = least_badness(candidates, LATENCY)  # the best latency is 0
     targets = []
     for target in environment.targets:
         least = min(best[stream] for stream in candidates.streams(target.tag))

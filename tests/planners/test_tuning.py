@@ -19,7 +19,6 @@ NOT_TUNED = {
     "closing/separation.py": {"WHOLE", "CREEP"},
     "exact/search.py": {"EXACT", "LARGEST"},
     "exact/quality_chains.py": {"MOST_GAIN"},
-    "exact/quality_cuts.py": {"QUICK", "CLOSE"},
     "solving/clock.py": {"STOPPING_S"},
 }
 """Numbers of which answers, their exactness or what a function means hang, not when it comes to one."""

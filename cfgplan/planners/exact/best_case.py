@@ -1,17 +1,19 @@
-"""How good streams can be at best, and how bad they may be at worst, attribute by attribute.
+"""How bad streams are at least, and how bad they may be at most, attribute by attribute.
 
-The best values assume that all that can run runs. A stream that misses every bound even then is of no use anywhere.
+Badness is by how much a value misses the best of its scale, in micro-units. The least is that with all running that can
+run. A stream that misses every bound even then is of no use anywhere.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Iterable
+from dataclasses import dataclass
 from itertools import chain
 
-from cfgplan.domain import OutputPort, Stream, Transformation
+from cfgplan.domain import InputPort, OutputPort, Stream, Transformation
 from cfgplan.planners.exact.candidates import Candidate, Candidates
-from cfgplan.qualities import MICRO, Better, Contribution, Over, QualityAttribute, QualityRule, price_us, propagated
+from cfgplan.qualities import MICRO, Contribution, Over, QualityAttribute, QualityRule, price_us, propagated
 
 Demand = tuple[Stream, ...]
 """What inputs or a target ask for: the streams that would do."""
@@ -21,14 +23,13 @@ def leave_out_what_is_too_bad(candidates: Candidates) -> None:
     """Leave out, where a tag is demanded, the streams that would miss the bounds of all targets."""
     for name in sorted({attribute for _, attribute in candidates.bounds}):
         attribute = candidates.environment.quality[name]
-        best = best_values(candidates, attribute)
-        allowed = worst_of_use(candidates, attribute)
+        least = least_badness(candidates, attribute)
         candidates.leave_out(
             {
                 (tag, stream)
-                for tag, worst in allowed.items()
+                for tag, most in most_badness(candidates, attribute).items()
                 for stream in candidates.streams(tag)
-                if stream not in best or attribute.is_better(worst, best[stream])
+                if stream not in least or least[stream] > most
             }
         )
 
@@ -43,11 +44,10 @@ def least_prices_us(candidates: Candidates) -> dict[tuple[str, str], int]:
             for wish in target.quality
             if wish.attribute == attribute.name and wish.weight_us
         ]
-        best = best_values(candidates, attribute) if weighed else {}
+        least = least_badness(candidates, attribute) if weighed else {}
         for target, wish in weighed:
-            values = [best[stream] for stream in candidates.streams(target.tag) if stream in best]
-            found = min((price_us(attribute, wish, value) for value in values), default=0)
-            prices[target.label, attribute.name] = found
+            reached = min((least[stream] for stream in candidates.streams(target.tag) if stream in least), default=0)
+            prices[target.label, attribute.name] = price_us(attribute, wish, attribute.at(reached))
     return prices
 
 
@@ -84,26 +84,22 @@ def bound_by_price(candidates: Candidates, most_us: int) -> None:
             place = target.label, wish.attribute
             if place not in least:
                 continue
-            attribute = candidates.environment.quality[wish.attribute]
-            missed_by = (most_us - sum(least.values()) + least[place]) * MICRO // wish.weight_us
-            is_low = attribute.better is Better.LOWER
-            value = attribute.best + missed_by if is_low else attribute.best - missed_by
-            low, high = sorted((attribute.best, attribute.worst))
-            known = candidates.bounds.get(place, attribute.worst)
-            candidates.bounds[place] = min(known, max(value, low)) if is_low else max(known, min(value, high))
+            most = max(0, (most_us - sum(least.values()) + least[place]) * MICRO // wish.weight_us)
+            scale = candidates.environment.quality[wish.attribute].scale
+            candidates.bounds[place] = min(candidates.bounds.get(place, scale), most)
     leave_out_what_is_too_bad(candidates)
 
 
-def best_values(candidates: Candidates, attribute: QualityAttribute) -> dict[Stream, int]:
-    """For each stream a value that no wiring betters. Streams that nothing can feed are left out."""
-    if attribute not in candidates.best:
-        candidates.best[attribute] = _best_values(candidates, attribute)
-    return candidates.best[attribute]
+def least_badness(candidates: Candidates, attribute: QualityAttribute) -> dict[Stream, int]:
+    """For each stream a badness that no wiring goes below. Streams that nothing can feed are left out."""
+    if attribute not in candidates.least:
+        candidates.least[attribute] = _least_badness(candidates, attribute)
+    return candidates.least[attribute]
 
 
-def _best_values(candidates: Candidates, attribute: QualityAttribute) -> dict[Stream, int]:
+def _least_badness(candidates: Candidates, attribute: QualityAttribute) -> dict[Stream, int]:
     """Each round allows chains of one more unit; no chain is longer than there are units, none feeds itself at once."""
-    best: dict[Stream, int] = {}
+    least: dict[Stream, int] = {}
     at: dict[str, int] = {}
     demands = _demands(candidates)
     ordinary = [[port.tag for port in c.transformation.inputs if not port.feedback] for c in candidates.all]
@@ -111,40 +107,68 @@ def _best_values(candidates: Candidates, attribute: QualityAttribute) -> dict[St
     for i, tags in enumerate(ordinary):
         for tag in set(tags):
             needing[tag].append(i)
+
+    def of_others(unit: int, tag: str) -> int | None:
+        id_ = candidates.all[unit].id
+        return min((least[s] for s in candidates.streams(tag) if s in least and s.unit != id_), default=None)
+
     ahead = [i for i, candidate in enumerate(candidates.all) if candidate.may_run]
     for _ in candidates.all:
         better: set[str] = set()
         for i in candidates.clock.each(ahead):
             candidate = candidates.all[i]
             own = {tag for port in candidate.transformation.outputs for tag in demands.get(port.tag, ())}
-            known = [
-                _best_of_others(candidates, i, tag, attribute, best) if tag in own else at.get(tag)
-                for tag in ordinary[i]
-            ]
-            fed = [value for value in known if value is not None]
+            known = [of_others(i, tag) if tag in own else at.get(tag) for tag in ordinary[i]]
+            fed = [attribute.at(one) for one in known if one is not None]
             if len(fed) < len(ordinary[i]) or not candidate.may_run:
                 continue
             for port in candidate.transformation.outputs:
-                value = propagated(attribute, {c.attribute: c for c in port.quality}.get(attribute.name), fed)
+                made = attribute.badness(propagated(attribute, stated_of(port, attribute), fed))
                 stream = Stream(candidate.id, port.name)
-                if stream not in best or attribute.is_better(value, best[stream]):
-                    best[stream] = value
+                if made < least.get(stream, made + 1):
+                    least[stream] = made
                     for tag in demands.get(port.tag, ()):
-                        if tag not in at or attribute.is_better(value, at[tag]):
-                            at[tag] = value
+                        if made < at.get(tag, made + 1):
+                            at[tag] = made
                             better.add(tag)
         ahead = sorted({i for tag in better for i in needing[tag]})
         if not ahead:
             break
-    return best
+    return least
 
 
-def _best_of_others(
-    candidates: Candidates, unit: int, tag: str, attribute: QualityAttribute, best: Mapping[Stream, int]
-) -> int | None:
-    """The best value known of a stream that meets a demand and is not the unit's own."""
-    id_, pick = candidates.all[unit].id, min if attribute.better is Better.LOWER else max
-    return pick((best[s] for s in candidates.streams(tag) if s in best and s.unit != id_), default=None)
+@dataclass(frozen=True, slots=True)
+class Making:
+    """How bad an output is: `gain` times its `inputs` together, plus `shift`, in millionths; and at least `least`."""
+
+    inputs: tuple[InputPort, ...]
+    over: Over
+    gain: int
+    shift: int
+    least: int
+
+    @classmethod
+    def of(cls, attribute: QualityAttribute, transformation: Transformation, port: OutputPort) -> Making:
+        """What an output of a transformation makes of the inputs that count."""
+        stated = stated_of(port, attribute)
+        inputs = tuple(port for port in transformation.inputs if not port.feedback)
+        if not inputs or (stated is not None and stated.rule is QualityRule.SET):
+            own = attribute.scale if stated is None else attribute.badness(stated.value)
+            return cls((), Over.WORST, 0, 0, min(max(own, 0), attribute.scale))
+        if stated is None:
+            return cls(inputs, Over.WORST, MICRO, 0, 0)
+        match stated.rule:
+            case QualityRule.LIMIT:
+                return cls(inputs, stated.over, MICRO, 0, min(max(attribute.badness(stated.value), 0), attribute.scale))
+            case QualityRule.SCALE:
+                shift = attribute.sign * attribute.best * (stated.value - MICRO)
+                return cls(inputs, stated.over, stated.value, shift, 0)
+        return cls(inputs, stated.over, MICRO, attribute.sign * stated.value * MICRO, 0)
+
+
+def stated_of(port: OutputPort, attribute: QualityAttribute) -> Contribution | None:
+    """What an output states of an attribute."""
+    return next((c for c in port.quality if c.attribute == attribute.name), None)
 
 
 def _demands(candidates: Candidates) -> dict[str, list[str]]:
@@ -156,33 +180,31 @@ def _demands(candidates: Candidates) -> dict[str, list[str]]:
     return demands
 
 
-def worst_of_use(candidates: Candidates, attribute: QualityAttribute) -> dict[str, int]:
-    """For each demanded tag the worst value that is of use to anybody who demands it; tags of no use are left out."""
+def most_badness(candidates: Candidates, attribute: QualityAttribute) -> dict[str, int]:
+    """For each demanded tag the badness up to which a stream is of use for it; tags of no use are left out."""
     key = attribute, *sorted(candidates.bounds.items())
-    if key not in candidates.allowed:
-        candidates.allowed[key] = _worst_of_use(candidates, attribute)
-    return candidates.allowed[key]
+    if key not in candidates.most:
+        candidates.most[key] = _most_badness(candidates, attribute)
+    return candidates.most[key]
 
 
-def _worst_of_use(candidates: Candidates, attribute: QualityAttribute) -> dict[str, int]:
-    allowed: dict[str, int] = {}
+def _most_badness(candidates: Candidates, attribute: QualityAttribute) -> dict[str, int]:
+    most: dict[str, int] = {}
 
-    def allow(tag: str, value: int) -> bool:
-        if tag in allowed and not attribute.is_better(allowed[tag], value):
+    def allow(tag: str, badness: int) -> bool:
+        if tag in most and badness <= most[tag]:
             return False
-        allowed[tag] = value
+        most[tag] = badness
         return True
 
     for target in candidates.environment.targets:
-        allow(target.tag, candidates.bounds.get((target.label, attribute.name), attribute.worst))
-    asked = [i for i in range(len(candidates.all)) if candidates.is_asked_for(i)]
-    for i in asked:
-        for port in candidates.all[i].transformation.inputs:
-            allow(port.tag, attribute.worst)
+        allow(target.tag, candidates.bounds.get((target.label, attribute.name), attribute.scale))
+    for i, candidate in enumerate(candidates.all):
+        for port in candidate.transformation.inputs if candidates.is_asked_for(i) else ():
+            allow(port.tag, attribute.scale)
     demands = _demands(candidates)
-    worst_of = max if attribute.better is Better.LOWER else min
     fed = [
-        (demands[output.tag], {c.attribute: c for c in output.quality}.get(attribute.name), candidate)
+        (demands[output.tag], stated_of(output, attribute), candidate.transformation)
         for candidate in candidates.all
         for output in candidate.transformation.outputs
         if output.tag in demands and candidate.transformation.inputs
@@ -191,35 +213,30 @@ def _worst_of_use(candidates: Candidates, attribute: QualityAttribute) -> dict[s
     for number, (tags, _, _) in enumerate(fed):
         for tag in tags:
             meeting[tag].append(number)
-    ahead = set(allowed)
+    ahead = set(most)
     while ahead:
         worse: set[str] = set()
         for number in candidates.clock.each(sorted({number for tag in ahead for number in meeting[tag]})):
-            tags, stated, candidate = fed[number]
-            wanted = worst_of([allowed[tag] for tag in tags if tag in allowed])
-            ordinary = _allowed_before(attribute, candidate, stated, wanted)
-            for port in candidate.transformation.inputs:
-                if allow(port.tag, attribute.worst if port.feedback else ordinary):
+            tags, stated, transformation = fed[number]
+            wanted = max(most[tag] for tag in tags if tag in most)
+            ordinary = _allowed_before(attribute, transformation, stated, wanted)
+            for port in transformation.inputs:
+                if allow(port.tag, attribute.scale if port.feedback else ordinary):
                     worse.add(port.tag)
         ahead = worse
-    return allowed
+    return most
 
 
-def _allowed_before(attribute: QualityAttribute, candidate: Candidate, stated: Contribution | None, out: int) -> int:
-    """The worst input value with which an output is no worse than `out`, as far as the rule says that."""
+def _allowed_before(attribute: QualityAttribute, of: Transformation, stated: Contribution | None, out: int) -> int:
+    """How bad inputs may be if an output is to be no worse than `out`, as far as the rule says that."""
     if stated is None:
         return out
-    ordinary = sum(not port.feedback for port in candidate.transformation.inputs)
-    if out == attribute.worst or (stated.over is not Over.WORST and ordinary > 1):
-        return attribute.worst
-    match stated.rule:
-        case QualityRule.ADD:
-            low, high = sorted((attribute.worst, attribute.best))
-            return min(max(out - stated.value, low), high)
-        case QualityRule.LIMIT:
-            return out
-        case QualityRule.SCALE | QualityRule.SET:
-            return attribute.worst
+    is_combined = stated.over is not Over.WORST and sum(not port.feedback for port in of.inputs) > 1
+    if out == attribute.scale or is_combined or stated.rule in (QualityRule.SCALE, QualityRule.SET):
+        return attribute.scale
+    if stated.rule is QualityRule.LIMIT:
+        return out
+    return min(max(out - attribute.sign * stated.value, 0), attribute.scale)
 
 
 def demands_of_quality(candidates: Candidates) -> dict[Demand, bool]:
@@ -232,23 +249,18 @@ def demands_of_quality(candidates: Candidates) -> dict[Demand, bool]:
     asked = sorted({wish.attribute for target in environment.targets for wish in target.quality})
     counting = {name: _where_it_counts(candidates, environment.quality[name]) for name in asked}
     found = {demand: sum(demand in these for these in counting.values()) > 1 for demand in chain(*counting.values())}
-    better = [
-        (name, t.label, port)
+    transformations = {c.transformation.label: c.transformation for c in candidates.all}
+    better = {
+        name: [label for label, t in transformations.items() if _may_be_better_than_its_inputs(attribute, t)]
         for name in asked
+        for attribute in [environment.quality[name]]
         if not all(found[demand] for demand in counting[name])
-        for t in _transformations(candidates)
-        for port in t.outputs
-        if not _is_no_better_than_its_inputs(environment.quality[name], t, port)
-    ]
-    ring_of = _rings(candidates) if better else {}
-    for name, label, port in better:
-        ring = ring_of[label, port.name]
-        found.update({demand: True for demand in counting[name] if ring_of.get(demand) == ring})
+    }
+    ring_of = _rings(candidates, transformations.values()) if any(better.values()) else {}
+    for name, labels in better.items():
+        rings = {ring_of.get(label, -1) for label in labels}
+        found.update({demand: True for demand in counting[name] if ring_of.get(demand) in rings})
     return found
-
-
-def _transformations(candidates: Candidates) -> list[Transformation]:
-    return list({c.transformation.label: c.transformation for c in candidates.all}.values())
 
 
 def _where_it_counts(candidates: Candidates, attribute: QualityAttribute) -> set[Demand]:
@@ -262,7 +274,7 @@ def _where_it_counts(candidates: Candidates, attribute: QualityAttribute) -> set
     for tag in ahead:
         for stream in candidates.streams(tag):
             t = candidates.all[candidates.index_of[stream.unit]].transformation
-            stated = {c.attribute: c for c in t.output[stream.port].quality}.get(attribute.name)
+            stated = stated_of(t.output[stream.port], attribute)
             if stated is None or stated.rule is not QualityRule.SET:
                 new = {port.tag for port in t.inputs if not port.feedback} - seen
                 seen |= new
@@ -270,38 +282,28 @@ def _where_it_counts(candidates: Candidates, attribute: QualityAttribute) -> set
     return {candidates.streams(tag) for tag in ahead}
 
 
-def _is_no_better_than_its_inputs(attribute: QualityAttribute, of: Transformation, port: OutputPort) -> bool:
-    stated = {c.attribute: c for c in port.quality}.get(attribute.name)
-    if stated is None:
-        return True
-    is_low = attribute.better is Better.LOWER
-    if sum(not port.feedback for port in of.inputs) > 1 and not (
-        stated.over is Over.WORST or (stated.over is Over.SUM and is_low)
-    ):
-        return False
-    match stated.rule:
-        case QualityRule.LIMIT:
-            return True
-        case QualityRule.SET:
-            return False
-        case QualityRule.ADD:
-            return stated.value >= 0 if is_low else stated.value <= 0
-        case QualityRule.SCALE:
-            return stated.value >= MICRO if is_low else stated.value <= MICRO
+def _may_be_better_than_its_inputs(attribute: QualityAttribute, of: Transformation) -> bool:
+    """Whether some output may be better than the worst of its inputs."""
+    is_joined = sum(not port.feedback for port in of.inputs) > 1
+    neutral = {QualityRule.ADD: 0, QualityRule.SCALE: MICRO}
+    no_better = {Over.WORST, Over.SUM} if attribute.sign > 0 else {Over.WORST}
+    return any(
+        stated.rule is QualityRule.SET
+        or attribute.is_better(stated.value, neutral.get(stated.rule, stated.value))
+        or (is_joined and stated.over not in no_better)
+        for stated in (stated_of(port, attribute) for port in of.outputs)
+        if stated is not None
+    )
 
 
-def _rings(candidates: Candidates) -> dict[Hashable, int]:
-    """The strongly connected component of each demand, and of each output, by label and port."""
+def _rings(candidates: Candidates, transformations: Iterable[Transformation]) -> dict[Hashable, int]:
+    """The strongly connected component of each demand, and of each transformation by its label."""
     from networkx import DiGraph, strongly_connected_components
 
     graph: DiGraph[Hashable] = DiGraph()
-    demands: set[Demand] = set()
-    for t in _transformations(candidates):
-        inputs = {candidates.streams(port.tag) for port in t.inputs if not port.feedback}
-        demands |= inputs
-        graph.add_nodes_from((t.label, port.name) for port in t.outputs)
-        graph.add_edges_from((one, (t.label, port.name)) for one in inputs for port in t.outputs)
-    for one in demands:
-        graph.add_edges_from(((candidates.label_of(stream), stream.port), one) for stream in one)
+    inputs = [(candidates.streams(p.tag), t.label) for t in transformations for p in t.inputs if not p.feedback]
+    graph.add_edges_from(inputs)
+    for demand in {demand for demand, _ in inputs}:
+        graph.add_edges_from((candidates.label_of(stream), demand) for stream in demand)
     parts = enumerate(strongly_connected_components(graph))
     return {node: number for number, part in parts for node in part}

@@ -114,15 +114,16 @@ class Candidates:
         self._may_stay: dict[int, bool] = {}
         self._useless: set[tuple[str, Stream]] = set()
         self.bounds = {
-            (target.label, wish.attribute): worst_allowed(problem.environment.quality[wish.attribute], wish)
+            (target.label, wish.attribute): attribute.badness(worst_allowed(attribute, wish))
             for target in problem.environment.targets
             for wish in target.quality
+            for attribute in [problem.environment.quality[wish.attribute]]
             if wish.bound is not None
         }
-        """The worst value that a target may get of an attribute, as far as is known."""
-        self.best: dict[QualityAttribute, dict[Stream, int]] = {}
-        self.allowed: dict[tuple[object, ...], dict[str, int]] = {}
-        """Caches of `best_case`: the best value of each stream, and the worst values of use with some bounds."""
+        """By how much a target's stream may miss the best of an attribute, as far as is known."""
+        self.least: dict[QualityAttribute, dict[Stream, int]] = {}
+        self.most: dict[tuple[object, ...], dict[str, int]] = {}
+        """Caches of `best_case`: the least badness of each stream, and the largest of use with some bounds."""
 
     def among(self, labels: Collection[str]) -> Candidates:
         """The candidates of some transformations, with the bounds and useless streams known so far."""

@@ -9,12 +9,15 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from math import inf
 
-from cfgplan.planners.exact.best_case import least_of_all, leave_out_what_is_too_bad
+import numpy as np
+
+from cfgplan.planners.exact.best_case import bound_by_price, least_of_all, least_prices_us, leave_out_what_is_too_bad
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.first_plans import FirstPlans
-from cfgplan.planners.exact.quality_chains import ChainCut
-from cfgplan.planners.exact.quality_start import QualityStart
+from cfgplan.planners.exact.quality_chains import ChainCut, has_chains
+from cfgplan.planners.exact.quality_cuts import chain_cuts
 from cfgplan.planners.exact.standing import Standing
+from cfgplan.planners.networks.core import Floats
 from cfgplan.planning import Notion
 
 
@@ -46,23 +49,42 @@ def plan_fleet(candidates: Candidates, standing: Standing, last: Collection[str]
 
 
 def _search(candidates: Candidates, standing: Standing, first: FirstPlans) -> None:
-    """Search among few transformations, then among all that bounds leave."""
+    """Search among few transformations, then among all that bounds leave.
+
+    Where quality is priced, the few are those that the linear relaxation with chains uses. Prices narrow its bounds.
+    """
     from cfgplan.planners.exact.kernels import left_by_bounds, look_among_few
 
-    clock = standing.clock
-    quality = QualityStart(candidates, standing, first)
-    if not quality.is_asked or (not quality.is_weighed and len(candidates.network.labels) >= clock.tuning.fleet.many):
+    clock, tuning = standing.clock, standing.clock.tuning.fleet
+    is_chained = has_chains(candidates)
+    is_cut = is_chained and bool(least_prices_us(candidates))
+    if not is_chained or (not is_cut and len(candidates.network.labels) >= tuning.many):
         look_among_few(candidates, standing, first)
-    tuning = clock.tuning.fleet
-    slices = [tuning.round * tuning.growth**number for number in range(tuning.rounds if quality.is_asked else 0)]
+    slices = [tuning.round * tuning.growth**number for number in range(tuning.rounds if is_chained else 0)]
     for slice_s in (*slices, inf):
         if standing.is_over:
             break
-        left = left_by_bounds(quality.candidates, standing)
+        left = left_by_bounds(candidates, standing)
+        if is_chained and standing.largest_us is not None:
+            bound_by_price(candidates, standing.largest_us - left.least_us)
+        candidates = candidates.among(left.labels)
+        cuts, share = chain_cuts(candidates, left.landmarks, clock) if is_cut else ([], None)
         clock.end("bounds")
-        _solve(quality.candidates.among(left.labels), standing, left.landmarks, quality.cuts, slice_s)
-        if not standing.is_over:
-            quality.look_closer()
+        if share is not None:
+            _look_among_used(candidates, standing, cuts, share)
+        _solve(candidates, standing, left.landmarks, cuts, slice_s)
+        is_cut = is_chained
+
+
+def _look_among_used(candidates: Candidates, standing: Standing, cuts: Iterable[ChainCut], share: Floats) -> None:
+    """Search among the incumbent's transformations and those that run to a `share` in the relaxation."""
+    from cfgplan.planners.exact.search import Search
+
+    used = {candidates.all[i].transformation.label for i in np.flatnonzero(share > 1e-6)}
+    if standing.best is not None:
+        used |= {unit.transformation for unit in standing.best.units}
+    if 1.2 * len(used) < len(candidates.labels):
+        Search(candidates.among(used), standing, is_all=False, cuts=cuts).run(standing.clock.tuning.fleet.look)
 
 
 def _solve(

@@ -19,10 +19,11 @@ from cfgplan.planning import Notion
 class Shortlist:
     """The transformations that a plan no dearer than the incumbent may have, and landmarks that every such plan hits.
 
-    `order` sorts the transformations by reduced cost, the least first.
+    `order` sorts the transformations by reduced cost, the least first. Running them costs `least_us` or more.
     """
 
     labels: frozenset[str]
+    least_us: int = 0
     order: tuple[str, ...] = ()
     landmarks: tuple[tuple[list[str], int], ...] = ()
 
@@ -50,12 +51,12 @@ def left_by_bounds(candidates: Candidates, standing: Standing) -> Shortlist:
     order = tuple(name for _, name in sorted(zip(least, names, strict=True)))
     standing.counts["landmarks"] = len(landmarks)
     if largest_us is None:
-        return Shortlist(everything, order, landmarks)
+        return Shortlist(everything, bound.value, order, landmarks)
     left = {name for name, may in zip(names, bound.may_be_used(most).tolist(), strict=True) if may}
     left |= {network.labels[i] for i in network.pinned}
     left |= {c.transformation.label for c in candidates.all if c.may_wait and bound.value + c.waiting_cost_us <= most}
     standing.counts["left by bounds"] = len(left)
-    return Shortlist(frozenset(left), order, landmarks)
+    return Shortlist(frozenset(left), bound.value, order, landmarks)
 
 
 def look_among_few(candidates: Candidates, standing: Standing, first: FirstPlans) -> None:

@@ -16,16 +16,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
-from cfgplan.domain import Stream
-from cfgplan.planners.exact.best_case import best_values, worst_of_use
-from cfgplan.planners.exact.candidates import Candidate, Candidates
+from cfgplan.domain import Stream, Transformation
+from cfgplan.planners.exact.best_case import Making, demands_of_quality, least_badness, most_badness
+from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.networks.core import Flags, Ints
 from cfgplan.planners.tuning import USUAL, Quality
-from cfgplan.qualities import MICRO, Better, Contribution, Over, QualityAttribute, QualityRule
+from cfgplan.planning import Notion
+from cfgplan.qualities import MICRO, Over, QualityAttribute
 
 MOST_GAIN = 64 * MICRO
 """The largest factor by which units in a row amplify, in millionths; beyond it being ahead counts in full."""
@@ -41,6 +41,13 @@ class ChainCut:
     ahead: Mapping[str, int]
 
 
+def has_chains(candidates: Candidates) -> bool:
+    """Whether one attribute counts, and one stream is the best for all who demand it."""
+    asked = {wish.attribute for target in candidates.environment.targets for wish in target.quality}
+    is_simple = len(asked) == 1 and Notion.SURVIVAL not in candidates.problem.notions
+    return is_simple and not any(demands_of_quality(candidates).values())
+
+
 class Chains:
     """Streams and demands of one attribute as arrays; `best` is the least badness of each demand.
 
@@ -52,11 +59,10 @@ class Chains:
         self.tuning = tuning
         self.attribute = attribute
         self.clock = candidates.clock
-        self.sign = 1 if attribute.better is Better.LOWER else -1
         self.size = len(candidates.all)
-        self.scale = abs(attribute.worst - attribute.best)
-        found = best_values(candidates, attribute)
-        of_use = sorted(worst_of_use(candidates, attribute))
+        self.scale = attribute.scale
+        found = least_badness(candidates, attribute)
+        of_use = sorted(most_badness(candidates, attribute))
         met = {tag: [s for s in candidates.streams(tag) if s in found] for tag in self.clock.each(of_use)}
         tags = [tag for tag in of_use if met[tag]]
         self.demand = {tag: d for d, tag in enumerate(tags)}
@@ -64,44 +70,27 @@ class Chains:
         self.streams = streams = sorted({stream for _, stream in pairs})
         number = {stream: s for s, stream in enumerate(streams)}
         self.unit = np.array([candidates.index_of[stream.unit] for stream in streams], np.int64)
-        self.least = np.array([self.badness(found[stream]) for stream in streams], np.int64)
+        self.least = np.array([found[stream] for stream in streams], np.int64)
         self.pair_demand = np.array([d for d, _ in pairs], np.int64)
         self.pair_stream = np.array([number[stream] for _, stream in pairs], np.int64)
         self.pair_unit = self.unit[self.pair_stream]
         self.starts = np.searchsorted(self.pair_demand, np.arange(len(tags)))
         self.ends = np.append(self.starts[1:], len(pairs))
         self.best = np.minimum.reduceat(self.least[self.pair_stream], self.starts) if pairs else np.zeros(0, np.int64)
-        self._know_rules([candidates.all[i] for i in self.unit.tolist()], streams)
+        self._know_rules([candidates.all[i].transformation for i in self.unit.tolist()], streams)
 
-    def badness(self, value: int) -> int:
-        return self.sign * (value - self.attribute.best)
-
-    def _know_rules(self, makers: list[Candidate], streams: list[Stream]) -> None:
-        """What each stream makes of its inputs: `gain` and `shift` in millionths, and how inputs are combined."""
-        end = len(self.demand)
-        ports = [maker.transformation.output[s.port] for maker, s in zip(makers, streams, strict=True)]
-        self.stated = [{c.attribute: c for c in port.quality}.get(self.attribute.name) for port in ports]
-        nothing = Contribution(self.attribute.name, QualityRule.LIMIT, self.attribute.best)
-        stated = [one or nothing for one in self.stated]
-        inputs = [
-            [self.demand.get(port.tag, end) for port in maker.transformation.inputs if not port.feedback]
-            if one.rule is not QualityRule.SET
-            else []
-            for maker, one in self.clock.each(zip(makers, stated, strict=True))
-        ]
+    def _know_rules(self, makers: list[Transformation], streams: list[Stream]) -> None:
+        """What each stream makes of its inputs."""
+        each = self.clock.each(zip(makers, streams, strict=True))
+        making = [Making.of(self.attribute, maker, maker.output[stream.port]) for maker, stream in each]
+        inputs = [[self.demand.get(port.tag, len(self.demand)) for port in one.inputs] for one in making]
         width = max((len(row) for row in inputs), default=0) or 1
         self.inputs = np.array([row + [-1] * (width - len(row)) for row in inputs], np.int64).reshape(-1, width)
         self.count = np.array([len(row) for row in inputs], np.int64)
-        self.over = [one.over for one in stated]
+        self.over = [one.over for one in making]
         self._by_over = {over: np.array([o is over for o in self.over], np.bool_) for over in set(self.over)}
-        gains = [one.value if one.rule is QualityRule.SCALE else MICRO for one in stated]
-        self.gain = np.array([gain if row else 0 for gain, row in zip(gains, inputs, strict=True)], np.int64)
-        best = self.sign * self.attribute.best
-        more = [best * (gain - MICRO) for gain in gains]
-        for s, one in enumerate(stated):
-            if one.rule is QualityRule.ADD:
-                more[s] = self.sign * one.value * MICRO
-        self._shift = np.array(more, np.int64)
+        self.gain = np.array([one.gain for one in making], np.int64)
+        self._shift = np.array([one.shift for one in making], np.int64)
 
     def made(self, potential: Ints) -> Ints:
         """How bad each stream is at least if its inputs are as bad as their demands' potentials."""
@@ -117,7 +106,7 @@ class Chains:
             elif over is Over.SUM:
                 least = np.where(is_input[rows], np.append(self.best, self.scale)[self.inputs[rows]], 0)
                 more = np.where(is_input[rows], theirs[rows] - least, 0).max(axis=1)
-                offset = self.sign * self.attribute.best * np.maximum(self.count[rows] - 1, 0)
+                offset = self.attribute.sign * self.attribute.best * np.maximum(self.count[rows] - 1, 0)
                 combined[rows] = least.sum(axis=1) + more + offset
         combined = np.minimum(combined, self.scale)
         made: Ints = np.maximum((self.gain * combined + self._shift) // MICRO, self.least)
@@ -127,17 +116,8 @@ class Chains:
         """How bad the stream of each pair is at least, if its inputs are as bad as their potentials."""
         return self.made(potential)[self.pair_stream]
 
-    @cached_property
-    def part(self) -> float:
-        """The median of what units add to the badness of their worst input."""
-        theirs = np.where(self.inputs >= 0, np.append(self.best, 0)[self.inputs], 0).max(axis=1)
-        return max(1.0, float(np.median((self.least - theirs)[self.count > 0]))) if self.count.any() else 1.0
-
-    def deciding(self, stream: int, potential: Ints, spread: float) -> list[tuple[int, float]]:
-        """The demands of a stream's inputs that decide its value, each with its part in that.
-
-        With a `spread`, inputs nearly as bad as the worst have a part too; `part` times `spread` is near.
-        """
+    def deciding(self, stream: int, potential: Ints) -> list[tuple[int, float]]:
+        """The demands of a stream's inputs that decide its value, each with its part in that."""
         inputs = self.inputs[stream, : self.count[stream]]
         if not len(inputs):
             return []
@@ -147,15 +127,7 @@ class Chains:
         if over is Over.MEAN:
             return [(demand, 1.0 / len(inputs)) for demand in inputs.tolist()]
         bad = potential[inputs] - (self.best[inputs] if over is Over.SUM else 0)
-        if not spread:
-            return [(int(inputs[np.argmax(bad)]), 1.0)]
-        shares = np.exp((bad - bad.max()) / (spread * self.part))
-        shares = np.where(shares < self.tuning.few, 0.0, shares)
-        return [
-            (demand, part)
-            for demand, part in zip(inputs.tolist(), (shares / shares.sum()).tolist(), strict=True)
-            if part
-        ]
+        return [(int(inputs[np.argmax(bad)]), 1.0)]
 
     def root(self, tag: str) -> Root:
         """The root of a target that demands a tag: how much being ahead counts at each demand."""
@@ -188,8 +160,7 @@ class Root:
     def ahead(self, potential: Ints) -> Ints:
         """By how much each candidate is ahead."""
         chains = self.chains
-        by = np.where(self._pair_weight > 0, potential[chains.pair_demand] - chains.met(potential), 0)
-        by = np.maximum(by, 0)
+        by = self._by(potential, chains.met(potential))
         all_of_it = max(int(potential[self.demand] - chains.best[self.demand]), 0)
         if not self._is_even:
             by = np.where(by * (self._pair_weight >= MOST_GAIN) > 0, all_of_it, -(-by * self._pair_weight // MICRO))
@@ -200,14 +171,18 @@ class Root:
     def lifted(self, potential: Ints) -> Ints:
         """Potentials at least as high at which no candidate is further ahead."""
         chains = self.chains
-        for _ in range(self.chains.tuning.lifts if self._is_even else 0):
+        for _ in range(chains.tuning.lifts if self._is_even else 0):
             met = chains.met(potential)
-            by = np.where(self._pair_weight > 0, potential[chains.pair_demand] - met, 0)
             ahead = np.zeros(chains.size, np.int64)
-            np.maximum.at(ahead, chains.pair_unit, by)
+            np.maximum.at(ahead, chains.pair_unit, self._by(potential, met))
             least = np.minimum.reduceat(met + ahead[chains.pair_unit], chains.starts)
             higher = np.where(self.is_before, np.clip(least, potential, chains.scale), potential)
             if (higher == potential).all():
                 break
             potential = higher
         return potential
+
+    def _by(self, potential: Ints, met: Ints) -> Ints:
+        """By how much each pair's stream is better than the potential of the demand."""
+        better = np.maximum(potential[self.chains.pair_demand] - met, 0)
+        return np.where(self._pair_weight > 0, better, 0)

@@ -6,39 +6,35 @@ are chosen by a chain that takes the best streams first, as far as their shares 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import numpy as np
 
 from cfgplan.domain import Target
-from cfgplan.planners.bounding.bounds import Bound
 from cfgplan.planners.closing.program import FROM_THE_LAST_BASIS
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.quality_chains import ChainCut, Chains, Root
 from cfgplan.planners.networks.core import Floats, Ints
 from cfgplan.planners.solving.clock import Clock
-from cfgplan.planners.tuning import Quality
 from cfgplan.qualities import MICRO, Wish
 
-Spreads = Sequence[float]
-
-QUICK, CLOSE = (0.0,), (0.0, 1.0)
-"""The spreads to try one after the other, see `Chains.deciding`."""
+Landmarks = Iterable[tuple[Iterable[str], int]]
 
 
-def chain_cuts(candidates: Candidates, bound: Bound, clock: Clock, spreads: Spreads) -> tuple[list[ChainCut], Floats]:
+def chain_cuts(candidates: Candidates, landmarks: Landmarks, clock: Clock) -> tuple[list[ChainCut], Floats]:
     """Cuts for all that targets ask, and each candidate's share in the relaxation; no cuts if that is too large.
 
-    `bound` is one of the candidates' network.
+    Targets ask for one attribute. `landmarks` are labels of which every plan runs one.
     """
-    tuning, core = clock.tuning.quality, candidates.network.core
-    if int(np.diff(core.givers.starts)[core.needs.items].sum()) > tuning.largest:
+    tuning, network = clock.tuning.quality, candidates.network
+    is_met = len(network.targets) == len(candidates.environment.targets)
+    if not is_met or int(np.diff(network.core.givers.starts)[network.core.needs.items].sum()) > tuning.largest:
         return [], np.zeros(len(candidates.all))
-    relaxation = Relaxation(candidates, bound, tuning)
+    relaxation = _Relaxation(candidates, landmarks)
     values: list[float] = []
     while len(values) < tuning.rounds and not clock.is_over() and relaxation.solve(clock.left_s()):
         values.append(relaxation.value_us)
-        if not relaxation.cut(spreads) or (
+        if not relaxation.cut() or (
             len(values) > tuning.wait and values[-1] - values[-1 - tuning.wait] < tuning.rise * values[-1]
         ):
             break
@@ -46,27 +42,26 @@ def chain_cuts(candidates: Candidates, bound: Bound, clock: Clock, spreads: Spre
 
 
 class _Asked:
-    """What a target asks of an attribute, and its badness in the relaxation."""
+    """What a target asks, and its badness in the relaxation: between `least` and `most`, in units of `unit`."""
 
     def __init__(self, candidates: Candidates, chains: Chains, target: Target, wish: Wish) -> None:
-        self.chains, self.target, self.wish = chains, target.label, wish
+        self.target, self.wish = target.label, wish
         self.root: Root = chains.root(target.tag)
         self.least = int(chains.best[self.root.demand])
-        bound = candidates.bounds.get((target.label, wish.attribute), chains.attribute.worst)
-        self.most = max(self.least, chains.badness(bound))
+        self.most = max(self.least, candidates.bounds.get((target.label, wish.attribute), chains.scale))
         self.unit = float(max(1, self.least, self.most - self.least))
 
 
-class Relaxation:
+class _Relaxation:
     """The linear relaxation of which labels run, a first unit of each.
 
     `value_us` is the solver's bound on the cost, as exact as its floats are.
     """
 
-    def __init__(self, candidates: Candidates, bound: Bound, tuning: Quality) -> None:
+    def __init__(self, candidates: Candidates, landmarks: Landmarks) -> None:
         from ortools.linear_solver import pywraplp  # type: ignore[import-untyped]
 
-        self._candidates, self._tuning = candidates, tuning
+        self._candidates, self._tuning = candidates, candidates.clock.tuning.quality
         self._optimal = pywraplp.Solver.OPTIMAL
         self.lp = pywraplp.Solver.CreateSolver("GLOP")
         self.lp.SuppressOutput()
@@ -74,34 +69,27 @@ class Relaxation:
         self.cuts: list[ChainCut] = []
         self.value_us = 0.0
         self.share = np.zeros(len(candidates.all))
-        network, cost_us = candidates.network, candidates.least_us.tolist()
+        cost_us = candidates.least_us.tolist()
         self._unit_us = float(max(1, *cost_us))
-        firsts = [candidates.units_of(label)[0] for label in network.labels]
+        firsts = [candidates.units_of(label)[0] for label in candidates.network.labels]
         self._uses = {unit: self.lp.NumVar(0.0, 1.0, "") for unit in candidates.clock.each(firsts)}
         self._variables = list(self._uses.values())
         objective = self.lp.Objective()
         objective.SetMinimization()
         for uses, us in zip(self._uses.values(), cost_us, strict=True):
             objective.SetCoefficient(uses, us / self._unit_us)
-        self._asked: list[_Asked] = []
-        self._badness = []
-        environment = candidates.environment
-        for attribute in environment.qualities:
-            wishes = [(t, w) for t in environment.targets for w in t.quality if w.attribute == attribute.name]
-            chains = Chains(candidates, attribute, tuning) if wishes else None
-            for target, wish in wishes:
-                assert chains is not None
-                asked = _Asked(candidates, chains, target, wish)
-                badness = self.lp.NumVar(asked.least / asked.unit, asked.most / asked.unit, "")
-                objective.SetCoefficient(badness, asked.unit * wish.weight_us / MICRO / self._unit_us)
-                self._asked.append(asked)
-                self._badness.append(badness)
-        self._need(bound)
+        wishes = [(target, wish) for target in candidates.environment.targets for wish in target.quality]
+        chains = Chains(candidates, candidates.environment.quality[wishes[0][1].attribute])
+        self._asked = [_Asked(candidates, chains, target, wish) for target, wish in wishes]
+        self._badness = [self.lp.NumVar(asked.least / asked.unit, asked.most / asked.unit, "") for asked in self._asked]
+        for asked, badness in zip(self._asked, self._badness, strict=True):
+            objective.SetCoefficient(badness, asked.unit * asked.wish.weight_us / MICRO / self._unit_us)
+        self._need(landmarks)
 
-    def _need(self, bound: Bound) -> None:
+    def _need(self, landmarks: Landmarks) -> None:
         core, clock = self._candidates.network.core, self._candidates.clock
-        for landmark in clock.each(bound.landmarks):
-            self._any_of(bound.core.labels[landmark.members].tolist())
+        for labels, _ in clock.each(landmarks):
+            self._any_of(self._candidates.numbers(set(labels)))
         for label in clock.each(range(core.goal + 1)):
             for fact in core.needs.lists[label]:
                 first = [giver for giver in core.givers.lists[fact] if fact not in core.needs.lists[giver]]
@@ -124,19 +112,18 @@ class Relaxation:
         self.value_us = self.lp.Objective().Value() * self._unit_us
         return True
 
-    def cut(self, spreads: Spreads) -> bool:
+    def cut(self) -> bool:
         """Add the cuts that are violated; False if there are none."""
         share = self.share
         for unit, uses in self._uses.items():
             share[unit] = uses.solution_value()
-        now = [badness.solution_value() for badness in self._badness]
-        is_cut = False
-        for asked, badness, value in zip(self._asked, self._badness, now, strict=True):
-            potential, violation = _best_potential(asked.root, share, value * asked.unit, spreads)
-            if violation - value * asked.unit > self._tuning.least * max(1.0, value * asked.unit):
+        now = [badness.solution_value() * asked.unit for asked, badness in zip(self._asked, self._badness, strict=True)]
+        before = len(self.cuts)
+        for asked, badness, known in zip(self._asked, self._badness, now, strict=True):
+            potential, bounded = _best_potential(asked.root, share)
+            if bounded - known > self._tuning.least * max(1.0, known):
                 potential = asked.root.lifted(potential)
-                ahead = asked.root.ahead(potential)
-                least = int(potential[asked.root.demand])
+                ahead, least = asked.root.ahead(potential), int(potential[asked.root.demand])
                 units = self._candidates.all
                 cut = {units[i].id: int(ahead[i]) for i in np.flatnonzero(ahead).tolist()}
                 self.cuts.append(ChainCut(asked.target, asked.wish.attribute, least, cut))
@@ -145,23 +132,19 @@ class Relaxation:
                 for unit, uses in self._uses.items():
                     if ahead[unit]:
                         row.SetCoefficient(uses, float(ahead[unit]) / asked.unit)
-                is_cut = True
-        return is_cut
+        return len(self.cuts) > before
 
 
-def _best_potential(root: Root, share: Floats, known: float, spreads: Spreads) -> tuple[Ints, float]:
+def _best_potential(root: Root, share: Floats) -> tuple[Ints, float]:
     """Potentials that give a high bound on a target's badness at these shares of units, and that bound."""
     best, most = root.chains.best, -np.inf
-    for spread in spreads:
-        amount = np.where(root.is_before, 1.0, 0.0)
-        for _ in range(root.chains.tuning.guesses):
-            potential = _reached(root, share, amount)
-            bounded = float(potential[root.demand] - root.ahead(potential) @ share)
-            if bounded > most:
-                best, most = potential, bounded
-            amount = _flow(root, share, potential, spread)
-        if most > (1 + root.chains.tuning.enough) * known:
-            break
+    amount = np.where(root.is_before, 1.0, 0.0)
+    for _ in range(root.chains.tuning.guesses):
+        potential = _reached(root, share, amount)
+        bounded = float(potential[root.demand] - root.ahead(potential) @ share)
+        if bounded > most:
+            best, most = potential, bounded
+        amount = _flow(root, share, potential)
     return best, most
 
 
@@ -184,7 +167,7 @@ def _reached(root: Root, share: Floats, amount: Floats) -> Ints:
     return potential
 
 
-def _flow(root: Root, share: Floats, potential: Ints, spread: float) -> Floats:
+def _flow(root: Root, share: Floats, potential: Ints) -> Floats:
     """The amount of each demand that one unit of flow to the root passes, the best streams first."""
     chains = root.chains
     amount = np.zeros(len(chains.demand))
@@ -205,7 +188,7 @@ def _flow(root: Root, share: Floats, potential: Ints, spread: float) -> Floats:
             taken = min(wanted, left[unit])
             wanted -= taken
             left[unit] -= taken
-            for before, part in chains.deciding(int(chains.pair_stream[pair]), potential, spread):
+            for before, part in chains.deciding(int(chains.pair_stream[pair]), potential):
                 if before not in done:
                     amount[before] += taken * part
                     ahead.add(before)

@@ -7,11 +7,11 @@ from collections.abc import Collection, Mapping
 
 from cfgplan.costs import taken
 from cfgplan.domain import POWER, Environment, Host, Target, Transformation, amount_of
-from cfgplan.planners.exact.best_case import best_values
+from cfgplan.planners.exact.best_case import least_badness
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.places import Rooms
 from cfgplan.planning import Failures, Problem
-from cfgplan.qualities import Better, is_met, units
+from cfgplan.qualities import is_met, units
 from cfgplan.reasons import Givers, startable
 
 
@@ -35,13 +35,11 @@ def joint_reasons(problem: Problem) -> dict[str, str]:
 def _missed_bound(candidates: Candidates, target: Target) -> str | None:
     for wish in target.quality:
         attribute = candidates.environment.quality[wish.attribute]
-        best = best_values(candidates, attribute) if wish.bound is not None else {}
-        values = [best[stream] for stream in candidates.streams(target.tag) if stream in best]
-        if values and wish.bound is not None and not any(is_met(attribute, wish, value) for value in values):
-            is_low = attribute.better is Better.LOWER
-            reached = min(values) if is_low else max(values)
+        least = least_badness(candidates, attribute) if wish.bound is not None else {}
+        found = [least[stream] for stream in candidates.streams(target.tag) if stream in least]
+        if found and wish.bound is not None and not is_met(attribute, wish, reached := attribute.at(min(found))):
             return (
-                f"target {target.label} asks for {attribute.name} of {'at most' if is_low else 'at least'} "
+                f"target {target.label} asks for {attribute.name} of {'at most' if attribute.sign > 0 else 'at least'} "
                 f"{units(wish.bound):f}, but the best that any wiring reaches is {units(reached):f}"
             )
     return None
