@@ -32,6 +32,9 @@ from cfgplan.transformations import amount_of as amount_of
 
 T = TypeVar("T")
 
+MANAGER = "manager"
+"""Who gives orders to a fleet's hosts; no host is called so."""
+
 
 @dataclass(frozen=True, slots=True, order=True)
 class Stream:
@@ -156,6 +159,8 @@ class Host:
         store_whole(self, "rent_us")
         store_whole(self, "energy")
         store_sorted(self, "labels", dict.fromkeys(self.labels), str)
+        if self.name == MANAGER:
+            raise InvalidValueError(f"no host can be called {MANAGER!r}: that is who gives orders to hosts")
         if self.speed <= 0:
             raise InvalidValueError(f"the speed of host {self.name!r} is not above 0")
         if self.rent_us < 0 or (self.energy or 0) < 0:

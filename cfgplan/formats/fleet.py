@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping
 from typing import Any
 
-from cfgplan.domain import Host, Link
+from cfgplan.domain import MANAGER, Host, Link
 from cfgplan.errors import Fault, InvalidValueError, TagError, did_you_mean
 from cfgplan.formats.document import Document
 from cfgplan.formats.fields import ContributionPart, HostPart, LinkPart, TargetPart, UnitPart, WishPart
@@ -38,7 +38,10 @@ class FleetReader:
                 try:
                     self.hosts |= {name: _made(host, name) for name in names}
                 except InvalidValueError as error:
-                    entry.at("offers").note(str(error), "remove one of the two")
+                    at, mend = (
+                        ("name", "name it otherwise") if MANAGER in names else ("offers", "remove one of the two")
+                    )
+                    entry.at(at).note(str(error), mend)
                     left_out.add("hosts", host.name)
                 if host.copies > 1:
                     self.copies[host.name] = names

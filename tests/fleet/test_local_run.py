@@ -15,12 +15,8 @@ from pathlib import Path
 import psutil
 import pytest
 from cfgplan_runtime import subscribe
-from cfgplan_runtime.fleet.fleet_runtime import Fleet, fleet_runtime
 from cfgplan_runtime.operating.control_client import connect
 from small_fleet import PATIENCE_S, eventually
-
-from cfgplan.domain import Environment, Host
-from cfgplan.errors import InputError
 
 ROOT = Path(__file__).parents[2]
 CFGPLAN = (sys.executable, "-c", "import sys; from cfgplan.cli import main; sys.exit(main())")
@@ -123,13 +119,6 @@ def test_hosts_of_a_run_that_no_option_reaches_are_refused_with_the_mend() -> No
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 30
     assert "--local" in done.stderr
-
-
-@pytest.mark.parametrize("name", ["manager", "*"])
-def test_a_host_that_no_fleet_can_have_is_named_before_anything_starts(name: str) -> None:
-    fleet = fleet_runtime(Fleet(is_local=True), Environment(hosts=(Host(name),)), START.parent)
-    with pytest.raises(InputError, match="no host of a fleet can be called"), fleet:
-        pass
 
 
 @pytest.mark.parametrize("option", [["--take-over"], ["--certificates", "secrets"]])

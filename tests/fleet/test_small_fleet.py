@@ -12,7 +12,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from cfgplan_runtime.errors import ApplyError
+from cfgplan_runtime.errors import StaleChangeSetError
 from cfgplan_runtime.fleet.agent import alive_key
 from cfgplan_runtime.fleet.certificates import MANAGER
 from cfgplan_runtime.fleet.links import config
@@ -264,11 +264,22 @@ def test_who_takes_over_is_obeyed_and_the_other_is_refused() -> None:
         runtime.apply(ChangeSet(started=(COUNT, replace(WORK, host="r1"))))
         with fleet.backend("r1", takes_over=True):
             eventually(lambda: fleet.units() == [])
-            with pytest.raises(ApplyError):
-                runtime.apply(ChangeSet(started=(unit("count.2", "r1"),)))
+            eventually(lambda: bool(seen(runtime, HostLost)))  # though it has given no order since
             (lost,) = seen(runtime, HostLost)
             assert lost.cause == "it obeys a later manager"
+            with pytest.raises(StaleChangeSetError):
+                runtime.apply(ChangeSet(started=(unit("count.2", "r1"),)))
             assert fleet.units() == []
+
+
+def test_a_host_may_have_any_name() -> None:
+    hosts = "r1", "*", "r?/2 #"
+    with small_fleet(*hosts) as fleet, fleet.runtime(source(), worker()) as runtime:
+        runtime.apply(ChangeSet(started=(replace(COUNT, host=hosts[1]), replace(WORK, host=hosts[2]))))
+        Listener(runtime).await_more(10)
+        fleet.agents.processes["*"].kill()
+        eventually(lambda: bool(seen(runtime, HostLost)))
+        assert [lost.host for lost in seen(runtime, HostLost)] == ["*"]
 
 
 def test_a_full_input_that_blocks_makes_a_source_on_another_host_wait() -> None:

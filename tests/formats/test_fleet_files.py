@@ -240,3 +240,9 @@ def test_a_name_of_several_hosts_is_taken_and_is_no_one_host(
 ) -> None:
     fault = only_fault(tmp_path, f"format: cfgplan/1\n{line}\n")
     assert (fault.message, fault.mend) == (message, mend)
+
+
+def test_no_host_has_the_name_of_who_gives_orders_to_hosts(tmp_path: Path) -> None:
+    fault = only_fault(tmp_path, "format: cfgplan/1\nhosts: [{name: base}, {name: manager}]\n")
+    assert (fault.line, fault.mend) == (2, "name it otherwise")
+    assert fault.message == "no host can be called 'manager': that is who gives orders to hosts"

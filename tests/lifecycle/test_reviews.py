@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -47,7 +48,22 @@ from cfgplan.planning import Plan, Problem, Status
 
 CHEAP = worker("cheap", labor_us=10, upkeep_us=1)
 DEAR = worker("dear", upkeep_us=500)
+MODELS = Path(__file__).parents[2] / "models"
+WITH_UNIT_CODE = [path for path in sorted(MODELS.glob("*/[0-9]-*.yaml")) if "expected" not in path.name]
 IMPOSSIBLE = Target("impossible", "Z", "/impossible", priority=9)
+
+
+@pytest.mark.parametrize("path", WITH_UNIT_CODE, ids=lambda path: f"{path.parent.name}/{path.stem}")
+def test_a_run_meets_what_a_plan_from_nothing_meets(path: Path) -> None:
+    loaded = api.load(path)
+    world = replace(loaded, environment=replace(loaded.environment, units=()))
+    plan = api.plan(api.match(world))
+    life = Life(world=world)
+    life.settle()
+    assert life.met == world.environment.target.keys() - plan.reasons.keys()
+    number = len(plan.change_set.started) if plan.change_set else 0
+    assert len(life.runtime.environment.units) == number
+    assert bool(number) == bool(life.met)
 
 
 def test_the_first_review_starts_what_meets_the_targets() -> None:

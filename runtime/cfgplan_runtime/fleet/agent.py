@@ -11,13 +11,12 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from urllib.parse import quote
 
 import msgspec
 
+from cfgplan.domain import MANAGER
 from cfgplan.errors import InputError
 from cfgplan_runtime.children.messages import Export, Import, Mark, Marked, Release
-from cfgplan_runtime.fleet.certificates import MANAGER
 from cfgplan_runtime.fleet.clocks import HostClock
 from cfgplan_runtime.fleet.links import LEASE_S, Config, config, sign_period_s
 from cfgplan_runtime.fleet.orders import (
@@ -57,7 +56,7 @@ from cfgplan_runtime.fleet.orders import (
 from cfgplan_runtime.fleet.relay import Relay
 from cfgplan_runtime.fleet.tunnels import TunnelServer
 from cfgplan_runtime.processes.process_backend import RELAY, ProcessBackend
-from cfgplan_runtime.streams.crossing import crossing_key
+from cfgplan_runtime.streams.crossing import crossing_key, host_key
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
 from cfgplan_runtime.supervision.backend import Inlet
 from cfgplan_runtime.supervision.events import (
@@ -75,19 +74,19 @@ from cfgplan_runtime.supervision.events import (
 USAGE_PERIOD_S = 0.5
 
 
-def alive_key(host: str) -> str:
-    """The key below which a host's agent is alive, and gives signs of life."""
-    return f"cfgplan/{quote(host, safe='*')}/alive"
+def alive_key(host: str | None) -> str:
+    """The key below which a host's agent, or any (None), is alive, and gives signs of life."""
+    return f"{host_key(host)}/alive"
 
 
-def topics_key(host: str) -> str:
-    """The key at which an agent tells the topics that are on its host."""
-    return f"cfgplan/{quote(host, safe='*')}/topics"
+def topics_key(host: str | None) -> str:
+    """The key at which an agent, or any (None), tells the topics that are on its host."""
+    return f"{host_key(host)}/topics"
 
 
 def clock_key(host: str) -> str:
     """The key at which an agent tells its clock."""
-    return f"cfgplan/{quote(host, safe='*')}/clock"
+    return f"{host_key(host)}/clock"
 
 
 def digest_of(path: Path) -> str | None:
@@ -152,6 +151,9 @@ class Agent:
         """Keys of the managers that are alive."""
         self._is_left = False
         """Whether the manager of this talk has said that its run is over. Its key may be alive for a moment still."""
+        self._superseded: tuple[float, Session] | None = None
+        """Who was obeyed before, and when to tell that manager of it: it would give orders to hosts that are still its.
+        """
         self._usage_due_s = 0.0
         self._failure: BaseException | None = None
         """What has ended the relay."""
@@ -258,6 +260,9 @@ class Agent:
                 self._obey(self._orders.popleft())
         self._stop_due()
         now_s = time.monotonic()
+        if self._superseded is not None and self._talk is not None and now_s >= self._superseded[0]:
+            self._refuse(self._superseded[1], self._talk.session, is_obeyed=True)
+            self._superseded = None
         if now_s >= self._usage_due_s:
             self._usage_due_s = now_s + USAGE_PERIOD_S
             self._tell_usage([*self._units, *self._spares])
@@ -284,10 +289,11 @@ class Agent:
             if kind == HEARD:
                 return
             if talk is not None and not _supersedes(session, talk.session):
-                refuse = self._link.publisher(crossing_key(self.name, REFUSE, MANAGER, name), "orders")
                 is_alive = f"{alive_key(MANAGER)}/{talk.session.manager}" in self._managers
-                refuse(b"", f"{talk.session.term} {int(is_alive and not self._is_left)}".encode())
+                self._refuse(session, talk.session, is_obeyed=is_alive and not self._is_left)
                 return
+            if talk is not None and session.manager != talk.session.manager:
+                self._superseded = time.monotonic() + LEASE_S, talk.session
             talk = self._talk = Talk(self._link, self.name, MANAGER, session, Order)
             self._orders.clear()
             self._is_left = False
@@ -297,6 +303,11 @@ class Agent:
             self._is_left = self._is_left or any(isinstance(order, LeaveOrder) for order in orders)
         except msgspec.MsgspecError as error:
             self._tell_user(f"an order of another version of cfgplan is not carried out: {error}")
+
+    def _refuse(self, session: Session, later: Session, *, is_obeyed: bool) -> None:
+        """Tell a manager that its term is over, and whether the later one is there."""
+        put = self._link.publisher(crossing_key(self.name, REFUSE, MANAGER, str(session)), "orders")
+        put(b"", f"{later.term} {int(is_obeyed)}".encode())
 
     def _obey(self, order: Order) -> None:
         backend = self._backend

@@ -19,16 +19,14 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from cfgplan.domain import MANAGER
 from cfgplan.errors import Fault, InputError
+from cfgplan_runtime.streams.crossing import KEYS, host_key
 
 if TYPE_CHECKING:
     from cryptography import x509
     from cryptography.hazmat.primitives.asymmetric import ec
 
-MANAGER = "manager"
-"""Who gives orders has a certificate too, and may run on any host that has a copy of its folder."""
-KEYS = "cfgplan"
-"""What every key of a fleet begins with."""
 _AUTHORITY_CERTIFICATE, _AUTHORITY_KEY = "authority.pem", "authority.key"
 _CERTIFICATE, _KEY, _ACCESS = "host.pem", "host.key", "access.json"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,62}")
@@ -52,6 +50,8 @@ class _Authority:
 
 def make(folder: Path, hosts: Mapping[str, Sequence[str]], *, passing_on: Iterable[str] = (), days: int) -> list[Path]:
     """Make a folder for each host (name -> its DNS names and addresses) and for the manager; returns them.
+
+    Who gives orders has a certificate too, and may run on any host that has a copy of its folder.
 
     The authority is made if the folder has none yet; otherwise the hosts are added to its own, and every host's list of
     who belongs to the fleet is written anew. Nothing else is written over. All files are for their owner alone.
@@ -83,7 +83,7 @@ def make(folder: Path, hosts: Mapping[str, Sequence[str]], *, passing_on: Iterab
 
 def keys_of(host: str) -> str:
     """All keys that a host may put, answer at, or be alive under. Everybody in the fleet may listen there."""
-    return f"{KEYS}/{host}/**"
+    return f"{host_key(host)}/**"
 
 
 def tls(folder: Path) -> dict[str, Any]:

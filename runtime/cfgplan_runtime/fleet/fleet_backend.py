@@ -16,13 +16,12 @@ from urllib.parse import unquote
 
 import msgspec
 
-from cfgplan.domain import Stream, Transformation
+from cfgplan.domain import MANAGER, Stream, Transformation
 from cfgplan.errors import InputError
 from cfgplan_runtime.children.messages import Flow, ImportUnused
 from cfgplan_runtime.children.unit_order import unit_order
 from cfgplan_runtime.fleet.adoption import adopt
 from cfgplan_runtime.fleet.agent import alive_key, clock_key, digest_of, source_file
-from cfgplan_runtime.fleet.certificates import MANAGER
 from cfgplan_runtime.fleet.clocks import CALLS, CALLS_AGAIN, CLOCK_S, HostClock, Reading, corrected, has_moved
 from cfgplan_runtime.fleet.links import MISSED_SIGNS, Pulse, config, sign_period_s
 from cfgplan_runtime.fleet.orders import (
@@ -174,9 +173,9 @@ class FleetBackend:
         self.run_folder = run_folder
         self._link = _linked(connect, certificates, wait_s)
         for kind in (SAY, HEARD, REFUSE):
-            self._link.hear(crossing_key("*", kind, MANAGER, "*"), lambda *came: self._inbox.put(came))
-        self._link.watch(f"{alive_key('*')}/*", lambda *came: self._inbox.put(came))
-        self._link.hear(f"{alive_key('*')}/*", lambda key, *_: self._inbox.put((key, self.now())))
+            self._link.hear(crossing_key(None, kind, MANAGER, "*"), lambda *came: self._inbox.put(came))
+        self._link.watch(f"{alive_key(None)}/*", lambda *came: self._inbox.put(came))
+        self._link.hear(f"{alive_key(None)}/*", lambda key, *_: self._inbox.put((key, self.now())))
         self._tunnels = TunnelServer(self._link, MANAGER, self.id, run_folder.path)
         self._reaching = TunnelClient(self._link)
         self._topics_elsewhere = RemoteTopics(self._reaching, run_folder)

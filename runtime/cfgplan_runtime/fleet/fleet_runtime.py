@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cfgplan.domain import Environment
-from cfgplan.errors import InputError
-from cfgplan_runtime.fleet.certificates import MANAGER
 from cfgplan_runtime.fleet.fleet_backend import WAIT_S, FleetBackend
 from cfgplan_runtime.fleet.local import LocalAgents
 from cfgplan_runtime.runtime import Runtime
@@ -38,9 +36,6 @@ def fleet_runtime(
     `folder` is what `units.py:Class` is relative to. Raises InputError.
     """
     hosts = tuple(environment.host)
-    for host in hosts:
-        if host == MANAGER or "*" in host:
-            raise InputError.of(f"no host of a fleet can be called {host!r}", mend="name it otherwise")
     with ExitStack() as stack:
         run = RunFolder()
         stack.callback(run.close)

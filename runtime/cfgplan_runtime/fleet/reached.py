@@ -13,9 +13,9 @@ from urllib.parse import unquote
 
 import msgspec
 
+from cfgplan.domain import MANAGER
 from cfgplan_runtime.errors import NoSuchRunError, NoSuchTopicError
 from cfgplan_runtime.fleet.agent import alive_key, topics_key
-from cfgplan_runtime.fleet.certificates import MANAGER
 from cfgplan_runtime.fleet.links import config
 from cfgplan_runtime.fleet.orders import TopicsTold
 from cfgplan_runtime.fleet.tunnels import CONTROL, TunnelClient
@@ -40,7 +40,7 @@ class ReachedFleet:
         self._lock = threading.Lock()
         self._link = ZenohLink(config(connect=connect, certificates=certificates, mode="client"))
         self._client = TunnelClient(self._link)
-        self._link.watch(f"{alive_key('*')}/*", self._note_life)
+        self._link.watch(f"{alive_key(None)}/*", self._note_life)
 
     @property
     def hosts(self) -> list[str]:
@@ -116,7 +116,7 @@ class ReachedFleet:
         """What each host tells of its topics."""
         return {
             unquote(key.split("/")[1]): msgspec.json.decode(answer, type=TopicsTold)
-            for key, answer in self._link.ask(topics_key("*"), _TOPICS_S)
+            for key, answer in self._link.ask(topics_key(None), _TOPICS_S)
         }
 
     def _note_life(self, key: str, is_alive: bool) -> None:

@@ -90,7 +90,7 @@ class Relay:
             bell.setblocking(False)
         self._ports.watch(self._bell, self._hear_bell)
         for kind in ("data", "credit"):
-            link.hear(crossing_key("*", kind, host, "*"), self._take)
+            link.hear(crossing_key(None, kind, host, "*"), self._take)
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 

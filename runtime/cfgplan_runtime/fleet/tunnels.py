@@ -19,8 +19,8 @@ from contextlib import suppress
 from math import inf
 from pathlib import Path
 
+from cfgplan.domain import MANAGER
 from cfgplan_runtime.errors import RuntimeFaultError
-from cfgplan_runtime.fleet.certificates import KEYS, MANAGER
 from cfgplan_runtime.streams.crossing import (
     LAST_PIECE,
     PIECES_UNDER_WAY,
@@ -28,6 +28,7 @@ from cfgplan_runtime.streams.crossing import (
     Receiving,
     Sending,
     crossing_key,
+    host_key,
     read_credit,
     read_frame,
 )
@@ -282,7 +283,7 @@ class TunnelClient:
         self._count = 0
         self._lock = threading.Lock()
         for kind in _TUNNEL_OUT:
-            link.hear(crossing_key("*", kind, MANAGER, f"*/{self._id}/*"), self._take)
+            link.hear(crossing_key(None, kind, MANAGER, f"*/{self._id}/*"), self._take)
         link.live(_client_key(self._id))
 
     def connect(self, host: str, life: str, wanted: str) -> socket.socket:
@@ -370,4 +371,4 @@ def _declared(link: ZenohLink, data_key: str, credit_key: str) -> tuple[_Put, _P
 
 def _client_key(client: str) -> str:
     """The key under which who reaches out is alive."""
-    return f"{KEYS}/{MANAGER}/reaches/{client}"
+    return f"{host_key(MANAGER)}/reaches/{client}"

@@ -16,6 +16,8 @@ from urllib.parse import quote
 from cfgplan_runtime.streams.channel import MOST_WAITING_BYTES
 from cfgplan_runtime.streams.payload import Buffer
 
+KEYS = "cfgplan"
+"""What every key of a fleet begins with."""
 PIECES_UNDER_WAY = 256
 """The most pieces on their way."""
 BYTES_UNDER_WAY = 1 << 20
@@ -101,9 +103,18 @@ def read_credit(data: bytes) -> Credit | None:
     return Credit(expected, limit, tuple(number for (number,) in _MISSING_NUMBER.iter_unpack(data[_CREDIT.size :])))
 
 
-def crossing_key(sender: str, kind: str, receiver: str, crossing: str) -> str:
-    """The key of what `sender` tells `receiver`: a host writes below its own name only. "*" stands for any."""
-    return f"cfgplan/{quote(sender, safe='*')}/{kind}/{quote(receiver, safe='*')}/{crossing}"
+def host_key(host: str | None) -> str:
+    """The key below which a host, or any (None), writes."""
+    return f"{KEYS}/{_named(host)}"
+
+
+def crossing_key(sender: str | None, kind: str, receiver: str, crossing: str) -> str:
+    """The key of what `sender`, or any (None), tells `receiver`. Of crossings "*" stands for any."""
+    return f"{host_key(sender)}/{kind}/{_named(receiver)}/{crossing}"
+
+
+def _named(host: str | None) -> str:
+    return "*" if host is None else quote(host, safe="")
 
 
 class Sending:
