@@ -149,6 +149,9 @@ def why_not_text(environment: Environment, why: WhyNot) -> Text:
         lines += [Text(line) for line in unreachable_lines(environment, reason, f"target {reason.target} wants")]
     if why.clash is not None:
         lines.append(Text(clash_line(why.clash)))
+        if why.clash.limits:
+            named = ", ".join(map(str, why.clash.limits))
+            lines.append(Text(f"  of all limits these forbid it: {named}"))
         told = {reason.target for reason in why.unreachable}
         lines += [Text(f"  {reason}") for label, reason in why.plan.reasons.items() if label not in told]
     for unused in why.unused:

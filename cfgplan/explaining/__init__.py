@@ -6,6 +6,7 @@ Everything is asked of a planner (`planning.Planner`), of which nothing is known
 from cfgplan.explaining.alternatives import Alternatives, alternatives
 from cfgplan.explaining.best_effort import BestEffort, best_effort
 from cfgplan.explaining.front import Front, FrontPoint, front
+from cfgplan.explaining.limits import Limit
 from cfgplan.explaining.sensitivity import CostLine, Sensitivity, Span, horizon_sensitivity, upkeep_sensitivity
 from cfgplan.explaining.unfed import Blocked, Unfed, Unreachable, unreachable
 from cfgplan.explaining.what_if import running
@@ -22,6 +23,7 @@ __all__ = [
     "DemandSet",
     "Front",
     "FrontPoint",
+    "Limit",
     "Sensitivity",
     "Span",
     "Unfed",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from cfgplan.domain import Environment
+from cfgplan.explaining.limits import Limit, in_the_way
 from cfgplan.explaining.unfed import NearestOffers, Unreachable, unreachable
 from cfgplan.explaining.what_if import only_targets, requiring, running
 from cfgplan.planning import REFUSED, Plan, Planner, Problem, Status
@@ -47,18 +48,22 @@ class Clash:
 
     They alone still fail: of the other targets, required and pinned transformations nothing is asked. Without any
     one of them there is a plan. If the cheapest plan for them is known, it costs `cost_us`, more than `max_cost_us`;
-    otherwise no valid configuration meets them at any cost.
+    otherwise no valid configuration meets them at any cost. The same holds of the `limits` that are in the way: with
+    all others lifted there still is no plan, and then without any one of them there is. There are none if limits are
+    not why.
     """
 
     demands: DemandSet
     cost_us: int | None = None
     max_cost_us: int | None = None
+    limits: tuple[Limit, ...] = ()
 
 
 def clash(problem: Problem, planner: Planner) -> Clash | None:
     """A minimal set of demands that can't be met together; None if the planner does not prove that there is one.
 
-    The planner is called once for each demand. A demand that it can't decide stays in the set.
+    The planner is called once for each demand, and some times for each limit in the way. A demand or limit that it
+    can't decide stays in the set.
     """
     demands = DemandSet.of(problem.environment)
     plan = planner(problem)
@@ -69,7 +74,14 @@ def clash(problem: Problem, planner: Planner) -> Clash | None:
         answer = planner(demanding(problem, less))
         if answer.status in REFUSED:
             demands, plan = less, answer
-    return Clash(demands, _cheapest_us(plan), problem.max_cost_us if plan.status is Status.TOO_EXPENSIVE else None)
+    if plan.status is Status.TOO_EXPENSIVE:
+        return Clash(demands, plan.bound_us if plan.cost_us is None else plan.cost_us, problem.max_cost_us)
+    asked = demanding(problem, demands)
+
+    def is_refused(environment: Environment) -> bool:
+        return planner(replace(asked, environment=environment)).status in REFUSED
+
+    return Clash(demands, limits=in_the_way(asked.environment, is_refused))
 
 
 def demanding(problem: Problem, demands: DemandSet) -> Problem:
@@ -83,12 +95,6 @@ def demanding(problem: Problem, demands: DemandSet) -> Problem:
     )
     targets = tuple(target for target in environment.targets if target.label in demands.targets)
     return problem.with_parts(library=library, targets=targets)
-
-
-def _cheapest_us(plan: Plan) -> int | None:
-    if plan.status is not Status.TOO_EXPENSIVE:
-        return None
-    return plan.bound_us if plan.cost_us is None else plan.cost_us
 
 
 @dataclass(frozen=True)

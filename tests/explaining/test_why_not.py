@@ -5,15 +5,18 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 
+import pytest
+from fleets import fleets
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from worlds import problems
 
-from cfgplan.domain import Environment, InputPort, OutputPort, Similarity, Target, Transformation
+from cfgplan.domain import Environment, Host, InputPort, OutputPort, Similarity, Target, Transformation
+from cfgplan.explaining.limits import Limit, limits_of, without_limits
 from cfgplan.explaining.what_if import only_targets, requiring
 from cfgplan.explaining.why_not import WhyNot, demanding, why_not
 from cfgplan.planners import PLANNERS
-from cfgplan.planning import REFUSED, Plan, Problem, Status
+from cfgplan.planning import REFUSED, Notion, Plan, Problem, Status
 
 EXAMPLES = int(os.environ.get("CFGPLAN_EXAMPLES", "80"))
 many = settings(
@@ -50,6 +53,52 @@ def test_a_clash_is_minimal_and_there_is_one_for_each_plan_that_fails_though_all
     assert alone.cost_us == found.clash.cost_us
     for each in found.clash.demands.each(problem.environment):
         assert oracle(demanding(problem, found.clash.demands.without(each))).status is Status.OPTIMAL
+
+
+@settings(many, max_examples=EXAMPLES // 8)
+@given(fleets(frozenset({Notion.HOSTS, Notion.INSTANCES, Notion.CONFLICTS, Notion.BESIDE, Notion.COUNTS}), most=2))
+def test_of_the_limits_those_in_the_way_are_minimal(problem: Problem) -> None:
+    found = why_not(problem, cpsat)
+    if found.clash is None:
+        return
+    asked, everything = demanding(problem, found.clash.demands), limits_of(problem.environment)
+
+    def without(*named: Limit) -> Status:
+        lifted = {*everything}.difference(found.clash.limits if found.clash else ()).union(named)
+        return oracle(replace(asked, environment=without_limits(asked.environment, lifted))).status
+
+    assert without() in REFUSED or not found.clash.limits
+    assert not {without(limit) for limit in found.clash.limits} & {*REFUSED}
+
+
+@pytest.mark.parametrize(
+    ("changes", "hosts", "named"),
+    [
+        ({"on": "gpu"}, (Host("h"),), ["`on` of transformation user"]),
+        ({"needs": {"gpu": 1}}, (Host("h"),), ["`needs` of transformation user"]),
+        ({"needs": {"power": 3}}, (Host("h", energy=5),), ["`energy` of host h", "`needs` of transformation user"]),
+        ({"memory_mb": 9}, (Host("h", memory_mb=5),), ["`memory` of host h"]),
+        ({"beside": ("gone",)}, (Host("h"),), ["`with` of transformation user"]),
+        ({"conflicts_on_host": ("giver",)}, (Host("h"),), ["`conflicts: host` of transformation user"]),
+        (
+            {"inputs": (InputPort("i", "Raw", count=3),)},
+            (Host("h"), Host("g")),
+            ["`count` of input user/i", "`per_host` of transformation giver"],
+        ),
+    ],
+)
+def test_a_limit_that_forbids_a_plan_is_named(
+    changes: dict[str, object], hosts: tuple[Host, ...], named: list[str]
+) -> None:
+    giver = Transformation("giver", (), (OutputPort("o", "Raw", serves=1),), per_host=1)
+    user = replace(
+        Transformation("user", (InputPort("i", "Raw"),), (OutputPort("o", "Wanted"),)),
+        **changes,  # type: ignore[arg-type]
+    )
+    environment = Environment((), (giver, user), (Target("t", "Wanted", "/t"),), hosts)
+    found = why_not(Problem(environment, Similarity({t: frozenset({t}) for t in ("Raw", "Wanted")}), 2), cpsat)
+    assert found.clash is not None
+    assert [str(limit) for limit in found.clash.limits] == named
 
 
 @fewer

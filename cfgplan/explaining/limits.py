@@ -1,0 +1,112 @@
+"""Which of the limits that an environment sets are in the way of every plan: a minimal set of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any, Final, TypeVar
+
+from cfgplan.domain import Environment
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, order=True)
+class Limit:
+    """A word of the environment file that can only forbid plans: a `key` of a part, by its kind and name."""
+
+    kind: str
+    name: str
+    key: str
+
+    def __str__(self) -> str:
+        return f"`{self.key}` of {self.kind} {self.name}"
+
+
+_LIFTED: Final[Mapping[str, Mapping[str, tuple[str, object]]]] = MappingProxyType(
+    {
+        "transformation": {
+            "host": ("hosts", ()),
+            "on": ("on", None),
+            "needs": ("needs", {}),
+            "with": ("beside", ()),
+            "conflicts": ("conflicts", ()),
+            "conflicts: host": ("conflicts_on_host", ()),
+            "min_instances": ("min_instances", 0),
+            "max_instances": ("max_instances", None),
+            "per_host": ("per_host", None),
+        },
+        "input": {"distinct": ("distinct", None), "count": ("count", 1)},
+        "output": {"serves": ("serves", None)},
+        "host": {"cpu": ("cpu_us", None), "memory": ("memory_mb", None), "energy": ("energy", None)},
+        "link": {"bandwidth": ("bandwidth", None)},
+        "target": {"quality": ("quality", ())},
+    }
+)
+"""By kind of part and key: the attribute, and its value where the limit is lifted."""
+
+
+def limits_of(environment: Environment) -> list[Limit]:
+    """All limits that an environment sets, in order."""
+    found: list[Limit] = []
+
+    def note(kind: str, name: str, part: T) -> T:
+        said = (key for key, (attribute, lifted) in _LIFTED[kind].items() if getattr(part, attribute) != lifted)
+        found.extend(Limit(kind, name, key) for key in said)
+        return part
+
+    _changed(environment, note)
+    return sorted(found)
+
+
+def without_limits(environment: Environment, limits: Collection[Limit]) -> Environment:
+    """The environment with some of its limits lifted."""
+
+    def lift(kind: str, name: str, part: Any) -> Any:
+        lifted = {of: value for key, (of, value) in _LIFTED[kind].items() if Limit(kind, name, key) in limits}
+        return replace(part, **lifted) if lifted else part
+
+    return _changed(environment, lift)
+
+
+def in_the_way(environment: Environment, is_refused: Callable[[Environment], bool]) -> tuple[Limit, ...]:
+    """A minimal set of limits with which alone there is no plan; none if there is no plan without any limit.
+
+    `is_refused` is asked about few environments where the set is small (QuickXplain; Junker, AAAI 2004).
+    """
+    everything = limits_of(environment)
+
+    def fails(kept: Sequence[Limit]) -> bool:
+        return is_refused(without_limits(environment, {*everything}.difference(kept)))
+
+    def least(kept: list[Limit], is_more: bool, ahead: list[Limit]) -> list[Limit]:
+        """The limits in `ahead` that a minimal set has beside `kept`, to which `is_more` was added since `fails`."""
+        if is_more and fails(kept):
+            return []
+        if len(ahead) == 1:
+            return ahead
+        first, rest = ahead[: len(ahead) // 2], ahead[len(ahead) // 2 :]
+        second = least([*kept, *first], True, rest)
+        return [*least([*kept, *second], bool(second), first), *second]
+
+    return tuple(sorted(least([], True, everything))) if everything and fails(everything) else ()
+
+
+def _changed(environment: Environment, change: Callable[[str, str, Any], Any]) -> Environment:
+    """The environment with each part that may set limits changed, by its kind and name."""
+    library = (
+        replace(
+            t,
+            inputs=tuple(change("input", f"{t.label}/{port.name}", port) for port in t.inputs),
+            outputs=tuple(change("output", f"{t.label}/{port.name}", port) for port in t.outputs),
+        )
+        for t in environment.library
+    )
+    return replace(
+        environment,
+        library=tuple(change("transformation", t.label, t) for t in library),
+        hosts=tuple(change("host", host.name, host) for host in environment.hosts),
+        links=tuple(change("link", " - ".join(link.between), link) for link in environment.links),
+        targets=tuple(change("target", target.label, target) for target in environment.targets),
+    )
