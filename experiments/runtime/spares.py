@@ -1,6 +1,6 @@
 """How much sooner a cold spare is there for being prepared: from a kill to the first element of what takes its place.
 
-python experiments/runtime/spares.py [--times 3]
+python experiments/runtime/spares.py [--times 3] [--seconds 0.5 ...]
 
 A unit that takes so many seconds to construct is killed on this computer; then in a fleet of three agents on this
 computer, of which one is killed as well. A life-cycle (`survive`) has a cold spare of it all the time.
@@ -86,11 +86,12 @@ class Run:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--times", type=int, default=3)
+    parser.add_argument("--seconds", type=float, nargs="+", default=SECONDS, help="that constructing takes")
     options = parser.parse_args()
     print(f"load {os.getloadavg()[0]:.0f}; ms from the kill to the first element, medians of {options.times} (worst)")
     print("| killed | constructing takes | prepared | not prepared |")
     print("|---|---|---|---|")
-    for seconds in SECONDS:
+    for seconds in options.seconds:
         taken = [measured(seconds, options.times, is_prepared=is_prepared) for is_prepared in (True, False)]
         for what in taken[0]:
             cells = [f"{statistics.median(one[what]) * 1e3:.0f} ({max(one[what]) * 1e3:.0f})" for one in taken]
