@@ -15,6 +15,7 @@ from cfgplan.errors import InputError
 
 if TYPE_CHECKING:
     from cfgplan_runtime.fleet.reached import ReachedFleet
+    from cfgplan_runtime.processes.cpu_group import CpuGroup
 
 _EXAMPLE = """\
 example, on the base station, on the robot r1, and then on either:
@@ -36,6 +37,8 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--folder", default=".", metavar="DIR", help="what `source: units.py:Class` is relative to (.)")
     shared.add_several(parser, "--preload", "MODULE", "import it before units start")
+    limit = "the most CPU seconds per second that units here take together (Linux, in a control group of its own)"
+    parser.add_argument("--cpu", type=shared.positive, metavar="SECONDS", help=limit)
     parser.set_defaults(run=run)
 
 
@@ -85,12 +88,25 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         preload=options.preload,
         through=options.through,
         say=screen.note,
+        cpu=None if options.cpu is None else _cpu_group(round(options.cpu * 1_000_000), screen),
     )
     safety = "; without certificates on loopback only" if certificates is None else ""
     way = f"listens on {', '.join(listen)}" if options.through is None else f"is reached through {options.through}"
     screen.note(f"agent {options.name} {way}{safety}")
     agent.run()
     return Exit.OK
+
+
+def _cpu_group(cpu_us: int, screen: Screen) -> CpuGroup | None:
+    """The group of all units here; None, which is told, where the system holds no limit."""
+    from cfgplan_runtime.errors import RuntimeFaultError
+    from cfgplan_runtime.processes.cpu_group import CpuGroup
+
+    try:
+        return CpuGroup(cpu_us)
+    except RuntimeFaultError as error:
+        screen.note(f"the CPU time of units is not limited: {error}")
+        return None
 
 
 def add_certificates(parser: argparse.ArgumentParser) -> None:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import socket
 import sys
+from typing import Any
 
 import pytest
+from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.fleet.links import LEASE_S, Pulse, config, sign_period_s
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
 
+from cfgplan.cli import main
 from cfgplan.errors import InputError
 
 
@@ -55,3 +58,28 @@ def test_an_agent_whose_signs_came_in_time_up_to_now_has_ended_if_its_links_are_
     assert pulse(*in_time).is_steady(in_time[-1] + period_s)
     assert not pulse(*in_time).is_steady(in_time[-1] + 3 * period_s), "its link is silent"
     assert not pulse(in_time[-1]).is_steady(in_time[-1]), "its signs were late: this process, or the link, was stalled"
+
+
+@pytest.mark.parametrize("is_allowed", [True, False])
+def test_an_agent_limits_its_units_together_or_says_once_that_it_can_not(
+    is_allowed: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given: dict[str, Any] = {}
+
+    class AgentOfNothing:
+        def __init__(self, name: str, **more: Any) -> None:
+            given.update(more, name=name)
+
+        def run(self) -> None:
+            pass
+
+    def group(cpu_us: int) -> int:
+        if not is_allowed:
+            raise RuntimeFaultError("no group")
+        return cpu_us
+
+    monkeypatch.setattr("cfgplan_runtime.fleet.agent.Agent", AgentOfNothing)
+    monkeypatch.setattr("cfgplan_runtime.processes.cpu_group.CpuGroup", group)
+    assert main(["agent", "--name", "r1", "--cpu", "0.25"]) == 0
+    assert (given["name"], given["cpu"]) == ("r1", 250_000 if is_allowed else None)
+    assert capsys.readouterr().err.count("the CPU time of units is not limited: no group") == (not is_allowed)

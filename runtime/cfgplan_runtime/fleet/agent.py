@@ -55,6 +55,7 @@ from cfgplan_runtime.fleet.orders import (
 )
 from cfgplan_runtime.fleet.relay import Relay
 from cfgplan_runtime.fleet.tunnels import TunnelServer
+from cfgplan_runtime.processes.cpu_group import CpuGroup
 from cfgplan_runtime.processes.process_backend import RELAY, ProcessBackend
 from cfgplan_runtime.streams.crossing import crossing_key, host_key
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
@@ -108,7 +109,8 @@ class Agent:
 
     `folder` is what `units.py:Class` is relative to here, `base` where the folder of its topics is made. It is
     linked with all others, or reaches them `through` the agent at this endpoint, for which it waits. Raises InputError
-    if it can't listen, or if the fleet has an agent of that name.
+    if it can't listen, or if the fleet has an agent of that name. `cpu` is the group that
+    limits its units' CPU time.
     """
 
     def __init__(
@@ -123,6 +125,7 @@ class Agent:
         base: Path | None = None,
         through: str | None = None,
         say: Callable[[str], None] = lambda _: None,
+        cpu: CpuGroup | None = None,
     ) -> None:
         if name == MANAGER:
             raise InputError.of(f"no host can be called {MANAGER!r}: name it otherwise")
@@ -163,7 +166,7 @@ class Agent:
             if through is None
             else config(connect=[through], certificates=certificates, mode="client")
         )
-        self._backend = ProcessBackend(folder=folder, preload=preload, base=base)
+        self._backend = ProcessBackend(folder=folder, preload=preload, base=base, cpu=cpu)
         try:
             self._link = ZenohLink(given) if through is None else self._awaited(given)
             try:

@@ -95,7 +95,7 @@ function targets() {
       made("td", `${target.met ? "✓" : "✗"} ${target.label}`, target.met ? "" : "wrong"),
       made("td", there && target.rate_hz != null ? rate(target.rate_hz) : "", "number"),
       made("td", there ? age : "", "number"),
-      made("td", target.met ? target.stream : target.reason, target.met ? "" : "wrong"));
+      made("td", target.met ? target.stream ?? target.unit : target.reason, target.met ? "" : "wrong"));
     return row;
   }));
 }

@@ -53,6 +53,7 @@ from cfgplan_runtime.children.messages import (
 )
 from cfgplan_runtime.children.unit_order import unit_order
 from cfgplan_runtime.processes.child_process import ChildProcess, cause_of_end, changed_ns, cpu_us, memory_bytes
+from cfgplan_runtime.processes.cpu_group import CpuGroup
 from cfgplan_runtime.processes.nursery_link import NurseryLink
 from cfgplan_runtime.streams.channel import socket_pair
 from cfgplan_runtime.streams.run_folder import RunFolder
@@ -98,11 +99,22 @@ value. A loss after a life of the third value is not in a row."""
 
 
 class ProcessBackend:
-    """A backend of processes. All its methods are called from one thread, which must outlive it."""
+    """A backend of processes. All its methods are called from one thread, which must outlive it.
 
-    def __init__(self, *, folder: Path | None = None, preload: Sequence[str] = (), base: Path | None = None) -> None:
+    Units and spares are put in the group `cpu`, if there is one, as soon as they are there.
+    """
+
+    def __init__(
+        self,
+        *,
+        folder: Path | None = None,
+        preload: Sequence[str] = (),
+        base: Path | None = None,
+        cpu: CpuGroup | None = None,
+    ) -> None:
         _raise_descriptor_limit()
         self.run_folder = RunFolder(base)
+        self._cpu = cpu
         self._code_folder = str((folder or Path.cwd()).resolve())
         self._selector = selectors.DefaultSelector()
         self._bell, self._bell_rope = socket.socketpair()
@@ -328,6 +340,8 @@ class ProcessBackend:
         for bell in (self._bell, self._bell_rope):
             bell.close()
         self.run_folder.close()
+        if self._cpu is not None:
+            self._cpu.close()
 
     def _start_outlets(self) -> None:
         self._outlets_due_s, self._outlets_since_s = None, self.now()
@@ -400,6 +414,8 @@ class ProcessBackend:
             match message:
                 case Forked(_, pid) if child is not None:
                     child.pid = pid
+                    if self._cpu is not None and child.name != OUTLETS:
+                        self._cpu.take(pid)
                     self._tell_ready(child)
                 case Gone(_, status) if child is not None:
                     self._bury(child, status)

@@ -1,0 +1,64 @@
+"""A limit on the CPU time that the units of a host take together: a control group of Linux, where one may be made."""
+
+from __future__ import annotations
+
+import os
+from contextlib import suppress
+from pathlib import Path
+
+from cfgplan_runtime.errors import RuntimeFaultError
+
+_PERIOD_US = 100_000
+_LEAST_US = 1_000
+"""The kernel's least share of a period."""
+_MEND = "start it alone in a group that it may divide, as by systemd-run --user --scope -p Delegate=yes"
+
+
+class CpuGroup:
+    """A control group (cgroup v2) whose processes together take at most `cpu_us` microseconds of CPU time each second.
+
+    It is made below the group of this process, which moves to another one below: the kernel limits no groups below one
+    that has processes itself. Raises RuntimeFaultError where that is not allowed; then all is as before.
+    """
+
+    def __init__(
+        self, cpu_us: int, *, root: Path = Path("/sys/fs/cgroup"), told: Path = Path("/proc/self/cgroup")
+    ) -> None:
+        here, me = _group_of_this_process(root, told), str(os.getpid())
+        own, self.path = here / f"cfgplan-{me}", here / f"cfgplan-{me}-units"
+        share_us = max(_LEAST_US, cpu_us * _PERIOD_US // 1_000_000)
+        try:
+            own.mkdir()
+            (own / "cgroup.procs").write_text(me)
+            (here / "cgroup.subtree_control").write_text("+cpu")
+            self.path.mkdir()
+            (self.path / "cpu.max").write_text(f"{share_us} {_PERIOD_US}")
+        except OSError as error:
+            with suppress(OSError):
+                (here / "cgroup.procs").write_text(me)
+            for made in (self.path, own):
+                with suppress(OSError):
+                    made.rmdir()
+            raise RuntimeFaultError(f"no control group can be made in {here}: {error.strerror}; {_MEND}") from None
+
+    def take(self, pid: int) -> None:
+        """Let the limit hold for a process and what it starts, too. One that has ended is none."""
+        with suppress(OSError):
+            (self.path / "cgroup.procs").write_text(str(pid))
+
+    def close(self) -> None:
+        """Remove the group once its processes have ended."""
+        with suppress(OSError):
+            self.path.rmdir()
+
+
+def _group_of_this_process(root: Path, told: Path) -> Path:
+    """The group that this process is in. Raises RuntimeFaultError if none there limits CPU time."""
+    try:
+        (path,) = (line[3:] for line in told.read_text().splitlines() if line.startswith("0::"))
+        here = root / path.lstrip("/")
+        if "cpu" in (here / "cgroup.controllers").read_text().split():
+            return here
+    except (OSError, ValueError):
+        pass
+    raise RuntimeFaultError("this system has no control groups (cgroup v2) here that limit CPU time")
