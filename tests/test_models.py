@@ -52,6 +52,7 @@ def test_the_answer_is_the_one_beside_the_environment(expected_file: Path, numbe
     assert sum(unit.standby for unit in after.units) == int(expected.get("spares", 0))
     parts = cost_parts(problem, after.units)
     assert parts.transfer_us == microseconds(Decimal(expected.get("transfers", 0)))
+    assert parts.rent_us == microseconds(Decimal(expected.get("rent", 0)))
 
 
 def test_each_stage_of_the_case_study_starts_where_the_last_one_ended() -> None:

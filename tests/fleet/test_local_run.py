@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
 
 import psutil
@@ -21,6 +22,7 @@ from small_fleet import PATIENCE_S, eventually
 ROOT = Path(__file__).parents[2]
 CFGPLAN = (sys.executable, "-c", "import sys; from cfgplan.cli import main; sys.exit(main())")
 START = ROOT / "models" / "fleet" / "1-start.yaml"
+SHOP = ROOT / "models" / "shop" / "1-start.yaml"
 RESCUE = ROOT / "models" / "rescue" / "1-start.yaml"
 
 
@@ -112,6 +114,22 @@ def test_rented_copies_links_and_packages_run_on_hosts_of_this_computer(tmp_path
             control.call("lose_host", host=there["backend"])
             assert hosts() == placed("rented.1" if there["backend"] == "rented.2" else "rented.2")
             assert next(iter(answers)).value > first
+
+
+def test_three_backends_answer_visitors_also_after_the_machine_of_two_is_lost() -> None:
+    with local_run(SHOP) as process, subscribe("/answers", wait_s=PATIENCE_S, timeout_s=PATIENCE_S) as answers:
+        pages = (page for received in answers for page in received.value)
+
+        def who_answers() -> set[str]:
+            return {page["by"] for page in islice(pages, 12)}
+
+        eventually(lambda: len(who_answers()) == 3)
+        before = who_answers()
+        with connect() as control:
+            (machine,) = {u["host"] for u in control.call("state")["units"] if u["transformation"] == "cache"}
+            agent_of(process, machine).send_signal(signal.SIGKILL)
+            eventually(lambda: len(now := who_answers()) == 3 and now != before)
+            assert machine not in {unit["host"] for unit in control.call("state")["units"]}
 
 
 def test_hosts_of_a_run_that_no_option_reaches_are_refused_with_the_mend() -> None:
