@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import socket
+import subprocess
 import sys
+from contextlib import ExitStack
+from pathlib import Path
 from typing import Any
 
 import pytest
 from cfgplan_runtime.errors import RuntimeFaultError
-from cfgplan_runtime.fleet.links import LEASE_S, Pulse, config, sign_period_s
+from cfgplan_runtime.fleet.links import LEASE_S, Pulse, Reach, config, reach, sign_period_s
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
+from small_fleet import PATIENCE_S
 
 from cfgplan.cli import main
 from cfgplan.errors import InputError
@@ -37,6 +41,40 @@ def test_an_address_that_is_taken_is_told() -> None:
         endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
         with pytest.raises(InputError, match=f"can't listen on {endpoint}"):
             ZenohLink(config([endpoint]))
+
+
+CFGPLAN = (sys.executable, "-c", "import sys; from cfgplan.cli import main; sys.exit(main())")
+
+
+def free_ports(number: int) -> list[int]:
+    with ExitStack() as stack:
+        servers = [stack.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in range(number)]
+        return [server.getsockname()[1] for server in servers]
+
+
+def test_of_two_agents_that_connect_to_each_other_one_ends_and_names_both(tmp_path: Path) -> None:
+    ports = dict(zip(("r1", "r2"), free_ports(2), strict=True))
+    with ExitStack() as stack:
+        agents = {}
+        for name, other in (("r1", "r2"), ("r2", "r1")):
+            ends = [f"--listen=tcp/127.0.0.1:{ports[name]}", f"--connect=tcp/localhost:{ports[other]}"]
+            command = [*CFGPLAN, "agent", f"--name={name}", *ends, f"--folder={tmp_path}"]
+            agents[name] = stack.enter_context(subprocess.Popen(command, stderr=subprocess.PIPE, text=True))
+            stack.callback(agents[name].terminate)
+        _, said = agents["r2"].communicate(timeout=PATIENCE_S)
+        assert agents["r2"].returncode == 30
+        assert "r2 and r1 connect to each other" in said
+        assert "leave out --connect to r1 here, or the one to r2 there" in said
+        assert agents["r1"].poll() is None
+
+
+def test_an_agent_listens_at_all_addresses_of_its_computer_if_none_is_named() -> None:
+    one = reach(["tls/0.0.0.0:7447"], ["tls/10.0.0.2:7447"])
+    assert all(place.endswith(" 7447") and not place.startswith("127.") for place in one.listens)
+    assert one.connects == {"10.0.0.2 7447"}
+    other = Reach(frozenset({"10.0.0.2 7447"}), one.listens | {"10.0.0.9 7447"})
+    assert one.is_mutual(other) == other.is_mutual(one) == bool(one.listens)
+    assert not one.is_mutual(Reach(other.listens, frozenset({"10.0.0.9 7447"})))
 
 
 def pulse(*signs_s: float) -> Pulse:

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import hashlib
 import secrets
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from urllib.parse import unquote
 
 import msgspec
 
@@ -18,7 +20,7 @@ from cfgplan.domain import MANAGER
 from cfgplan.errors import InputError
 from cfgplan_runtime.children.messages import Export, Import, Mark, Marked, Release
 from cfgplan_runtime.fleet.clocks import HostClock
-from cfgplan_runtime.fleet.links import LEASE_S, Config, config, sign_period_s
+from cfgplan_runtime.fleet.links import LEASE_S, Config, Reach, config, reach, sign_period_s
 from cfgplan_runtime.fleet.orders import (
     HEARD,
     REFUSE,
@@ -73,6 +75,8 @@ from cfgplan_runtime.supervision.events import (
 )
 
 USAGE_PERIOD_S = 0.5
+_REACH_S = 5.0
+"""Seconds that another agent may take to tell where it listens."""
 
 
 def alive_key(host: str | None) -> str:
@@ -83,6 +87,11 @@ def alive_key(host: str | None) -> str:
 def topics_key(host: str | None) -> str:
     """The key at which an agent, or any (None), tells the topics that are on its host."""
     return f"{host_key(host)}/topics"
+
+
+def reach_key(host: str) -> str:
+    """The key at which an agent tells where it listens, and what it connects to."""
+    return f"{host_key(host)}/reach"
 
 
 def clock_key(host: str) -> str:
@@ -158,8 +167,9 @@ class Agent:
         """Who was obeyed before, and when to tell that manager of it: it would give orders to hosts that are still its.
         """
         self._usage_due_s = 0.0
+        self._reach = reach(listen, connect)
         self._failure: BaseException | None = None
-        """What has ended the relay."""
+        """What has ended the relay, or forbids that this agent goes on."""
         # What is wrong with it is refused before a process is made.
         given = (
             config(listen, connect, certificates)
@@ -216,7 +226,9 @@ class Agent:
         offset_ns = self._backend.clock_offset_ns
         self._link.answer(clock_key(self.name), HostClock(lambda: time.monotonic_ns() + offset_ns).told)
         self._link.answer(topics_key(self.name), self._topics_told)
+        self._link.answer(reach_key(self.name), lambda: msgspec.json.encode(self._reach))
         self._link.watch(f"{alive_key(MANAGER)}/*", self._note_manager)
+        self._link.watch(f"{alive_key(None)}/*", self._note_agent)
         for kind in (SAY, HEARD):
             self._link.hear(crossing_key(MANAGER, kind, self.name, "*"), self._take)
 
@@ -224,6 +236,18 @@ class Agent:
         """Called by threads of the link."""
         talk = self._talk
         return msgspec.json.encode(TopicsTold("" if talk is None else talk.session.manager, list(self._topics)))
+
+    def _note_agent(self, key: str, is_alive: bool) -> None:
+        """Called by threads of the link. Of two that connect to each other, the one of the greater name ends."""
+        other = unquote(key.split("/")[1])
+        if is_alive and other < self.name and other != MANAGER:
+            threading.Thread(target=self._refuse_mutual, args=(other,), daemon=True).start()
+
+    def _refuse_mutual(self, other: str) -> None:
+        for _, answer in self._link.ask(reach_key(other), _REACH_S):
+            if self._reach.is_mutual(msgspec.json.decode(answer, type=Reach)):
+                mend = f"leave out --connect to {other} here, or the one to {self.name} there"
+                self._note_failure(InputError.of(f"{self.name} and {other} connect to each other", mend=mend))
 
     def _note_manager(self, key: str, is_alive: bool) -> None:
         """Called by threads of the link, as `_take` is."""
@@ -235,7 +259,7 @@ class Agent:
         self._backend.wake()
 
     def _note_failure(self, error: BaseException) -> None:
-        """Called by the relay's thread."""
+        """Called by threads of the relay's and the link's."""
         self._failure = error
         self._backend.wake()
 

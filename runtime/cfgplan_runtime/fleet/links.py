@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import socket
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Any, Literal
+
+import msgspec
 
 from cfgplan.errors import InputError
 from cfgplan_runtime.fleet.certificates import access_control, tls
@@ -113,11 +117,47 @@ class Pulse:
         return now_s - self.last_s >= LEASE_S
 
 
+class Reach(msgspec.Struct, frozen=True):
+    """Where an agent listens and what it connects to, each as an address and port, or as the path of a socket."""
+
+    listens: frozenset[str]
+    connects: frozenset[str]
+
+    def is_mutual(self, other: Reach) -> bool:
+        """Whether each of two agents connects to the other. Zenoh may then mix up the names of their streams."""
+        return bool(self.connects & other.listens and other.connects & self.listens)
+
+
+def reach(listen: Sequence[str], connect: Sequence[str]) -> Reach:
+    """What these endpoints are. One that stands for all addresses of this computer is each but those of loopback."""
+    return Reach(*(frozenset(place for one in ends for place in _places(one)) for ends in (listen, connect)))
+
+
+def _places(endpoint: str) -> Iterator[str]:
+    protocol, _, address = endpoint.partition("/")
+    host, port = _host_and_port(address)
+    if protocol == _PRIVATE:
+        yield address
+    elif host in ("0.0.0.0", "::"):
+        import psutil
+
+        for card in psutil.net_if_addrs().values():
+            yield from (f"{one.address} {port}" for one in card if not one.address.startswith(("127.", "::1")))
+    else:
+        with suppress(OSError):  # a name that nobody knows yet
+            yield from {f"{found[4][0]} {port}" for found in socket.getaddrinfo(host, None)}
+
+
+def _host_and_port(address: str) -> tuple[str, str]:
+    host, _, port = address.rpartition(":")
+    return host.strip("[]"), port
+
+
 def _refuse_strangers(endpoint: str) -> None:
     protocol, _, address = endpoint.partition("/")
     if protocol == _PRIVATE:
         return
-    host = address.rpartition(":")[0].strip("[]")
+    host, _ = _host_and_port(address)
     try:
         is_loopback = host == "localhost" or ip_address(host).is_loopback
     except ValueError:
