@@ -7,14 +7,15 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Target
+from cfgplan.costs import seconds
+from cfgplan.domain import ALL, ChangeSet, ComputationUnit, Environment, Host, Stream, Target
 from cfgplan.figures import qualities_of_targets
 from cfgplan.qualities import QualityAttribute
 from cfgplan.qualities import units as units_of
@@ -54,21 +55,27 @@ class Node:
 
 @dataclass(frozen=True, slots=True)
 class Arrow:
-    """A stream from a unit to a unit's input or to a target; a target's arrow has no input."""
+    """A stream from a unit to a unit's input or to a target; a target's arrow has no input.
+
+    `notes` say what limits it; a service's goes there and back.
+    """
 
     tail: str
     head: str
     port: str
     input: str
     mark: Mark
+    notes: tuple[str, ...] = ()
+    is_service: bool = False
 
 
 @dataclass(frozen=True)
 class Picture:
-    """What is drawn, without any layout."""
+    """What is drawn, without any layout; `hosts` say more of some hosts, by their names."""
 
     nodes: tuple[Node, ...]
     arrows: tuple[Arrow, ...]
+    hosts: Mapping[str, str] = field(default_factory=dict)
 
     def dot(self) -> str:
         """The picture in Graphviz's DOT language."""
@@ -80,7 +87,7 @@ class Picture:
         lines = ["flowchart LR"]
         for number, (host, nodes) in enumerate(self._by_host().items()):
             if host is not None:
-                lines.append(f'  subgraph h{number}["{_in_mermaid(host)}"]')
+                lines.append(f'  subgraph h{number}["{_in_mermaid(self._frame(host))}"]')
             for node in nodes:
                 text = "<br/>".join(map(_in_mermaid, node.lines))
                 shape = f'(["{text}"])' if node.is_target else f'["{text}"]'
@@ -88,7 +95,7 @@ class Picture:
             if host is not None:
                 lines.append("  end")
         for arrow in self.arrows:
-            stroke = "-.->" if arrow.mark is Mark.STOPPED else "-->"
+            stroke = ("<" if arrow.is_service else "") + ("-.->" if arrow.mark is Mark.STOPPED else "-->")
             lines.append(f'  {names[arrow.tail]} {stroke}|"{_in_mermaid(_arrow_text(arrow))}"| {names[arrow.head]}')
         lines += [f"  classDef {mark.name.lower()} stroke:{mark.line},fill:{mark.fill},color:#1f2328" for mark in Mark]
         return "\n".join(lines) + "\n"
@@ -103,6 +110,9 @@ class Picture:
         with _silent_stderr():
             graph.layout(prog="dot")
             return bytes(graph.draw(format=format))
+
+    def _frame(self, host: str) -> str:
+        return f"{host}{self.hosts.get(host, '')}"
 
     def _by_host(self) -> dict[str | None, list[Node]]:
         """The nodes by host, in the order of the hosts; nodes without a host come first."""
@@ -146,7 +156,7 @@ class Picture:
                 graph.add_subgraph(
                     [_name_in_dot(node.key) for node in nodes],
                     name=f"cluster_{number}",
-                    label=_in_dot(host),
+                    label=_in_dot(self._frame(host)),
                     style="rounded",
                     color="#d0d7de",
                     fontsize="11",
@@ -159,7 +169,8 @@ class Picture:
                 label=_in_dot(_arrow_text(arrow)),
                 color=arrow.mark.line,
                 fontcolor=arrow.mark.line,
-                style="dashed" if arrow.mark is Mark.STOPPED else "solid",
+                style="dashed" if arrow.mark is Mark.STOPPED else "dotted" if arrow.is_service else "solid",
+                dir="both" if arrow.is_service else "forward",
                 id=_in_dot(f"arrow {arrow.tail}/{arrow.port} {arrow.head}/{arrow.input}"),
                 **{"class": arrow.mark.name.lower()},
             )
@@ -176,7 +187,7 @@ def picture(environment: Environment, change_set: ChangeSet | None = None) -> Pi
     mark |= dict.fromkeys(change_set.stopped, Mark.STOPPED)
     units = {**environment.unit, **after.unit}
     nodes = [
-        Node(unit.id, _unit_lines(unit), mark[unit.id], host=unit.host, is_spare=unit.standby)
+        Node(unit.id, _unit_lines(after, unit), mark[unit.id], host=unit.host, is_spare=unit.standby)
         for unit in units.values()
     ]
     reached_qualities = qualities_of_targets(after, after.units)
@@ -196,11 +207,23 @@ def picture(environment: Environment, change_set: ChangeSet | None = None) -> Pi
     gone = {arrow.tail for arrow in arrows if arrow.tail not in known}
     nodes += [Node(key, (key, "(gone)"), Mark.STOPPED) for key in sorted(gone)]
     drawn = {node.key for node in nodes}
-    return Picture(tuple(nodes), tuple(arrow for arrow in arrows if arrow.head in drawn))
+    shown = tuple(arrow for arrow in arrows if arrow.head in drawn)
+    return Picture(tuple(nodes), shown, {host.name: _host_words(host) for host in environment.hosts})
 
 
-def _unit_lines(unit: ComputationUnit) -> tuple[str, ...]:
-    return (unit.id, "(cold spare)") if unit.standby else (unit.id,)
+def _unit_lines(after: Environment, unit: ComputationUnit) -> tuple[str, ...]:
+    """Its id, and which optional inputs are not fed afterwards."""
+    if unit.standby:
+        return unit.id, "(cold spare)"
+    kind = after.transformation.get(unit.transformation) if unit.id in after.unit else None
+    unfed = [] if kind is None else [p.name for p in kind.inputs if p.optional and p.name not in unit.feeds]
+    return unit.id, *([f"({', '.join(unfed)}: not fed)"] if unfed else [])
+
+
+def _host_words(host: Host) -> str:
+    """The labels and the rent of a host: ` (robot, spot), rent 0.5 s/s`."""
+    labels = f" ({', '.join(host.labels)})" if host.labels else ""
+    return labels + (f", rent {seconds(host.rent_us):f} s/s" if host.rent_us else "")
 
 
 def _quality_line(attribute: QualityAttribute, value: int) -> str:
@@ -212,14 +235,30 @@ def _arrows(drawn: Environment, *, before: Environment, after: Environment) -> I
     for unit in drawn.units:
         was, becomes = before.unit.get(unit.id, nothing), after.unit.get(unit.id, nothing)
         for subscription in unit.subscriptions:
-            mark = _mark(subscription, was.subscriptions, becomes.subscriptions)
-            yield Arrow(subscription.stream.unit, unit.id, subscription.stream.port, subscription.port, mark)
+            mark, stream = _mark(subscription, was.subscriptions, becomes.subscriptions), subscription.stream
+            kind = drawn.transformation.get(unit.transformation)
+            port = None if kind is None else kind.input.get(subscription.port)
+            several = (
+                [] if port is None or port.count == 1 else [f"one of {'all' if port.count == ALL else port.count}"]
+            )
+            notes = (*_serves(drawn, stream), *several)
+            is_service = port is not None and port.service
+            yield Arrow(stream.unit, unit.id, stream.port, subscription.port, mark, notes, is_service)
         for publication in unit.publications:
             mark = _mark(publication, was.publications, becomes.publications)
-            yield Arrow(unit.id, _topic_key(publication.topic), publication.port, "", mark)
+            notes = _serves(drawn, Stream(unit.id, publication.port))
+            yield Arrow(unit.id, _topic_key(publication.topic), publication.port, "", mark, notes)
     then, now = _wanted_units(before), _wanted_units(after)
     for target, unit_id in _wanted_units(drawn):
         yield Arrow(unit_id, _target_key(drawn.target[target]), "", "", _mark((target, unit_id), then, now))
+
+
+def _serves(environment: Environment, stream: Stream) -> tuple[str, ...]:
+    """How many inputs and topics may take a stream, in words; nothing if it has no limit."""
+    unit = environment.unit.get(stream.unit)
+    kind = None if unit is None else environment.transformation.get(unit.transformation)
+    port = None if kind is None else kind.output.get(stream.port)
+    return () if port is None or port.serves is None else (f"serves {port.serves}",)
 
 
 def _wanted_units(environment: Environment) -> tuple[tuple[str, str], ...]:
@@ -243,7 +282,8 @@ def _topic_key(topic: str) -> str:
 
 
 def _arrow_text(arrow: Arrow) -> str:
-    return arrow.port if arrow.input in ("", arrow.port) else f"{arrow.port} → {arrow.input}"
+    ports = arrow.port if arrow.input in ("", arrow.port) else f"{arrow.port} → {arrow.input}"
+    return f"{ports} ({', '.join(arrow.notes)})" if arrow.notes else ports
 
 
 def _name_in_dot(key: str) -> str:

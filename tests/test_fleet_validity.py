@@ -362,3 +362,30 @@ def test_the_picture_has_an_arrow_from_a_unit_to_the_target_that_wants_it() -> N
     ]
     assert "a unit of screen" in drawn.mermaid()
     assert "(not met)" not in drawn.mermaid()
+
+
+def test_a_picture_says_what_is_not_fed_how_many_streams_an_input_takes_and_what_is_a_service() -> None:
+    giver = Transformation("giver", (), (OutputPort("o", "Raw", serves=2),))
+    inputs = (
+        InputPort("i", "Raw", count=2),
+        InputPort("ask", "Raw", service=True),
+        InputPort("more", "No", optional=True),
+    )
+    user = Transformation("user", inputs, (OutputPort("out", "Out"),))
+    fed = [Subscription(port, Stream(f"giver.{n}", "o")) for port, n in (("i", 1), ("i", 2), ("ask", 1))]
+    units = (
+        *(ComputationUnit(f"giver.{n}", "giver", host="h") for n in (1, 2)),
+        ComputationUnit("user.1", "user", tuple(fed), host="h"),
+    )
+    hosts = (Host("h", labels=("gpu", "robot"), rent_us=500_000),)
+    drawn = picture(Environment(units, (giver, user), hosts=hosts))
+    assert drawn.mermaid().splitlines()[1:8] == [
+        '  subgraph h1["h (gpu, robot), rent 0.5 s/s"]',
+        '  n0["giver.1"]:::kept',
+        '  n1["giver.2"]:::kept',
+        '  n2["user.1<br/>(more: not fed)"]:::kept',
+        "  end",
+        '  n0 <-->|"o → ask (serves 2)"| n2',
+        '  n0 -->|"o → i (serves 2, one of 2)"| n2',
+    ]
+    assert "style=dotted" in drawn.dot()

@@ -68,10 +68,11 @@ def fleets(draw: st.DrawFn, notions: frozenset[Notion], *, most: int = 3) -> Pro
     units = [draw(placed(unit, by_label.get(unit.transformation), hosts, survive)) for unit in environment.units]
     units = [draw(fed_by_several(unit, units, by_label)) for unit in units]
     transfer_us = draw(st.sampled_from([0, 1, 700_000])) if hosts else 0
-    minimise = draw(st.lists(st.sampled_from(Objective), unique=True, max_size=4)) if Notion.ORDER in notions else ()
+    is_ordered = Notion.ORDER in notions and draw(st.booleans())
+    minimise = draw(st.lists(st.sampled_from(Objective), unique=True, max_size=4)) if is_ordered else ()
     links = draw(st.lists(LINKS, max_size=2)) if len(hosts) > 1 and draw(st.booleans()) else []
     slow = [attribute.name for attribute in qualities if attribute.better is Better.LOWER]
-    if slow and Notion.LATENCY in notions:
+    if slow and Notion.LATENCY in notions and draw(st.booleans()):
         links = [
             replace(link, latency=draw(st.sampled_from([1, 2, 5])), adds=draw(st.sampled_from(slow))) for link in links
         ]

@@ -97,6 +97,14 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
             ),
             of_one,
         ),
+        "everything": Kind(
+            st.one_of(
+                fleets(TOGETHER, most=2),
+                fleets(frozenset(Notion) - QUALITY - SURVIVAL - BESIDE, most=2),
+                fleets(frozenset(Notion) - QUALITY - SURVIVAL - OPTIONAL, most=2),
+            ),
+            of_one,
+        ),
         "undecided": Kind(
             st.one_of(undecided.undecided(problems(most=3)), undecided.undecided(fleets(TOGETHER, most=2))),
             of_open_pairs,
