@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import argparse
 import sys
-from importlib.util import find_spec
 from pathlib import Path
 
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.screen import Screen
 from cfgplan.errors import InputError
+from cfgplan.extras import needed
 
-_NEEDS = {"cv2": "OpenCV", "jinja2": "Jinja2", "matplotlib": "Matplotlib"}
 _HERE = Path(__file__)
 _FOLDERS = (_HERE.parents[1] / "worlds", _HERE.parents[2] / "models")
 """In an installed package, and in a clone of the repository."""
@@ -38,9 +37,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
 def _folder(world: str) -> Path:
     """Where the world's files and its play are. Raises InputError if they, or what they need, are not installed."""
-    missing = [title for module, title in _NEEDS.items() if find_spec(module) is None]
-    if missing:
-        raise InputError.of(f"the demo needs {' and '.join(missing)}", mend="pip install 'cfgplan[demo]'")
+    needed("demos", "cv2", "jinja2", "matplotlib")
     for place in _FOLDERS:
         if (place / world / "units.py").is_file():
             return place / world

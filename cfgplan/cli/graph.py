@@ -11,6 +11,7 @@ from cfgplan.cli.exits import OF_STATUS, Exit
 from cfgplan.cli.screen import Screen
 from cfgplan.drawing import FORMATS
 from cfgplan.errors import InputError
+from cfgplan.extras import needed
 
 _ENDINGS = {".svg": "svg", ".png": "png", ".dot": "dot", ".gv": "dot", ".mmd": "mermaid", ".mermaid": "mermaid"}
 
@@ -39,6 +40,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     kind = options.format or _kind_of(options.out)
     if kind == "png" and options.out is None and sys.stdout.isatty():
         raise InputError.of("a PNG picture can't be shown in a terminal", mend="name a file by --out, or pipe it on")
+    if kind != "mermaid":
+        needed("pictures", "pygraphviz")
     world = shared.load(options, screen)
     code, change_set = Exit.OK, None
     if not options.running:

@@ -17,17 +17,9 @@ from cfgplan.cli.exits import Exit
 from cfgplan.cli.interrupts import Ending, ended_cleanly
 from cfgplan.cli.screen import FULL_DISK, Screen
 from cfgplan.errors import CfgplanError, Fault, InputError, known
+from cfgplan.extras import install
 from cfgplan.planning import PlannerFaultError
 
-_EXTRA_OF = {
-    "cryptography": "fleet",
-    "cv2": "demo",
-    "jinja2": "demo",
-    "matplotlib": "plots",
-    "prometheus_client": "metrics",
-    "starlette": "page",
-    "uvicorn": "page",
-}
 VERBS: Mapping[str, str] = MappingProxyType(
     {
         "check": "load and match an environment and judge its running configuration",
@@ -119,7 +111,7 @@ def _tell(error: CfgplanError | ModuleNotFoundError, screen: Screen, env: str | 
         case InputError(faults=faults):
             screen.faults(faults)
         case ModuleNotFoundError():
-            screen.faults([Fault(f"the package {error.name} is not installed", mend=_install(error.name or ""))])
+            screen.faults([Fault(f"the package {error.name} is not installed", mend=install(error.name or ""))])
         case _:
             screen.faults([Fault(str(error), file=env)])
 
@@ -152,11 +144,6 @@ def _say_every_character(screen: Screen) -> None:
 def _say_no_more() -> None:
     """Send everything that is still written, the final flush included, to /dev/null."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
-def _install(package: str) -> str:
-    extra = _EXTRA_OF.get(package.partition(".")[0])
-    return f"pip install 'cfgplan[{extra}]'" if extra else "install cfgplan again, with all that it needs"
 
 
 class Parser(argparse.ArgumentParser):

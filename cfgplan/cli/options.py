@@ -9,7 +9,6 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from decimal import Decimal, InvalidOperation
-from importlib.util import find_spec
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from cfgplan.canonical import normal
 from cfgplan.cli.screen import Screen
 from cfgplan.errors import InvalidValueError
+from cfgplan.extras import needed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -285,8 +285,7 @@ def plot_file(text: str) -> str:
     """The name of a plot to write, checked before any work is done. Raises ArgumentTypeError."""
     if Path(out_file(text)).suffix.lower() not in _PLOTS:
         raise argparse.ArgumentTypeError(f"{text!r} is no kind of plot: end it in one of {', '.join(_PLOTS)}")
-    if find_spec("matplotlib") is None:
-        raise argparse.ArgumentTypeError("plots need matplotlib: pip install 'cfgplan[plots]'")
+    needed("plots", "matplotlib")
     return text
 
 

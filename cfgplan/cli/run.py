@@ -20,6 +20,7 @@ from cfgplan.cli.interrupts import Interrupts
 from cfgplan.cli.run_output import JsonLines, Lines, RunOutput
 from cfgplan.cli.screen import Screen, counted
 from cfgplan.errors import InputError
+from cfgplan.extras import needed
 from cfgplan.planning import Decider, Problem
 
 if TYPE_CHECKING:
@@ -95,6 +96,8 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan_runtime.lifecycle.worlds import refuse_hosts
 
+    if options.page is not None:
+        needed("pages", "starlette", "uvicorn")
     for name in options.preload:
         top = name.partition(".")[0]
         if top not in sys.builtin_module_names and PathFinder.find_spec(top, ["", *sys.path]) is None:

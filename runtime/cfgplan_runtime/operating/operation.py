@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from cfgplan import __version__
 from cfgplan.api import World
 from cfgplan.errors import InputError
+from cfgplan.extras import needed
 from cfgplan_runtime.children.messages import Flow
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.estimating.estimates_file import EstimatesError, load, save
@@ -270,11 +271,9 @@ class Operation:
                     self.news.get_nowait()
 
     def _serve_metrics(self, stack: ExitStack, port: int) -> None:
-        try:
-            from cfgplan_runtime.operating.metrics import Metrics, serve
-        except ModuleNotFoundError:
-            mend = "pip install 'cfgplan[metrics]'"
-            raise InputError.of("metrics need the package prometheus-client", mend=mend) from None
+        needed("metrics", "prometheus_client")
+        from cfgplan_runtime.operating.metrics import Metrics, serve
+
         metrics = Metrics(self.manager.snapshot, self.flows)
         self.manager.listen(metrics.listen)
         server = serve(port, metrics)

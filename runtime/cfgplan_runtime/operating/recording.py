@@ -15,6 +15,7 @@ from pathlib import Path
 import msgspec
 
 from cfgplan.errors import InputError
+from cfgplan.extras import needed
 from cfgplan_runtime.operating.messages import Message
 
 MOST_SCHEMAS = 8
@@ -32,6 +33,7 @@ class Recording:
 
     def __init__(self, path: Path) -> None:
         """Raises InputError if the file exists, or can't be made."""
+        needed("recordings", "mcap")
         from mcap.writer import Writer
 
         try:

