@@ -147,6 +147,7 @@ class Fleets:
         (50, 100, 200), "labels", "These many are the few, of at least twice as many.", FLEETS
     )
     look: float = said(0.5, "the engine's s", "Each look among few takes so long.", FLEETS)
+    fewer: float = said(1.2, "times", "A relaxation's labels are looked among if so many are there in all.", FLEETS)
     small: int = said(20_000, "booleans", "Below this size of a fleet's model, probing takes too long.", FLEETS)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from cfgplan.planners.exact.best_case import bound_by_price, least_of_all, least_prices_us, leave_out_what_is_too_bad
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.first_plans import FirstPlans
+from cfgplan.planners.exact.kernels import left_by_bounds, look_among_few
 from cfgplan.planners.exact.quality_chains import ChainCut, has_chains
 from cfgplan.planners.exact.quality_cuts import chain_cuts
 from cfgplan.planners.exact.standing import Standing
@@ -53,8 +54,6 @@ def _search(candidates: Candidates, standing: Standing, first: FirstPlans) -> No
 
     Where quality is priced, the few are those that the linear relaxation with chains uses. Prices narrow its bounds.
     """
-    from cfgplan.planners.exact.kernels import left_by_bounds, look_among_few
-
     clock, tuning = standing.clock, standing.clock.tuning.fleet
     is_chained = has_chains(candidates)
     is_cut = is_chained and bool(least_prices_us(candidates))
@@ -83,8 +82,9 @@ def _look_among_used(candidates: Candidates, standing: Standing, cuts: Iterable[
     used = {candidates.all[i].transformation.label for i in np.flatnonzero(share > 1e-6)}
     if standing.best is not None:
         used |= {unit.transformation for unit in standing.best.units}
-    if 1.2 * len(used) < len(candidates.labels):
-        Search(candidates.among(used), standing, is_all=False, cuts=cuts).run(standing.clock.tuning.fleet.look)
+    tuning = standing.clock.tuning.fleet
+    if tuning.fewer * len(used) < len(candidates.labels):
+        Search(candidates.among(used), standing, is_all=False, cuts=cuts).run(tuning.look)
 
 
 def _solve(

@@ -23,7 +23,6 @@ from cfgplan.domain import Stream, Transformation
 from cfgplan.planners.exact.best_case import Making, demands_of_quality, least_badness, most_badness
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.networks.core import Flags, Ints
-from cfgplan.planners.tuning import USUAL, Quality
 from cfgplan.planning import Notion
 from cfgplan.qualities import MICRO, Over, QualityAttribute
 
@@ -55,8 +54,8 @@ class Chains:
     Candidates are numbered as there, demands by `demand`, streams in canonical order.
     """
 
-    def __init__(self, candidates: Candidates, attribute: QualityAttribute, tuning: Quality = USUAL.quality) -> None:
-        self.tuning = tuning
+    def __init__(self, candidates: Candidates, attribute: QualityAttribute) -> None:
+        self.tuning = candidates.clock.tuning.quality
         self.attribute = attribute
         self.clock = candidates.clock
         self.size = len(candidates.all)
