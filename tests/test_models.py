@@ -68,6 +68,13 @@ def test_each_stage_of_the_case_study_starts_where_the_last_one_ended() -> None:
     assert mended.units == solved("3-puff-registered").units == solved("4-fusion-available").units
 
 
+@pytest.mark.parametrize("stage", ["2-radio-weak", "3-mule-tired"])
+def test_the_robots_begin_each_stage_as_planned(stage: str) -> None:
+    problem = cfgplan.match(cfgplan.load(MODELS / "rescue" / "1-start.yaml"))
+    started = problem.after(cfgplan.plan(problem)).units
+    assert cfgplan.load(MODELS / "rescue" / f"{stage}.yaml").environment.units == started
+
+
 def test_the_whole_matrix_of_the_case_study_has_nine_rows_and_twenty_columns() -> None:
     environment = cfgplan.load(MODELS / "nao" / "1-piff-registered.yaml").environment
     assert sum(len(t.inputs) for t in environment.library) + len(environment.targets) == 9

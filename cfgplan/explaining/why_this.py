@@ -207,9 +207,10 @@ def _running_with(environment: Environment, units: Iterable[ComputationUnit]) ->
 def _readers(environment: Environment, units: Iterable[ComputationUnit], port: str | None) -> tuple[str, ...]:
     """Who subscribes to the units, or to one output of them: inputs as unit/port, and topics."""
     ids = {unit.id for unit in units}
-    return tuple(
+    readers = (
         f"{user.id}/{s.port}"
         for user in environment.units
         for s in user.subscriptions
         if s.stream.unit in ids and port in (None, s.stream.port)
     )
+    return tuple(dict.fromkeys(readers))

@@ -123,6 +123,12 @@ def test_a_stream_is_told_by_who_reads_it() -> None:
     assert why_stream(problem, cpsat, plan, "x", "c").choice is Choice.UNREAD
 
 
+def test_an_input_that_takes_two_streams_of_a_transformation_is_told_once() -> None:
+    twice = Transformation("twice", (InputPort("in", "B", count=2),), (OutputPort("o", "A"),))
+    problem, plan = asked(source("x", "B", 1), twice)
+    assert why_transformation(problem, cpsat, plan, "x").consumers == ("twice.1/in",)
+
+
 def test_what_others_run_with_serves_their_targets() -> None:
     web = Transformation("web", (), (OutputPort("page", "Page"),), labor_us=1, beside=("kernel",))
     environment = Environment((), (web, Transformation("kernel")), (Target("t", "Page", "/t"),))
