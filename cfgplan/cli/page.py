@@ -9,7 +9,7 @@ from cfgplan.cli.agent import add_links, reached
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.screen import Screen
 
-_EXAMPLE = """\
+_OF_A_PAGE = """\
 example:
   cfgplan run env.yaml --page
   cfgplan page                (for a run that goes on)
@@ -18,7 +18,7 @@ Whoever opens the address that is printed can steer the run; without what follow
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
-    parser.epilog = _EXAMPLE
+    parser.epilog = _OF_A_PAGE
     parser.add_argument("--run", dest="run_id", metavar="ID", help="the run, if several are live")
     parser.add_argument("--address", default="127.0.0.1", metavar="IP", help="where to serve it (127.0.0.1)")
     parser.add_argument("--port", type=shared.port, default=0, metavar="N", help="(0: any that is free)")

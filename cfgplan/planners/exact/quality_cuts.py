@@ -18,10 +18,10 @@ from cfgplan.planners.networks.core import Floats, Ints
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.qualities import MICRO, Wish
 
-Landmarks = Iterable[tuple[Iterable[str], int]]
+ChainLandmarks = Iterable[tuple[Iterable[str], int]]
 
 
-def chain_cuts(candidates: Candidates, landmarks: Landmarks, clock: Clock) -> tuple[list[ChainCut], Floats]:
+def chain_cuts(candidates: Candidates, landmarks: ChainLandmarks, clock: Clock) -> tuple[list[ChainCut], Floats]:
     """Cuts for all that targets ask, and each candidate's share in the relaxation; no cuts if that is too large.
 
     Targets ask for one attribute. `landmarks` are labels of which every plan runs one.
@@ -58,7 +58,7 @@ class _Relaxation:
     `value_us` is the solver's bound on the cost, as exact as its floats are.
     """
 
-    def __init__(self, candidates: Candidates, landmarks: Landmarks) -> None:
+    def __init__(self, candidates: Candidates, landmarks: ChainLandmarks) -> None:
         from ortools.linear_solver import pywraplp  # type: ignore[import-untyped]
 
         self._candidates, self._tuning = candidates, candidates.clock.tuning.quality
@@ -86,7 +86,7 @@ class _Relaxation:
             objective.SetCoefficient(badness, asked.unit * asked.wish.weight_us / MICRO / self._unit_us)
         self._need(landmarks)
 
-    def _need(self, landmarks: Landmarks) -> None:
+    def _need(self, landmarks: ChainLandmarks) -> None:
         core, clock = self._candidates.network.core, self._candidates.clock
         for labels, _ in clock.each(landmarks):
             self._any_of(self._candidates.numbers(set(labels)))

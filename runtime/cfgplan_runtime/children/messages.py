@@ -148,14 +148,14 @@ class Finish(msgspec.Struct, tag=True):
     """Process what has arrived, then end."""
 
 
-class Mark(msgspec.Struct, tag=True):
+class TellMark(msgspec.Struct, tag=True):
     """Have the other host told, for a unit there, once everything has come that was given to an export until now."""
 
     crossing: str
     unit: str
 
 
-ToRelay: TypeAlias = Export | Import | Release | Mark
+ToRelay: TypeAlias = Export | Import | Release | TellMark
 ToChild: TypeAlias = (
     Feed | Serve | Cut | End | Unserve | SwitchNow | OpenOutlet | CloseOutlet | SetClock | ToRelay | BeginUnit | Finish
 )

@@ -18,7 +18,7 @@ import msgspec
 
 from cfgplan.domain import MANAGER
 from cfgplan.errors import InputError
-from cfgplan_runtime.children.messages import Export, Import, Mark, Marked, Release
+from cfgplan_runtime.children.messages import Export, Import, Marked, Release, TellMark
 from cfgplan_runtime.fleet.clocks import HostClock
 from cfgplan_runtime.fleet.links import LEASE_S, Config, Reach, config, reach, sign_period_s
 from cfgplan_runtime.fleet.orders import (
@@ -395,7 +395,7 @@ class Agent:
                 self._imports.pop(crossing, None)
                 self._marked = {mark for mark in self._marked if mark[0] != crossing}
                 backend.tell_relay(order)
-            case Mark():
+            case TellMark():
                 backend.tell_relay(order)
 
     def _held(self) -> Held:

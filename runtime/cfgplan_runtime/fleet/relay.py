@@ -21,9 +21,9 @@ from cfgplan_runtime.children.messages import (
     Export,
     Import,
     ImportUnused,
-    Mark,
     Marked,
     Release,
+    TellMark,
     ToChild,
 )
 from cfgplan_runtime.children.ports import Ports, UnitInput, UnitOutput
@@ -164,7 +164,7 @@ class Relay:
                 put = self._link.publisher(crossing_key(self._host, "credit", host, name), "orders")
                 self._imports[name] = _Import(host, PutThread(put))
                 self._ports.outputs[name] = UnitOutput()
-            case Mark(name, unit) if name in self._exports:
+            case TellMark(name, unit) if name in self._exports:
                 self._ports.take_in(name)
                 self._exports[name].sending.offer(Piece(0, 0, unit.encode(), is_mark=True))
             case Release(name):

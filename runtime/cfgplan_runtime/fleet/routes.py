@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import msgspec
 
 from cfgplan.domain import Stream
-from cfgplan_runtime.children.messages import CrossingCounts, Export, Import, Mark, Release
+from cfgplan_runtime.children.messages import CrossingCounts, Export, Import, Release, TellMark
 from cfgplan_runtime.fleet.orders import ConnectOrder, CutOrder, EndWireOrder, Order, StopOrder
 from cfgplan_runtime.processes.process_backend import RELAY
 from cfgplan_runtime.supervision.backend import Inlet
@@ -147,7 +147,7 @@ class Routes:
         """Stop a unit on a host after it has taken what its sources on other hosts have given until now."""
         feeding = {route.crossing for route in self._routes.values() if route.inlet.unit == unit and route.crossing}
         crossings = sorted((one for one in feeding if one.name in self._crossings), key=lambda one: one.name)
-        marks = [(one.source, Mark(one.name, unit)) for one in crossings]
+        marks = [(one.source, TellMark(one.name, unit)) for one in crossings]
         return [(host, StopOrder(unit, tuple(one.name for one in crossings))), *marks]
 
     def source_of(self, wire: int) -> str | None:

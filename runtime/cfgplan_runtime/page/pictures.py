@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable
 from dataclasses import replace
-from typing import Any
 
 from cfgplan.domain import (
     A_UNIT_OF,
@@ -18,8 +17,7 @@ from cfgplan.domain import (
     Target,
 )
 from cfgplan.drawing import picture
-
-Record = Mapping[str, Any]
+from cfgplan_runtime.operating.protocol import Record
 
 
 def configuration(state: Record) -> Environment:

@@ -26,7 +26,7 @@ from cfgplan_runtime.operating.control_client import Control
 from cfgplan_runtime.operating.protocol import RefusedError
 from cfgplan_runtime.page.watched import Watched
 
-LOOPBACK = "127.0.0.1"
+THIS_COMPUTER = "127.0.0.1"
 METHODS = ("kill", "lose_host", "regain_host", "review", "remove_target", "remove_transformation", "restore", "stop")
 """What the page may ask of a run."""
 _ALIVE_S = 5.0
@@ -49,11 +49,11 @@ class PageServer:
     no run.
     """
 
-    def __init__(self, reach: Callable[[], Control], address: str = LOOPBACK, port: int = 0) -> None:
+    def __init__(self, reach: Callable[[], Control], address: str = THIS_COMPUTER, port: int = 0) -> None:
         self.watched = Watched(reach)
         self.watched.start()
         self._token = secrets.token_urlsafe(16)
-        self._is_open = address in (LOOPBACK, "localhost", "::1")
+        self._is_open = address in (THIS_COMPUTER, "localhost", "::1")
         family = socket.AF_INET6 if ":" in address else socket.AF_INET
         self._socket = socket.socket(family, socket.SOCK_STREAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -20,12 +20,12 @@ FRAME_S = 0.1
 """Viewers are told of the state so often."""
 MARKED_S = 5.0
 """What an update has changed is marked in the picture for so long."""
-_MOST_EVENTS = 100
+_MOST_NEWS = 100
 _MOST_WAITING = 200
 """A viewer that does not fetch more messages than these loses the oldest."""
-_PATIENCE_S = 10.0
+_RUN_S = 10.0
 
-Message = tuple[str, str]
+ToViewer = tuple[str, str]
 """A kind and its data as JSON."""
 
 
@@ -35,10 +35,10 @@ class Watched:
     def __init__(self, reach: Callable[[], Control]) -> None:
         self._reach = reach
         self._lock = threading.Lock()
-        self._viewers: dict[Queue[Message], AbstractEventLoop] = {}
+        self._viewers: dict[Queue[ToViewer], AbstractEventLoop] = {}
         self._somebody_looks = threading.Event()
-        self._events: deque[Message] = deque(maxlen=_MOST_EVENTS)
-        self._picture: Message | None = None
+        self._events: deque[ToViewer] = deque(maxlen=_MOST_NEWS)
+        self._picture: ToViewer | None = None
         self._wanted: tuple[Environment, Environment] | None = None
         self._is_wanted = threading.Condition(self._lock)
         self.has_ended = threading.Event()
@@ -52,9 +52,9 @@ class Watched:
             threading.Thread(target=self._until_the_end, args=(work,), daemon=True).start()
 
     @contextmanager
-    def viewer(self, loop: AbstractEventLoop) -> Iterator[Queue[Message]]:
+    def viewer(self, loop: AbstractEventLoop) -> Iterator[Queue[ToViewer]]:
         """A queue of messages for one viewer: the picture and the last events, then what comes."""
-        messages: Queue[Message] = Queue()
+        messages: Queue[ToViewer] = Queue()
         with self._lock:
             for message in ([] if self._picture is None else [self._picture], self._events):
                 for each in message:
@@ -72,7 +72,7 @@ class Watched:
     def call(self, method: str, params: dict[str, Any]) -> Any:
         """Ask the run for something. Raises RefusedError and ControlError."""
         with self._reach() as control:
-            return control.call(method, timeout_s=_PATIENCE_S, **params)
+            return control.call(method, timeout_s=_RUN_S, **params)
 
     def _until_the_end(self, work: Callable[[], None]) -> None:
         try:
@@ -97,7 +97,7 @@ class Watched:
             while not self.has_ended.is_set():
                 self._somebody_looks.wait()
                 began_s = time.monotonic()
-                state = control.call("state", timeout_s=_PATIENCE_S)
+                state = control.call("state", timeout_s=_RUN_S)
                 now = configuration(state)
                 last = state["reviews"][-1] if state["reviews"] else None
                 if shown is None or now != shown or (last and last["number"] != reviewed):
@@ -128,7 +128,7 @@ class Watched:
                 self._picture = message
                 self._tell(message)
 
-    def _tell(self, message: Message) -> None:
+    def _tell(self, message: ToViewer) -> None:
         with self._lock:
             viewers = list(self._viewers.items())
         for messages, loop in viewers:
@@ -136,7 +136,7 @@ class Watched:
                 loop.call_soon_threadsafe(_put, messages, message)
 
 
-def _put(messages: Queue[Message], message: Message) -> None:
+def _put(messages: Queue[ToViewer], message: ToViewer) -> None:
     while messages.qsize() >= _MOST_WAITING:
         messages.get_nowait()
     messages.put_nowait(message)

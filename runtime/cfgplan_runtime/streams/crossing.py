@@ -53,7 +53,7 @@ class Piece(NamedTuple):
 
 
 LAST_PIECE = Piece(0, 0, b"", is_last=True)
-_ELEMENT, _LAST, _QUESTION, _MARK = range(4)
+_ELEMENT, _LAST, _QUESTION, _MARKER = range(4)
 """Kinds of frames."""
 
 
@@ -69,7 +69,7 @@ class Frame(NamedTuple):
         piece = self.piece
         if piece is None:
             return _HEAD.pack(self.number, self.dropped, 0, 0, _QUESTION)
-        kind = _LAST if piece.is_last else _MARK if piece.is_mark else _ELEMENT
+        kind = _LAST if piece.is_last else _MARKER if piece.is_mark else _ELEMENT
         return _HEAD.pack(self.number, self.dropped, piece.time_ns, piece.turn, kind)
 
 
@@ -79,7 +79,7 @@ def read_frame(head: bytes, payload: bytes) -> Frame | None:
         return None
     number, dropped, time_ns, turn, kind = _HEAD.unpack(head)
     return Frame(
-        number, dropped, None if kind == _QUESTION else Piece(time_ns, turn, payload, kind == _LAST, kind == _MARK)
+        number, dropped, None if kind == _QUESTION else Piece(time_ns, turn, payload, kind == _LAST, kind == _MARKER)
     )
 
 
