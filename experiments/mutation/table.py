@@ -241,8 +241,8 @@ MODEL = _room(
     (
         "a rewired unit weighs one",
         "model.py",
-        "return (len(started) + 1) * LinearExpr.sum(rewired)",
-        "return 1 * LinearExpr.sum(rewired)",
+        "return (len(started) + 1) * LinearExpr.sum(self.rewired())",
+        "return 1 * LinearExpr.sum(self.rewired())",
     ),
     ("landmarks need one less", "model.py", "at_least(self.cp, least, [", "at_least(self.cp, max(1, least - 1), ["),
     ("units fed apart are alike", "rules.py", "unit not in apart", "unit >= 0"),
@@ -316,13 +316,23 @@ MODEL = _room(
     ("a unit may fail alone", "survival.py", "for _, literal in there]) >= 2)", "for _, literal in there]) >= 1)"),
     ("the failing host's units count", "survival.py", "if host != each.host])", "if host])"),
     ("a target of the failing host is to be met", "survivors.py", "if t.host != host.name))", "if t.host))"),
-    ("a bound on quality is one too lax", "quality.py", "scaled.at_most(wish.bound)", "scaled.at_most(wish.bound) + 1"),
-    ("missed quality costs nothing", "quality.py", "model.more_costs.append(price)", "pass"),
-    ("a value is as good as it likes", "quality.py", "cp.add(no_better).only_enforce_if([taken, *held])", "pass"),
+    (
+        "a bound on quality is one too lax",
+        "quality.py",
+        "self.attribute.badness(wish.bound) // self.step)",
+        "self.attribute.badness(wish.bound) // self.step + 1)",
+    ),
+    ("missed quality costs nothing", "quality.py", "self.model.more_costs.append(price)", "pass"),
+    (
+        "a value is as good as it likes",
+        "quality.py",
+        "cp.add(by * sent >= made).only_enforce_if([taken, *held])",
+        "pass",
+    ),
     (
         "units that stay get what wired ones get",
         "quality.py",
-        "{kept: model.stays[unit]} if kept in self.scaled.best else {}",
+        "{kept: model.stays[unit]} if kept in self._least else {}",
         "{}",
     ),
     (
@@ -335,8 +345,8 @@ MODEL = _room(
     (
         "the mean is the sum",
         "quality.py",
-        "len(inputs) * result >= total if is_low else len(inputs) * result <= total",
-        "result >= total if is_low else result <= total",
+        "cp.add(len(inputs) * together >= LinearExpr.sum(inputs))",
+        "cp.add(together >= LinearExpr.sum(inputs))",
     ),
 )
 
@@ -353,7 +363,7 @@ JUDGE = _room(
     (
         "a feasible plan may have proven its cost",
         "plans.py",
-        "plan.status is Status.FEASIBLE and plan.bound_us == cost",
+        "plan.status is Status.FEASIBLE and is_proven and not plan.undecided",
         "False",
     ),
     ("the cost is not looked at", "plans.py", "if plan.cost_us != cost:", "if False:"),

@@ -20,7 +20,7 @@ from cfgplan.domain import MANAGER
 from cfgplan.errors import InputError
 from cfgplan_runtime.children.messages import Export, Import, Marked, Release, TellMark
 from cfgplan_runtime.fleet.clocks import HostClock
-from cfgplan_runtime.fleet.links import LEASE_S, Config, Reach, config, reach, sign_period_s
+from cfgplan_runtime.fleet.links import LEASE_S, Config, ReachedAt, config, reach, sign_period_s
 from cfgplan_runtime.fleet.orders import (
     HEARD,
     REFUSE,
@@ -75,7 +75,7 @@ from cfgplan_runtime.supervision.events import (
 )
 
 USAGE_PERIOD_S = 0.5
-_REACH_S = 5.0
+_ANSWER_S = 5.0
 """Seconds that another agent may take to tell where it listens."""
 
 
@@ -244,8 +244,8 @@ class Agent:
             threading.Thread(target=self._refuse_mutual, args=(other,), daemon=True).start()
 
     def _refuse_mutual(self, other: str) -> None:
-        for _, answer in self._link.ask(reach_key(other), _REACH_S):
-            if self._reach.is_mutual(msgspec.json.decode(answer, type=Reach)):
+        for _, answer in self._link.ask(reach_key(other), _ANSWER_S):
+            if self._reach.is_mutual(msgspec.json.decode(answer, type=ReachedAt)):
                 mend = f"leave out --connect to {other} here, or the one to {self.name} there"
                 self._note_failure(InputError.of(f"{self.name} and {other} connect to each other", mend=mend))
 

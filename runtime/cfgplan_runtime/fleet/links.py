@@ -117,20 +117,20 @@ class Pulse:
         return now_s - self.last_s >= LEASE_S
 
 
-class Reach(msgspec.Struct, frozen=True):
+class ReachedAt(msgspec.Struct, frozen=True):
     """Where an agent listens and what it connects to, each as an address and port, or as the path of a socket."""
 
     listens: frozenset[str]
     connects: frozenset[str]
 
-    def is_mutual(self, other: Reach) -> bool:
+    def is_mutual(self, other: ReachedAt) -> bool:
         """Whether each of two agents connects to the other. Zenoh may then mix up the names of their streams."""
         return bool(self.connects & other.listens and other.connects & self.listens)
 
 
-def reach(listen: Sequence[str], connect: Sequence[str]) -> Reach:
+def reach(listen: Sequence[str], connect: Sequence[str]) -> ReachedAt:
     """What these endpoints are. One that stands for all addresses of this computer is each but those of loopback."""
-    return Reach(*(frozenset(place for one in ends for place in _places(one)) for ends in (listen, connect)))
+    return ReachedAt(*(frozenset(place for one in ends for place in _places(one)) for ends in (listen, connect)))
 
 
 def _places(endpoint: str) -> Iterator[str]:
