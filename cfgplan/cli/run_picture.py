@@ -101,6 +101,8 @@ class RunPicture:
         facts = [time.strftime("%H:%M:%S", time.gmtime(self.elapsed_s))]
         if self.recorded is not None:
             facts.append(f"recorded {self.recorded}")
+        if state["lost_hosts"]:
+            facts.append(f"gone: {', '.join(state['lost_hosts'])}")
         yield _clipped(_headline(self.run, self.environment, facts, state))
         yield from (_clipped(_fault(fault)) for fault in state["faults"][:1])
         met = sum(target["met"] for target in state["targets"])

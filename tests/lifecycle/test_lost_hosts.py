@@ -10,7 +10,8 @@ import pytest
 from cfgplan_runtime import Policy, SimulatedRuntime
 from cfgplan_runtime.lifecycle.changes import KillUnit, LoseHost, RegainHost, ReplaceWorld, ReviewNow
 from cfgplan_runtime.lifecycle.perturbations import HostBack, HostGone, SubscriptionLost, UnitGone
-from cfgplan_runtime.lifecycle.reports import Decision
+from cfgplan_runtime.lifecycle.reports import Decision, UnitEvent
+from cfgplan_runtime.supervision.events import UnitReady
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
 from living import HORIZON_S, RESULT, Life, source, started, worker
 
@@ -69,6 +70,8 @@ def test_a_lost_host_is_replaced_at_once_and_blames_nobody() -> None:
     assert life.now - began_s < 0.1
     assert hosts(life) == {"count.1": "base", "work.1": "r2"}
     assert life.met == {"result"}
+    ready = [one for one in life.reports if isinstance(one, UnitEvent) and isinstance(one.event, UnitReady)]
+    assert [(one.event.unit, one.host) for one in ready] == [("count.1", "base"), ("work.1", "r1"), ("work.1", "r2")]
     assert life.perturbations(HostGone) == [HostGone("r1", "its link is cut")]
     assert not life.perturbations(UnitGone)
     assert not life.perturbations(SubscriptionLost)

@@ -20,7 +20,8 @@ from cfgplan_runtime.lifecycle.reports import (
     UnitEvent,
     WorldRefused,
 )
-from cfgplan_runtime.operating.records import logging_to
+from cfgplan_runtime.operating.records import logging_to, report_record
+from cfgplan_runtime.operating.sentences import sentence
 from cfgplan_runtime.supervision.events import SIGNS, Event, HelperAlive, UnitDied
 from cfgplan_runtime.supervision.run_log import RunLog
 from fake_manager import REVIEW, SNAPSHOT, observation
@@ -82,6 +83,17 @@ def test_every_event_and_every_field_is_described(lines: list[dict[str, Any]]) -
     told = set(get_args(Event) + get_args(Perturbation)) - signs
     names |= {field for kind in told for field in kind.__dataclass_fields__}
     assert [name for name in sorted(names) if f"`{name}`" not in text] == []
+
+
+def test_what_happens_to_a_unit_on_a_host_is_told_with_its_host() -> None:
+    report = UnitEvent(UnitDied("detector.1", "killed by SIGKILL"), "r2")
+    assert sentence(report) == "r2: detector.1 died: killed by SIGKILL"
+    assert report_record(report) == {
+        "kind": "UnitDied",
+        "unit": "detector.1",
+        "cause": "killed by SIGKILL",
+        "host": "r2",
+    }
 
 
 def test_a_log_that_can_take_no_more_loses_lines_and_nothing_else(tmp_path: Path) -> None:

@@ -85,6 +85,10 @@ def test_it_fills_the_terminal_and_no_more(width: int, height: int, faults: tupl
         assert max(map(len, lines)) <= width
 
 
+def test_hosts_that_are_gone_stand_in_the_first_line() -> None:
+    assert "gone: r1, r2" in drawn(replace(SNAPSHOT, lost_hosts=("r1", "r2")))[0]
+
+
 def test_where_not_all_fits_what_is_wrong_comes_first() -> None:
     lines = drawn(large(), height=24)
     text = "\n".join(lines)

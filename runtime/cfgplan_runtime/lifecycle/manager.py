@@ -338,7 +338,8 @@ class Manager:
         is_sign = isinstance(event, SIGNS)
         self._put(event, is_urgent=not is_sign)
         if not is_sign:
-            self._tell(UnitEvent(event))
+            running = self._state.situation.units.get(getattr(event, "unit", None) or "")
+            self._tell(UnitEvent(event, None if running is None else running.host))
 
     def _put(self, item: Item, *, is_urgent: bool = True) -> None:
         """Queue an item, and break into what is under way if the item can't wait."""

@@ -171,9 +171,10 @@ class Reviewed:
 
 @dataclass(frozen=True, slots=True)
 class UnitEvent:
-    """Something happened to a unit; all but signs of life."""
+    """Something happened to a unit, on its host if it has one; all but signs of life."""
 
     event: Event
+    host: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -73,8 +73,8 @@ def change_record(changes: ChangeSet) -> Record:
 def report_record(report: Report) -> Record:
     """A report as a record: its `kind` and its fields."""
     match report:
-        case UnitEvent(event):
-            return {"kind": type(event).__name__, **_fields(event)}
+        case UnitEvent(event, host):
+            return {"kind": type(event).__name__, **_fields(event), **({} if host is None else {"host": host})}
         case Reviewed(review):
             return {"kind": "Reviewed", **review_record(review)}
     return {"kind": type(report).__name__, **_fields(report)}

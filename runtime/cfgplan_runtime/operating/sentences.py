@@ -38,8 +38,9 @@ def sentence(report: Report) -> str | None:
             return _perturbation(perturbation)
         case Reviewed(review):
             return review_sentence(review)
-        case UnitEvent(event):
-            return _event(event)
+        case UnitEvent(event, host):
+            said = _event(event)
+            return said if said is None or host is None else f"{host}: {said}"
         case BackedOff(backing_off):
             label, cause = backing_off.transformation, short(backing_off.cause)
             if backing_off.left_s == float("inf"):
