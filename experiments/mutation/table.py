@@ -402,7 +402,12 @@ JUDGE = _room(
     ("units that conflict are on one host", "hosts.py", "if other in there and other != label:", "if False:"),
     ("a unit runs alone", "hosts.py", "if (other, unit.host) not in running:", "if False:"),
     ("company is needless", "reading.py", "if len(ids) == 1]", "if len(ids) == 9]"),
-    ("the failure of its company is not a unit's", "survival.py", "there.issuperset(kind.beside) and ", ""),
+    (
+        "the failure of its company is not a unit's",
+        "survival.py",
+        " and all((other, unit.host) in there for other in kind.beside)",
+        "",
+    ),
     ("a link bears anything", "hosts.py", "carried > link.bandwidth:", "carried < 0:"),
     ("energy never ends", "hosts.py", "energy > host.energy:", "False:"),
     ("too many units are on one host", "hosts.py", "number > most:", "number < 0:"),
