@@ -326,7 +326,7 @@ MODEL = _room(
     (
         "a value is as good as it likes",
         "quality.py",
-        "cp.add(by * sent >= made).only_enforce_if([taken, *held])",
+        "cp.add(by * sent >= made).only_enforce_if([taken, *held, *so])",
         "pass",
     ),
     (
@@ -345,8 +345,8 @@ MODEL = _room(
     (
         "the mean is the sum",
         "quality.py",
-        "cp.add(len(inputs) * together >= LinearExpr.sum(inputs))",
-        "cp.add(together >= LinearExpr.sum(inputs))",
+        "cp.add(n * together >= LinearExpr.sum(counted))",
+        "cp.add(together >= LinearExpr.sum(counted))",
     ),
 )
 

@@ -78,7 +78,17 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
             ),
             of_one,
         ),
+        "optional company": Kind(
+            st.one_of(fleets(BESIDE | OPTIONAL), fleets(BESIDE | WIRING | HOSTS, most=2)).filter(
+                lambda problem: problem.notions >= BESIDE | OPTIONAL
+            ),
+            of_one,
+        ),
         "quality": Kind(st.one_of(fleets(QUALITY), fleets(QUALITY | HOSTS, most=2)), of_one),
+        "quality of several": Kind(
+            st.one_of(fleets(QUALITY | OPTIONAL), fleets(QUALITY | COUNTS), fleets(QUALITY | WIRING | HOSTS, most=2)),
+            of_one,
+        ),
         "latency": Kind(fleets(QUALITY | HOSTS | {Notion.LATENCY}, most=2), of_one),
         "survival": Kind(st.one_of(fleets(SURVIVAL), fleets(SURVIVAL | HOSTS, most=2)), of_one),
         "optional": Kind(st.one_of(fleets(OPTIONAL), fleets(OPTIONAL, most=4)), of_one),
@@ -100,8 +110,8 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         "everything": Kind(
             st.one_of(
                 fleets(TOGETHER, most=2),
-                fleets(frozenset(Notion) - QUALITY - SURVIVAL - BESIDE, most=2),
-                fleets(frozenset(Notion) - QUALITY - SURVIVAL - OPTIONAL, most=2),
+                fleets(frozenset(Notion) - SURVIVAL, most=2),
+                fleets(frozenset(Notion) - SURVIVAL - QUALITY, most=2),
             ),
             of_one,
         ),

@@ -9,7 +9,7 @@ import pytest
 from alone import search_alone
 from fixed import Apart, Hubs, kind, on, publishes, rewired, runs, unit, waits, world
 
-from cfgplan.domain import Host, Link, OutputPort, Target, Transformation
+from cfgplan.domain import Host, Link, OutputPort, Stream, Target, Transformation
 from cfgplan.figures import qualities_of_targets
 from cfgplan.planners import PLANNERS
 from cfgplan.planning import Failures, Problem, Status
@@ -420,6 +420,39 @@ WITHOUT_THE_BEST = (~runs("best0.1"), ~runs("best1.1"))
 
 def states(value: int, rule: QualityRule = QualityRule.SET, over: Over = Over.WORST) -> OutputPort:
     return OutputPort("x", "", (Contribution("q", rule, value, over),))
+
+
+@pytest.mark.parametrize("planner", ["cpsat", "exhaustive"])
+def test_what_runs_as_company_feeds_inputs_that_start_nothing(planner: str) -> None:
+    problem = world("B", kind("w", "A", "B", first={"optional": True}, beside=("k",)), kind("k", gives="A"))
+    found = PLANNERS[planner](problem)
+    assert found.change_set is not None
+    assert [unit.feeds for unit in found.change_set.started] == [{}, {"in0": (Stream("k.1", "x0"),)}]
+    assert plan_violations(problem, found) == []
+
+
+@pytest.mark.parametrize("planner", ["cpsat", "exhaustive"])
+@pytest.mark.parametrize(("over", "quality"), [(Over.WORST, 30), (Over.BEST, 9), (Over.MEAN, 20), (Over.SUM, 39)])
+def test_each_of_several_streams_counts_for_quality(planner: str, over: Over, quality: int) -> None:
+    sources = [kind(f"s{i}", gives="A", output=states(value), max_instances=1) for i, value in enumerate((9, 30))]
+    fused = kind("f", "A", "D", output=states(0, QualityRule.ADD, over), first={"count": 2})
+    target = Target("D", "D", "/D", quality=(Wish("q", weight_us=MICRO),))
+    problem = world((target,), *sources, fused, qualities=(LOW,))
+    found = PLANNERS[planner](problem)
+    assert (found.cost_us, plan_violations(problem, found)) == (3 + quality, [])
+
+
+@pytest.mark.parametrize("planner", ["cpsat", "exhaustive"])
+@pytest.mark.parametrize(("worth_us", "cost_us"), [(20, 2 + 10 + 20), (50, 3 + 50)])
+def test_an_optional_input_that_is_not_fed_does_not_count_for_quality(
+    planner: str, worth_us: int, cost_us: int
+) -> None:
+    loose = kind("f", "BA", "D", output=states(5, QualityRule.ADD), first={"optional": True, "worth_us": worth_us})
+    sources = kind("s", gives="A", output=states(5)), kind("t", gives="B", output=states(45))
+    target = Target("D", "D", "/D", quality=(Wish("q", weight_us=MICRO),))
+    problem = world((target,), *sources, loose, qualities=(LOW,))
+    found = PLANNERS[planner](problem)
+    assert (found.cost_us, plan_violations(problem, found)) == (cost_us, [])
 
 
 @pytest.mark.parametrize("planner", ["cpsat", "exhaustive"])

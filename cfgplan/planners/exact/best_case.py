@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from itertools import chain
 
 from cfgplan.domain import InputPort, OutputPort, Stream, Transformation
-from cfgplan.planners.exact.candidates import Candidate, Candidates
+from cfgplan.planners.exact.candidates import ONLY_IN_THE_MODEL, Candidate, Candidates
 from cfgplan.qualities import MICRO, Contribution, Over, QualityAttribute, QualityRule, price_us, propagated
 
 Demand = tuple[Stream, ...]
@@ -91,7 +91,13 @@ def bound_by_price(candidates: Candidates, most_us: int) -> None:
 
 
 def least_badness(candidates: Candidates, attribute: QualityAttribute) -> dict[Stream, int]:
-    """For each stream a badness that no wiring goes below. Streams that nothing can feed are left out."""
+    """For each stream a badness that no wiring goes below. Streams that nothing can feed are left out.
+
+    It is 0 where inputs take none or several: together these may be better than any by itself.
+    """
+    if attribute not in candidates.least and ONLY_IN_THE_MODEL & candidates.problem.notions:
+        streams = (Stream(c.id, port.name) for c in candidates.all for port in c.transformation.outputs)
+        candidates.least[attribute] = dict.fromkeys(streams, 0)
     if attribute not in candidates.least:
         candidates.least[attribute] = _least_badness(candidates, attribute)
     return candidates.least[attribute]
@@ -139,31 +145,36 @@ def _least_badness(candidates: Candidates, attribute: QualityAttribute) -> dict[
 
 @dataclass(frozen=True, slots=True)
 class Making:
-    """How bad an output is: `gain` times its `inputs` together, plus `shift`, in millionths; and at least `least`."""
+    """How bad an output is: `gain` times its `inputs` together, plus `shift`, in millionths; and at least `least`.
+
+    It is `alone` if none of them is fed.
+    """
 
     inputs: tuple[InputPort, ...]
     over: Over
     gain: int
     shift: int
     least: int
+    alone: int
 
     @classmethod
     def of(cls, attribute: QualityAttribute, transformation: Transformation, port: OutputPort) -> Making:
         """What an output of a transformation makes of the inputs that count."""
         stated = stated_of(port, attribute)
         inputs = tuple(port for port in transformation.inputs if not port.feedback)
+        own = attribute.scale if stated is None else attribute.badness(stated.value)
+        alone = min(max(own, 0), attribute.scale)
         if not inputs or (stated is not None and stated.rule is QualityRule.SET):
-            own = attribute.scale if stated is None else attribute.badness(stated.value)
-            return cls((), Over.WORST, 0, 0, min(max(own, 0), attribute.scale))
+            return cls((), Over.WORST, 0, 0, alone, alone)
         if stated is None:
-            return cls(inputs, Over.WORST, MICRO, 0, 0)
+            return cls(inputs, Over.WORST, MICRO, 0, 0, alone)
         match stated.rule:
             case QualityRule.LIMIT:
-                return cls(inputs, stated.over, MICRO, 0, min(max(attribute.badness(stated.value), 0), attribute.scale))
+                return cls(inputs, stated.over, MICRO, 0, alone, alone)
             case QualityRule.SCALE:
                 shift = attribute.sign * attribute.best * (stated.value - MICRO)
-                return cls(inputs, stated.over, stated.value, shift, 0)
-        return cls(inputs, stated.over, MICRO, attribute.sign * stated.value * MICRO, 0)
+                return cls(inputs, stated.over, stated.value, shift, 0, alone)
+        return cls(inputs, stated.over, MICRO, attribute.sign * stated.value * MICRO, 0, alone)
 
 
 def stated_of(port: OutputPort, attribute: QualityAttribute) -> Contribution | None:
@@ -182,6 +193,8 @@ def _demands(candidates: Candidates) -> dict[str, list[str]]:
 
 def most_badness(candidates: Candidates, attribute: QualityAttribute) -> dict[str, int]:
     """For each demanded tag the badness up to which a stream is of use for it; tags of no use are left out."""
+    if ONLY_IN_THE_MODEL & candidates.problem.notions:
+        return {}
     key = attribute, *sorted(candidates.bounds.items())
     if key not in candidates.most:
         candidates.most[key] = _most_badness(candidates, attribute)

@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 
@@ -15,10 +16,12 @@ from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.keys import may_stay
 from cfgplan.planners.networks.network import Network
 from cfgplan.planners.solving.clock import Clock
-from cfgplan.planning import Problem, fresh_units
+from cfgplan.planning import Notion, Problem, fresh_units
 from cfgplan.qualities import QualityAttribute, worst_allowed
 from cfgplan.reasons import Givers, startable
 
+ONLY_IN_THE_MODEL: Final = frozenset({Notion.OPTIONAL, Notion.COUNTS, Notion.LIMITS})
+"""What first plans and bounds don't know."""
 HostName = str | None
 """Where something is; None where there are no hosts, or on no host in particular."""
 

@@ -8,14 +8,14 @@ outputs. Where the feeder matters an input is *told apart*: each stream that may
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence, Set
 
 from ortools.sat.python.cp_model import CpModel, IntVar, LinearExpr, LinearExprT
 
 from cfgplan.costs import transfer_cost_us
 from cfgplan.domain import ALL, InputPort, Objective, Stream
 from cfgplan.planners.exact.best_case import demands_of_quality
-from cfgplan.planners.exact.candidates import Candidates, HostName
+from cfgplan.planners.exact.candidates import ONLY_IN_THE_MODEL, Candidates, HostName
 from cfgplan.planners.solving.engine import at_least
 from cfgplan.planners.solving.support import Support
 from cfgplan.planning import Notion
@@ -34,7 +34,8 @@ class Model:
         self.problem = candidates.problem
         self.environment = candidates.environment
         self.asks_for_quality = Notion.QUALITY in self.problem.notions
-        self.is_apart = is_apart or Notion.LATENCY in self.problem.notions
+        by_stream = {Notion.LATENCY, *ONLY_IN_THE_MODEL} if self.asks_for_quality else {Notion.LATENCY}
+        self.is_apart = is_apart or not by_stream.isdisjoint(self.problem.notions)
         self.cp = CpModel()
         self.support = Support()
         self.anywhere = Support()
@@ -63,7 +64,8 @@ class Model:
         self.idle_feeders = _feeders_of_idle_inputs(candidates)
         """The candidates that may feed inputs which start nothing."""
         required = (i for i, c in enumerate(candidates.all) if c.may_run and c.transformation.required)
-        self.tracked = _downstream_of(candidates, sorted({*required, *self.idle_feeders}))
+        company = candidates.environment.companions if self.idle_feeders else frozenset()
+        self.tracked = _downstream_of(candidates, sorted({*required, *self.idle_feeders}), company)
         """Where it matters who feeds whom: downstream of required transformations and of `idle_feeders`."""
         self._demand_of_tag: dict[str, int] = {}
         self._demand_of_streams: dict[tuple[Stream, ...], int] = {}
@@ -287,8 +289,8 @@ def _feeders_of_idle_inputs(candidates: Candidates) -> frozenset[int]:
     return frozenset(feeder for tag in tags for feeder in candidates.feeders(tag))
 
 
-def _downstream_of(candidates: Candidates, ahead: list[int]) -> frozenset[int]:
-    """Some candidates and all that they may feed, directly or through others."""
+def _downstream_of(candidates: Candidates, ahead: list[int], company: Set[str]) -> frozenset[int]:
+    """Some candidates and all that they may feed, or run with if they are `company`, directly or through others."""
     if not ahead:
         return frozenset()
     needing: dict[str, list[int]] = defaultdict(list)
@@ -301,6 +303,11 @@ def _downstream_of(candidates: Candidates, ahead: list[int]) -> frozenset[int]:
             fed_by[feeder].append(tag)
     found = set(ahead)
     for i in ahead:
+        label = candidates.all[i].transformation.label
+        users = enumerate(candidates.all) if label in company else ()
+        new = [user for user, c in users if label in c.transformation.beside and c.may_run and user not in found]
+        found.update(new)
+        ahead += new
         for tag in fed_by[i]:
             new = [consumer for consumer in needing.pop(tag, ()) if consumer not in found]
             found.update(new)

@@ -67,6 +67,7 @@ class _Badness:
         self._scale = attribute.scale // self.step
         self._least = {stream: bad // self.step for stream, bad in least_badness(model.candidates, attribute).items()}
         self._of: dict[Hashable, IntVar] = {}
+        self._together: dict[tuple[int, Over], tuple[LinearExprT, list[LiteralT]]] = {}
         self._choices: list[tuple[Hashable, IntVar, Mapping[Stream, IntVar]]] = []
         self._most: dict[int, int] = {}
         """The badness up to which a stream for a demand is of use to anybody; spares may get any quality."""
@@ -122,8 +123,8 @@ class _Badness:
             if delay is not None:
                 cp.add(badness - delay >= least).only_enforce_if([taken, *held])
             sent = badness if delay is None else badness - delay
-            for by, made in self._made(stream):
-                cp.add(by * sent >= made).only_enforce_if([taken, *held])
+            for by, made, so in self._made(stream):
+                cp.add(by * sent >= made).only_enforce_if([taken, *held, *so])
         cp.add(badness >= LinearExpr.sum(terms))  # implied, but what the linear relaxation needs
 
     def _delay(self, where: Hashable, stream: Stream) -> IntVar | None:
@@ -145,22 +146,31 @@ class _Badness:
             model.cp.add(delay >= by).only_enforce_if([made_on[one], *wanted[other]])
         return delay
 
-    def _made(self, stream: Stream) -> Iterable[tuple[int, LinearExprT]]:
-        """What the badness of a stream times a number is at least."""
+    def _made(self, stream: Stream) -> Iterable[tuple[int, LinearExprT, list[LiteralT]]]:
+        """What the badness of a stream times a number is at least where some literals hold."""
         unit = self.model.unit_of(stream)
         transformation = self.model.candidates.all[unit].transformation
         making = Making.of(self.attribute, transformation, transformation.output[stream.port])
-        yield 1, making.least // self.step
-        inputs: list[LinearExprT] = []
+        yield 1, making.least // self.step, []
+        inputs: list[tuple[LinearExprT, list[LiteralT]]] = []
         if making.inputs:
-            found = [self._at(unit, port) for port in making.inputs]
-            inputs = list({one.index: one for one in found}.values())
+            found = [one for port in making.inputs for one in self._counted(unit, port)]
+            inputs = list({one.index: (one, so) for one, so in found}.values())
+            if all(so for _, so in found):
+                yield 1, making.alone // self.step, [~counts for _, so in found for counts in so]
             if making.over is not Over.WORST and len(found) > 1:
                 inputs = [self._combined(unit, making.over, found)]
         common = gcd(making.gain * self.step, MICRO * self.step, making.shift)
-        for badness in inputs:
+        for badness, so in inputs:
             made = making.gain * self.step // common * badness + making.shift // common
-            yield MICRO * self.step // common, made
+            yield MICRO * self.step // common, made, so
+
+    def _counted(self, unit: int, port: InputPort) -> list[tuple[IntVar, list[LiteralT]]]:
+        """How bad what comes at an input is, and, if it may take none or several streams, that each is taken."""
+        if port.is_usual:
+            return [(self._at(unit, port), [])]
+        where, connects = ("input", unit, port.name), self.model.connects[unit, port.name]
+        return [(self.of_choice((*where, s), port.tag, {s: taken}), [taken]) for s, taken in connects.items()]
 
     def _at(self, unit: int, port: InputPort) -> IntVar:
         """How bad the stream at a candidate's input is."""
@@ -183,14 +193,44 @@ class _Badness:
                 model.cp.add(badness >= theirs).only_enforce_if(wired)
         return self._of[where]
 
-    def _combined(self, unit: int, over: Over, inputs: Sequence[IntVar]) -> LinearExprT:
-        cp, where = self.model.cp, ("combined", unit, over)
+    def _combined(
+        self, unit: int, over: Over, inputs: Sequence[tuple[IntVar, list[LiteralT]]]
+    ) -> tuple[LinearExprT, list[LiteralT]]:
+        """How bad all that counts is together, and the literal that something does, if there may be nothing."""
+        where = unit, over
+        if where not in self._together:
+            self._together[where] = self._new_combined(over, inputs)
+        return self._together[where]
+
+    def _new_combined(
+        self, over: Over, inputs: Sequence[tuple[IntVar, list[LiteralT]]]
+    ) -> tuple[LinearExprT, list[LiteralT]]:
+        cp, otherwise = self.model.cp, self._scale if over is Over.BEST else 0
+        counted = [self._or_else(badness, so, otherwise) for badness, so in inputs]
+        literals = [counts for _, so in inputs for counts in so]
+        number = LinearExpr.sum(literals) + len(inputs) - len(literals)
+        is_any: list[LiteralT] = []
+        if len(literals) == len(inputs):
+            is_any = [cp.new_bool_var("")]
+            cp.add_max_equality(is_any[0], literals)
         if over is Over.SUM:
-            return LinearExpr.sum(inputs) + self.attribute.sign * self.attribute.best * (len(inputs) - 1) // self.step
-        if where not in self._of:
-            together = self._of[where] = cp.new_int_var(0, self._scale, "")
-            if over is Over.BEST:
-                cp.add_min_equality(together, inputs)
-            else:
-                cp.add(len(inputs) * together >= LinearExpr.sum(inputs))
-        return self._of[where]
+            best = self.attribute.sign * self.attribute.best // self.step
+            return LinearExpr.sum(counted) + best * (number - 1), is_any
+        together = cp.new_int_var(0, self._scale, "")
+        if over is Over.BEST:
+            cp.add_min_equality(together, counted)
+            return together, is_any
+        for n in range(max(1, len(inputs) - len(literals)), len(inputs) + 1):
+            are_more = cp.new_bool_var("")
+            cp.add(number != n).only_enforce_if(are_more)
+            cp.add(n * together >= LinearExpr.sum(counted)).only_enforce_if(~are_more)
+        return together, is_any
+
+    def _or_else(self, badness: IntVar, so: list[LiteralT], otherwise: int) -> IntVar:
+        """How bad something is that counts if a literal holds, else another number."""
+        if not so:
+            return badness
+        found = self.model.cp.new_int_var(0, self._scale, "")
+        self.model.cp.add(found == badness).only_enforce_if(so)
+        self.model.cp.add(found == otherwise).only_enforce_if([~counts for counts in so])
+        return found

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import product
 from typing import Final
 
-from ortools.sat.python.cp_model import IntVar, LinearExpr, LinearExprT
+from ortools.sat.python.cp_model import IntVar, LinearExpr, LinearExprT, LiteralT
 
 from cfgplan.domain import ALL, InputPort, Link, Objective, Stream
 from cfgplan.planners.exact.candidates import HostName
@@ -334,11 +334,13 @@ def required_transformations_serve_a_target(model: Model) -> None:
         model.needs_any(model.uses_required[label], serving)
 
 
-def _serving(model: Model, more: Mapping[int, Sequence[IntVar]]) -> dict[int, IntVar]:
+def _serving(
+    model: Model, more: Mapping[int, Sequence[IntVar]], *, is_company_served: bool = False
+) -> dict[int, IntVar]:
     """For each tracked unit a boolean that it serves a target: it publishes one, or feeds a unit that serves one.
 
-    `more` says when else a unit serves. The distance to the target grows along the way; else two units could serve
-    through each other's feedback inputs.
+    `more` says when else a unit serves; with `is_company_served`, also where one that serves can't run without it. The
+    distance to the target grows along the way; else two units could serve through each other's feedback inputs.
     """
     candidates = model.candidates
     tracked = sorted(model.tracked)
@@ -359,9 +361,30 @@ def _serving(model: Model, more: Mapping[int, Sequence[IntVar]]) -> dict[int, In
                 model.cp.add_implication(through, connected)
                 model.cp.add_implication(through, serving[consumer])
                 model.cp.add(distance[feeder] > distance[consumer]).only_enforce_if(through)
+    for user, alone, both_run in _company(model) if is_company_served else ():
+        if user in ways and alone in ways:
+            through = model.boolean()
+            ways[alone].append(through)
+            for literal in (*both_run, serving[user]):
+                model.cp.add_implication(through, literal)
+            model.cp.add(distance[alone] > distance[user]).only_enforce_if(through)
     for i, choices_of in ways.items():
         model.needs_any(serving[i], choices_of)
     return serving
+
+
+def _company(model: Model) -> Iterator[tuple[int, int, list[LiteralT]]]:
+    """Each unit, one that it may run with on a host, and the literals that both run there, the latter alone of its
+    transformation.
+    """
+    for user, places in model.runs_on.items():
+        for label in model.candidates.all[user].transformation.beside:
+            units = [i for i in model.candidates.units_of(label) if i in model.runs_on]
+            for host, runs in places.items():
+                there = {i: model.runs_on[i][host] for i in units if host in model.runs_on[i]}
+                for alone in sorted(there.keys() - {user}):
+                    others = (other.negated() for i, other in there.items() if i != alone)
+                    yield user, alone, [runs, there[alone], *others]
 
 
 def a_stream_serves_no_more_than_it_may(model: Model) -> None:
@@ -393,7 +416,7 @@ def an_input_that_starts_nothing_is_fed_by_what_is_needed_anyway(model: Model) -
             model.cp.add_implication(asked, model.runs[i])
             model.cp.add(LinearExpr.sum([model.runs[n] for n in units]) <= t.min_instances).only_enforce_if(asked)
             roots[i].append(asked)
-    needed = _serving(model, roots)
+    needed = _serving(model, roots, is_company_served=True)
     for (unit, name), connects in model.connects.items():
         is_idle = name in candidates.all[unit].transformation.idle_inputs
         for stream, connected in connects.items():

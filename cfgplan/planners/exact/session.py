@@ -14,6 +14,7 @@ from threading import Event
 from typing import Final
 
 from cfgplan.errors import InputError
+from cfgplan.planners.exact.candidates import ONLY_IN_THE_MODEL
 from cfgplan.planners.exact.memory import Memory
 from cfgplan.planners.exact.running import offer_what_runs
 from cfgplan.planners.exact.stages import STAGES
@@ -24,8 +25,6 @@ from cfgplan.planners.tuning import USUAL, Tuning
 from cfgplan.planners.undecided import Deciding
 from cfgplan.planning import Notion, Plan, Problem, Progress, Status
 
-ONLY_IN_THE_MODEL: Final = frozenset({Notion.OPTIONAL, Notion.COUNTS, Notion.LIMITS})
-"""What first plans and bounds don't know."""
 SOLVED_AT_ONCE: Final = ONLY_IN_THE_MODEL | {Notion.ORDER, Notion.LATENCY}
 """Such a problem goes to the solver at once."""
 
@@ -76,8 +75,7 @@ def _tuning_for(problem: Problem, usual: Tuning) -> Tuning:
     Raises InputError if the model does not know all that is asked together.
     """
     wiring = ONLY_IN_THE_MODEL & problem.notions
-    of_optional = {Notion.BESIDE} if Notion.OPTIONAL in wiring else set()
-    beside = {Notion.QUALITY, Notion.SURVIVAL, *of_optional} & problem.notions
+    beside = {Notion.SURVIVAL} & problem.notions
     if wiring and beside:
         what, and_what = (" and ".join(sorted(notions)) for notions in (beside, wiring))
         raise InputError.of(f"the planner does not know {what} together with {and_what}")
