@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
+from operator import attrgetter
 from typing import Any, Final, Protocol
 
 from cfgplan.canonical import fields_of, store_whole
@@ -78,18 +79,18 @@ class Problem:
     @cached_property
     def notions(self) -> frozenset[Notion]:
         """What the problem asks beyond the paper; quality counts only if a target asks for it."""
-        environment = self.environment
+        environment, library = self.environment, self.environment.library
+        inputs = [port for t in library for port in t.inputs]
+        outputs = [port for t in library for port in t.outputs]
         asked = {
             Notion.QUALITY: any(target.quality for target in environment.targets),
             Notion.HOSTS: bool(environment.hosts),
-            Notion.CONFLICTS: any(t.conflicts or t.conflicts_on_host for t in environment.library),
+            Notion.CONFLICTS: any(map(any, _said(library, "conflicts", "conflicts_on_host"))),
             Notion.BESIDE: bool(environment.companions),
-            Notion.INSTANCES: any(
-                t.min_instances or t.max_instances is not None or t.per_host is not None for t in environment.library
-            ),
-            Notion.OPTIONAL: any(port.optional for t in environment.library for port in t.inputs),
-            Notion.COUNTS: any(port.count != 1 for t in environment.library for port in t.inputs),
-            Notion.LIMITS: any(port.serves is not None for t in environment.library for port in t.outputs),
+            Notion.INSTANCES: not _said(library, "min_instances", "max_instances", "per_host") <= {(0, None, None)},
+            Notion.OPTIONAL: True in _said(inputs, "optional"),
+            Notion.COUNTS: not _said(inputs, "count") <= {1},
+            Notion.LIMITS: not _said(outputs, "serves") <= {None},
             Notion.RUNS: bool(environment.wanted_to_run),
             Notion.SURVIVAL: self.survive is not None or any(unit.standby for unit in environment.units),
             Notion.LATENCY: not {link.adds for link in environment.links}.isdisjoint(
@@ -334,6 +335,11 @@ class Decider(Protocol):
     def decide(self, pairs: Sequence[Pair]) -> int:
         """Ask about pairs, the most wanted first. Returns how many were asked; `similarity` has the answers."""
         ...
+
+
+def _said(parts: Iterable[object], *names: str) -> set[Any]:
+    """The different values that parts have of some attributes: mostly one, however many parts there are."""
+    return set(map(attrgetter(*names), parts))
 
 
 def fresh_unit_ids(environment: Environment, labels: list[str]) -> dict[str, str]:
