@@ -244,6 +244,12 @@ MODEL = _room(
         "return (len(started) + 1) * LinearExpr.sum(self.rewired())",
         "return 1 * LinearExpr.sum(self.rewired())",
     ),
+    (
+        "what links add is not added",
+        "quality.py",
+        "sent = badness if delay is None else badness - delay",
+        "sent = badness",
+    ),
     ("landmarks need one less", "model.py", "at_least(self.cp, least, [", "at_least(self.cp, max(1, least - 1), ["),
     ("units fed apart are alike", "rules.py", "unit not in apart", "unit >= 0"),
     ("running units are alike", "rules.py", "candidate.running is None and unit", "True and unit"),
