@@ -55,11 +55,14 @@ def unfed_pinned(
     world: World, problem: Problem, *, reasoner: str = "auto", reasoner_limit_s: float | None = None
 ) -> dict[str, Unreachable]:
     """For each pinned unit that can't be fed, by id: why not, with the nearest outputs."""
+    pinned = pinned_reasons(problem)
+    if not pinned:
+        return {}
     from cfgplan import explaining
 
     nearest = _nearest(world, reasoner, reasoner_limit_s)
     found = {}
-    for unit in pinned_reasons(problem):
+    for unit in pinned:
         label = problem.environment.unit[unit].transformation
         (found[unit],) = explaining.unreachable(explaining.running(problem, label), nearest)
     return found

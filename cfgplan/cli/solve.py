@@ -18,10 +18,10 @@ from cfgplan.cli.front import add_front, show_front
 from cfgplan.cli.plan_text import cpu, verdict
 from cfgplan.cli.screen import Screen, counted
 from cfgplan.errors import InputError
-from cfgplan.explaining import Alternatives
 from cfgplan.planning import REFUSED, Plan, PlannerFaultError, Problem, Status
 
 if TYPE_CHECKING:
+    from cfgplan.explaining import Alternatives
     from cfgplan.planning import Pair, Problem
 
 
@@ -81,7 +81,6 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
 def _solve(options: argparse.Namespace, screen: Screen, task: shared.Task) -> Exit:
     from cfgplan import answers, api
-    from cfgplan.cli.explain import pinned_lines
     from cfgplan.cli.plan_text import update_text
 
     world, is_proven = task.world, True
@@ -109,6 +108,8 @@ def _solve(options: argparse.Namespace, screen: Screen, task: shared.Task) -> Ex
     if not screen.json:
         unfed = answers.unfed_pinned(world, problem, **task.reasoning) if plan.change_set is not None else {}
         for unit, why in unfed.items():
+            from cfgplan.cli.explain import pinned_lines
+
             screen.warn("\n".join(pinned_lines(problem.environment, unit, why)))
         if not is_proven and undecided:
             screen.warn(f"whether more can be met hangs on {counted(len(undecided), 'pair')} of tags not decided")
