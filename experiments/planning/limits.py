@@ -8,6 +8,7 @@ own. A limit is kept if the plan takes no more than a tenth, or 10 ms, longer.
 
 from __future__ import annotations
 
+import argparse
 import gc
 import math
 import multiprocessing
@@ -134,7 +135,9 @@ def measured(kind: str, size: int, limits_s: Limits) -> list[str]:
 
 
 def main() -> None:
-    if sys.argv[1:] == ["depth"]:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("of", nargs="?", choices=["depth"], help="without it, all kinds of problems, for limits.md")
+    if parser.parse_args().of == "depth":
         for row in rows(DEEP, DEPTHS, DEPTH_LIMITS_S):
             print(row, flush=True)
         return
