@@ -38,7 +38,6 @@ class Decide:
     """The planner's own search of small problems."""
 
     labels: int = said(600, "labels", "Networks of up to this size are searched before all else.", LIBRARIES)
-    left: int = said(200, "labels", "What bounds leave of a larger network is searched up to this size.", LIBRARIES)
     chained: int = said(
         16, "labels", "Above this size, dearest chains are charged before the search.", "NAO, 20 robots"
     )

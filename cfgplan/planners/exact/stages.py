@@ -94,6 +94,7 @@ def raise_bound(work: Work) -> bool:
     if part is None:
         labels, part = _bounded(work, weighing, labels)
     work.take(Left.by(part, network, weighing, labels, is_over=clock.is_over()))
+    work.clock.end("bounds")
     return False
 
 
@@ -137,18 +138,6 @@ def _at_what_is_left(network: Network, weighing: Weighing, bound: Bound, plan: I
     return plan if found is None else min(plan, numbers(found), key=weighing.of_plan)
 
 
-def decide_what_is_left(work: Work) -> bool:
-    """Search without the solver if bounds have left less than half, or at once if landmarks were known."""
-    left, is_finished = work.left, False
-    is_less = 2 * len(left.labels) <= len(work.structure.network.labels)
-    if (is_less or not work.is_new) and not work.standing.is_over:
-        is_finished = decide(work, left.names)
-        if not is_finished:
-            work.take(left)
-    work.clock.end("bounds")
-    return is_finished
-
-
 def close_gap(work: Work) -> bool:
     """Bring bound and plan closer."""
     closing, left, clock = work.closing, work.left, work.clock
@@ -173,7 +162,6 @@ STAGES: Final[tuple[Stage, ...]] = (
     use_all_required,
     decide_all,
     raise_bound,
-    decide_what_is_left,
     close_gap,
     solve,
 )
