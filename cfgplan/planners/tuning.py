@@ -103,11 +103,9 @@ class Close:
         0.3, "share of the cost", "With a larger gap the solver has little hope: closing goes on.", LIBRARIES
     )
     patience: int = said(100, "times", "Closing may take this much more work if the gap is that large.", LIBRARIES)
-    again: int = said(40, "landmarks", "A round takes at most this many from those charged greedily before.", LIBRARIES)
     many: int = said(3000, "labels", "From here on a linear program takes long: its rounds get more cuts.", LIBRARIES)
     times: int = said(4, "times", "A round then chooses needs this often, each time for other cuts.", LIBRARIES)
     entries: int = said(3, "entries/link", "The first linear program has about this many.", TIMED)
-    inward: float = said(0.5, "share", "Cuts are looked for this far from the fractions to an inner point.", LIBRARIES)
     trust: float = said(0.8, "share", "Repairs reckon labels cheaper by this part of their fraction.", LIBRARIES)
     need: float = said(16.0, "steps/need", "The work for a round: for each need.", TIMED)
     member: float = said(1.4e-3, "steps/member and landmark", "The work for a round: for each pair of these.", TIMED)

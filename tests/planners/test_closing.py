@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import combinations
 from unittest import mock
 
@@ -70,27 +69,6 @@ def test_bounds_that_are_cut_short_at_any_round_are_no_worse_than_before() -> No
             both.go_on(Clock())
         values.append(both.bound.value)
     assert values == sorted(values)
-
-
-@pytest.mark.parametrize("seed", [2, 5, 6])
-def test_long_landmarks_are_not_lost_but_demanded_where_the_fractions_miss_them(seed: int) -> None:
-    problem = random_library(seed, transformations=60, targets=3)
-    network = Structure.of(problem, None, Clock()).network
-    cost = np.array([start_cost_us(t, problem.horizon_s) for t in network.transformations], np.int64)
-    plan = np.array(sorted(first_plan(network, cost, 0, Clock()) or ()), np.int64)
-
-    def value(again: int, *, are_short: bool) -> int:
-        bound = Bound(network.core, cost)
-        bound.improve(2**50, 60, lambda: False)
-        both = Closing(network, bound, cost, plan, 1, Tuning(close=replace(LONG.close, again=again)))
-        with (
-            mock.patch.object(Bound, "short", lambda of: of.landmarks[:] if are_short else []),
-            mock.patch.object(Separator, "missed", lambda *_: []),
-        ):
-            both.go_on(Clock())
-        return both.bound.value
-
-    assert value(0, are_short=False) < value(40, are_short=False) == value(40, are_short=True)
 
 
 @fewer

@@ -7,7 +7,6 @@ from collections.abc import Callable
 import numpy as np
 
 from cfgplan.planners.bounding.bounds import Bound
-from cfgplan.planners.bounding.landmarks import Landmark
 from cfgplan.planners.closing.program import LandmarkProgram, alike
 from cfgplan.planners.closing.separation import Separator
 from cfgplan.planners.networks.core import Flags, Floats, Ints
@@ -121,21 +120,19 @@ class _Rounds:
         self._kinds = kinds
         self.fractions: Floats = np.zeros(bound.core.goal)
         self._draw = np.random.default_rng(bound.core.goal)
-        self._inside: Floats = np.ones(bound.core.goal)
         self._begin()
 
     def _begin(self) -> None:
         self._separator = Separator(self.bound.core, self._tuning)
         self._program = LandmarkProgram(self.bound.core, self._kinds[self.bound.core.labels], self.bound.cost)
         self._landmarks = [one for one in self.bound.short() if self._program.add(one)]
-        self._waiting = self.bound.landmarks[:]
 
     def restrict(self, keep: Flags) -> None:
         """Drop labels that are not in `keep`, and landmarks without a charge, if much less is left then."""
         counting = sum(weight > 0 for weight in self.bound.weights)
         if keep.sum() < 0.75 * len(keep) or 2 * counting < len(self.bound.landmarks):
             self.bound = self.bound.restricted(keep)
-            self._inside, self.fractions = self._inside[keep], self.fractions[keep]
+            self.fractions = self.fractions[keep]
             self._begin()
 
     def improve(self, enough: int, steps: float, most: int, clock: Clock) -> float:
@@ -148,36 +145,19 @@ class _Rounds:
             self.fractions = fractions
             took += own.need * len(self.bound.core.needs.items)
             took += own.member * self._program.members * len(self._landmarks) + own.label * self.bound.core.goal**2
-            if self._program.value >= enough or took >= steps or not self._add_missed(fractions, clock):
+            if self._program.value >= enough or took >= steps or not self._adds_missed(clock):
                 break
         bound = self._program.bound(self._landmarks[:])
         if bound.value >= self.bound.value:
             self.bound = bound
         return took
 
-    def _add_missed(self, fractions: Floats, clock: Clock) -> bool:
-        """Add landmarks missed by a point further inside (they cut deeper), else by the fractions. False if none is."""
-        inward = fractions + self._tuning.inward * (self._inside - fractions)
-        if self._add(inward, clock):
-            return True
-        self._inside = inward
-        return self._add(fractions, clock)
-
-    def _add(self, fractions: Floats, clock: Clock) -> bool:
-        missed = self._waiting_missed(fractions)
-        missed += self._separator.missed(fractions, self._draw, self.times, clock.is_over)
+    def _adds_missed(self, clock: Clock) -> bool:
+        """Add landmarks that the fractions miss. False if none is found."""
+        missed = self._separator.missed(self.fractions, self._draw, self.times, clock.is_over)
         new = [one for one in missed if self._program.add(one)]
         self._landmarks += new
         return bool(new)
-
-    def _waiting_missed(self, fractions: Floats) -> list[Landmark]:
-        """Remove and return the waiting landmarks that the fractions hit least."""
-        hit = np.array([landmark.hit_by(fractions) for landmark in self._waiting])
-        first = np.argsort(hit, kind="stable")[: self._tuning.again].tolist()
-        least = {i for i in first if hit[i] < 1 - self._tuning.missed}
-        missed = [one for i, one in enumerate(self._waiting) if i in least]
-        self._waiting = [one for i, one in enumerate(self._waiting) if i not in least]
-        return missed
 
 
 class Repairs:

@@ -60,13 +60,12 @@ class Separator:
         """Missed landmarks one behind the other: the members of one count as used for the next."""
         left = fractions.copy()
         for _ in range(self._tuning.nested):
-            flow, zones = self._cut(left, feeding, goal)
-            landmarks = [landmark_of(self._core, zone.tolist()) for zone in zones]
-            missed = [one for one in landmarks if one.hit_by(fractions) < 1 - self._tuning.missed]
-            if flow >= 1 - self._tuning.missed or not missed:
+            flow, zone = self._cut(left, feeding, goal)
+            landmark = landmark_of(self._core, zone.tolist())
+            if max(flow, landmark.hit_by(fractions)) >= 1 - self._tuning.missed:
                 return
-            yield from missed
-            left[missed[-1].members] = 1.0
+            yield landmark
+            left[landmark.members] = 1.0
 
     def _support(self, fractions: Floats) -> Floats:
         """An upper bound on how much of each fact the fractions support."""
@@ -87,8 +86,8 @@ class Separator:
         feeding[labels] = needs
         return feeding[:-1]
 
-    def _cut(self, fractions: Floats, feeding: Ints, goal: int) -> tuple[float, list[Ints]]:
-        """The value of a minimum cut that separates `goal`, and the smallest and the largest zone behind such a cut."""
+    def _cut(self, fractions: Floats, feeding: Ints, goal: int) -> tuple[float, Ints]:
+        """The value of a minimum cut that separates `goal`, and the smallest zone behind such a cut."""
         from ortools.graph.python.max_flow import SimpleMaxFlow  # type: ignore[import-untyped]
 
         core, facts = self._core, len(self._core.givers)
@@ -102,9 +101,4 @@ class Separator:
         )
         flow.solve(self._source, goal)
         behind = np.sort(np.array(flow.get_sink_side_min_cut(), np.int64))
-        smallest = behind[behind < facts]
-        beyond = np.ones(self._source + 1, np.bool_)
-        beyond[flow.get_source_side_min_cut()] = False
-        largest = np.flatnonzero(beyond[:facts])
-        zones = [smallest] if np.array_equal(smallest, largest) else [smallest, largest]
-        return flow.optimal_flow() / WHOLE, zones
+        return flow.optimal_flow() / WHOLE, behind[behind < facts]
