@@ -26,7 +26,7 @@ from cfgplan.domain import (
 from cfgplan.planners.bounding.bounds import Bound, cheapest_way, tightened
 from cfgplan.planners.bounding.landmarks import ways_into
 from cfgplan.planners.cpsat import plan
-from cfgplan.planners.exact import wiring
+from cfgplan.planners.exact.grounded import Grounded
 from cfgplan.planners.networks.greedy import first_plan, plan_at
 from cfgplan.planners.networks.network import Network
 from cfgplan.planners.solving.clock import Clock
@@ -77,14 +77,14 @@ def test_five_thousand_units_are_planned_with_one_look_at_each_event(
     problem: Problem, changes: tuple[int, int]
 ) -> None:
     looks = 0
-    new_feeds = wiring._Ordering._new_feeds
+    choices = Grounded.choices
 
-    def counted(ordering: wiring._Ordering, unit: int) -> dict[str, int] | None:
+    def counted(grounded: Grounded, unit: int, port: InputPort) -> list[Stream]:
         nonlocal looks
         looks += 1
-        return new_feeds(ordering, unit)
+        return choices(grounded, unit, port)
 
-    with patch.object(wiring._Ordering, "_new_feeds", counted):
+    with patch.object(Grounded, "choices", counted):
         found = plan(problem)
     assert found.change_set is not None
     assert found.status is Status.OPTIMAL

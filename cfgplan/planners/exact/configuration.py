@@ -11,9 +11,9 @@ from functools import partial
 
 import numpy as np
 
-from cfgplan.domain import ComputationUnit, Publication, Subscription, Target
+from cfgplan.domain import ComputationUnit, Target
 from cfgplan.planners.exact.candidates import Candidate, Candidates, HostName
-from cfgplan.planners.exact.decode import lean, named
+from cfgplan.planners.exact.decode import lean, named, needed_units
 from cfgplan.planners.exact.grounded import Grounded
 from cfgplan.planners.exact.places import Places
 from cfgplan.planners.exact.reach import Reach
@@ -34,6 +34,23 @@ def spare_prices(candidates: Candidates) -> Floats:
 
 def _spare_us(candidate: Candidate) -> int:
     return candidate.waiting_cost_us if candidate.may_wait else candidate.cost_us
+
+
+def wire(candidates: Candidates, chosen: Collection[int]) -> list[ComputationUnit] | None:
+    """The chosen candidates wired, running ones on their hosts, and as they are where they can stay so.
+
+    None if they do not ground each other. Where nothing is asked beyond the paper, those that nothing needs are left
+    out. Raises OutOfTimeError by the candidates' clock.
+    """
+    grounded, places = Grounded(candidates, chosen, None), Places(candidates)
+    if len(grounded.order) < len(chosen) or not places.put_all(grounded):
+        return None
+    units = places.units(grounded)
+    if units is None or not candidates.problem.is_plain:
+        return units
+    roots = [u for u in units if u.publications or candidates.is_pinned(candidates.index_of[u.id])]
+    needed = needed_units(candidates.environment, units, roots)
+    return [unit for unit in units if unit.id in needed]
 
 
 class Configuration:
@@ -61,26 +78,16 @@ class Configuration:
             return None
         if self.candidates.problem.survive is Failures.HOSTS and not self._bears_lost_hosts():
             return None
-        all_of, places = self.candidates.all, self._places
-        environment = self.candidates.environment
-        if len(places.published) < len(environment.stream_targets):
+        all_of, host_of = self.candidates.all, self._places.host_of
+        running = self._places.units(self._grounded)
+        if running is None:
             return None
-        if not self._labels(self.hot).issuperset(environment.wanted_to_run.values()):
-            return None
-        topics: dict[str, list[Publication]] = {}
-        for topic, stream in places.published.items():
-            topics.setdefault(stream.unit, []).append(Publication(stream.port, topic))
-        units = []
-        for i in self._grounded.order:
-            id_, transformation = all_of[i].id, all_of[i].transformation
-            subscriptions = tuple(Subscription(p.name, places.feeds[i, p.name]) for p in transformation.inputs)
-            published = tuple(topics.get(id_, ()))
-            units.append(ComputationUnit(id_, transformation.label, subscriptions, published, places.host_of[i]))
-        for i in sorted(self.cold):
-            spare = ComputationUnit(all_of[i].id, all_of[i].transformation.label, host=places.host_of[i], standby=True)
-            units.append(spare)
+        cold = [
+            ComputationUnit(all_of[i].id, all_of[i].transformation.label, host=host_of[i], standby=True)
+            for i in sorted(self.cold)
+        ]
         each = partial(self.candidates.clock.each, at_once=1)
-        return named(self.candidates, lean(self.candidates, units, each))
+        return named(self.candidates, lean(self.candidates, [*running, *cold], each))
 
     def _place(self, but_on: HostName) -> bool:
         self._grounded = Grounded(self.candidates, self.hot, self._attribute)

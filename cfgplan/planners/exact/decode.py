@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 from cfgplan.domain import ComputationUnit, Environment, InputPort, Publication, Stream, Subscription, Target
 from cfgplan.planners.exact.candidates import Candidates, HostName
 from cfgplan.planners.exact.survivors import can_do_without
-from cfgplan.planners.exact.wiring import published_stream
 from cfgplan.planners.networks.keys import needed_feeders
 from cfgplan.planning import Notion, Problem, fresh_units
 from cfgplan.reasons import Each
@@ -99,7 +98,9 @@ class _Decoding:
             return None
         if taken is None or model.tells_ports:
             return taken
-        return published_stream(self.candidates, model.unit_of(taken), target)
+        running = self.candidates.all[model.unit_of(taken)].running
+        old = [Stream(running.id, p.port) for p in running.publications if p.topic == target.topic] if running else []
+        return self._port_of(taken, target.tag, old)
 
     def _fed(self, unit: int, port: InputPort) -> tuple[Stream, ...]:
         """The streams by which an input is fed: those that it has already if they are there."""
@@ -147,7 +148,7 @@ def lean(candidates: Candidates, units: Collection[ComputationUnit], each: Each 
     for _ in each(repeat(None)):
         roots = [u for u in left if u.id in spares or _is_asked_for(problem, left, u)]
         roots += problem.environment.meeting(left).values()
-        needed = _needed(problem.environment, left, roots)
+        needed = needed_units(problem.environment, left, roots)
         needless = [unit for unit in left if unit.id not in needed]
         if not needless:
             break
@@ -182,7 +183,10 @@ def _is_asked_for(problem: Problem, units: Iterable[ComputationUnit], unit: Comp
     return number <= transformation.min_instances
 
 
-def _needed(environment: Environment, units: Iterable[ComputationUnit], roots: Iterable[ComputationUnit]) -> set[str]:
+def needed_units(
+    environment: Environment, units: Iterable[ComputationUnit], roots: Iterable[ComputationUnit]
+) -> set[str]:
+    """The ids of the roots and of all units that they need, directly or through others."""
     by_id = {unit.id: unit for unit in units}
     running = _running_on(by_id.values()) if environment.companions else {}
     ahead = [root.id for root in roots]

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping
+from functools import partial
 
 from cfgplan.costs import taken, transfer_cost_us
-from cfgplan.domain import Stream, Transformation, amount_of
+from cfgplan.domain import ComputationUnit, Publication, Stream, Subscription, Transformation, amount_of
 from cfgplan.planners.exact.candidates import Candidates, HostName
 from cfgplan.planners.exact.grounded import Grounded
 from cfgplan.planning import Problem
@@ -60,7 +61,7 @@ class Rooms:
 
 
 class Places:
-    """What is placed so far: the host of each unit, cold spares included, and what feeds each input."""
+    """What is placed so far: the host of each unit, cold spares included, and what feeds each input and target."""
 
     def __init__(self, candidates: Candidates) -> None:
         self.candidates = candidates
@@ -112,7 +113,7 @@ class Places:
 
     def _price_to(self, stream: Stream, host: HostName) -> int:
         """The cost to have a stream on a host; 0 while its unit is not placed."""
-        at = self.host_of.get(self.candidates.index_of[stream.unit])
+        at = None if host is None else self.host_of.get(self.candidates.index_of[stream.unit])
         return 0 if host is None or at is None or at == host else self._price(stream, at, host)
 
     def _price(self, stream: Stream, origin: HostName, host: HostName) -> int:
@@ -124,23 +125,54 @@ class Places:
         return self._price_us[key]
 
     def _feed(self, grounded: Grounded) -> None:
-        """Feed each input by a stream that is on its host already if possible, or is cheap to carry there."""
+        """Feed each input by a stream that is on its host already if possible, or is cheap to carry there.
+
+        Of equal ones it is the present stream. A target takes that of a unit that publishes it and may stay as it is,
+        or of one that has to change anyway.
+        """
+        environment, all_of = self.candidates.environment, self.candidates.all
         carried: set[tuple[Stream, HostName]] = set()
 
         def taken(choices: Collection[Stream], host: HostName, now: Collection[Stream]) -> Stream:
-            def cost(stream: Stream) -> tuple[int, bool]:
+            def price(stream: Stream) -> tuple[int, bool]:
                 return 0 if (stream, host) in carried else self._price_to(stream, host), stream not in now
 
-            stream = min(choices, key=cost)
+            stream = min(choices, key=price)
             carried.add((stream, host))
             return stream
 
-        for target in self.candidates.environment.stream_targets:
+        running = [unit for i in grounded.order if (unit := all_of[i].running) is not None]
+        was = {each.topic: Stream(unit.id, each.port) for unit in running for each in unit.publications}
+        for target in environment.stream_targets:
             if choices := grounded.published(target.tag):
-                self.published[target.topic] = taken(choices, target.host, ())
-        for unit in grounded.order:
-            candidate = self.candidates.all[unit]
-            feeds = candidate.running.feeds if candidate.running is not None else {}
-            for port in candidate.transformation.inputs:
-                choices = grounded.choices(unit, port)
-                self.feeds[unit, port.name] = taken(choices, self.host_of[unit], feeds.get(port.name, ()))
+                in_order = sorted(choices, key=partial(self._reluctance, was.get(target.topic)))
+                self.published[target.topic] = taken(in_order, target.host, ())
+        for i in grounded.order:
+            kept = all_of[i].running
+            for port in all_of[i].transformation.inputs:
+                now = () if kept is None else kept.feeds.get(port.name, ())
+                self.feeds[i, port.name] = taken(grounded.choices(i, port), self.host_of[i], now)
+
+    def _reluctance(self, old: Stream | None, stream: Stream) -> tuple[bool, bool, bool]:
+        """The less of it, the sooner a stream is published where the `old` one is now."""
+        publishes = old is not None and stream.unit == old.unit
+        may_stay = self.candidates.may_stay(self.candidates.index_of[stream.unit])
+        return not publishes, may_stay != publishes, stream != old
+
+    def units(self, grounded: Grounded) -> list[ComputationUnit] | None:
+        """The units that run, wired; None if a target is not met."""
+        all_of, environment = self.candidates.all, self.candidates.environment
+        labels = {all_of[i].transformation.label for i in grounded.order}
+        if len(self.published) < len(environment.stream_targets) or not labels.issuperset(
+            environment.wanted_to_run.values()
+        ):
+            return None
+        topics: dict[str, list[Publication]] = defaultdict(list)
+        for topic, stream in self.published.items():
+            topics[stream.unit].append(Publication(stream.port, topic))
+        units = []
+        for i in grounded.order:
+            id_, kind = all_of[i].id, all_of[i].transformation
+            subscriptions = tuple(Subscription(p.name, self.feeds[i, p.name]) for p in kind.inputs)
+            units.append(ComputationUnit(id_, kind.label, subscriptions, tuple(topics[id_]), self.host_of[i]))
+        return units

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from cfgplan.domain import ComputationUnit, Environment
 from cfgplan.planners.exact.candidates import Candidates, Closure
+from cfgplan.planners.exact.configuration import wire
 from cfgplan.planners.exact.standing import Standing
-from cfgplan.planners.exact.wiring import wire
 from cfgplan.reasons import Givers, startable
 
 

@@ -13,10 +13,10 @@ from cfgplan.planners.bounding.bounds import Bound
 from cfgplan.planners.closing.gap import Closing
 from cfgplan.planners.closing.separation import Separator
 from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.exact.configuration import wire
 from cfgplan.planners.exact.memory import Memory
 from cfgplan.planners.exact.rest import Remainder
 from cfgplan.planners.exact.standing import Standing
-from cfgplan.planners.exact.wiring import forced_changes, wire
 from cfgplan.planners.networks.core import Ints
 from cfgplan.planners.networks.network import Network, Weighing
 from cfgplan.planners.solving.clock import Clock
@@ -134,7 +134,7 @@ class Work:
             and best.key[:3] == (0, (), standing.bound_us)
             and len(chosen) == len(candidates.all) == len(best.units)
             and all(c.cost_us or candidates.is_pinned(i) for i, c in enumerate(candidates.all))
-            and best.key.rewired == forced_changes(candidates, chosen)
+            and best.key.rewired == _forced_changes(candidates, chosen)
         )
 
     def search(self, landmarks: Landmarks = (), missed: LandmarkFinder = lambda *_: ()) -> Search:
@@ -155,6 +155,16 @@ class Work:
     @cached_property
     def _separator(self) -> Separator:
         return Separator(self.structure.network.core, self.clock.tuning.close)
+
+
+def _forced_changes(candidates: Candidates, chosen: Collection[int]) -> int:
+    """How many of the chosen running units must be rewired, whatever the wiring."""
+    kept = {candidates.all[i].id for i in chosen}
+    running = {i: unit for i in chosen if (unit := candidates.all[i].running) is not None}
+    return sum(
+        not (candidates.may_stay(i) and all(s.stream.unit in kept for s in unit.subscriptions))
+        for i, unit in running.items()
+    )
 
 
 def numbers(labels: Iterable[int]) -> Ints:
