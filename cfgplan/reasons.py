@@ -123,7 +123,7 @@ def startable(environment: Environment, givers: Givers, each: Each = iter) -> fr
     while True:
         reached = forward_closure(environment, givers, alive, each)
         if reached == alive or not any(
-            p.feedback for label in reached for p in environment.transformation[label].needed_inputs
+            p.feedback and not p.optional for t in environment.library if t.label in reached for p in t.inputs
         ):
             return reached
         alive = _offered_all(environment, givers, reached)
@@ -162,8 +162,8 @@ def distinct_groups(transformation: Transformation) -> list[list[InputPort]]:
     One that takes several streams is there as often, by other names.
     """
     groups: dict[str, list[InputPort]] = defaultdict(list)
-    for port in transformation.needed_inputs:
-        if port.distinct is not None:
+    for port in transformation.inputs:
+        if port.distinct is not None and not port.optional:
             several = [replace(port, name=f"{port.name} ({n})", count=1) for n in range(1, port.count + 1)]
             groups[port.distinct] += several if len(several) > 1 else [port]
     return [group for _, group in sorted(groups.items()) if len(group) > 1] if groups else []
@@ -205,8 +205,10 @@ def forward_closure(
 
     def go_on(transformation: Transformation) -> None:
         """Wait for the first input that is not fed; without one, be ready."""
-        for port in transformation.needed_inputs:
+        for port in transformation.inputs:
             tag = port.tag
+            if port.optional:
+                continue
             if port.feedback:
                 if alive.isdisjoint(givers.of(tag)):
                     return

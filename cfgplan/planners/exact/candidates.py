@@ -284,13 +284,13 @@ def relevant(environment: Environment, givers: Givers, possible: frozenset[str],
     ahead += [port.tag for label in sorted(found) for port in library[label].inputs]
     seen = set(ahead)
     for tag in clock.each(ahead):
-        for label in givers.of(tag):
-            if label in possible and label not in found:
-                more = with_companions(environment, [label])
-                found.update(more)
-                new = [port.tag for one in more for port in library[one].inputs if port.tag not in seen]
-                seen.update(new)
-                ahead += new
+        new = [label for label in givers.of(tag) if label in possible and label not in found]
+        for label in with_companions(environment, new):
+            found.add(label)
+            for port in library[label].inputs:
+                if port.tag not in seen:
+                    seen.add(port.tag)
+                    ahead.append(port.tag)
     return frozenset(found & possible)
 
 
