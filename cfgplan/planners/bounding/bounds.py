@@ -111,20 +111,10 @@ class Bound:
         other = Bound(self.core, cost, list(self.landmarks), list(self.weights), self.value)
         other.residual = self.residual + (cost - self.cost)
         if (other.residual < 0).any():
-            other._give_back_what_is_too_much()
-        other.charge_what_is_left()
+            other.recharge(self.weights)
+        else:
+            other.charge_what_is_left()
         return other
-
-    def _give_back_what_is_too_much(self) -> None:
-        """Lower the weights of landmarks that charge a label more than it costs."""
-        self.value = sum(weight * one.least for weight, one in zip(self.weights, self.landmarks, strict=True))
-        for i, landmark in enumerate(self.landmarks):
-            counts = 1 if landmark.crowd is None else landmark.crowd.counts
-            back = min(self.weights[i], max(0, -int((self.residual[landmark.members] // counts).min(initial=0))))
-            if back:
-                self.residual[landmark.members] += back * counts
-                self.weights[i] -= back
-                self.value -= back * landmark.least
 
     def short(self) -> list[Landmark]:
         """The landmarks with the fewest members, with no more entries in total than the core has links.
