@@ -164,7 +164,7 @@ def test_the_weight_of_labels_is_never_more_than_what_a_plan_costs_and_changes(p
     changes = stage.plan.change_set
     assert weighing is not None
     assert changes is not None
-    key = Key(0, stage.plan.cost_us or 0, len(changes.rewired), len(changes.started))
+    key = Key(0, (), stage.plan.cost_us or 0, len(changes.rewired), len(changes.started))
     weight = weighing.of_plan(np.array(sorted(stage.numbers(stage.used)), np.int64))
     assert weight <= weighing.of_key(key)
     assert weighing.cost_us(weighing.of_key(key)) == stage.plan.cost_us
