@@ -7,9 +7,10 @@ from collections.abc import Callable
 import numpy as np
 
 from cfgplan.planners.bounding.bounds import Bound
+from cfgplan.planners.bounding.landmarks import Landmark
 from cfgplan.planners.closing.program import LandmarkProgram, alike
 from cfgplan.planners.closing.separation import Separator
-from cfgplan.planners.networks.core import Flags, Floats, Ints
+from cfgplan.planners.networks.core import Floats, Ints
 from cfgplan.planners.networks.greedy import FREE, cost_of, plan_at
 from cfgplan.planners.networks.network import Graph
 from cfgplan.planners.solving.clock import Clock
@@ -31,7 +32,8 @@ class Closing:
         self._repair_steps += tuning.rise.link * network.core.deep_links
         self._repairs = Repairs(network, cost, set(plan.tolist()), own)
         self._kinds = alike(network, cost)
-        self._rounds: _Rounds | None = None
+        self._draw = np.random.default_rng(bound.core.goal)
+        self._built: tuple[LandmarkProgram, list[Landmark], Separator] | None = None
         self._fractions: Floats = np.zeros(len(cost))
 
     @property
@@ -85,16 +87,43 @@ class Closing:
 
     def _round(self, steps: float, most: int, clock: Clock) -> float:
         """Raise the bound by up to `most` linear programs. Returns about how many steps they took."""
-        own = self._tuning
-        if self._rounds is None:
-            self._rounds = _Rounds(self.bound, self._kinds, own)
-        self._rounds.restrict(self.bound.may_be_used(self.limit))
-        self._rounds.times = own.times if self._patience or self.bound.core.goal >= own.many else 1
-        took = self._rounds.improve(self.limit - self._step + 1, steps, most, clock)
-        self.bound = self._rounds.bound
-        self._fractions[:] = 0.0
-        self._fractions[self.bound.core.labels] = self._rounds.fractions
+        own, took = self._tuning, 0.0
+        program, landmarks, separator = self._restricted()
+        times = own.times if self._patience or self.bound.core.goal >= own.many else 1
+        for _ in range(most):
+            fractions = program.solve(clock.left_s())
+            if fractions is None or clock.is_over():
+                break
+            self._fractions[:] = 0.0
+            self._fractions[self.bound.core.labels] = fractions
+            took += own.need * len(self.bound.core.needs.items)
+            took += own.member * program.members * len(landmarks) + own.label * self.bound.core.goal**2
+            if program.value > self.limit - self._step or took >= steps:
+                break
+            missed = [one for one in separator.missed(fractions, self._draw, times, clock.is_over) if program.add(one)]
+            landmarks += missed
+            if not missed:
+                break
+        bound = program.bound(landmarks[:])
+        if bound.value >= self.bound.value:
+            self.bound = bound
         return took
+
+    def _restricted(self) -> tuple[LandmarkProgram, list[Landmark], Separator]:
+        """The linear program over the labels left, the landmarks in it, and what finds more.
+
+        It is a new one, without labels that are not left and landmarks without a charge, if much less is left.
+        """
+        keep = self.bound.may_be_used(self.limit)
+        counting = sum(weight > 0 for weight in self.bound.weights)
+        is_less = keep.sum() < 0.75 * len(keep) or 2 * counting < len(self.bound.landmarks)
+        if self._built is None or is_less:
+            self.bound = self.bound.restricted(keep) if is_less else self.bound
+            core = self.bound.core
+            program = LandmarkProgram(core, self._kinds[core.labels], self.bound.cost)
+            landmarks = [one for one in self.bound.short() if program.add(one)]
+            self._built = program, landmarks, Separator(core, self._tuning)
+        return self._built
 
     def _repair(self, steps: float, clock: Clock) -> None:
         """Look for a cheaper plan for about `steps` steps, unless there is none."""
@@ -108,56 +137,6 @@ class Closing:
     def _can_be_built(self, clock: Clock) -> bool:
         """Whether there is time for a linear program."""
         return clock.has_steps(clock.tuning.rise.building * self._tuning.entries * self.bound.core.links)
-
-
-class _Rounds:
-    """Rounds of solving the linear program and adding landmarks that its fractions miss."""
-
-    def __init__(self, bound: Bound, kinds: Ints, tuning: Close) -> None:
-        self.bound = bound
-        self._tuning = tuning
-        self.times = 1
-        self._kinds = kinds
-        self.fractions: Floats = np.zeros(bound.core.goal)
-        self._draw = np.random.default_rng(bound.core.goal)
-        self._begin()
-
-    def _begin(self) -> None:
-        self._separator = Separator(self.bound.core, self._tuning)
-        self._program = LandmarkProgram(self.bound.core, self._kinds[self.bound.core.labels], self.bound.cost)
-        self._landmarks = [one for one in self.bound.short() if self._program.add(one)]
-
-    def restrict(self, keep: Flags) -> None:
-        """Drop labels that are not in `keep`, and landmarks without a charge, if much less is left then."""
-        counting = sum(weight > 0 for weight in self.bound.weights)
-        if keep.sum() < 0.75 * len(keep) or 2 * counting < len(self.bound.landmarks):
-            self.bound = self.bound.restricted(keep)
-            self.fractions = self.fractions[keep]
-            self._begin()
-
-    def improve(self, enough: int, steps: float, most: int, clock: Clock) -> float:
-        """Do up to `most` rounds. Returns about how many steps they took."""
-        own, took = self._tuning, 0.0
-        for _ in range(most):
-            fractions = self._program.solve(clock.left_s())
-            if fractions is None or clock.is_over():
-                break
-            self.fractions = fractions
-            took += own.need * len(self.bound.core.needs.items)
-            took += own.member * self._program.members * len(self._landmarks) + own.label * self.bound.core.goal**2
-            if self._program.value >= enough or took >= steps or not self._adds_missed(clock):
-                break
-        bound = self._program.bound(self._landmarks[:])
-        if bound.value >= self.bound.value:
-            self.bound = bound
-        return took
-
-    def _adds_missed(self, clock: Clock) -> bool:
-        """Add landmarks that the fractions miss. False if none is found."""
-        missed = self._separator.missed(self.fractions, self._draw, self.times, clock.is_over)
-        new = [one for one in missed if self._program.add(one)]
-        self._landmarks += new
-        return bool(new)
 
 
 class Repairs:
