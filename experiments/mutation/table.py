@@ -347,7 +347,7 @@ MODEL = _room(
         "cp.add_bool_or([taken.negated()])",
         "pass",
     ),
-    ("the dear run anywhere", "kernels.py", "if largest_us is None:", "if True:"),
+    ("the dear run anywhere", "fleet.py", "if largest_us is None:", "if True:"),
     (
         "the mean is the sum",
         "quality.py",

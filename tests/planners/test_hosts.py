@@ -18,7 +18,7 @@ from cfgplan.planners import PLANNERS
 from cfgplan.planners.exact import fleet
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.first_plans import FirstPlans
-from cfgplan.planners.exact.kernels import left_by_bounds
+from cfgplan.planners.exact.fleet import left_by_bounds
 from cfgplan.planners.exact.session import PlannerSession
 from cfgplan.planners.exact.standing import Standing
 from cfgplan.planners.solving.clock import Clock
