@@ -20,12 +20,16 @@ class Rooms:
         self._problem, self._environment = problem, problem.environment
         self._taken: Counter[tuple[HostName, str]] = Counter()
         self._there: dict[HostName, Counter[str]] = defaultdict(Counter)
+        self._rivals: dict[HostName, dict[str, set[str]]] = defaultdict(lambda: defaultdict(set))
+        """On each host, for each transformation those there that conflict with it."""
 
     def put(self, kind: Transformation, name: HostName) -> bool:
         """Put a unit on a host; False if the host lacks something for it."""
         if any(self.lacks(kind, name)):
             return False
         self._there[name][kind.label] += 1
+        for other in kind.conflicts_on_host:
+            self._rivals[name][other].add(kind.label)
         for resource, amount in self._takes(kind, name).items():
             self._taken[name, resource] += amount
         return True
@@ -39,12 +43,11 @@ class Rooms:
                 yield f"{amount_of(resource, amount)} left"
         if kind.per_host is not None and self._there[name][kind.label] >= kind.per_host:
             yield f"fewer than {kind.per_host} of them"
-        library = self._environment.transformation
-        for other in self._there[name]:
-            if other != kind.label and (
-                other in kind.conflicts_on_host or kind.label in library[other].conflicts_on_host
-            ):
-                yield f"no unit of {other}"
+        rivals = self._rivals[name][kind.label] | {
+            other for other in kind.conflicts_on_host if other in self._there[name]
+        }
+        for other in sorted(rivals - {kind.label}):
+            yield f"no unit of {other}"
 
     def strangers(self, kind: Transformation, name: HostName) -> int:
         """How many transformations that a unit runs with are not on a host; less than 0 where it is waited for."""

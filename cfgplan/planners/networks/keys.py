@@ -87,7 +87,7 @@ def may_stay(problem: Problem, labels: Collection[str], unit: ComputationUnit) -
                 return False
             if port.distinct is not None:
                 feeders.add((port.distinct, feeder.transformation))
-    wanted = {target.topic: target.tag for target in environment.stream_targets}
+    wanted = {target.topic: target.tag for target in environment.stream_targets} if unit.publications else {}
     return all(
         publication.topic in wanted
         and publication.port in transformation.output
