@@ -17,7 +17,6 @@ from cfgplan.planners.bounding.bounds import Bound, cheapest_way, tightened
 from cfgplan.planners.exact.best_case import bound_by_price, least_of_all, least_prices_us, leave_out_what_is_too_bad
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.first_plans import FirstPlans
-from cfgplan.planners.exact.kernels import left_by_bounds, look_among_few
 from cfgplan.planners.exact.quality_chains import ChainCut, has_chains
 from cfgplan.planners.exact.quality_cuts import chain_cuts
 from cfgplan.planners.exact.standing import Standing
