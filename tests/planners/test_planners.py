@@ -7,6 +7,7 @@ import sys
 import time
 from dataclasses import replace
 from threading import Event
+from typing import Any
 
 import pytest
 
@@ -26,7 +27,7 @@ from cfgplan.domain import (
 from cfgplan.errors import InputError
 from cfgplan.planners import PLANNERS, exhaustive
 from cfgplan.planners.cpsat import plan as cpsat_plan
-from cfgplan.planning import Planner, Problem, Progress, Status
+from cfgplan.planning import Failures, Planner, Problem, Progress, Status
 from cfgplan.validity import plan_violations
 
 every_planner = pytest.mark.parametrize("planner", PLANNERS.values(), ids=list(PLANNERS))
@@ -364,6 +365,17 @@ def test_a_count_starts_as_many_units_as_it_takes() -> None:
         "source.2",
         "source.3",
     ]
+
+
+@pytest.mark.parametrize(
+    ("port", "word"), [({"count": 2}, "inputs that take several streams"), ({"optional": True}, "optional inputs")]
+)
+def test_what_is_not_known_together_with_survival_is_refused_by_name(port: dict[str, Any], word: str) -> None:
+    problem = world(
+        "B", make("source", gives="A"), replace(make("sink", "A", "B"), inputs=(InputPort("i", "A", **port),))
+    )
+    with pytest.raises(InputError, match=f"does not know survival of failures together with {word}"):
+        cpsat_plan(replace(problem, survive=Failures.UNITS))
 
 
 def test_branch_and_bound_refuses_targets_that_want_a_unit_by_name() -> None:

@@ -75,10 +75,10 @@ def _tuning_for(problem: Problem, usual: Tuning) -> Tuning:
     Raises InputError if the model does not know all that is asked together.
     """
     wiring = ONLY_IN_THE_MODEL & problem.notions
-    beside = {Notion.SURVIVAL} & problem.notions
-    if wiring and beside:
-        what, and_what = (" and ".join(sorted(notions)) for notions in (beside, wiring))
-        raise InputError.of(f"the planner does not know {what} together with {and_what}")
+    if wiring and Notion.SURVIVAL in problem.notions:
+        words = " and ".join(sorted(wiring))
+        mend = "leave out `survive` and cold spares, or `optional`, `count` and `serves`"
+        raise InputError.of(f"the planner does not know {Notion.SURVIVAL} together with {words}", mend=mend)
     return replace(usual, is_solver_only=True) if SOLVED_AT_ONCE & problem.notions else usual
 
 
