@@ -598,6 +598,42 @@ SUPERVISION = _room(
     ("a switch is not noted", "wiring.py", "            wire.has_switched = True\n", "            pass\n"),
 )
 
+SPARES = _room(
+    "runtime/cfgplan_runtime",
+    ("tests/runtime/test_spares.py", "tests/lifecycle/test_lost_hosts.py"),
+    (
+        "a unit of other code begins where a spare is prepared",
+        "supervision/spares.py",
+        "(one.order, one.host) == (order, host)",
+        "one.host == host",
+    ),
+    (
+        "a spare that is lost again and again is always prepared at once",
+        "supervision/spares.py",
+        "now_s + doubling_s(spare.losses, _PUT_OFF_S, _MOST_PUT_OFF_S)",
+        "now_s",
+    ),
+    ("a spare may grow", "supervision/spares.py", "usage.memory_bytes > most_mb * MEGABYTE", "False"),
+    (
+        "a spare that an undone update has used is gone",
+        "supervision/supervisor.py",
+        "            self.spares.keep(self.environment, self.now())\n            self._report(RolledBack",
+        "            self._report(RolledBack",
+    ),
+    (
+        "a unit begins in a spare of old code",
+        "processes/process_backend.py",
+        "prepared is None or prepared.changed_file() is not None:",
+        "prepared is None:",
+    ),
+    (
+        "a unit starts where its spare is, however dear",
+        "lifecycle/deliberation.py",
+        "if other is plan or not validity.plan_violations(problem, other):",
+        "if True:",
+    ),
+)
+
 LIFECYCLE = _room(
     "runtime/cfgplan_runtime/lifecycle",
     ("tests/lifecycle/test_decisions.py",),
@@ -711,4 +747,4 @@ LIFECYCLE = _room(
     ),
 )
 
-MUTANTS = (*MODEL, *JUDGE, *BOUNDS, *CLOSING, *SATURATION, *SUPERVISION, *LIFECYCLE)
+MUTANTS = (*MODEL, *JUDGE, *BOUNDS, *CLOSING, *SATURATION, *SUPERVISION, *SPARES, *LIFECYCLE)

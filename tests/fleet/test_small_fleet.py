@@ -365,6 +365,15 @@ def test_a_unit_begins_where_a_spare_is_prepared_on_another_host() -> None:
         eventually(lambda: not fleet.spares())
 
 
+def test_the_spares_of_a_fleet_end_with_their_run() -> None:
+    with small_fleet("r1") as fleet:
+        with fleet.runtime(source(), worker()) as runtime:
+            runtime.apply(ChangeSet(started=(COUNT, cold("work.9", "r1"))))
+            eventually(lambda: bool(seen(runtime, SparePrepared)))
+            assert fleet.spares().keys() == {"work.9"}
+        eventually(lambda: not fleet.spares())
+
+
 def test_a_host_that_returns_is_cleared_of_its_spares() -> None:
     with small_fleet("r1", "r2") as fleet, fleet.runtime(source(), worker()) as runtime:
         runtime.apply(ChangeSet(started=(COUNT, cold("work.9", "r2"))))

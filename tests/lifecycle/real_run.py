@@ -91,15 +91,17 @@ class RealRun:
         self._listeners: dict[str, Listener] = {}
         (folder / "units.py").write_text(UNITS)
 
-    def write(self, *parts: Transformations, horizon: int = 600, targets: dict[str, str] | None = None) -> None:
-        """Write the file as editors do: a new one that takes the old one's place."""
+    def write(
+        self, *parts: Transformations, horizon: int = 600, targets: dict[str, str] | None = None, **more: Any
+    ) -> None:
+        """Write the file as editors do: a new one that takes the old one's place. `more` stands at its top."""
         library = [{"label": label, **rest} for part in parts for label, rest in part.items()]
         wanted = [
             {"label": topic.strip("/"), "topic": topic, "tag": tag}
             for topic, tag in (targets or {"/result": "Y"}).items()
         ]
         text = yaml.safe_dump(
-            {"format": "cfgplan/1", "horizon": horizon, "transformations": library, "targets": wanted}
+            {"format": "cfgplan/1", "horizon": horizon, **more, "transformations": library, "targets": wanted}
         )
         self.write_text(text)
 

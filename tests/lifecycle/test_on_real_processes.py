@@ -22,7 +22,7 @@ from cfgplan_runtime.lifecycle.perturbations import (
 from cfgplan_runtime.lifecycle.reports import Decision, Review, UnitEvent
 from cfgplan_runtime.processes import process_backend
 from cfgplan_runtime.processes.process_backend import OUTLETS
-from cfgplan_runtime.supervision.events import OutOfDescriptors
+from cfgplan_runtime.supervision.events import OutOfDescriptors, SpareUsed
 from real_run import RealRun, eventually, source, worker
 
 RESULT, SLOW, DYING = {"/result": "Y"}, {"/slow": "S"}, {"/dying": "D"}
@@ -38,6 +38,28 @@ def test_the_stream_goes_on_after_the_death_of_each_unit(run_for_real: RealRun) 
         run_for_real.await_result("last")
     assert [gone.how for gone in run_for_real.seen(UnitGone)] == ["died"] * 3
     assert Decision.FAILED not in {review.decision for review in run_for_real.reviews}
+
+
+def test_a_killed_unit_is_replaced_where_its_spare_was_prepared(run_for_real: RealRun) -> None:
+    run = run_for_real
+    run.start(source(standby=0.0001), worker(deed="start slowly", standby=0.0001), survive=1)
+
+    def prepared() -> set[str]:
+        return {view.unit.id for view in run.manager.snapshot().units if view.is_prepared}
+
+    def used() -> list[SpareUsed]:
+        told = [report.event for report in list(run.reports) if isinstance(report, UnitEvent)]
+        return [event for event in told if isinstance(event, SpareUsed)]
+
+    eventually(lambda: len(prepared()) == 2)
+    spares = prepared()
+    run.kill("work.1")
+    eventually(lambda: bool(used()))
+    assert {event.spare for event in used()} < spares
+    assert run.manager.settle(60)
+    run.await_result("work")
+    eventually(lambda: len(prepared()) == 2)
+    assert [gone.unit for gone in run.seen(UnitGone)] == ["work.1"]
 
 
 def test_the_stream_goes_on_after_a_subscription_is_removed(run_for_real: RealRun) -> None:

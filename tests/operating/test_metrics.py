@@ -142,6 +142,13 @@ def test_the_configuration_shows_its_cost_and_horizon(scrape: Scraped) -> None:
     assert scrape("transformation_held_out_seconds", transformation="segmenter") == 4
 
 
+def test_cold_spares_and_those_that_are_prepared_are_counted(scrape: Scraped) -> None:
+    spares = [replace(DETECTOR, id=f"detector.{n}", subscriptions=(), publications=(), standby=True) for n in (2, 3)]
+    views = (*scrape.snapshot.units, UnitView(spares[0]), UnitView(spares[1], is_prepared=True))
+    scrape.snapshot = replace(scrape.snapshot, units=views)
+    assert [scrape(name) for name in ("units", "spares", "prepared_spares")] == [1, 2, 1]
+
+
 def test_a_unit_that_has_ended_is_not_shown_any_more(scrape: Scraped) -> None:
     scrape.snapshot = replace(SNAPSHOT, units=())
     assert scrape("unit_steps_total", **UNIT) is None
