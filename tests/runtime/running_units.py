@@ -84,10 +84,11 @@ class Slow:
 
 
 class SlowToConstruct:
-    """Takes so many seconds until it can give its first value."""
+    """Is constructed once there is a file `note`."""
 
-    def __init__(self, seconds: float) -> None:
-        time.sleep(seconds)
+    def __init__(self, note: str) -> None:
+        while not Path(note).exists():
+            time.sleep(0.01)
 
     def __call__(self, x: Any) -> Any:
         return x
