@@ -11,7 +11,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, field
 from math import inf
 
@@ -27,6 +26,7 @@ from cfgplan_runtime.children.messages import (
     ToChild,
 )
 from cfgplan_runtime.children.ports import Ports, UnitInput, UnitOutput
+from cfgplan_runtime.streams.channel import Bell
 from cfgplan_runtime.streams.crossing import (
     LAST_PIECE,
     Piece,
@@ -85,10 +85,8 @@ class Relay:
         self._imports: dict[str, _Import] = {}
         self._arrived: deque[tuple[str, bytes, bytes]] = deque()
         self._is_closing = self._has_rung = False
-        self._bell, self._bell_rope = socket.socketpair()
-        for bell in (self._bell, self._bell_rope):
-            bell.setblocking(False)
-        self._ports.watch(self._bell, self._hear_bell)
+        self._bell = Bell()
+        self._ports.watch(self._bell.socket, self._bell.hear)
         for kind in ("data", "credit"):
             link.hear(crossing_key(None, kind, host, "*"), self._take)
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -109,7 +107,7 @@ class Relay:
     def close(self) -> None:
         """End the thread and those of all exports."""
         self._is_closing = True
-        self._ring()
+        self._bell.ring()
         self._thread.join()
 
     def _run(self) -> None:
@@ -141,15 +139,7 @@ class Relay:
         self._arrived.append((key, head, payload))
         if not self._has_rung:
             self._has_rung = True
-            self._ring()
-
-    def _ring(self) -> None:
-        with suppress(OSError):
-            self._bell_rope.send(b"!")
-
-    def _hear_bell(self) -> None:
-        with suppress(BlockingIOError):
-            self._bell.recv(4096)
+            self._bell.ring()
 
     def _due_s(self) -> float:
         sent = [one.sending.due_s for one in self._exports.values()]

@@ -21,6 +21,7 @@ from pathlib import Path
 
 from cfgplan.domain import MANAGER
 from cfgplan_runtime.errors import RuntimeFaultError
+from cfgplan_runtime.streams.channel import Bell
 from cfgplan_runtime.streams.crossing import (
     LAST_PIECE,
     PIECES_UNDER_WAY,
@@ -66,11 +67,9 @@ class _Tunnel:
         self._unread = bytearray()
         self._is_closing = False
         self._close_s = inf
-        self._bell, self._bell_rope = socket.socketpair()
+        self._bell = Bell()
         self._selector = selectors.DefaultSelector()
-        for bell in (self._bell, self._bell_rope):
-            bell.setblocking(False)
-        self._selector.register(self._bell, selectors.EVENT_READ)
+        self._selector.register(self._bell.socket, selectors.EVENT_READ)
 
     def start(self, end: socket.socket | None = None, wanted: str | None = None) -> None:
         """Begin to carry, from and to `end`; the other end is asked for what is `wanted`."""
@@ -83,25 +82,21 @@ class _Tunnel:
     def take(self, is_credit: bool, head: bytes, payload: bytes) -> None:
         """What has come from the other end; for any thread."""
         self._arrived.append((is_credit, head, payload))
-        self._ring()
+        self._bell.ring()
 
     def close(self) -> None:
         """The other end is gone; for any thread."""
         self._is_closing = True
-        self._ring()
-
-    def _ring(self) -> None:
-        with suppress(OSError):
-            self._bell_rope.send(b"!")
+        self._bell.ring()
 
     def _run(self) -> None:
         try:
             with suppress(RuntimeFaultError):  # the link is closed
                 self._carry()
         finally:
-            for one in (self._end, self._bell, self._bell_rope):
-                if one is not None:
-                    one.close()
+            if self._end is not None:
+                self._end.close()
+            self._bell.close()
             self._selector.close()
             self._ended()
 
@@ -127,8 +122,7 @@ class _Tunnel:
         times = [due_s for due_s in (self._sending.due_s, self._receiving.due_s) if due_s is not None]
         due_s = min([*times, self._close_s])
         found = self._selector.select(None if due_s == inf else max(0.0, due_s - time.monotonic()))
-        with suppress(BlockingIOError):
-            self._bell.recv(4096)
+        self._bell.hear()
         while self._arrived:
             self._understand(*self._arrived.popleft())
         if any(key.fileobj is self._end and events & selectors.EVENT_READ for key, events in found):

@@ -55,7 +55,7 @@ from cfgplan_runtime.children.unit_order import unit_order
 from cfgplan_runtime.processes.child_process import ChildProcess, cause_of_end, changed_ns, cpu_us, memory_bytes
 from cfgplan_runtime.processes.cpu_group import CpuGroup
 from cfgplan_runtime.processes.nursery_link import NurseryLink
-from cfgplan_runtime.streams.channel import socket_pair
+from cfgplan_runtime.streams.channel import Bell, socket_pair
 from cfgplan_runtime.streams.run_folder import RunFolder
 from cfgplan_runtime.supervision.backend import Inlet, Usage
 from cfgplan_runtime.supervision.delays import doubling_s
@@ -117,10 +117,8 @@ class ProcessBackend:
         self._cpu = cpu
         self._code_folder = str((folder or Path.cwd()).resolve())
         self._selector = selectors.DefaultSelector()
-        self._bell, self._bell_rope = socket.socketpair()
-        for bell in (self._bell, self._bell_rope):
-            bell.setblocking(False)
-        self._selector.register(self._bell, selectors.EVENT_READ, self._hear_bell)
+        self._bell = Bell()
+        self._selector.register(self._bell.socket, selectors.EVENT_READ, self._bell.hear)
         self._events: list[Event] = []
         self._children: dict[int, ChildProcess] = {}
         self._by_name: dict[str, ChildProcess] = {}
@@ -162,8 +160,7 @@ class ProcessBackend:
         return time.monotonic()
 
     def wake(self) -> None:
-        with suppress(OSError):
-            self._bell_rope.send(b"!")
+        self._bell.ring()
 
     def wait(self, timeout_s: float | None) -> Sequence[Event]:
         if self._outlets_due_s is not None:
@@ -337,8 +334,7 @@ class ProcessBackend:
         for child in list(self._children.values()):
             self._forget(child)
         self._selector.close()
-        for bell in (self._bell, self._bell_rope):
-            bell.close()
+        self._bell.close()
         self.run_folder.close()
         if self._cpu is not None:
             self._cpu.close()
@@ -402,10 +398,6 @@ class ProcessBackend:
         self._selector.register(printed, selectors.EVENT_READ, lambda: self._hear_print(child))
         self._nursery.fork(child.serial, order, [theirs, printing])
         return child
-
-    def _hear_bell(self) -> None:
-        with suppress(BlockingIOError):
-            self._bell.recv(4096)
 
     def _hear_nursery(self) -> None:
         self._events.append(HelperAlive(NURSERY_HELPER, HELPER_S))
