@@ -159,7 +159,6 @@ class Quality:
     wait: int = said(4, "rounds", "Cuts go on if so many rounds raise the bound by `rise`.", FLEETS)
     rise: float = said(5e-4, "share", "The rise of the bound with which cuts go on.", FLEETS)
     largest: int = said(300_000, "coefficients", "A larger linear program is not built.", FLEETS)
-    gains: int = said(12, "units", "Potentials count this many amplifying units in a row.", FLEETS)
     lifts: int = said(6, "times", "Potentials are raised this often where that costs nothing.", FLEETS)
 
 

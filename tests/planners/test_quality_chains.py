@@ -13,7 +13,7 @@ from cfgplan.errors import InputError
 from cfgplan.figures import qualities_of_targets
 from cfgplan.planners import PLANNERS
 from cfgplan.planners.exact.candidates import Candidates
-from cfgplan.planners.exact.quality_chains import Chains
+from cfgplan.planners.exact.quality_chains import Chains, Root
 from cfgplan.planners.exact.quality_cuts import chain_cuts
 from cfgplan.planners.solving.clock import Clock
 from cfgplan.planning import Notion, Problem
@@ -44,7 +44,7 @@ def test_only_the_fast_unit_is_ahead_of_what_the_slow_one_makes() -> None:
     chains = Chains(candidates, LATENCY)
     potential = np.zeros(2, np.int64)
     potential[chains.demand["raw"]], potential[chains.demand["clean"]] = 10, 40
-    ahead = chains.root("clean").ahead(potential)
+    ahead = Root(chains, "clean").ahead(potential)
     names = {c.transformation.label: int(ahead[i]) for i, c in enumerate(candidates.all)}
     assert names == {"sensor": 0, "slow": 0, "fast": 25}
 
@@ -54,9 +54,9 @@ def test_potentials_are_lifted_where_nobody_gets_ahead() -> None:
     chains = Chains(candidates, LATENCY)
     potential = np.zeros(2, np.int64)
     potential[chains.demand["clean"]] = 15
-    lifted = chains.root("clean").lifted(potential)
+    lifted = Root(chains, "clean").lifted(potential)
     assert lifted[chains.demand["raw"]] == 10
-    assert not chains.root("clean").ahead(lifted).any()
+    assert not Root(chains, "clean").ahead(lifted).any()
 
 
 def is_kept(problem: Problem, candidates: Candidates, attribute: QualityAttribute, draw: st.DataObject) -> None:
@@ -75,7 +75,7 @@ def is_kept(problem: Problem, candidates: Candidates, attribute: QualityAttribut
     potential = np.maximum(np.array(found, np.int64), chains.best)
     running = {unit.id for unit in units}
     for target in problem.environment.targets:
-        root = chains.root(target.tag)
+        root = Root(chains, target.tag)
         for potentials in (potential, root.lifted(potential)):
             ahead = root.ahead(potentials)
             helped = sum(int(ahead[i]) for i, c in enumerate(candidates.all) if c.id in running)

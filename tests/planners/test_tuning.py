@@ -18,7 +18,6 @@ NOT_TUNED = {
     "closing/program.py": {"FROM_THE_LAST_BASIS", "FINE", "LARGEST_CHARGES"},
     "closing/separation.py": {"WHOLE", "CREEP"},
     "exact/search.py": {"EXACT", "LARGEST"},
-    "exact/quality_chains.py": {"MOST_GAIN"},
     "solving/clock.py": {"STOPPING_S"},
 }
 """Numbers of which answers, their exactness or what a function means hang, not when it comes to one."""

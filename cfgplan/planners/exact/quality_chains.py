@@ -26,9 +26,6 @@ from cfgplan.planners.networks.core import Flags, Ints
 from cfgplan.planning import Notion
 from cfgplan.qualities import MICRO, Over, QualityAttribute
 
-MOST_GAIN = 64 * MICRO
-"""The largest factor by which units in a row amplify, in millionths; beyond it being ahead counts in full."""
-
 
 @dataclass(frozen=True)
 class ChainCut:
@@ -128,43 +125,31 @@ class Chains:
         bad = potential[inputs] - (self.best[inputs] if over is Over.SUM else 0)
         return [(int(inputs[np.argmax(bad)]), 1.0)]
 
-    def root(self, tag: str) -> Root:
-        """The root of a target that demands a tag: how much being ahead counts at each demand."""
-        end = self.demand[tag]
-        weight = np.zeros(len(self.demand), np.int64)
-        weight[end] = MICRO
-        gain = np.maximum(self.gain, MICRO)
-        for _ in range(self.tuning.gains + len(self.demand) * bool((gain == MICRO).all())):
-            more = np.append(weight, 0)
-            amplified = -(-weight[self.pair_demand] * gain[self.pair_stream] // MICRO)
-            for column in self.inputs.T[:, self.pair_stream]:
-                np.maximum.at(more, column, amplified)
-            more = np.minimum(more[:-1], MOST_GAIN)
-            if (more == weight).all():
-                return Root(self, end, weight)
-            weight = more
-        return Root(self, end, np.where(weight > 0, MOST_GAIN, 0))
-
 
 class Root:
-    """A target's demand among the chains: `weight` says how much being ahead at a demand counts, in millionths."""
+    """A target's demand among the chains, and which demands `is_before` it: whose streams may be a part of it."""
 
-    def __init__(self, chains: Chains, demand: int, weight: Ints) -> None:
-        self.chains = chains
-        self.demand = demand
-        self.is_before: Flags = weight > 0
-        self._pair_weight = weight[chains.pair_demand]
-        self._is_even = bool((weight <= MICRO).all())
+    def __init__(self, chains: Chains, tag: str) -> None:
+        self.chains, self.demand = chains, chains.demand[tag]
+        is_before = np.zeros(len(chains.demand) + 1, np.bool_)  # the last is for demands that nothing meets
+        ahead = np.array([self.demand])
+        while len(ahead):
+            is_before[ahead] = True
+            streams = chains.pair_stream[np.isin(chains.pair_demand, ahead)]
+            inputs = chains.inputs[streams]
+            ahead = np.unique(inputs[inputs >= 0])
+            ahead = ahead[~is_before[ahead] & (ahead < len(chains.demand))]
+        self.is_before: Flags = is_before[:-1]
+        self._is_pair_before = self.is_before[chains.pair_demand]
+        self._is_even = not (chains.gain > MICRO).any()
 
     def ahead(self, potential: Ints) -> Ints:
-        """By how much each candidate is ahead."""
+        """By how much each candidate is ahead; in full where units amplify."""
         chains = self.chains
         by = self._by(potential, chains.met(potential))
         all_of_it = max(int(potential[self.demand] - chains.best[self.demand]), 0)
-        if not self._is_even:
-            by = np.where(by * (self._pair_weight >= MOST_GAIN) > 0, all_of_it, -(-by * self._pair_weight // MICRO))
         ahead = np.zeros(chains.size, np.int64)
-        np.maximum.at(ahead, chains.pair_unit, by)
+        np.maximum.at(ahead, chains.pair_unit, by if self._is_even else np.where(by > 0, all_of_it, 0))
         return np.minimum(ahead, all_of_it)
 
     def lifted(self, potential: Ints) -> Ints:
@@ -184,4 +169,4 @@ class Root:
     def _by(self, potential: Ints, met: Ints) -> Ints:
         """By how much each pair's stream is better than the potential of the demand."""
         better = np.maximum(potential[self.chains.pair_demand] - met, 0)
-        return np.where(self._pair_weight > 0, better, 0)
+        return np.where(self._is_pair_before, better, 0)

@@ -46,7 +46,7 @@ class _Asked:
 
     def __init__(self, candidates: Candidates, chains: Chains, target: Target, wish: Wish) -> None:
         self.target, self.wish = target.label, wish
-        self.root: Root = chains.root(target.tag)
+        self.root = Root(chains, target.tag)
         self.least = int(chains.best[self.root.demand])
         self.most = max(self.least, candidates.bounds.get((target.label, wish.attribute), chains.scale))
         self.unit = float(max(1, self.least, self.most - self.least))
