@@ -149,7 +149,7 @@ function choose(id) {
   const fed = Object.entries(unit.inputs).map(([port, from]) => `${port} ← ${[from].flat().join(", ")}`);
   const rows = { transformation: unit.transformation, host: unit.host, inputs: fed.join("; "),
     "nothing feeds": (unit.unfed || []).join(", "),
-    topics: Object.values(unit.topics).flat().join(", "), spare: unit.standby ? "cold" : "", pid: unit.pid,
+    topics: Object.values(unit.topics).flat().join(", "), spare: unit.standby ? (unit.prepared ? "cold, prepared" : "cold") : "", pid: unit.pid,
     cpu: unit.upkeep_us == null ? "" : `${(unit.upkeep_us / 1e4).toFixed(1)} %`,
     memory: unit.memory_bytes && `${Math.round(unit.memory_bytes / 2 ** 20)} MB`,
     steps: unit.steps_per_s === undefined ? "" : `${unit.steps} (${rate(unit.steps_per_s)})`,
