@@ -16,6 +16,7 @@ from cfgplan.domain import ComputationUnit, Environment, InputPort, OutputPort, 
 from cfgplan.errors import InputError
 from cfgplan.explaining import alternatives
 from cfgplan.planners import PLANNERS, exhaustive
+from cfgplan.planners.exhaustive import OracleRank
 from cfgplan.planning import Failures, Notion, Plan, Problem
 from cfgplan.validity import plan_violations
 
@@ -29,10 +30,10 @@ many = settings(
 cpsat = PLANNERS["cpsat"]
 
 
-def key(plan: Plan) -> tuple[int, int, int, int]:
+def key(plan: Plan) -> OracleRank:
     assert plan.change_set is not None and plan.cost_us is not None
     changes = plan.change_set
-    return len(plan.unused_required), plan.cost_us, len(changes.rewired), len(changes.started)
+    return OracleRank(len(plan.unused_required), (), plan.cost_us, len(changes.rewired), len(changes.started))
 
 
 def runs(problem: Problem, plan: Plan) -> frozenset[str]:
@@ -48,9 +49,9 @@ def pinned_where_it_runs(problem: Problem) -> Problem:
     return replace(problem, environment=replace(environment, library=library))
 
 
-def every_configuration(problem: Problem) -> dict[frozenset[str], tuple[int, int, int, int]]:
+def every_configuration(problem: Problem) -> dict[frozenset[str], OracleRank]:
     """For each set of transformations the best valid configuration that runs just these and starts nothing in vain."""
-    found: dict[frozenset[str], tuple[int, int, int, int]] = {}
+    found: dict[frozenset[str], OracleRank] = {}
     for rank, after in exhaustive.configurations(pinned_where_it_runs(problem)):
         if problem.max_cost_us is None or rank.cost_us <= problem.max_cost_us:
             which = frozenset(unit.transformation for unit in after.units)

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 from cfgplan_runtime.errors import RuntimeFaultError
-from cfgplan_runtime.fleet.links import LEASE_S, Pulse, Reach, config, reach, sign_period_s
+from cfgplan_runtime.fleet.links import LEASE_S, Pulse, ReachedAt, config, reach, sign_period_s
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
 from small_fleet import PATIENCE_S
 
@@ -72,9 +72,9 @@ def test_an_agent_listens_at_all_addresses_of_its_computer_if_none_is_named() ->
     one = reach(["tls/0.0.0.0:7447"], ["tls/10.0.0.2:7447"])
     assert all(place.endswith(" 7447") and not place.startswith("127.") for place in one.listens)
     assert one.connects == {"10.0.0.2 7447"}
-    other = Reach(frozenset({"10.0.0.2 7447"}), one.listens | {"10.0.0.9 7447"})
+    other = ReachedAt(frozenset({"10.0.0.2 7447"}), one.listens | {"10.0.0.9 7447"})
     assert one.is_mutual(other) == other.is_mutual(one) == bool(one.listens)
-    assert not one.is_mutual(Reach(other.listens, frozenset({"10.0.0.9 7447"})))
+    assert not one.is_mutual(ReachedAt(other.listens, frozenset({"10.0.0.9 7447"})))
 
 
 def pulse(*signs_s: float) -> Pulse:
