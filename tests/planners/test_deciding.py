@@ -14,7 +14,7 @@ from test_preprocessing import Stage
 from worlds import problems
 
 from cfgplan.planners.bounding.bounds import cheapest_way
-from cfgplan.planners.bounding.branching import LEFT_OUT, Branching, Ways
+from cfgplan.planners.bounding.branching import LEFT_OUT, Branching, Links, Ways
 from cfgplan.planners.cpsat import PlannerSession
 from cfgplan.planners.exact.deciding import decide
 from cfgplan.planners.exact.memory import Memory, Structure
@@ -43,7 +43,7 @@ def all_plans(stage: Stage) -> list[set[int]]:
 def test_ways_on_lists_cost_what_they_cost_on_arrays_also_after_labels_became_cheaper(problem: Problem) -> None:
     stage = Stage(problem)
     core, price = stage.network.core, stage.cost.tolist()
-    ways = Ways(core, price)
+    ways = Ways(Links(core), price)
     for _ in range(3):
         _, before = cheapest_way(core, np.array(price, np.int64))
         assert ways.to_goal == before[-1]
@@ -60,7 +60,7 @@ def test_ways_on_lists_cost_what_they_cost_on_arrays_also_after_labels_became_ch
 def test_what_costs_less_than_the_most_that_is_asked_for_costs_the_same(problem: Problem, most: int) -> None:
     core = Stage(problem).network.core
     price = Stage(problem).cost.tolist()
-    all_ways, near = Ways(core, price), Ways(core, price, most)
+    all_ways, near = Ways(Links(core), price), Ways(Links(core), price, most)
     assert near.to_goal == (all_ways.to_goal if all_ways.to_goal < most else LEFT_OUT)
     assert near.labels_from(most) == all_ways.labels_from(most)
 
@@ -86,7 +86,7 @@ def test_every_plan_without_what_is_left_out_has_a_label_of_the_landmark(problem
     plans = all_plans(stage)
     for left_out in range(len(price)):
         price[left_out] = LEFT_OUT
-        ways = Ways(stage.network.core, price)
+        ways = Ways(Links(stage.network.core), price)
         if 0 < ways.to_goal < LEFT_OUT:
             members = ways.landmark()
             assert all(price[label] for label in members)

@@ -22,6 +22,30 @@ LEFT_OUT = int(NEVER)
 """The price of a label that is left out."""
 
 
+class Links:
+    """A core as plain lists."""
+
+    def __init__(self, core: Core) -> None:
+        needs = [core.needs.lists[label] for label in range(core.goal + 1)]
+        givers = [core.givers.lists[fact] for fact in range(len(core.givers))]
+        self.goal = len(needs) - 1
+        self.needs = needs
+        self.givers = givers
+        self.gives = _transposed(givers, len(needs))
+        self.needed_by = _transposed(needs, len(givers))
+        self.missing = [len(row) for row in needs]
+        self.sources = [label for label, row in enumerate(needs) if not row]
+
+
+def _transposed(rows: list[list[int]], columns: int) -> list[list[int]]:
+    """Row j holds the i whose row held j."""
+    turned: list[list[int]] = [[] for _ in range(columns)]
+    for i, row in enumerate(rows):
+        for j in row:
+            turned[j].append(i)
+    return turned
+
+
 class Ways:
     """h_max of facts, and of labels without their own price, kept up to date while labels become cheaper.
 
@@ -29,26 +53,27 @@ class Ways:
     out opens no way. `price` is shared with the caller, not copied.
     """
 
-    def __init__(self, core: Core, price: list[int], most: int = LEFT_OUT) -> None:
+    def __init__(self, links: Links, price: list[int], most: int = LEFT_OUT) -> None:
         """Facts that cost `most` or more at first count as out of reach."""
-        self._core, self._price, self._gives = core, price, core.gives.lists
-        self._facts = [most] * len(core.givers)
-        self._before = [LEFT_OUT] * (core.goal + 1)
-        self._dearest = [-1] * (core.goal + 1)
-        self._giver = [-1] * len(core.givers)
+        self._links = links
+        self._price = price
+        self._facts = [most] * len(links.givers)
+        self._before = [LEFT_OUT] * (links.goal + 1)
+        self._dearest = [-1] * (links.goal + 1)
+        self._giver = [-1] * len(links.givers)
         self.zones: list[list[int]] = []
         """The zones of the landmarks so far."""
         self._derive()
 
     @property
     def to_goal(self) -> int:
-        return self._before[self._core.goal]
+        return self._before[self._links.goal]
 
     def _derive(self) -> None:
         """Compute all values from the sources on, cheapest facts first (Dijkstra)."""
-        before, dearest, needed_by = self._before, self._dearest, self._core.needed_by.lists
-        missing, ahead = np.diff(self._core.needs.starts).tolist(), list[tuple[int, int]]()
-        for label in [label for label, needs in enumerate(missing) if not needs]:
+        before, dearest, needed_by = self._before, self._dearest, self._links.needed_by
+        missing, ahead = self._links.missing[:], list[tuple[int, int]]()
+        for label in self._links.sources:
             before[label] = 0
             self._offer(label, ahead)
         for value, fact in self._settled(ahead):
@@ -61,7 +86,7 @@ class Ways:
     def lower(self, cheaper: Iterable[int]) -> None:
         """Update all values after some labels became cheaper."""
         facts, before, dearest = self._facts, self._before, self._dearest
-        needs, needed_by, value_of = self._core.needs.lists, self._core.needed_by.lists, self._facts.__getitem__
+        needs, needed_by, value_of = self._links.needs, self._links.needed_by, self._facts.__getitem__
         ahead = list[tuple[int, int]]()
         for label in cheaper:
             self._offer(label, ahead)
@@ -83,20 +108,20 @@ class Ways:
 
     def _offer(self, label: int, ahead: list[tuple[int, int]]) -> None:
         """Put ahead the facts that a label gives more cheaply than was known."""
-        if label == self._core.goal:
+        if label == self._links.goal:
             return
         facts = self._facts
         cost = self._before[label] + self._price[label]
-        for given in self._gives[label]:
+        for given in self._links.gives[label]:
             if cost < facts[given]:
                 facts[given], self._giver[given] = cost, label
                 heappush(ahead, (cost, given))
 
     def landmark(self) -> tuple[int, ...]:
         """A landmark: the labels that may enter first the zone from which the goal comes free by the dearest needs."""
-        core, price, before, dearest = self._core, self._price, self._before, self._dearest
-        givers, needed_by = core.givers.lists, core.needed_by.lists
-        zone = [dearest[core.goal]]
+        links, price, before, dearest = self._links, self._price, self._before, self._dearest
+        givers, needed_by = links.givers, links.needed_by
+        zone = [dearest[links.goal]]
         seen = set(zone)
         members = set[int]()
         for fact in zone:
@@ -111,8 +136,8 @@ class Ways:
 
     def plan(self) -> set[int]:
         """A grounded plan: the labels of the cheapest ways to the goal."""
-        needs, giver = self._core.needs.lists, self._giver
-        ahead = list(needs[self._core.goal])
+        needs, giver = self._links.needs, self._giver
+        ahead = list(needs[self._links.goal])
         seen = set(ahead)
         chosen = set[int]()
         for fact in ahead:
@@ -199,6 +224,7 @@ class Branching:
         self.best: set[int] | None = None
         self.nodes = 0
         self._core, self._weight = core, cost
+        self._links = Links(core)
         self._cost: list[int] = cost.tolist()
         self.enough = limit - step + 1
         """A bound this high proves that no plan is better."""
@@ -293,7 +319,7 @@ class Branching:
 
     def _tighten(self, node: _Node) -> Ways | None:
         """Charge landmarks until the goal is free; None if no plan is good enough, or steps or time are over."""
-        ways = Ways(self._core, node.residual, self.enough - node.bound)
+        ways = Ways(self._links, node.residual, self.enough - node.bound)
         self._first = self._first or (ways.zones, node.landmarks)
         while node.bound + ways.to_goal < self.enough:
             if self._is_late():
