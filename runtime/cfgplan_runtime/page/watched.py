@@ -87,7 +87,6 @@ class Watched:
             for event in control.events():
                 message = ("event", json.dumps({"at": time.time(), **event}))
                 if event.get("says") is not None:
-                    self._events.append(message)
                     self._tell(message)
 
     def _look(self, control: Control) -> None:
@@ -124,12 +123,15 @@ class Watched:
                 self._is_wanted.wait_for(lambda: self._wanted is not None, timeout=1.0)
                 wanted, self._wanted = self._wanted, None
             if wanted is not None:
-                message = ("picture", json.dumps(svg(*wanted)))
-                self._picture = message
-                self._tell(message)
+                self._tell(("picture", json.dumps(svg(*wanted))))
 
     def _tell(self, message: ToViewer) -> None:
+        """Tell all who look, and keep what those who come later are told: nobody gets anything twice."""
         with self._lock:
+            if message[0] == "event":
+                self._events.append(message)
+            elif message[0] == "picture":
+                self._picture = message
             viewers = list(self._viewers.items())
         for messages, loop in viewers:
             with suppress(RuntimeError):  # its loop has just been closed
