@@ -13,10 +13,11 @@ from typing import Any
 
 import psutil
 import pytest
-from cfgplan_runtime import ApplyError, Runtime, SimulatedBackend, Supervisor
+from cfgplan_runtime import ApplyError, Runtime
 from cfgplan_runtime.streams.run_folder import base_folder, remove_dead_runs
 from cfgplan_runtime.supervision.events import Event, SpareLost, SparePrepared, SpareUsed, UnitDied, UnitReady
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
+from in_simulation import InSimulation
 from watching import Listener, StartRuntime, seen
 from world import RESULT, eventually, source, start, unit, worker
 
@@ -33,28 +34,18 @@ def at(host: str, one: ComputationUnit) -> ComputationUnit:
     return replace(one, host=host)
 
 
-class InThought:
+class InThought(InSimulation):
     """A source and a worker that takes 1 s to start on r1, and a spare of the worker on r2."""
 
     def __init__(self, work: Behaviour | None = None) -> None:
-        self.backend = SimulatedBackend({"work": work or Behaviour(start_s=1.0)})
-        self.events: list[Event] = []
         library = (source(), worker(run=RunOptions(memory_mb=100)))
-        self.supervisor = Supervisor(self.backend, Environment((), library, (RESULT,), HOSTS), self.events.append)
+        super().__init__(Environment((), library, (RESULT,), HOSTS), {"work": work or Behaviour(start_s=1.0)})
         self.apply(at("r1", unit("count.1")), cold("work.9", "r2"))
         self.pass_time(2.0)
 
     def apply(self, *started: ComputationUnit, stopped: tuple[str, ...] = (), **more: Any) -> float:
         """Carry out an update. Returns how long its units took to start."""
         return self.supervisor.apply(ChangeSet(started, stopped=stopped, **more)).seconds["start"]
-
-    def pass_time(self, seconds: float) -> None:
-        end = self.backend.now() + seconds
-        while self.backend.now() < end:
-            self.supervisor.pump(end - self.backend.now())
-
-    def asked(self, *verbs: str) -> list[tuple[str, ...]]:
-        return [call for call in self.backend.calls if call[0] in verbs]
 
     def told(self, *kinds: type[Event]) -> list[Event]:
         return [event for event in self.events if isinstance(event, kinds)]

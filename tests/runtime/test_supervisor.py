@@ -26,6 +26,7 @@ from cfgplan_runtime.supervision.events import (
 )
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
 from cfgplan_runtime.supervision.wiring import starved_units, wanted_feeds
+from in_simulation import InSimulation
 from world import RESULT, source, start, unit, worker
 
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Host, RunOptions, Stream, Target, Transformation
@@ -34,23 +35,12 @@ TOPIC = Inlet("", "/result")
 ONE = (unit("count.1"), unit("work.1", topic="/result", x="count.1/n"))
 
 
-class Simulation:
+class Simulation(InSimulation):
     def __init__(self, *library: Transformation, **behaviours: Behaviour) -> None:
-        self.backend = SimulatedBackend(behaviours)
-        self.events: list[Event] = []
-        library = library or (source(), worker())
-        self.supervisor = Supervisor(self.backend, Environment((), library, (RESULT,)), self.events.append)
+        super().__init__(Environment((), library or (source(), worker()), (RESULT,)), behaviours)
 
     def apply(self, change_set: ChangeSet, **more: Any) -> Applied:
         return self.supervisor.apply(change_set, **more)
-
-    def pass_time(self, seconds: float) -> None:
-        end = self.backend.now() + seconds
-        while self.backend.now() < end:
-            self.supervisor.pump(end - self.backend.now())
-
-    def asked(self, *verbs: str) -> list[tuple[str, ...]]:
-        return [call for call in self.backend.calls if call[0] in verbs]
 
     def check(self) -> None:
         """What the supervisor believes is what is."""
