@@ -69,25 +69,6 @@ def test_the_tour_does_what_it_says(tmp_path: Path) -> None:
     assert second.stopped == ()
 
 
-EXAMPLES = "\n".join([(ROOT / "README.md").read_text(encoding="utf-8"), *TEXT.values()])
-
-
-@pytest.mark.parametrize("block", blocks(EXAMPLES, "python"))
-def test_python_examples_run(block: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(ROOT)
-    names: dict[str, object] = {}
-    exec(block, names)
-    plan = names["plan"]
-    assert isinstance(plan, cfgplan.Plan)
-    assert plan.status is cfgplan.Status.OPTIMAL
-
-
-def test_the_example_of_an_environment_file_loads_and_is_planned(tmp_path: Path) -> None:
-    env = tmp_path / "env.yaml"
-    env.write_text(blocks(TEXT["environment"], "yaml")[0])
-    assert cfgplan.plan(cfgplan.match(cfgplan.load(env))).status is cfgplan.Status.OPTIMAL
-
-
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_links_of_the_manual_lead_somewhere(page: Path) -> None:
     for link in re.findall(r"\]\(([^)#]+)", TEXT[page.stem]):
@@ -136,6 +117,11 @@ def made_anew() -> dict[str, str]:
 @pytest.mark.parametrize("page", made_anew())
 def test_tables_say_what_the_code_says(page: str) -> None:
     assert TEXT[page] == made_anew()[page], "run `python tests/test_manual.py`"
+
+
+def test_every_key_of_run_is_explained() -> None:
+    rows = [line.split("|")[1] for line in TEXT["runtime"].splitlines() if line.startswith("| ")]
+    assert set(fields.RunPart.model_fields) <= set(re.findall(r"`(\w+)`", "\n".join(rows)))
 
 
 if __name__ == "__main__":

@@ -69,7 +69,7 @@ def _main(arguments: Sequence[str], ending: Ending) -> int:
     try:
         try:
             _say_every_character(screen)
-            parser = _parser(arguments)
+            parser = parser_of(arguments)
             options = parser.parse_args(arguments)
             if not hasattr(options, "run"):
                 parser.print_help(sys.stderr)
@@ -176,7 +176,8 @@ class _Version(argparse.Action):
         parser.exit()
 
 
-def _parser(arguments: Sequence[str]) -> Parser:
+def parser_of(arguments: Sequence[str]) -> Parser:
+    """The parser of a command line: only the verb that it names knows its options. Raises InputError."""
     parser = Parser(
         prog="cfgplan",
         description="Wire stream-processing components by meaning: the cheapest update of a running system, "

@@ -1,4 +1,4 @@
-"""The state of a run, drawn from its record (`runtime/CONTROL.md`): all of it, or what a terminal has room for."""
+"""The state of a run, drawn from its record (`manual/control.md`): all of it, or what a terminal has room for."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The life-cycle on a middleware that cfgplan knows nothing of: the README's worked example, carried out."""
+"""The life-cycle on a middleware that cfgplan knows nothing of: the manual's worked example, carried out."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from cfgplan import api
 from cfgplan.domain import Environment, RunOptions, Target, Transformation
 from cfgplan.planners import PLANNERS
 
-README = (Path(__file__).parents[2] / "runtime" / "README.md").read_text(encoding="utf-8")
+MIDDLEWARE = (Path(__file__).parents[2] / "cfgplan" / "manual" / "middleware.md").read_text(encoding="utf-8")
 WORLD = api.world(Environment((), (source(), worker()), (RESULT,)), horizon_s=60)
 
 
@@ -64,16 +64,11 @@ class FakeRobot:
         self.on_crash(name)
 
 
-def block(language: str, part: str) -> str:
-    """The README's one block with this text in it."""
-    (found,) = (text for text in re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL) if part in text)
-    return found
-
-
 def nodelets(robot: FakeRobot) -> Any:
-    """An instance of the README's class."""
+    """An instance of the class that the manual shows."""
     names: dict[str, Any] = {}
-    exec(block("python", "class Nodelets"), names)
+    (shown,) = re.findall(r"```python\n(.*?)```", MIDDLEWARE, re.DOTALL)
+    exec(shown, names)
     return names["Nodelets"](robot)
 
 
@@ -296,17 +291,3 @@ def test_who_asked_together_with_what_goes_wrong_is_told_too() -> None:
     for outcome in outcomes:
         with pytest.raises(RuntimeFaultError, match="the manager has ended"):
             outcome.result(60)
-
-
-def test_the_few_lines_of_the_readme_run(
-    tmp_path: Path,
-    tmp_path_factory: pytest.TempPathFactory,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    (tmp_path / "units.py").write_text(block("python", "def camera"))
-    (tmp_path / "env.yaml").write_text(block("yaml", "label: camera"))
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("r")))
-    monkeypatch.chdir(tmp_path)
-    exec(block("python", "watch_file"), {})
-    assert capsys.readouterr().out.startswith("applied ('ball',) {")

@@ -156,7 +156,7 @@ def test_a_unit_that_has_ended_is_not_shown_any_more(scrape: Scraped) -> None:
 
 
 def test_every_metric_is_described(scrape: Scraped) -> None:
-    text = (Path(__file__).parents[2] / "runtime" / "EVENTS.md").read_text()
+    text = (Path(__file__).parents[2] / "cfgplan" / "manual" / "events.md").read_text()
     families = list(scrape.metrics.registry.collect())
     names = [f"{one.name}_total" if one.type == "counter" else one.name for one in families]
     assert [name for name in names if f"`{name.removeprefix('cfgplan_')}`" not in text] == []

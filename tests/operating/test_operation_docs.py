@@ -1,4 +1,4 @@
-"""What CONTROL.md and OPERATION.md show is what happens."""
+"""What The manual on control and operation show is what happens."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from operated_world import ENVIRONMENT, PATIENCE_S, await_event, running, write_
 from cfgplan import api
 from cfgplan.errors import InputError
 
-RUNTIME = Path(__file__).parents[2] / "runtime"
-CONTROL = (RUNTIME / "CONTROL.md").read_text(encoding="utf-8")
-OPERATION = (RUNTIME / "OPERATION.md").read_text(encoding="utf-8")
+MANUAL = Path(__file__).parents[2] / "cfgplan" / "manual"
+CONTROL = (MANUAL / "control.md").read_text(encoding="utf-8")
+OPERATION = (MANUAL / "operation.md").read_text(encoding="utf-8")
 ODOMETER = """
 def odometer():
     while True:

@@ -28,7 +28,7 @@ from fake_manager import REVIEW, SNAPSHOT, observation
 
 from cfgplan.errors import Fault
 
-DESCRIPTION = Path(__file__).parents[2] / "runtime" / "EVENTS.md"
+DESCRIPTION = Path(__file__).parents[2] / "cfgplan" / "manual" / "events.md"
 REPORTS: tuple[Report, ...] = (
     Perturbed(HorizonReached(60)),
     ReviewBegan(1, (HorizonReached(60),)),

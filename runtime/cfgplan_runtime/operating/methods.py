@@ -50,7 +50,7 @@ class Methods:
         self._flows = flows or Flows()
 
     def by_name(self) -> dict[str, Method]:
-        """The methods for the control server; `runtime/CONTROL.md` has their params and results."""
+        """The methods for the control server; `cfgplan/manual/control.md` has their params and results."""
         one_name: dict[str, tuple[str, Callable[[str], Change]]] = {
             "withdraw": ("name", Withdraw),
             "remove_target": ("label", lambda label: Remove(targets=(label,))),

@@ -1,4 +1,4 @@
-"""The control protocol's words: lines of JSON over a unix socket in the run's folder (see runtime/CONTROL.md)."""
+"""The control protocol's words: lines of JSON over a unix socket in the run's folder (see `manual/control.md`)."""
 
 from __future__ import annotations
 

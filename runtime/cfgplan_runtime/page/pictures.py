@@ -21,7 +21,7 @@ from cfgplan_runtime.operating.protocol import Record
 
 
 def configuration(state: Record) -> Environment:
-    """The units and targets of a run's state (`runtime/CONTROL.md`), without any library."""
+    """The units and targets of a run's state (`cfgplan/manual/control.md`), without any library."""
     units = tuple(map(_unit, state["units"]))
     return Environment(units, targets=tuple(map(_target, state["targets"])), hosts=_hosts(units))
 

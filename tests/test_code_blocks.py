@@ -1,0 +1,96 @@
+"""Every code block of the manual and the README runs here, or says which test runs it, or why none does.
+
+A comment before a block says what becomes of it: `file: NAME` writes it for the blocks after it, `tested by: FILE`
+names another test, `exit: N` is the exit code of its last command, `not run: REASON`. Commands that are not run are
+parsed all the same. A block of text shows what the block before it prints; dots stand for anything.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+from dataclasses import dataclass
+from doctest import ELLIPSIS, NORMALIZE_WHITESPACE, OutputChecker
+from pathlib import Path
+from textwrap import dedent
+
+import pytest
+import yaml
+
+import cfgplan
+from cfgplan.cli import main
+from cfgplan.cli.main import parser_of
+
+ROOT = Path(__file__).parent.parent
+PAGES = [ROOT / "README.md", *sorted((ROOT / "cfgplan" / "manual").glob("*.md"))]
+SHOWN = ("ini", "mermaid")
+"""Languages of blocks that are for other programs."""
+
+
+@dataclass(frozen=True)
+class Block:
+    language: str
+    text: str
+    mark: str
+    said: str
+
+
+def blocks_of(page: Path) -> list[Block]:
+    pattern = r"(?:<!-- (file|tested by|exit|not run): (.*?) -->\n)?^( *)```(\w+)\n(.*?)^ *```$"
+    found = re.findall(pattern, page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    return [Block(language, dedent(text), mark, said) for mark, said, _, language, text in found]
+
+
+def commands(block: Block) -> list[list[str]]:
+    """The arguments of each `cfgplan` command; what is written of `.venv/bin` and other programs is left out."""
+    lines = block.text.replace("\\\n", " ").splitlines()
+    parts = [shlex.split(part, comments=True) for line in lines for part in line.split(" && ")]
+    return [part[1:] for part in parts if part and part[0].rpartition("/")[2] == "cfgplan"]
+
+
+def check_text(shown: str, said: str) -> None:
+    assert OutputChecker().check_output(f"...{shown.strip()}...", said, ELLIPSIS | NORMALIZE_WHITESPACE), said
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_code_blocks_run(
+    page: Path,
+    tmp_path: Path,
+    tmp_path_factory: pytest.TempPathFactory,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    for folder in ("models", "experiments"):
+        (tmp_path / folder).symlink_to(ROOT / folder)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("r")))
+    names: dict[str, object] = {}
+    said = ""
+    for block in blocks_of(page):
+        arguments = commands(block) if block.language == "sh" else []
+        for each in arguments:
+            parser_of(each).parse_args(each)
+        match block.mark, block.language:
+            case "not run", _:
+                continue
+            case "tested by", _:
+                assert page.stem in (ROOT / block.said).read_text(encoding="utf-8"), block.said
+            case _, language if language in SHOWN:
+                continue
+            case _, "text":
+                check_text(block.text, said)
+            case _, "python" if block.mark != "file":
+                exec(compile(block.text, str(page), "exec"), names)
+                said = capsys.readouterr().out
+            case _, "sh":
+                assert arguments, f"a block without commands: {block.text}"
+                codes = [main(each) for each in arguments]
+                said = capsys.readouterr().out
+                assert codes[-1] == int(block.said or 0), block.text
+            case "file", _:
+                (tmp_path / block.said).write_text(block.text)
+                if block.language == "yaml" and "format" in yaml.safe_load(block.text):
+                    cfgplan.load(block.said)
+            case _:
+                pytest.fail(f"nothing is known of this block: {block}")
