@@ -29,6 +29,9 @@ class InputPort:
     An input takes `count` streams of different units; with ALL every matching stream of the other running units,
     and at least one. An `optional` one may stay unfed, which costs `worth_us` each second; if that is 0 it is fed
     wherever streams of what runs anyway may feed it, and is no reason for a unit to run.
+
+    `type` is the message type of what comes there, and `remap` what the unit's code calls the port if not by its name;
+    for units that are nodes of ROS.
     """
 
     name: str
@@ -39,6 +42,8 @@ class InputPort:
     worth_us: int = 0
     count: int = 1
     service: bool = False
+    type: str | None = None
+    remap: str | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "feedback", self.feedback or self.service)
@@ -66,7 +71,7 @@ class OutputPort:
 
     `quality` says what it makes of each quality attribute. The stream has `rate_uhz` elements in a million
     seconds, of `size_bytes` each: that is what it costs to cross from host to host. At most `serves` inputs and topics
-    take it; None: any number.
+    take it; None: any number. `type` and `remap` are as of an input.
     """
 
     name: str
@@ -75,6 +80,8 @@ class OutputPort:
     rate_uhz: int = 0
     size_bytes: int = 0
     serves: int | None = None
+    type: str | None = None
+    remap: str | None = None
 
     def __post_init__(self) -> None:
         if self.quality:

@@ -184,6 +184,10 @@ def _pieces(hint: Any) -> Iterator[Any]:
         yield hint
 
 
+_MESSAGE_TYPE = "in ROS: the message type, such as `nav_msgs/Odometry`"
+_REMAP = "in ROS: what the node calls its topic or service; the port's name if absent"
+
+
 class InputPart(Part):
     """An input port that needs more than a tag."""
 
@@ -194,6 +198,8 @@ class InputPart(Part):
     worth: Cost = row("what it is worth to feed an optional input, CPU seconds per second", 0, "worth_us")
     kind: InputKind = row("a service's replies start no step, and may close a cycle", "stream", "service")
     count: Count = row("how many streams of different units feed it; `all`: every one that matches", 1)
+    type: Name | None = row(_MESSAGE_TYPE, use=Use.RUNNING, xml="message")
+    remap: Name | None = row(_REMAP, use=Use.RUNNING)
 
 
 class ContributionPart(Part):
@@ -217,6 +223,8 @@ class OutputPart(Part):
     rate: PositiveMicro = row("elements per second, for what it costs to change hosts", 0, "rate_uhz")
     size: int = row("bytes of one element", 0, "size_bytes", ge=0, le=LARGEST_AMOUNT)
     serves: int | None = row("at most so many inputs and topics take its stream", ge=1, le=LONGEST_QUEUE)
+    type: Name | None = row(_MESSAGE_TYPE, use=Use.RUNNING, xml="message")
+    remap: Name | None = row(_REMAP, use=Use.RUNNING)
 
 
 InputGiven = Annotated[Annotated[TagText, _SHORT] | Annotated[InputPart, _FULL], _CHOICE]
@@ -264,7 +272,9 @@ class TransformationPart(Part):
 
     label: Name = row("unique; mentions every template variable of the transformation", ..., use=Use.BOTH, xml=ELEMENT)
     source: Name | None = row(
-        "package.module:Class, or units.py:Class relative to this file", use=Use.RUNNING, xml=ELEMENT
+        "package.module:Class, or units.py:Class relative to this file; in ROS node:PACKAGE/EXECUTABLE and others",
+        use=Use.RUNNING,
+        xml=ELEMENT,
     )
     kind: Name | None = row("free text, the paper's type attribute", use=Use.RUNNING, xml="type")
     host: OneOrMoreNames | None = row("where its units run: a host, or a list to choose from", use=Use.BOTH, xml="host")
