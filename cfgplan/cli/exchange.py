@@ -14,15 +14,26 @@ from cfgplan.errors import InputError
 def add_import(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "example:\n"
-        "  cfgplan import xml specifications/ --out env.yaml\n  cfgplan import wsc wsc08/set01 --out set01.yaml"
+        "  cfgplan import xml specifications/ --out env.yaml\n"
+        "  cfgplan import wsc wsc08/set01 --out set01.yaml\n"
+        "  cfgplan import ros1 live --out robot.yaml"
     )
-    parser.add_argument("what", choices=("xml", "wsc"), help="what to read")
-    parser.add_argument("path", metavar="PATH", help="XML file or folder of them; folder of a test set")
+    parser.add_argument("what", choices=("xml", "wsc", "ros1"), help="what to read")
+    parser.add_argument(
+        "path",
+        metavar="PATH",
+        nargs="+",
+        help="xml: file or folder of them. wsc: folder of a test set. ros1: `live` (the master of ROS_MASTER_URI), "
+        "or a master's address; several are put together",
+    )
     parser.add_argument(
         "--objective",
         choices=("services", "length"),
         default="services",
         help="wsc: fewest services, or fewest among the compositions of the shortest length (services)",
+    )
+    shared.add_several(
+        parser, "--guesses", "FILE", "ros1: what to believe of types, topics and nodes; `cfgplan help ros` tells how"
     )
     shared.add_out(parser)
     parser.set_defaults(run=_import)
@@ -31,16 +42,50 @@ def add_import(parser: argparse.ArgumentParser) -> None:
 def _import(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan import api
 
+    if options.what == "ros1":
+        return _import_ros(options, screen)
+    path, *more = options.path
+    if more:
+        raise InputError.of("this is one path too many", file=more[0], mend="name one file or folder")
     if options.what == "xml":
-        shared.put(api.converted(Path(options.path), "yaml"), options.out, screen)
+        shared.put(api.converted(Path(path), "yaml"), options.out, screen)
         return Exit.OK
-    if options.out is None:
-        message = "a test set becomes two files, the environment and its ontology"
-        raise InputError.of(message, mend="name the environment file with --out; the ontology is written beside it")
-    ontology = Path(options.out).with_suffix(".ofn")
-    environment_text, ontology_text = api.converted_test_set(Path(options.path), options.objective, ontology.name)
+    ontology = _beside(options.out, "a test set becomes two files, the environment and its ontology", ".ofn")
+    environment_text, ontology_text = api.converted_test_set(Path(path), options.objective, ontology.name)
     shared.put(ontology_text, str(ontology), screen)
     shared.put(environment_text, options.out, screen)
+    return Exit.OK
+
+
+def _beside(out: str | None, message: str, ending: str) -> Path:
+    """The ontology file beside the environment file that `--out` names. Raises InputError if it names none."""
+    if out is None:
+        raise InputError.of(message, mend="name the environment file with --out; the ontology is written beside it")
+    return Path(out).with_suffix(ending)
+
+
+def _import_ros(options: argparse.Namespace, screen: Screen) -> Exit:
+    from rich.table import Table
+
+    from cfgplan.ros.environments import imported
+    from cfgplan.ros.guesses import guess_table
+    from cfgplan.ros.origins import ros1_graph
+
+    ontology = _beside(options.out, "a graph becomes two files, the environment and its ontology", ".ttl")
+    table = guess_table(map(Path, options.guesses))
+    with screen.phase("read"):
+        graph = ros1_graph(options.path)
+    found = imported(graph, table)
+    shared.put(found.ontology, str(ontology), screen)
+    shared.put(found.text(ontology.name), options.out, screen)
+    if found.guesses:
+        shown = Table("of", "guessed", "why", box=None, pad_edge=False)
+        for guess in found.guesses:
+            shown.add_row(guess.about, guess.guess, guess.why)
+        screen.show(shown)
+    for note in found.graph.notes:
+        screen.warn(f"not known: {note}")
+    screen.note(f"{found.size}. `cfgplan check {options.out}` tells what is wrong with it.")
     return Exit.OK
 
 

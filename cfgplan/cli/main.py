@@ -37,7 +37,7 @@ VERBS: Mapping[str, str] = MappingProxyType(
         "certificates": "make a fleet's own authority, and a certificate for each of its hosts",
         "demo": "play the paper's case study: two robots, one ball, a failure and a fusion",
         "compare": "run planners side by side, each run in a process of its own, and check them against each other",
-        "import": "turn the paper's XML, or a web service composition test set, into an environment file",
+        "import": "make an environment file of a graph of ROS nodes, of the paper's XML, or of a composition test set",
         "export": "write the environment file's JSON Schema, or an environment as YAML or the paper's XML",
         "init": "write a small environment of one's own, with its ontology and unit code",
         "help": "show a page of the manual",
@@ -227,7 +227,7 @@ class Chatter:
             os.close(nowhere)
 
 
-_READ = ("env", "envs", "also", "path", "features")
+_READ = ("env", "envs", "also", "path", "guesses", "features")
 _WRITTEN = ("out", "plot", "log", "record")
 
 

@@ -62,3 +62,21 @@ def test_a_test_set_needs_a_name_for_its_two_files(run: Run, tmp_path: Path) -> 
     result = run("import", "wsc", tmp_path)
     assert result.code == 30
     assert "--out" in result.err
+
+
+def test_a_graph_of_ros_nodes_needs_a_name_for_its_two_files(run: Run) -> None:
+    result = run("import", "ros1", "live")
+    assert result.code == 30
+    assert "name the environment file with --out" in result.err
+
+
+def test_what_is_no_graph_of_ros_nodes_is_refused(run: Run, tmp_path: Path) -> None:
+    result = run("import", "ros1", tmp_path / "nowhere.bag", "--out", tmp_path / "env.yaml")
+    assert result.code == 30
+    assert "there is no such file" in result.err
+
+
+def test_one_xml_specification_is_converted_at_a_time(run: Run, tmp_path: Path) -> None:
+    result = run("import", "xml", tmp_path / "a.xml", tmp_path / "b.xml")
+    assert result.code == 30
+    assert "one path too many" in result.err

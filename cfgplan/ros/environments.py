@@ -1,0 +1,357 @@
+"""From a graph of ROS nodes to an environment: its file, its ontology's, and what had to be guessed for them."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from functools import cached_property
+from typing import Literal, NamedTuple
+
+import networkx
+
+from cfgplan.domain import (
+    ALL,
+    ComputationUnit,
+    Environment,
+    InputPort,
+    OutputPort,
+    Stream,
+    Subscription,
+    Target,
+    Transformation,
+)
+from cfgplan.formats import dump_yaml, plain_environment
+from cfgplan.formats.fields import DEFAULT_HORIZON_S, DEFAULT_LABOR_US
+from cfgplan.qualities import MICRO
+from cfgplan.ros.graph import RosGraph, RosNode, RosPort
+from cfgplan.ros.guesses import GuessTable
+from cfgplan.ros.types import MessageType
+from cfgplan.ros.vocabulary import RosVocabulary
+
+_COSTS = ("labor", "upkeep")
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Guessed:
+    """Something that an import had to guess: of what, what, and why."""
+
+    about: str
+    guess: str
+    why: str
+
+
+@dataclass(frozen=True)
+class Imported:
+    """The environment of a graph, its ontology (Turtle), and what was guessed."""
+
+    graph: RosGraph
+    environment: Environment
+    ontology: str
+    guesses: tuple[Guessed, ...]
+
+    def text(self, ontology: str) -> str:
+        """The environment file (YAML), which names its ontology file so; what was guessed stands above as comments."""
+        plain = plain_environment(self.environment, horizon_s=DEFAULT_HORIZON_S, ontology=[ontology])
+        for transformation in plain.get("transformations", ()):
+            for cost in _COSTS:
+                transformation.pop(cost, None)
+        return "".join(f"# {line}".rstrip() + "\n" for line in self._heading()) + dump_yaml(plain)
+
+    def _heading(self) -> Iterator[str]:
+        yield f"Imported from {', '.join(self.graph.sources)}: {self.size}."
+        for note in self.graph.notes:
+            yield f"Not known: {note}."
+        if self.guesses:
+            yield "Guessed, so look at it; `--guesses FILE` knows better:"
+        for guess in self.guesses:
+            yield f"  {guess.about}: {guess.guess} ({guess.why})"
+
+    @property
+    def size(self) -> str:
+        """How much was imported, in words."""
+        numbers = {
+            "node": len(self.environment.library),
+            "topic": len(self.graph.topics),
+            "service": len(self.graph.services),
+        }
+        return ", ".join(f"{number} {one if number == 1 else one + 's'}" for one, number in numbers.items())
+
+
+def imported(graph: RosGraph, table: GuessTable) -> Imported:
+    """The environment in which the graph's nodes run, wired as the graph's topics and services wire them.
+
+    Each node becomes a transformation and a unit of it. Whose streams nobody takes is a target to run.
+    """
+    return _Making(graph, table).imported
+
+
+class _End(NamedTuple):
+    """A port of a node, by the node's label and the port's name in the file."""
+
+    node: str
+    port: str
+
+
+class _Making:
+    """One graph becoming an environment; guesses are noted on the way."""
+
+    def __init__(self, graph: RosGraph, table: GuessTable) -> None:
+        self._table = table
+        self._guesses: list[Guessed] = []
+        self._graph = self._typed(self._without_noise(graph))
+        self._words = RosVocabulary(self._graph)
+        self._labels = {node.name: node.name.strip("/") or "node" for node in self._graph.nodes}
+        self._names = {node.name: port_names(node) for node in self._graph.nodes}
+
+    @property
+    def imported(self) -> Imported:
+        inputs = {
+            _End(self._labels[node.name], self._names[node.name][port]): (node, port)
+            for node in self._graph.nodes
+            for port in node.ports
+            if not port.role.gives
+        }
+        feeds = {end: self._feeds(node, port) for end, (node, port) in inputs.items()}
+        ports = {end: self._input(end, node, port, feeds) for end, (node, port) in inputs.items()}
+        feeds = {end: self._taken(end, streams, ports[end]) for end, streams in feeds.items()}
+        ports |= self._closing(ports, feeds, inputs)
+        environment = Environment(
+            units=tuple(self._unit(node, feeds) for node in self._graph.nodes),
+            library=tuple(self._transformation(node, ports) for node in self._graph.nodes),
+        )
+        environment = replace(environment, targets=tuple(self._targets(environment)))
+        return Imported(self._graph, environment, self._words.text, tuple(self._guesses))
+
+    def _guess(self, about: str, guess: str, why: str) -> None:
+        self._guesses.append(Guessed(about, guess, why))
+
+    def _without_noise(self, graph: RosGraph) -> RosGraph:
+        table = self._table
+        onlookers = [node.name for node in graph.nodes if table.is_noise(node.name)]
+        kept = [node for node in graph.nodes if node.name not in onlookers]
+        noisy = {port.name for node in kept for port in node.ports if table.is_noisy(port)}
+        if onlookers:
+            self._guess("nodes", f"left out {', '.join(onlookers)}", "they only look on")
+        if noisy:
+            some = f"{', '.join(sorted(noisy)[:3])}{' and others' if len(noisy) > 3 else ''}"
+            self._guess("topics and services", f"left out {len(noisy)}: {some}", "every graph has them")
+        nodes = (replace(node, ports=tuple(p for p in node.ports if not table.is_noisy(p))) for node in kept)
+        return replace(graph, nodes=tuple(nodes))
+
+    def _typed(self, graph: RosGraph) -> RosGraph:
+        """The graph in which an end without a type has the only type that the others of its name have."""
+
+        def known(port: RosPort) -> MessageType | None:
+            types = graph.types_of(port.name, is_service=port.role.is_service)
+            return types[0] if len(types) == 1 else None
+
+        nodes = []
+        for node in graph.nodes:
+            ports = []
+            for port in node.ports:
+                kind = port.type or known(port)
+                if port.type is None:
+                    guess, why = (f"of type {kind}", "its other ends are") if kind else ("of any type", "no end tells")
+                    self._guess(f"{port.role.value} {port.name} at {node.name}", guess, why)
+                ports.append(replace(port, type=kind))
+            nodes.append(replace(node, ports=tuple(ports)))
+        return replace(graph, nodes=tuple(nodes))
+
+    @cached_property
+    def _givers(self) -> Mapping[tuple[str, bool], list[_End]]:
+        """Who publishes each topic and serves each service."""
+        found: dict[tuple[str, bool], list[_End]] = defaultdict(list)
+        for node in self._graph.nodes:
+            for port in node.ports:
+                if port.role.gives:
+                    end = _End(self._labels[node.name], self._names[node.name][port])
+                    found[port.name, port.role.is_service].append(end)
+        return found
+
+    def _feeds(self, node: RosNode, port: RosPort) -> list[_End]:
+        """Who feeds an input. Of several that publish what a node publishes too, its own does not count."""
+        givers = self._givers.get((port.name, port.role.is_service), [])
+        others = [end for end in givers if end.node != self._labels[node.name]]
+        return others or givers
+
+    def _input(self, end: _End, node: RosNode, port: RosPort, feeds: Mapping[_End, list[_End]]) -> InputPort:
+        about = f"input {end.port} of {end.node}"
+        tag, is_service = self._words.tag(port), port.role.is_service
+        optional = self._says(about, node, port, "optional", "it may stay unfed")
+        if is_service:
+            if not feeds[end] and not optional:
+                self._guess(about, "it may stay unfed", "nobody serves it now, and it is called now and then")
+            return InputPort(end.port, tag, service=True, optional=optional or not feeds[end])
+        row = self._table.says(node.name, port, "several")
+        several = len(feeds[end]) > 1 if row is None else bool(row.several)
+        if row is not None and (several or len(feeds[end]) > 1):
+            self._guess(about, "takes every stream" if several else "takes one stream", row.why)
+        elif several:
+            self._guess(about, "takes every stream", "it has several, and the table says nothing of its type")
+        always = self._table.says(node.name, port, "feedback")
+        feedback = always is not None and always.feedback is True
+        if always is not None and feedback:
+            self._guess(about, "may close a cycle", always.why)
+        is_own = any(giver.node == end.node for giver in feeds[end])
+        if is_own and not feedback:
+            self._guess(about, "may close a cycle", "the node hears itself")
+        count = ALL if several and not is_own else 1
+        return InputPort(end.port, tag, feedback=feedback or is_own, optional=optional, count=count)
+
+    def _says(self, about: str, node: RosNode, port: RosPort, word: Literal["optional"], guess: str) -> bool:
+        row = self._table.says(node.name, port, word)
+        if row is None or not row.optional:
+            return False
+        self._guess(about, guess, row.why)
+        return True
+
+    def _taken(self, end: _End, streams: list[_End], port: InputPort) -> list[_End]:
+        """The streams that an input is wired to; of several servers of one name the first."""
+        if port.service and len(streams) > 1:
+            self._guess(f"input {end.port} of {end.node}", f"asks {streams[0].node}", "several serve it")
+            return streams[:1]
+        return streams
+
+    def _closing(
+        self,
+        ports: Mapping[_End, InputPort],
+        feeds: Mapping[_End, list[_End]],
+        inputs: Mapping[_End, tuple[RosNode, RosPort]],
+    ) -> dict[_End, InputPort]:
+        """The inputs through which cycles are closed: those that the table names, then those that lead back."""
+        closing: dict[_End, InputPort] = {}
+
+        def named(end: _End) -> tuple[str, RosPort]:
+            return inputs[end][0].name, inputs[end][1]
+
+        def wires() -> networkx.MultiDiGraph:
+            graph = networkx.MultiDiGraph()
+            for end, streams in feeds.items():
+                if not ports[end].feedback and end not in closing:
+                    graph.add_edges_from((stream.node, end.node, end) for stream in streams)
+            return graph
+
+        def on_cycles(graph: networkx.MultiDiGraph) -> list[_End]:
+            rings = {
+                name: number
+                for number, ring in enumerate(networkx.strongly_connected_components(graph))
+                for name in ring
+            }
+            return sorted({end for one, other, end in graph.edges(keys=True) if rings[one] == rings[other]})
+
+        while left := on_cycles(graph := wires()):
+            rows = {end: self._table.says(*named(end), "feedback") for end in left}
+            depth = _depths(graph)
+            listed = [end for end, row in rows.items() if row is not None and row.feedback == "in_cycles"]
+            back = max(listed or left, key=lambda end: (min(depth[s.node] for s in feeds[end]) - depth[end.node], end))
+            closing[back] = replace(ports[back], feedback=True)
+            row = rows[back] if back in listed else None
+            why = "it leads back to where data comes in" if row is None else row.why
+            self._guess(f"input {back.port} of {back.node}", "closes a cycle", why)
+        return closing
+
+    def _unit(self, node: RosNode, feeds: Mapping[_End, list[_End]]) -> ComputationUnit:
+        label = self._labels[node.name]
+        wires = (
+            Subscription(end.port, Stream(_unit_of(stream.node), stream.port))
+            for end, streams in feeds.items()
+            if end.node == label
+            for stream in streams
+        )
+        return ComputationUnit(_unit_of(label), label, tuple(wires))
+
+    def _transformation(self, node: RosNode, ports: Mapping[_End, InputPort]) -> Transformation:
+        label = self._labels[node.name]
+        names = self._names[node.name]
+        return Transformation(
+            label,
+            inputs=tuple(port for end, port in ports.items() if end.node == label),
+            outputs=tuple(
+                OutputPort(names[port], self._words.tag(port), rate_uhz=round((port.rate_hz or 0) * MICRO))
+                for port in node.ports
+                if port.role.gives
+            ),
+            labor_us=DEFAULT_LABOR_US,
+        )
+
+    def _targets(self, environment: Environment) -> Iterator[Target]:
+        """A target for each node that is wanted for itself: all that is needed then feeds one of them."""
+        wanted = self._table.wanted
+        if wanted is not None:
+            for node in self._graph.nodes:
+                if any(fnmatchcase(node.name, pattern) for pattern in wanted):
+                    yield _to_run(self._labels[node.name])
+            return
+        for label in _ends(environment):
+            self._guess(label, "it is wanted for itself", "nobody needs its streams")
+            yield _to_run(label)
+
+
+def _to_run(label: str) -> Target:
+    return Target(label, run=label)
+
+
+def _unit_of(label: str) -> str:
+    return f"{label}.1"
+
+
+def _depths(graph: networkx.MultiDiGraph) -> dict[str, int]:
+    """How far each node is from those that nothing feeds; from the first node where something feeds each."""
+    sources = [name for name in sorted(graph) if not graph.in_degree(name)]
+    depths: dict[str, int] = {}
+    while len(depths) < len(graph):
+        begin = [name for name in sources if name not in depths] or [min(name for name in graph if name not in depths)]
+        reached = networkx.multi_source_dijkstra_path_length(graph, {*begin})
+        depths = {**reached, **depths}
+    return depths
+
+
+def _ends(environment: Environment) -> list[str]:
+    """One label of each group of nodes that feed each other and nobody else, but by inputs that start nothing."""
+    graph = networkx.DiGraph()
+    graph.add_nodes_from(transformation.label for transformation in environment.library)
+    for unit in environment.units:
+        idle = environment.transformation[unit.transformation].idle_inputs
+        feeders = (environment.unit[s.stream.unit].transformation for s in unit.subscriptions if s.port not in idle)
+        graph.add_edges_from((feeder, unit.transformation) for feeder in feeders)
+    groups = networkx.condensation(graph)
+    ends = (sorted(groups.nodes[group]["members"]) for group in groups if not groups.out_degree(group))
+    return sorted(members[0] for members in ends)
+
+
+def port_names(node: RosNode) -> dict[RosPort, str]:
+    """A name for each port of a node: the end of its topic's name that no other port of the node has, with dots.
+
+    Where a node publishes what it subscribes to, the output's name ends in `.out`.
+    """
+    names: dict[RosPort, str] = {}
+    for gives in (False, True):
+        ports = [port for port in node.ports if port.role.gives == gives]
+        names |= {port: _short(port, ports) for port in ports}
+    for longer in (_with_role, _with_kind, _with_type):
+        taken = Counter(names.values())
+        names = {port: name if taken[name] == 1 else longer(port, name) for port, name in names.items()}
+    return names
+
+
+def _short(port: RosPort, ports: Iterable[RosPort]) -> str:
+    """The shortest end of a port's name that no other of these has."""
+    parts = port.name.strip("/").split("/")
+    others = [other.name.strip("/").split("/") for other in ports if other.name != port.name]
+    lengths = range(1, len(parts) + 1)
+    length = next((n for n in lengths if all(other[-n:] != parts[-n:] for other in others)), len(parts))
+    return ".".join(parts[-length:]) or "of_no_name"
+
+
+def _with_role(port: RosPort, name: str) -> str:
+    return f"{name}.out" if port.role.gives else name
+
+
+def _with_kind(port: RosPort, name: str) -> str:
+    return f"{name}.service" if port.role.is_service else name
+
+
+def _with_type(port: RosPort, name: str) -> str:
+    return f"{name}.{port.type.name if port.type else 'any'}"

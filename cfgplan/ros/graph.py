@@ -1,0 +1,140 @@
+"""A graph of ROS nodes: what each publishes, subscribes to, serves and calls; the value between sources and files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from operator import attrgetter
+
+from cfgplan.canonical import store_sorted
+from cfgplan.ros.types import MessageType
+
+
+class Role(StrEnum):
+    """What a node does with a topic or a service; an action counts as a service."""
+
+    PUBLISHES = "publishes"
+    SUBSCRIBES = "subscribes"
+    SERVES = "serves"
+    CALLS = "calls"
+
+    @property
+    def gives(self) -> bool:
+        """Whether others get something from it."""
+        return self in (Role.PUBLISHES, Role.SERVES)
+
+    @property
+    def is_service(self) -> bool:
+        """Whether it is about requests and replies."""
+        return self in (Role.SERVES, Role.CALLS)
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class RosPort:
+    """An end of a topic, service or action at a node.
+
+    `name` is the full name after remapping, `own` the name in the node's code, where that is known. The type is None
+    where no source tells it. `rate_hz` is what a recording says of a topic.
+    """
+
+    role: Role
+    name: str
+    type: MessageType | None = None
+    own: str | None = None
+    rate_hz: float | None = None
+
+
+@dataclass(frozen=True)
+class RosNode:
+    """A node by its full name, such as `/robot1/amcl`.
+
+    `package` and `executable` say how it is started, and `plugin` what a container or nodelet manager of the name
+    `container` loads; each is None where no source tells it. `remappings` are full names, from the node's own to
+    those used; `parameters` are as a launch file writes them.
+    """
+
+    name: str
+    ports: tuple[RosPort, ...] = ()
+    package: str | None = None
+    executable: str | None = None
+    plugin: str | None = None
+    container: str | None = None
+    arguments: tuple[str, ...] = ()
+    remappings: tuple[tuple[str, str], ...] = ()
+    parameters: Mapping[str, object] = field(default_factory=dict, hash=False)
+
+    def __post_init__(self) -> None:
+        unique = {(port.role, port.name, str(port.type)): port for port in reversed(self.ports)}
+        store_sorted(self, "ports", unique.values(), lambda port: (port.role, port.name, str(port.type)))
+
+    def names(self, role: Role) -> list[str]:
+        """The topics or services that it has this role at, sorted."""
+        return sorted({port.name for port in self.ports if port.role is role})
+
+
+@dataclass(frozen=True)
+class RosGraph:
+    """The nodes of one or several sources, and `notes` on what the sources could not tell."""
+
+    nodes: tuple[RosNode, ...] = ()
+    sources: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        store_sorted(self, "nodes", self.nodes, attrgetter("name"))
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """The topics that nodes publish or subscribe to."""
+        return tuple(sorted({p.name for node in self.nodes for p in node.ports if not p.role.is_service}))
+
+    @property
+    def services(self) -> tuple[str, ...]:
+        """The services and actions that nodes serve or call."""
+        return tuple(sorted({p.name for node in self.nodes for p in node.ports if p.role.is_service}))
+
+    def types_of(self, name: str, *, is_service: bool) -> tuple[MessageType, ...]:
+        """The types that its ends say a topic or service has."""
+        ends = (port for node in self.nodes for port in node.ports if port.name == name)
+        return tuple(sorted({end.type for end in ends if end.type and end.role.is_service == is_service}))
+
+
+def merged(graphs: Iterable[RosGraph]) -> RosGraph:
+    """One graph of several: nodes of one name are one node; the first source that tells how it starts is believed."""
+    graphs = list(graphs)
+    nodes: dict[str, RosNode] = {}
+    for node in [node for graph in graphs for node in graph.nodes]:
+        nodes[node.name] = _joined(nodes[node.name], node) if node.name in nodes else node
+    return RosGraph(
+        tuple(nodes.values()),
+        tuple(source for graph in graphs for source in graph.sources),
+        tuple(dict.fromkeys(note for graph in graphs for note in graph.notes)),
+    )
+
+
+def _joined(one: RosNode, other: RosNode) -> RosNode:
+    told = {port.name for port in other.ports if port.type is not None}
+    ports = [port for port in one.ports if port.type is not None or port.name not in told]
+    names = ("package", "executable", "plugin", "container")
+    known = {name: getattr(one, name) or getattr(other, name) for name in names}
+    return replace(
+        one,
+        ports=(*ports, *other.ports),
+        arguments=one.arguments or other.arguments,
+        remappings=one.remappings or other.remappings,
+        parameters={**other.parameters, **one.parameters},
+        **known,
+    )
+
+
+def resolved(name: str, namespace: str, node: str) -> str:
+    """The full name that a node means: `/global`, relative to its namespace, or private to it (`~private`).
+
+    `node` is the node's full name.
+    """
+    if name.startswith("~"):
+        name = f"{node}/{name[1:].lstrip('/')}"
+    elif not name.startswith("/"):
+        name = f"{namespace}/{name}"
+    return "/" + "/".join(part for part in name.split("/") if part)

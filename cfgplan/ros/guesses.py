@@ -1,0 +1,158 @@
+"""What an import has to guess: a table of well-known types, topics and nodes, and files of people who know better."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Literal, TypeAlias
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic_core import PydanticCustomError
+
+from cfgplan.errors import InputError
+from cfgplan.formats.files import read_source
+from cfgplan.formats.schema_faults import schema_faults
+from cfgplan.ros.graph import Role, RosPort
+from cfgplan.ros.types import MessageType
+
+TABLE = Path(__file__).with_name("guesses.yaml")
+Feedback: TypeAlias = bool | Literal["in_cycles"]
+"""Whether an input may close a cycle: never, always, or where it lies on one."""
+
+
+def _type_text(text: str) -> str:
+    try:
+        MessageType.read(text)
+    except InputError as error:
+        fault = error.faults[0]
+        said = {"text": fault.message, "mend": fault.mend}
+        raise PydanticCustomError("value", "{text}", said) from None
+    return text
+
+
+TypeText: TypeAlias = Annotated[str, AfterValidator(_type_text)]
+
+
+class _Rows(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+
+class InputGuess(_Rows):
+    """What is believed of the inputs that fit patterns of their type, topic and node: those that are given."""
+
+    type: str | None = None
+    topic: str | None = None
+    node: str | None = None
+    optional: bool | None = None
+    several: bool | None = None
+    feedback: Feedback | None = None
+    why: str = "the table says so"
+
+    @model_validator(mode="after")
+    def _has_a_pattern(self) -> InputGuess:
+        if self.type is None and self.topic is None and self.node is None:
+            mend = "add `type`, `topic` or `node`"
+            raise PydanticCustomError("value", "{text}", {"text": "this row says not of which inputs", "mend": mend})
+        return self
+
+    def fits(self, node: str, port: RosPort) -> bool:
+        """Whether it is about an input of a node."""
+        if self.type is not None and not (port.type and _fits(self.type, port.type)):
+            return False
+        return fnmatchcase(port.name, self.topic or "*") and fnmatchcase(node, self.node or "*")
+
+
+def _fits(pattern: str, kind: MessageType) -> bool:
+    return any(fnmatchcase(text, pattern) for text in (kind.ros1, kind.ros2, kind.dds))
+
+
+class NoiseGuess(_Rows):
+    """Patterns of the names that every graph has, and of those who only look on."""
+
+    topics: list[str] = []
+    services: list[str] = []
+    nodes: list[str] = []
+
+
+class NodeGuess(_Rows):
+    """The ports of a node by the names in its code, each with its type or null."""
+
+    publishes: dict[str, TypeText | None] = {}
+    subscribes: dict[str, TypeText | None] = {}
+    serves: dict[str, TypeText | None] = {}
+    calls: dict[str, TypeText | None] = {}
+
+    @property
+    def ports(self) -> list[tuple[Role, str, MessageType | None]]:
+        """Its ports as role, name and type."""
+        return [
+            (role, name, MessageType.read(text, "srv" if role.is_service else "msg") if text else None)
+            for role in Role
+            for name, text in getattr(self, role.value).items()
+        ]
+
+
+class _GuessesFile(_Rows):
+    inputs: list[InputGuess] = []
+    noise: NoiseGuess = NoiseGuess()
+    nodes: dict[str, NodeGuess] = {}
+    wanted: list[str] | None = None
+
+
+@dataclass(frozen=True)
+class GuessTable:
+    """Rows in the order in which they are believed. `wanted` are patterns of nodes to be kept; None: to be guessed."""
+
+    inputs: tuple[InputGuess, ...]
+    noise: NoiseGuess
+    nodes: dict[str, NodeGuess]
+    wanted: tuple[str, ...] | None = None
+
+    def says(self, node: str, port: RosPort, word: Literal["optional", "several", "feedback"]) -> InputGuess | None:
+        """The row that decides a word for an input; None if none does."""
+        return next((row for row in self.inputs if getattr(row, word) is not None and row.fits(node, port)), None)
+
+    def is_noise(self, node: str) -> bool:
+        """Whether a node only looks on."""
+        return _any(self.noise.nodes, node)
+
+    def is_noisy(self, port: RosPort) -> bool:
+        """Whether every graph has such a topic or service."""
+        return _any(self.noise.services if port.role.is_service else self.noise.topics, port.name)
+
+
+def _any(patterns: Sequence[str], name: str) -> bool:
+    return any(fnmatchcase(name, pattern) for pattern in patterns)
+
+
+def guess_table(files: Iterable[Path] = ()) -> GuessTable:
+    """The table of this room, behind what files say. Raises InputError."""
+    read = [*map(_read, files), _own()]
+    return GuessTable(
+        tuple(row for file in read for row in file.inputs),
+        NoiseGuess(
+            topics=[pattern for file in read for pattern in file.noise.topics],
+            services=[pattern for file in read for pattern in file.noise.services],
+            nodes=[pattern for file in read for pattern in file.noise.nodes],
+        ),
+        {name: ports for file in reversed(read) for name, ports in file.nodes.items()},
+        next((tuple(file.wanted) for file in read if file.wanted is not None), None),
+    )
+
+
+@cache
+def _own() -> _GuessesFile:
+    return _read(TABLE)
+
+
+def _read(path: Path) -> _GuessesFile:
+    source = read_source(path)
+    if source.faults:
+        raise InputError(source.faults)
+    try:
+        return _GuessesFile.model_validate({} if source.data is None else source.data)
+    except ValidationError as error:
+        raise InputError(schema_faults(source, (), error.errors(include_url=False), _GuessesFile)) from None

@@ -1,0 +1,93 @@
+"""The small ontology of a graph: message types and names of topics as concepts, and the tags made of them."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Iterator
+
+from cfgplan.ros.graph import RosGraph, RosPort
+from cfgplan.ros.types import MessageType
+from cfgplan.selectors import NO_OPERAND
+
+_IRI = "urn:cfgplan:ros#"
+_NO_CONCEPTS = NO_OPERAND | {
+    "and",
+    "or",
+    "not",
+    "that",
+    "exists",
+    "forall",
+    "thing",
+    "nothing",
+    "message",
+    "topic",
+    "service",
+}
+
+
+class RosVocabulary:
+    """A concept for each message type, and one for each topic and service: what stands for it in a tag.
+
+    A name of a topic becomes a concept by writing `-` for `/`, which no name in ROS has: `/robot1/scan` is
+    `robot1-scan`, and `sensor_msgs/LaserScan` is `sensor_msgs-LaserScan`.
+    """
+
+    def __init__(self, graph: RosGraph) -> None:
+        ports = [port for node in graph.nodes for port in node.ports]
+        self._taken: set[str] = set()
+        types = sorted({port.type for port in ports if port.type is not None})
+        self._types = {kind: self._concept(_type_words(kind)) for kind in types}
+        self._topics = {name: self._concept(name, "topic") for name in graph.topics}
+        self._services = {name: self._concept(name, "service") for name in graph.services}
+
+    def tag(self, port: RosPort) -> str:
+        """What a port gives or needs: messages of its type on its topic."""
+        topic = (self._services if port.role.is_service else self._topics)[port.name]
+        return topic if port.type is None else f"{self._types[port.type]} and {topic}"
+
+    @property
+    def text(self) -> str:
+        """The ontology in Turtle."""
+        return "\n".join([*self._lines(), ""])
+
+    def _concept(self, name: str, kind: str = "type") -> str:
+        word = "-".join(re.sub(r"\W", "_", part, flags=re.ASCII) for part in name.strip("/").split("/"))
+        if word.casefold() in _NO_CONCEPTS or not word[:1].isalpha() or word[-1:] == "-":
+            word = f"{kind}-{word or 'of_no_name'}"
+        while word in self._taken:
+            word += f"_{kind}"
+        self._taken.add(word)
+        return word
+
+    def _lines(self) -> Iterator[str]:
+        yield f"@prefix : <{_IRI}> ."
+        yield "@prefix owl: <http://www.w3.org/2002/07/owl#> ."
+        yield "@prefix rdfs: <http://www.w3.org/2000/01/rdf-schema#> ."
+        yield ""
+        yield f"<{_IRI.rstrip('#')}> a owl:Ontology ."
+        yield ""
+        yield "# Message types. Say here what is also what, such as"
+        yield "#   :nav_msgs-Odometry rdfs:subClassOf :geometry_msgs-PoseWithCovarianceStamped ."
+        yield ":Message a owl:Class ."
+        yield from self._classes("Message", ((word, str(kind)) for kind, word in self._types.items()))
+        yield ""
+        yield "# Topics. As long as a tag names its topic, only that topic feeds an input, as in ROS. To let others,"
+        yield "# leave the topic out of the input's tag, or say here that one topic is as good as another, such as"
+        yield "#   :scan_filtered rdfs:subClassOf :scan ."
+        yield ":Topic a owl:Class ."
+        yield from self._classes("Topic", ((word, name) for name, word in self._topics.items()))
+        if self._services:
+            yield ""
+            yield "# Services and actions."
+            yield ":Service a owl:Class ."
+            yield from self._classes("Service", ((word, name) for name, word in self._services.items()))
+
+    @staticmethod
+    def _classes(above: str, members: Iterable[tuple[str, str]]) -> Iterator[str]:
+        for word, label in sorted(members):
+            yield f":{word} a owl:Class ; rdfs:subClassOf :{above} ; rdfs:label {json.dumps(label)} ."
+
+
+def _type_words(kind: MessageType) -> str:
+    return kind.ros1 if kind.kind == "msg" else kind.ros2
