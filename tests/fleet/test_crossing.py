@@ -21,7 +21,7 @@ from cfgplan_runtime.streams.crossing import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-MARK = Frame(9, 3, Piece(0, 0, b"work.1", is_mark=True))
+MARK = Piece(0, 0, b"work.1", is_mark=True)
 
 
 def piece(number: int, size: int = 8) -> Piece:
@@ -84,6 +84,19 @@ def test_what_is_lost_if_no_more_is_sent_is_known_to_the_element() -> None:
     for number in range(MOST_PIECES + 5):
         sending.offer(piece(number))
     assert (sending.dropped, sending.lost) == (15, MOST_PIECES + 5)
+
+
+def test_ends_and_marks_are_neither_dropped_nor_counted_as_lost() -> None:
+    sending, receiving = Sending(), Receiving()
+    sending.offer(MARK)
+    for number in range(MOST_PIECES + 5):
+        sending.offer(piece(number))
+    sending.offer(LAST_PIECE)
+    assert sending.lost == MOST_PIECES + 5
+    came = carry(sending, receiving, Random(1), loss=0.0, until_s=5.0)
+    assert came[0].is_mark and came[-1].is_last
+    assert len(came) == MOST_PIECES + 5 - sending.dropped + 2
+    assert (receiving.dropped, sending.lost) == (sending.dropped, 0)
 
 
 def test_the_end_of_a_stream_that_was_lost_in_a_cut_comes_at_once_when_the_link_is_there_again() -> None:
@@ -149,7 +162,7 @@ def test_a_sender_without_any_credit_asks_for_one() -> None:
 
 
 def test_frames_and_told_credits_are_read_as_they_were_written() -> None:
-    for frame in (Frame(7, 3, piece(5)), Frame(8, 3, LAST_PIECE), MARK, Frame(9, 0, None)):
+    for frame in (Frame(7, 3, piece(5)), Frame(8, 3, LAST_PIECE), Frame(9, 3, MARK), Frame(9, 0, None)):
         assert read_frame(frame.head(), b"" if frame.piece is None else bytes(frame.piece.payload)) == frame
     for credit in (Credit(5, 261), Credit(5, 261, (6, 9))):
         assert read_credit(credit.packed()) == credit

@@ -79,8 +79,8 @@ def test_a_standby_far_ahead_takes_over_before_it_fills_the_memory() -> None:
     inlet = InputQueue(limit=3)
     inlet.attach(1)
     inlet.attach(2)
-    given_out = [inlet.accept(2, element(10 + i, i)) for i in range(4)]
-    assert list(map(times, given_out)) == [[], [], [], [10, 11, 12, 13]]
+    given_out = [inlet.accept(2, element(10 + i, i)) for i in range(3)]
+    assert list(map(times, given_out)) == [[], [], [10, 11, 12]], "as many as have room where they are handed on"
 
 
 @given(st.integers(0, 20), st.integers(21, 40), st.booleans(), st.booleans())
@@ -101,6 +101,38 @@ def test_what_a_source_that_was_left_too_early_gives_late_is_counted(
     assert times(handed_on) == [*range(came), *range(joined_at, joined_at + 4)]
     assert inlet.dropped == joined_at - came
     assert inlet.sources == {2}
+
+
+def test_a_source_that_was_left_for_one_that_gives_nothing_is_taken_up_to_then() -> None:
+    """A link is cut after the element 2; the new source begins at 6, and was switched to at 5."""
+    inlet = InputQueue(limit=10)
+    inlet.attach(1)
+    handed_on = [one for time_ns in range(3) for one in inlet.accept(1, element(time_ns, time_ns))]
+    inlet.attach(2)
+    assert inlet.switch((5, 0)) == []
+    handed_on += inlet.accept(1, element(3, 3))
+    handed_on += inlet.accept(2, element(6, 0))
+    handed_on += inlet.accept(1, element(4, 4))
+    handed_on += inlet.accept(1, element(5, 5))
+    assert times(handed_on) == [0, 1, 2, 3, 6]
+    assert (inlet.dropped, inlet.sources) == (1, {2}), "4 was lost; 5 was given after the switch"
+
+
+@given(st.permutations([1, 1, 1, 1, 2, 2, 2, 2]))
+def test_what_is_late_from_two_sources_that_were_left_one_after_the_other_is_counted(late: list[int]) -> None:
+    """1 gives 0 to 8 and is left at 4 for 2, which gives 4 to 10 and is left at 8 for 3; 1 to 3 and 5 to 7 are late."""
+    inlet = InputQueue(limit=10)
+    handed_on = []
+    waiting = {1: [1, 2, 3, 4], 2: [5, 6, 7, 8]}
+    for wire, time_ns in ((1, 0), (2, 4), (3, 8)):
+        inlet.attach(wire)
+        handed_on += inlet.accept(wire, element(time_ns))
+        handed_on += inlet.switch()
+    for wire in late:
+        time_ns = waiting[wire].pop(0)
+        handed_on += inlet.accept(wire, element(time_ns, time_ns - {1: 0, 2: 4}[wire]))
+    assert times(handed_on) == [0, 4, 8]
+    assert (inlet.dropped, inlet.sources) == (6, {3})
 
 
 def test_gaps_in_the_numbers_are_counted_as_drops() -> None:

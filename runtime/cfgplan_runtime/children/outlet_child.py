@@ -15,7 +15,6 @@ from cfgplan_runtime.children.messages import (
     OpenOutlet,
     OutletOrder,
     Ready,
-    SetClock,
     ToChild,
     Unserved,
 )
@@ -63,8 +62,7 @@ class OutletChild:
 
     def __init__(self, order: OutletOrder, control: ControlConnection[ToChild]) -> None:
         self._queue = order.queue
-        self._clock_offset_ns = order.clock_offset_ns
-        self._ports = Ports(control, self._obey)
+        self._ports = Ports(control, self._obey, clock_offset_ns=order.clock_offset_ns)
         self._listeners: dict[str, socket.socket] = {}
         self._meters: dict[str, Meter] = {}
         self._paused: dict[str, socket.socket] = {}
@@ -103,8 +101,6 @@ class OutletChild:
                 self._ports.close_input(topic)
                 self._ports.close_output(topic)
                 del self._meters[topic]
-            case SetClock(offset_ns):
-                self._clock_offset_ns = offset_ns
             case Finish():
                 self._is_finishing = True
 
@@ -114,7 +110,7 @@ class OutletChild:
         meter = self._meters[topic] = Meter(time.monotonic())
 
         def relay(element: Element) -> None:
-            meter.note((time.monotonic_ns() + self._clock_offset_ns - element.time_ns) / 1e9, time.monotonic())
+            meter.note((self._ports.now_ns() - element.time_ns) / 1e9, time.monotonic())
             self._ports.emit(topic, Outgoing(element.time_ns, element.turn, [element.payload]))
 
         self._ports.outputs[topic] = UnitOutput()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import selectors
 import socket
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -17,6 +18,7 @@ from cfgplan_runtime.children.messages import (
     Lost,
     PortCounts,
     Serve,
+    SetClock,
     Switched,
     SwitchNow,
     ToChild,
@@ -75,14 +77,19 @@ class Ports:
         control: ControlConnection[ToChild],
         order: Callable[[ToChild, list[socket.socket]], None],
         make_input: Callable[[str], UnitInput | None] = _no_input,
+        clock_offset_ns: int = 0,
     ) -> None:
-        """`make_input` gives an input that is to be fed and is not there yet; None if there is none of that name."""
+        """`make_input` gives an input that is to be fed and is not there yet; None if there is none of that name.
+
+        The run's clock, by which elements have their times, is the monotonic clock plus `clock_offset_ns`.
+        """
         self.inputs: dict[str, UnitInput] = {}
         self.outputs: dict[str, UnitOutput] = {}
         self.has_ended = False
         self._control = control
         self._order = order
         self._make_input = make_input
+        self._clock_offset_ns = clock_offset_ns
         self._selector = selectors.DefaultSelector()
         self.watch(control.socket, self._hear)
 
@@ -99,6 +106,10 @@ class Ports:
         for key, _ in self._selector.select(timeout_s):
             if key.fileobj.fileno() != -1:  # type: ignore[union-attr]
                 key.data()
+
+    def now_ns(self) -> int:
+        """The time by the run's clock."""
+        return time.monotonic_ns() + self._clock_offset_ns
 
     def say(self, message: FromChild) -> None:
         """Send a message to the supervisor."""
@@ -216,6 +227,8 @@ class Ports:
                         end.close()
                 case SwitchNow(port):
                     self._switch_now(self.inputs[port])
+                case SetClock(offset_ns):
+                    self._clock_offset_ns = offset_ns
                 case _:
                     self._order(message, sockets)
         if self._control.has_ended:
@@ -249,7 +262,7 @@ class Ports:
     def _switch_now(self, port: UnitInput) -> None:
         if port.inlet.standby is not None and port.inlet.active is not None:
             self._read(port, port.inlet.active)
-        self._settle(port, port.inlet.switch())
+        self._settle(port, port.inlet.switch((self.now_ns(), 0)))
 
     def _watch_receiver(self, port: UnitInput, wire: int) -> None:
         self.watch(port.receivers[wire].socket, lambda: self._read(port, wire))

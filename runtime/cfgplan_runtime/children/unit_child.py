@@ -19,7 +19,6 @@ from cfgplan_runtime.children.messages import (
     PortCounts,
     Prepared,
     Ready,
-    SetClock,
     ToChild,
     Trouble,
     UnitOrder,
@@ -52,8 +51,7 @@ class UnitChild:
 
     def __init__(self, order: UnitOrder, control: ControlConnection[ToChild]) -> None:
         self._order = order
-        self._clock_offset_ns = order.clock_offset_ns
-        self._ports = Ports(control, self._obey, self._one_more_input)
+        self._ports = Ports(control, self._obey, self._one_more_input, order.clock_offset_ns)
         self._is_source = not order.inputs
         self._steps = StepQueue(
             order.inputs,
@@ -110,8 +108,6 @@ class UnitChild:
 
     def _obey(self, message: ToChild, _: list[socket.socket]) -> None:
         match message:
-            case SetClock(offset_ns):
-                self._clock_offset_ns = offset_ns
             case BeginUnit(unit, state):
                 self._set_state(state)
                 self._begun = unit
@@ -213,7 +209,7 @@ class UnitChild:
         elif self._moment is not None:
             moment = self._moment
         else:
-            moment = (time.monotonic_ns() + self._clock_offset_ns, 0)
+            moment = (self._ports.now_ns(), 0)
         last = self._last.get(given.port)
         if last is not None and moment <= last:
             moment = (last[0], last[1] + 1)

@@ -51,6 +51,10 @@ class Piece(NamedTuple):
     is_last: bool = False
     is_mark: bool = False
 
+    @property
+    def is_element(self) -> bool:
+        return not (self.is_last or self.is_mark)
+
 
 LAST_PIECE = Piece(0, 0, b"", is_last=True)
 _ELEMENT, _LAST, _QUESTION, _MARKER = range(4)
@@ -147,8 +151,9 @@ class Sending:
 
     @property
     def lost(self) -> int:
-        """How many pieces are lost if no more is sent: those that have not arrived, or were dropped after the last."""
-        return self.depth + self.dropped - self._dropped_before
+        """How many elements are lost if no more is sent: those that have not arrived, and drops after the last one."""
+        pieces = [*self._waiting, *(frame.piece for frame in self._under_way.values() if frame.piece is not None)]
+        return sum(piece.is_element for piece in pieces) + self.dropped - self._dropped_before
 
     @property
     def is_full(self) -> bool:
@@ -159,7 +164,12 @@ class Sending:
         self._waiting.append(piece)
         self._waiting_bytes += len(piece.payload)
         while not self._blocks and len(self._waiting) > 1 and self._has_too_many:
-            self._waiting_bytes -= len(self._waiting.popleft().payload)
+            elements = (number for number, one in enumerate(self._waiting) if one.is_element)
+            oldest, newer = next(elements, None), next(elements, None)
+            if oldest is None or newer is None:
+                return
+            self._waiting_bytes -= len(self._waiting[oldest].payload)
+            del self._waiting[oldest]
             self.dropped += 1
 
     def hear(self, credit: Credit) -> None:

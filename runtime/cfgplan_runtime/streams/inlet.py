@@ -3,7 +3,8 @@
 An inlet has an active source and, while it is rewired, a standby. The standby's elements wait until
 the active source has given everything before the first of them; then the inlet switches, and skips those
 of the standby that are not newer. So the moments of the elements that it hands on always rise. If it has to switch
-before that, the former source is read on, and what it gives from before the switch is counted as dropped.
+before that, the former source is read on: what it gives from before the first element of the new one is handed on as
+long as that has given none, and counted as dropped from then on.
 """
 
 from __future__ import annotations
@@ -33,20 +34,19 @@ class InputQueue:
     limit: int
     active: int | None = None
     standby: int | None = None
-    former: int | None = None
-    """The source that was left too early, until it has given everything from before `_until`."""
     dropped: int = 0
     stale: int = 0
     """How many elements were not newer than the last one handed on."""
     last: Moment = _BEFORE_ALL
     _held: deque[Element] = field(default_factory=deque)
     _next_number: dict[int, int] = field(default_factory=dict)
-    _until: Moment = _BEFORE_ALL
+    _former: dict[int, Moment] = field(default_factory=dict)
+    """The sources that were left too early, until they have given everything from before a moment."""
 
     @property
     def sources(self) -> set[int]:
         """The wires that are to be read."""
-        return {wire for wire in (self.active, self.standby, self.former) if wire is not None}
+        return {wire for wire in (self.active, self.standby, *self._former) if wire is not None}
 
     def attach(self, wire: int) -> bool:
         """Add a source. Returns whether it is active at once; otherwise it replaces the standby, if there is one."""
@@ -61,28 +61,30 @@ class InputQueue:
         """Take an element from `wire`. Returns the elements to hand on now."""
         if wire == self.active:
             self._count_drops(wire, element)
-            handed_on = self._newer([element])
+            handed_on = self._from_new([element])
             return handed_on + self._switch_when_due()
         if wire == self.standby:
             self._count_drops(wire, element)
             self._held.append(element)
-            if len(self._held) > self.limit:
-                return self.switch()
-            return self._switch_when_due()
-        if wire == self.former:
+            # More would have no room where they are handed on.
+            is_full = len(self._held) >= max(self.limit, 2)
+            return self.switch() if is_full else self._switch_when_due()
+        if wire in self._former:
             self._count_drops(wire, element)
-            if element.moment < self._until:
-                self.dropped += 1
+            if element.moment >= self._former[wire]:
+                self._forget_former(wire)
+            elif element.moment > self.last:
+                return self._newer([element])
             else:
-                self._forget_former()
+                self.dropped += 1
         return []
 
     def end(self, wire: int) -> list[Element]:
         """Note the end of `wire`. Returns the elements to hand on now."""
         if wire == self.standby:
             self._forget_standby()
-        elif wire == self.former:
-            self._forget_former()
+        elif wire in self._former:
+            self._forget_former(wire)
         elif wire == self.active:
             self.active = None
             self._next_number.pop(wire, None)
@@ -90,23 +92,32 @@ class InputQueue:
                 return self.switch()
         return []
 
-    def switch(self) -> list[Element]:
-        """Make the standby the active source at once. Returns the elements to hand on now."""
+    def switch(self, now: Moment = _BEFORE_ALL) -> list[Element]:
+        """Make the standby the active source at once. Returns the elements to hand on now.
+
+        If it has given nothing yet, the former source still counts for what it has given before `now`.
+        """
         if self.standby is None:
             return []
         held, self._held = self._held, deque()
         if self.active is not None:
-            self._forget_former()
-            self.former, self._until = self.active, held[0].moment if held else _BEFORE_ALL
-            if self._until <= self.last:
-                self._forget_former()
+            self._former[self.active] = held[0].moment if held else now
+            if self._former[self.active] <= self.last:
+                self._forget_former(self.active)
         self.active, self.standby = self.standby, None
-        return self._newer(held)
+        return self._from_new(held)
 
     def _switch_when_due(self) -> list[Element]:
         if self._held and self.last >= self._held[0].moment:
             return self.switch()
         return []
+
+    def _from_new(self, elements: deque[Element] | list[Element]) -> list[Element]:
+        """What is newer of the active source's elements. What former sources give from after that is not needed."""
+        newer = self._newer(elements)
+        if newer and self._former:
+            self._former = {wire: min(until, newer[0].moment) for wire, until in self._former.items()}
+        return newer
 
     def _newer(self, elements: deque[Element] | list[Element]) -> list[Element]:
         newer = []
@@ -122,10 +133,9 @@ class InputQueue:
         self.dropped += element.number - self._next_number.get(wire, 0)
         self._next_number[wire] = element.number + 1
 
-    def _forget_former(self) -> None:
-        if self.former is not None:
-            self._next_number.pop(self.former, None)
-        self.former = None
+    def _forget_former(self, wire: int) -> None:
+        del self._former[wire]
+        self._next_number.pop(wire, None)
 
     def _forget_standby(self) -> None:
         if self.standby is not None:
