@@ -46,7 +46,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     ):
         try:
             for number, received in enumerate(subscription, 1):
-                latency_ms = (time.time_ns() - received.time_ns) / 1e6
+                latency_ms = (subscription.now_ns() - received.time_ns) / 1e6
                 times.append(received.time_ns / 1e9)
                 rate = (len(times) - 1) / (times[-1] - times[0]) if times[-1] > times[0] else 0.0
                 if screen.json:

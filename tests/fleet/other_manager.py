@@ -1,4 +1,4 @@
-"""A manager to be killed: arguments are the hosts, separated by commas, and the agents' endpoints."""
+"""A manager to be killed: arguments are how far its clock is behind, its hosts with commas, and the endpoints."""
 
 from __future__ import annotations
 
@@ -13,9 +13,11 @@ from small_fleet import FOLDER, PATIENCE_S, RESULT, cold, eventually, seen, sour
 
 from cfgplan.domain import ChangeSet, Host
 
-hosts = sys.argv[1].split(",")
+behind_ns, time_ns = int(sys.argv[1]), time.time_ns
+time.time_ns = lambda: time_ns() - behind_ns
+hosts = sys.argv[2].split(",")
 run = RunFolder()
-backend = lambda: FleetBackend(hosts, run, connect=sys.argv[2:], folder=FOLDER, wait_s=PATIENCE_S)  # noqa: E731
+backend = lambda: FleetBackend(hosts, run, connect=sys.argv[3:], folder=FOLDER, wait_s=PATIENCE_S)  # noqa: E731
 with Runtime(backend=backend) as runtime:
     work = unit("work.1", hosts[-1], topic="/result", x="count.1/n")
     units = (unit("count.1", "r1"), work, cold("work.9", "r1"))

@@ -138,12 +138,13 @@ class SmallFleet:
         )
 
     @contextmanager
-    def other_manager(self) -> Iterator[subprocess.Popen[bytes]]:
+    def other_manager(self, behind_ns: int = 0) -> Iterator[subprocess.Popen[bytes]]:
         """Another process that manages the hosts: it runs count.1 on r1 and work.1 on r2, which is published.
 
-        It has the cold spare work.9 on r1.
+        It has the cold spare work.9 on r1. Its clock is behind.
         """
-        command = [sys.executable, str(FOLDER / "other_manager.py"), ",".join(self.agents.processes), *self.endpoints]
+        code, hosts = str(FOLDER / "other_manager.py"), ",".join(self.agents.processes)
+        command = [sys.executable, code, str(behind_ns), hosts, *self.endpoints]
         with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
             assert process.stdout is not None
             try:

@@ -6,8 +6,9 @@ import json
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 import pytest
@@ -53,6 +54,35 @@ def test_a_topic_is_heard_from_any_computer_across_swaps_of_what_feeds_it(fleet:
         assert (reached.hosts, reached.runs) == (["r1", "r2"], [runtime.id])
         with pytest.raises(NoSuchTopicError, match="there is /result"):
             reached.subscribe("/resolt")
+
+
+@pytest.mark.parametrize("is_adopted", [False, True])
+def test_who_listens_sees_ages_by_the_clock_of_the_run(
+    fleet: SmallFleet, monkeypatch: pytest.MonkeyPatch, is_adopted: bool
+) -> None:
+    """The manager's clock is a quarter of an hour behind those of the hosts and of who listens, or of the next manager,
+    which goes on by it.
+    """
+    behind_ns, time_ns = 900 * 10**9, time.time_ns
+    with ExitStack() as stack:
+        if is_adopted:
+            stack.enter_context(fleet.other_manager(behind_ns))
+        with monkeypatch.context() as patch:
+            patch.setattr(time, "time_ns", lambda: time_ns() - (0 if is_adopted else behind_ns))
+            runtime = stack.enter_context(fleet.runtime(source(), worker(), takes_over=is_adopted))
+        if not is_adopted:
+            runtime.apply(ChangeSet(started=(COUNT, WORK)))
+        reached = stack.enter_context(ReachedFleet(fleet.endpoints))
+        for subscription in (
+            reached.subscribe("/result", run=runtime.id, wait_s=PATIENCE_S),
+            subscribe("/result", run=runtime.id, wait_s=PATIENCE_S),
+        ):
+            received = next(iter(subscription))
+            assert abs(time_ns() - behind_ns - received.time_ns) < PATIENCE_S * 1e9
+            assert 0 < subscription.now_ns() - received.time_ns < PATIENCE_S * 1e9
+        command = [*CFGPLAN, "listen", "/result", "--json", "--count=1", f"--connect={fleet.endpoints[0]}"]
+        heard = subprocess.run(command, capture_output=True, text=True, check=True, timeout=PATIENCE_S)
+        assert 0 < json.loads(heard.stdout)["latency_ms"] < PATIENCE_S * 1e3
 
 
 def test_a_topic_on_another_computer_is_in_the_folder_of_the_run(

@@ -235,7 +235,8 @@ class Agent:
     def _topics_told(self) -> bytes:
         """Called by threads of the link."""
         talk = self._talk
-        return msgspec.json.encode(TopicsTold("" if talk is None else talk.session.manager, list(self._topics)))
+        run = "" if talk is None else talk.session.manager
+        return msgspec.json.encode(TopicsTold(run, list(self._topics), self._ahead_ns or 0))
 
     def _note_agent(self, key: str, is_alive: bool) -> None:
         """Called by threads of the link. Of two that connect to each other, the one of the greater name ends."""

@@ -150,8 +150,8 @@ class FleetBackend:
         """Topics for which no host was asked, while none is there."""
         self._routes = Routes(run_folder.id)
         self._counts = Counts()
-        began_ns = time.time_ns() - time.monotonic_ns()
-        self._clock = HostClock(lambda: time.monotonic_ns() + began_ns)
+        self._clock_offset_ns = time.time_ns() - time.monotonic_ns()
+        self._clock = HostClock(lambda: time.monotonic_ns() + self._clock_offset_ns)
         self._run_ahead_ns = 0
         """How far this process's clock is ahead of the run's, which may be an earlier manager's."""
         self._serial = 0
@@ -515,6 +515,7 @@ class FleetBackend:
             if host.ahead_ns is not None:
                 self._run_ahead_ns = host.ahead_ns - reading.ahead_ns
                 break
+        self.run_folder.tell_clock(self._clock_offset_ns - self._run_ahead_ns)
         for host, reading in known.items():
             self._correct(host, reading)
 

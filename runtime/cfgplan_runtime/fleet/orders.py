@@ -230,10 +230,13 @@ class UsageTold(msgspec.Struct, tag=True):
 
 
 class TopicsTold(msgspec.Struct):
-    """What an agent answers who asks: the run that it obeys, and the topics that are there."""
+    """What an agent answers who asks: the run that it obeys, the topics that are there, and how far its clock is ahead
+    of the run's.
+    """
 
     run: str
     topics: list[str]
+    ahead_ns: int = 0
 
 
 FromAgent: TypeAlias = Welcome | EventTold | UsageTold | ImportUnused

@@ -15,7 +15,8 @@ import msgspec
 
 from cfgplan.domain import MANAGER
 from cfgplan_runtime.errors import NoSuchRunError, NoSuchTopicError
-from cfgplan_runtime.fleet.agent import alive_key, topics_key
+from cfgplan_runtime.fleet.agent import alive_key, clock_key, topics_key
+from cfgplan_runtime.fleet.clocks import CALLS, CALLS_AGAIN, CLOCK_S, HostClock, corrected
 from cfgplan_runtime.fleet.links import config
 from cfgplan_runtime.fleet.orders import TopicsTold
 from cfgplan_runtime.fleet.tunnels import CONTROL, TunnelClient
@@ -37,6 +38,9 @@ class ReachedFleet:
     def __init__(self, connect: Sequence[str], certificates: Path | None = None) -> None:
         self._lives: dict[str, set[str]] = {}
         """What tells agents, or managers, from others of their name, by name."""
+        self._offsets_ns: dict[str, int] = {}
+        """By host whose topics are heard: how far the clock of its run is ahead of the monotonic one here."""
+        self._is_closed = threading.Event()
         self._lock = threading.Lock()
         self._link = ZenohLink(config(connect=connect, certificates=certificates, mode="client"))
         self._client = TunnelClient(self._link)
@@ -99,8 +103,18 @@ class ReachedFleet:
             lives = sorted(self._lives.get(host, ()))
         return self._client.connect(host, lives[0], topic) if lives else None
 
+    def now_ns(self, host: str) -> int:
+        """The time by the clock of the run that a host has, which is measured, again and again from the first call."""
+        if host not in self._offsets_ns:
+            is_first = not self._offsets_ns
+            self._measure(host, CALLS)
+            if is_first:
+                threading.Thread(target=self._measure_again, name="cfgplan-clocks", daemon=True).start()
+        return time.monotonic_ns() + self._offsets_ns[host]
+
     def close(self) -> None:
         """Close all that is connected."""
+        self._is_closed.set()
         self._client.close()
         self._link.close()
 
@@ -112,11 +126,27 @@ class ReachedFleet:
     ) -> None:
         self.close()
 
-    def _told(self) -> dict[str, TopicsTold]:
-        """What each host tells of its topics."""
+    def _measure_again(self) -> None:
+        while not self._is_closed.wait(CLOCK_S):
+            for host in list(self._offsets_ns):
+                self._measure(host, CALLS_AGAIN)
+
+    def _measure(self, host: str, calls: int) -> None:
+        """Note how far the clock of a host's run is ahead; by the time of day if the host does not answer."""
+        known_ns = self._offsets_ns.get(host)
+        clock = HostClock(time.monotonic_ns)
+        reading = clock.read(lambda: (answer for _, answer in self._link.ask(clock_key(host), _TOPICS_S)), calls)
+        told = self._told(host).get(host)
+        if reading is not None and told is not None:
+            measured_ns = reading.ahead_ns - told.ahead_ns
+            known_ns = measured_ns if known_ns is None else corrected(known_ns, measured_ns, reading.doubt_ns)
+        self._offsets_ns[host] = time.time_ns() - time.monotonic_ns() if known_ns is None else known_ns
+
+    def _told(self, host: str | None = None) -> dict[str, TopicsTold]:
+        """What each host, or one of them, tells of its topics."""
         return {
             unquote(key.split("/")[1]): msgspec.json.decode(answer, type=TopicsTold)
-            for key, answer in self._link.ask(topics_key(None), _TOPICS_S)
+            for key, answer in self._link.ask(topics_key(host), _TOPICS_S)
         }
 
     def _note_life(self, key: str, is_alive: bool) -> None:
@@ -132,12 +162,14 @@ class ReachedFleet:
             self._client.lose(host, life)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class _FleetPlace:
     """The hosts of a fleet that obey a run, or any."""
 
     fleet: ReachedFleet
     run: str | None
+    host: str = ""
+    """Where the topic was found last."""
 
     @property
     def name(self) -> str:
@@ -145,10 +177,16 @@ class _FleetPlace:
 
     def connect(self, topic: str) -> socket.socket | None:
         found = self.fleet.places(topic, self.run)
-        return self.fleet.connect(found[0][1], topic) if found else None
+        if not found:
+            return None
+        self.host = found[0][1]
+        return self.fleet.connect(self.host, topic)
 
     def is_alive(self) -> bool:
         return bool(self.fleet.runs)
+
+    def now_ns(self) -> int:
+        return self.fleet.now_ns(self.host)
 
 
 def _until(is_so: Callable[[], bool], patience_s: float) -> bool:

@@ -133,6 +133,7 @@ class ProcessBackend:
         """What this computer's clock is ahead of the monotonic one, in nanoseconds."""
         self._ahead_ns = 0
         """How far this computer's clock is ahead of the run's, by which elements have their times."""
+        self.run_folder.tell_clock(self.clock_offset_ns)
         self._nursery = NurseryLink(self.run_folder.id, ("numpy", "numpy.random", *preload))
         self._nursery_socket: socket.socket | None = None
         self._outlets_lost = 0
@@ -222,6 +223,7 @@ class ProcessBackend:
     def correct_clock(self, ahead_ns: int) -> None:
         """Have elements' times be so much less than this computer's clock from now on."""
         self._ahead_ns = ahead_ns
+        self.run_folder.tell_clock(self.clock_offset_ns - ahead_ns)
         for child in self._children.values():
             if child.name != RELAY:
                 self._tell(child, SetClock(self.clock_offset_ns - ahead_ns))

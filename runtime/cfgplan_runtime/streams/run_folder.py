@@ -15,6 +15,7 @@ import socket
 import stat
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -43,6 +44,12 @@ class RunFolder:
                 fcntl.flock(self._lock, fcntl.LOCK_EX)
         except OSError as error:
             raise RuntimeFaultError(f"{self.path}: can't hold the run's sockets: {error.strerror}") from None
+
+    def tell_clock(self, offset_ns: int) -> None:
+        """Tell who listens that the run's clock, by which elements have their times, is the monotonic one plus this."""
+        told = self.path / "clock.new"
+        told.write_text(str(offset_ns))
+        told.rename(_clock(self.path))
 
     def listen(self, topic: str) -> socket.socket:
         """A listening socket at the topic's address. Raises OSError, and leaves none."""
@@ -138,6 +145,19 @@ def address(run: Path, topic: str) -> Path:
     if len(name) > _LONGEST_NAME:
         name = f"{name[:11]}-{hashlib.sha256(topic.encode()).hexdigest()[:12]}"
     return run / f"{name}.socket"
+
+
+def clock_offset_ns(run: Path) -> int:
+    """What was last told by `RunFolder.tell_clock`; what the time of day says where a run has told nothing."""
+    try:
+        return int(_clock(run).read_text())
+    except (OSError, ValueError):
+        return time.time_ns() - time.monotonic_ns()
+
+
+def _clock(run: Path) -> Path:
+    """No topic's socket has this name."""
+    return run / "clock"
 
 
 def control_address(run: Path) -> Path:

@@ -14,14 +14,14 @@ from cfgplan_runtime.errors import NoSuchTopicError
 from cfgplan_runtime.streams.channel import Receiver
 from cfgplan_runtime.streams.element import Element, Moment
 from cfgplan_runtime.streams.payload import decode
-from cfgplan_runtime.streams.run_folder import address, base_folder, is_alive, live_runs, topics_of
+from cfgplan_runtime.streams.run_folder import address, base_folder, clock_offset_ns, is_alive, live_runs, topics_of
 
 _RETRY_S = 0.02
 
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """A value of a topic. `time_ns` is when it was made, in nanoseconds since the epoch."""
+    """A value of a topic. `time_ns` is when it was made, in nanoseconds since the epoch, by the run's clock."""
 
     value: Any
     time_ns: int
@@ -39,6 +39,9 @@ class TopicPlace(Protocol):
 
     def is_alive(self) -> bool:
         """Whether the topic may be there again if it is not."""
+
+    def now_ns(self) -> int:
+        """The time by the run's clock, by which elements have their times, while connected."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +65,9 @@ class RunPlace:
 
     def is_alive(self) -> bool:
         return is_alive(self.run)
+
+    def now_ns(self) -> int:
+        return time.monotonic_ns() + clock_offset_ns(self.run)
 
 
 class SubscriptionToTopic:
@@ -96,6 +102,10 @@ class SubscriptionToTopic:
             if self._receiver.has_ended:
                 self._receiver.close()
                 self._reconnect()
+
+    def now_ns(self) -> int:
+        """The time by the run's clock: what a value's `time_ns` is less than that is its age."""
+        return self._place.now_ns()
 
     @property
     def is_connected(self) -> bool:
