@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 from cfgplan.api import World, accepted, interruptible, nearest_offers
 from cfgplan.errors import InputError, known
 from cfgplan.planners.undecided import Deciding
-from cfgplan.planning import Decider, Plan, Problem, Progress
+from cfgplan.planning import Decider, Plan, Planner, Problem, Progress
 from cfgplan.reasons import pinned_reasons
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ def why_not(
     world: World,
     problem: Problem,
     *,
-    planner: str = "cpsat",
+    planner: str | Planner = "cpsat",
     time_limit_s: float | None = None,
     reasoner: str = "auto",
     reasoner_limit_s: float | None = None,
@@ -77,7 +77,7 @@ def why(
     kind: Subject,
     name: str,
     *,
-    planner: str = "cpsat",
+    planner: str | Planner = "cpsat",
     time_limit_s: float | None = None,
     decider: Decider | None = None,
 ) -> Why:
@@ -111,7 +111,7 @@ def front(
     target: str,
     attribute: str,
     *,
-    planner: str = "cpsat",
+    planner: str | Planner = "cpsat",
     time_limit_s: float | None = None,
     decider: Decider | None = None,
 ) -> Front:
@@ -127,7 +127,7 @@ def alternatives(
     problem: Problem,
     count: int,
     *,
-    planner: str = "cpsat",
+    planner: str | Planner = "cpsat",
     time_limit_s: float | None = None,
     decider: Decider | None = None,
 ) -> Alternatives:
@@ -149,7 +149,7 @@ def sensitivity(
     problem: Problem,
     *,
     upkeep_of: str | None = None,
-    planner: str = "cpsat",
+    planner: str | Planner = "cpsat",
     time_limit_s: float | None = None,
     decider: Decider | None = None,
 ) -> Sensitivity:
@@ -169,7 +169,7 @@ def sensitivity(
 def best_effort(
     problem: Problem,
     *,
-    planner: str = "cpsat",
+    planner: str | Planner = "cpsat",
     time_limit_s: float | None = None,
     decider: Decider | None = None,
 ) -> BestEffort:
@@ -184,7 +184,7 @@ def best_effort(
 class _Judged:
     """A planner whose every answer is accepted by the judge; it asks a decider, if there is one, about open pairs."""
 
-    def __init__(self, planner: str, limit_s: float | None, decider: Decider | None) -> None:
+    def __init__(self, planner: str | Planner, limit_s: float | None, decider: Decider | None) -> None:
         # A single plan that is stopped by Ctrl-C is the best so far; what asks for many of them has to end.
         self._stop = Event()
         self._limit_s = limit_s

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from cfgplan import validity
 from cfgplan.domain import Environment, Similarity
-from cfgplan.errors import Fault, InputError, known
+from cfgplan.errors import Fault, InputError
 from cfgplan.matching import (
     REASONERS,
     Matches,
@@ -29,7 +29,7 @@ from cfgplan.matching import (
     load_ontology,
     read_owlready,
 )
-from cfgplan.planners import PLANNERS
+from cfgplan.planners import PLANNERS, planner_of
 from cfgplan.planners.undecided import Deciding
 from cfgplan.planning import Decider, Failures, Plan, Planner, PlannerFaultError, Problem, Progress
 from cfgplan.reasons import with_pinned_reasons
@@ -236,16 +236,15 @@ def match(
 def plan(
     problem: Problem,
     *,
-    planner: str = "cpsat",
+    planner: str | Planner = "cpsat",
     time_limit_s: float | None = None,
     report: Callable[[Progress], None] | None = None,
 ) -> Plan:
-    """The optimal update, by one of `PLANNER_NAMES`, accepted by the judge.
+    """The optimal update, by one of `PLANNER_NAMES` or a planner of your own, accepted by the judge.
 
-    Raises InputError for an unknown planner, and what `accepted` does.
+    Raises InputError for an unknown planner, OwnPlannerError for one of your own that fails, and what `accepted` does.
     """
-    chosen = PLANNERS[known(planner, PLANNERS, "planner")]
-    return accepted(problem, chosen(problem, time_limit_s=time_limit_s, report=report))
+    return accepted(problem, planner_of(planner)(problem, time_limit_s=time_limit_s, report=report))
 
 
 class Solved(NamedTuple):
@@ -258,7 +257,7 @@ class Solved(NamedTuple):
 def solve(
     world: World,
     *,
-    planner: str = "cpsat",
+    planner: str | Planner = "cpsat",
     horizon_s: int | None = None,
     max_cost_us: int | None = None,
     survive: Failures | Literal[0] | None = None,
@@ -279,7 +278,7 @@ def solved(
     problem: Problem,
     decider: Decider,
     *,
-    planner: str = "cpsat",
+    planner: str | Planner = "cpsat",
     time_limit_s: float | None = None,
     report: Callable[[Progress], None] | None = None,
 ) -> Solved:
@@ -290,11 +289,10 @@ def solved(
     return Solved(deciding.known(problem), accepted(deciding.known(problem), answer))
 
 
-def interruptible(planner: str, stop: Event) -> Planner:
-    """One of `PLANNER_NAMES`; `cpsat` tells by `stop` that Ctrl-C ended it. Raises InputError for an unknown one."""
-    chosen = PLANNERS[known(planner, PLANNERS, "planner")]
+def interruptible(planner: str | Planner, stop: Event) -> Planner:
+    """A planner as `planner_of` gives it; `cpsat` tells by `stop` that Ctrl-C ended it."""
     if planner != "cpsat":
-        return chosen
+        return planner_of(planner)
     from cfgplan.planners import cpsat
 
     return partial(cpsat.plan, stop=stop)

@@ -298,6 +298,10 @@ class PlannerFaultError(CfgplanError):
         return type(self), (str(self), self.plan)
 
 
+class OwnPlannerError(CfgplanError):
+    """A planner of the user's own raised what it may not, or answered with no plan; what it raised is the cause."""
+
+
 @dataclass(frozen=True, slots=True)
 class Progress:
     """A planner's state while it works: the best cost so far, if any, and the proven bound."""

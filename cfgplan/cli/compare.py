@@ -34,6 +34,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--memory", type=shared.count, metavar="MB", help="largest address space of a run, in megabytes"
     )
+    parser.add_argument("--traceback", action="store_true", help="show where a planner crashed")
     shared.add_matching(parser)
     shared.add_json(parser)
     parser.set_defaults(run=run)
@@ -44,11 +45,11 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
     from cfgplan import api, comparing
 
+    for name in options.planner or ():
+        shared.planner(name)
+
     entrants = [comparing.entrant(name) for name in options.planner or comparing.REGISTERED]
     limits = comparing.Limits(time_limit_s=options.timeout, memory_mb=options.memory)
-    for planner in entrants:
-        if planner.function:
-            comparing.require(planner, limits)
     runs, contradictions = [], []
     for env in options.envs:
         with screen.phase("load"):
@@ -60,13 +61,20 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         contradictions += [f"{env}: {text}" for text in comparing.contradictions(found)]
         if not screen.json:
             screen.show(_table(env, found))
+    crashes = [each for each in runs if each["outcome"] == comparing.RunFailure.CRASHED]
     if screen.json:
         screen.show_json({"runs": runs, "contradictions": contradictions})
-    elif contradictions:
-        screen.show(Text("\n".join(f"contradiction: {text}" for text in contradictions), style="bold red"))
+    elif contradictions or crashes:
+        said = [f"contradiction: {text}" for text in contradictions]
+        said += [f"{each['environment']}: {each['planner']} crashed: {each['message']}" for each in crashes]
+        screen.show(Text("\n".join(said), style="bold red"))
+        if options.traceback:
+            screen.show(Text("\n".join(each["traceback"] for each in crashes)))
+        elif crashes:
+            screen.note("`--traceback` shows where.")
     elif any(each["proof_s"] is not None for each in runs):
         screen.show(Text("All proofs agree, and every plan passes the judge.", style="bold green"))
-    return Exit.INVALID if contradictions else Exit.OK
+    return Exit.INVALID if contradictions or crashes else Exit.OK
 
 
 def _table(env: str, runs: Sequence[Run]) -> Table:

@@ -18,7 +18,7 @@ from cfgplan.cli.interrupts import Ending, ended_cleanly
 from cfgplan.cli.screen import FULL_DISK, Screen
 from cfgplan.errors import CfgplanError, Fault, InputError, known
 from cfgplan.extras import install
-from cfgplan.planning import PlannerFaultError
+from cfgplan.planning import OwnPlannerError, PlannerFaultError
 
 VERBS: Mapping[str, str] = MappingProxyType(
     {
@@ -82,6 +82,8 @@ def _main(arguments: Sequence[str], ending: Ending) -> int:
             missing = error.name or "" if isinstance(error, ModuleNotFoundError) else ""
             if isinstance(error, PlannerFaultError) or missing.startswith("cfgplan"):
                 raise
+            if isinstance(error, OwnPlannerError) and os.environ.get("CFGPLAN_TRACEBACK"):
+                raise
             code = Exit.BAD_INPUT
             _tell(error, screen, getattr(options, "env", None))
         sys.stdout.flush()
@@ -113,7 +115,8 @@ def _tell(error: CfgplanError | ModuleNotFoundError, screen: Screen, env: str | 
         case ModuleNotFoundError():
             screen.faults([Fault(f"the package {error.name} is not installed", mend=install(error.name or ""))])
         case _:
-            screen.faults([Fault(str(error), file=env)])
+            mend = "CFGPLAN_TRACEBACK=1 shows where" if isinstance(error, OwnPlannerError) else None
+            screen.faults([Fault(str(error), file=env, mend=mend)])
 
 
 def _interrupted(ending: Ending) -> Exit:

@@ -6,6 +6,7 @@ import argparse
 import json
 import os
 import re
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from decimal import Decimal, InvalidOperation
@@ -57,7 +58,8 @@ def add_planning(parser: argparse.ArgumentParser, what_if: str | None = None) ->
     """
     from cfgplan.api import PLANNER_NAMES
 
-    parser.add_argument("--planner", choices=PLANNER_NAMES, default="cpsat", help="the planner (cpsat)")
+    names = f"the planner: {', '.join(PLANNER_NAMES)}, or one of your own as module:function (cpsat)"
+    parser.add_argument("--planner", type=planner, default="cpsat", metavar="NAME", help=names)
     parser.add_argument(
         "--horizon", type=horizon, metavar="TIME", help="plan for 60, 10m or 1h instead of the file's horizon"
     )
@@ -179,6 +181,16 @@ def _failures(asked: str | None, world: api.World) -> Failures | Literal[0] | No
     if asked == "1":
         return Failures.HOSTS if world.environment.hosts else Failures.UNITS
     return Failures(asked)
+
+
+def planner(name: str) -> str:
+    """The name of a planner that is there; one of the user's own may be in the folder where the command is called."""
+    from cfgplan.planners import planner_of
+
+    if ":" in name and (here := str(Path.cwd())) not in sys.path:
+        sys.path.insert(0, here)
+    planner_of(name)
+    return name
 
 
 def setting(text: str) -> tuple[str, str]:

@@ -16,7 +16,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from cfgplan.errors import Fault
-from cfgplan.planning import Plan
+from cfgplan.planning import Plan, PlannerFaultError
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -124,8 +124,7 @@ class Screen:
 
     def internal_error(self, error: Exception) -> None:
         """Report a bug of this package: the input is not to blame."""
-        bug = "this is a bug in cfgplan: CFGPLAN_TRACEBACK=1 shows where; please report it"
-        self.faults([Fault(f"internal error: {type(error).__name__}: {error}", mend=bug)])
+        self.faults([Fault(f"internal error: {type(error).__name__}: {error}", mend=blamed(error))])
 
     @cached_property
     def _out(self) -> Console:
@@ -145,6 +144,14 @@ class Screen:
         from rich.console import Console
 
         return Console(stderr=True, highlight=False, markup=False, emoji=False)
+
+
+def blamed(error: Exception) -> str:
+    """Whose fault an internal error is, and what to do about it."""
+    planner = error.plan.planner if isinstance(error, PlannerFaultError) else ""
+    if ":" in planner:
+        return f"this is a bug in the planner {planner}, not in cfgplan"
+    return "this is a bug in cfgplan: CFGPLAN_TRACEBACK=1 shows where; please report it"
 
 
 def _plain(value: object) -> Any:

@@ -16,7 +16,7 @@ from cfgplan.cli import options as shared
 from cfgplan.cli.exits import OF_STATUS, Exit
 from cfgplan.cli.front import add_front, show_front
 from cfgplan.cli.plan_text import cpu, verdict
-from cfgplan.cli.screen import Screen, counted
+from cfgplan.cli.screen import Screen, blamed, counted
 from cfgplan.errors import InputError
 from cfgplan.planning import REFUSED, Plan, PlannerFaultError, Problem, Status
 
@@ -149,7 +149,8 @@ def _show_unjudged(screen: Screen, task: shared.Task, error: PlannerFaultError) 
         screen.show(shown)
     if not screen.json:
         screen.note(f"Do not rely on this plan: {error}", style="bold red")
-        screen.note("This is a bug in cfgplan: CFGPLAN_TRACEBACK=1 shows where; please report it.")
+        blame = blamed(error)
+        screen.note(f"{blame[0].upper()}{blame[1:]}.")
     return Exit.INTERNAL
 
 

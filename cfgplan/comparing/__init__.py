@@ -1,6 +1,6 @@
 """Planners side by side on one problem: each in a process of its own, judged, and held against the others."""
 
 from cfgplan.comparing.entrants import REGISTERED, Entrant, entrant
-from cfgplan.comparing.runs import Limits, Run, RunFailure, contradictions, require, run_one
+from cfgplan.comparing.runs import Limits, Run, RunFailure, contradictions, run_one
 
-__all__ = ["REGISTERED", "Entrant", "Limits", "Run", "RunFailure", "contradictions", "entrant", "require", "run_one"]
+__all__ = ["REGISTERED", "Entrant", "Limits", "Run", "RunFailure", "contradictions", "entrant", "run_one"]

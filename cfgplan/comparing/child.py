@@ -1,7 +1,5 @@
 """The process of one run: a task comes in on stdin, progress and the answer go out as JSON lines.
 
-A task without a problem only asks whether there is such a planner.
-
 Before each run the problem is made anew, and the garbage collector leaves alone what is there by then. A run of less
 than `SHORT_S` is repeated, since other work of the machine and a first call's empty caches may double its time, and the
 median of its runs is told.
@@ -23,6 +21,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
+from traceback import extract_tb, format_exc
 from typing import Any, TextIO
 
 from cfgplan.comparing.entrants import Entrant
@@ -44,18 +43,22 @@ def main() -> None:
         resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     try:
         entrant = Entrant(**task["entrant"])
-        if task["problem"] is None:
-            entrant.planner()
-            answer: dict[str, Any] = {"outcome": "ready"}
-        else:
-            answer = _run(entrant, b64decode(task["problem"]), task["time_limit_s"], out)
+        answer = _run(entrant, b64decode(task["problem"]), task["time_limit_s"], out)
     except ImportError as error:
         answer = {"outcome": RunFailure.UNAVAILABLE, "message": str(error)}
     except MemoryError:
         answer = {"outcome": RunFailure.OUT_OF_MEMORY}
     except CfgplanError as error:
         answer = {"outcome": RunFailure.REFUSED, "message": str(error)}
+    except Exception as error:
+        answer = {"outcome": RunFailure.CRASHED, "message": crash_text(error), "traceback": format_exc()}
     print(json.dumps(answer, ensure_ascii=False), file=out, flush=True)
+
+
+def crash_text(error: Exception) -> str:
+    """What was raised, and where."""
+    place = extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {error} ({Path(place.filename).name}, line {place.lineno})"[:300]
 
 
 def _run(entrant: Entrant, problem: bytes, time_limit_s: float, out: TextIO) -> dict[str, Any]:
@@ -72,6 +75,8 @@ def _run(entrant: Entrant, problem: bytes, time_limit_s: float, out: TextIO) -> 
         runs.append(_timed(planner, problem, time_limit_s, lambda _: None))
     run = sorted(runs, key=lambda run: run.total_s)[len(runs) // 2]
     plan = run.plan
+    if not isinstance(plan, Plan):
+        return {"outcome": RunFailure.CRASHED, "message": f"it gave no cfgplan.Plan, but {plan!r:.60}"}
     return {
         "outcome": plan.status,
         "cost_us": plan.cost_us,

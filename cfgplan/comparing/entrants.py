@@ -8,8 +8,8 @@ from importlib import import_module
 from importlib.util import find_spec
 from types import MappingProxyType
 
-from cfgplan.errors import InputError
-from cfgplan.planners import PLANNERS
+from cfgplan.errors import known
+from cfgplan.planners import PLANNERS, function_at
 from cfgplan.planning import Planner
 
 
@@ -31,10 +31,7 @@ class Entrant:
             import_module(engine)
         if not self.function:
             return PLANNERS[self.name]
-        module, _, name = self.function.partition(":")
-        planner: Planner | None = getattr(import_module(module), name, None)
-        if not callable(planner):
-            raise ImportError(f"module {module} has no function {name}")
+        planner: Planner = function_at(self.function)
         return planner
 
 
@@ -52,9 +49,6 @@ REGISTERED: Mapping[str, Entrant] = MappingProxyType({name: _registered(name) fo
 
 def entrant(name: str) -> Entrant:
     """The registered planner of that name, or the one at `module:function`. Raises InputError."""
-    if name in REGISTERED:
-        return REGISTERED[name]
     if all(name.partition(":")):
         return Entrant(name, function=name)
-    known = ", ".join(REGISTERED)
-    raise InputError.of(f"there is no planner {name!r}", mend=f"name one of {known}, or module:function")
+    return REGISTERED[known(name, REGISTERED, "planner", f"name one of {', '.join(REGISTERED)}, or module:function")]

@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 
 from cfgplan.comparing.entrants import Entrant
 from cfgplan.domain import Similarity
-from cfgplan.errors import InputError, InvalidValueError
+from cfgplan.errors import InvalidValueError
 from cfgplan.planning import REFUSED, Problem, Status
 
 
@@ -39,6 +39,8 @@ PROVEN = frozenset({Status.OPTIMAL, *REFUSED})
 Point = tuple[float, int | None, int]
 """Seconds since the start, best cost so far, proven bound."""
 MOST_POINTS = 40
+MOST_SAID = 4000
+"""So many characters of what a process said before it crashed are kept."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,8 @@ class Run:
     was no answer to judge. `peak_mb` is the largest resident memory of the process, the solver's own if it is
     a process apart. `trace` tells the best cost and the bound over time. `proof_s` is when the planner had proven
     its answer, that there is no plan or that none costs less; None if it has not. To break ties between equal costs
-    may take until `total_s`. `seconds` are the planner's phases.
+    may take until `total_s`. `seconds` are the planner's phases. An answer that the judge refuses has the cost that
+    it names, and no bound, times or trace. `traceback` is that of a crash.
     """
 
     planner: str
@@ -67,6 +70,7 @@ class Run:
     violations: tuple[str, ...] | None
     message: str
     seconds: Mapping[str, float] = field(default_factory=dict)
+    traceback: str = ""
 
     @property
     def proven(self) -> bool:
@@ -74,7 +78,8 @@ class Run:
 
     @property
     def has_plan(self) -> bool:
-        return self.outcome in (Status.OPTIMAL, Status.FEASIBLE)
+        """Whether there is a plan that the judge did not refuse."""
+        return self.outcome in (Status.OPTIMAL, Status.FEASIBLE) and not self.violations
 
 
 @dataclass(frozen=True)
@@ -100,7 +105,7 @@ def run_one(problem: Problem, entrant: Entrant, limits: Limits) -> Run:
     if trace and answer["outcome"] in (RunFailure.KILLED, RunFailure.OUT_OF_MEMORY):
         answer |= {"cost_us": trace[-1][1], "bound_us": trace[-1][2]}
     first_s, best_s = _times(trace, answer)
-    return Run(
+    run = Run(
         planner=entrant.name,
         outcome=answer["outcome"],
         cost_us=answer.get("cost_us"),
@@ -116,15 +121,11 @@ def run_one(problem: Problem, entrant: Entrant, limits: Limits) -> Run:
         violations=tuple(answer["violations"]) if "violations" in answer else None,
         message=answer.get("message", ""),
         seconds=answer.get("seconds", {}),
+        traceback=answer.get("traceback", ""),
     )
-
-
-def require(entrant: Entrant, limits: Limits) -> None:
-    """Find out, in a process like that of a run, whether there is such a planner. Raises InputError."""
-    _, answer = _answer(entrant, limits, None)
-    if answer["outcome"] != "ready":
-        why = answer.get("message") or answer["outcome"]
-        raise InputError.of(f"the planner {entrant.name!r} can't be used: {why}", mend="name it as module:function")
+    if not run.violations:
+        return run
+    return replace(run, bound_us=0, first_s=None, best_s=None, proof_s=None, total_s=None, trace=())
 
 
 def contradictions(runs: Sequence[Run]) -> Iterator[str]:
@@ -172,7 +173,7 @@ def thinned(trace: Sequence[Point]) -> tuple[Point, ...]:
     return tuple(trace[round(i * step)] for i in range(MOST_POINTS))
 
 
-def _answer(entrant: Entrant, limits: Limits, problem: str | None) -> tuple[list[Point], dict[str, Any]]:
+def _answer(entrant: Entrant, limits: Limits, problem: str) -> tuple[list[Point], dict[str, Any]]:
     """The progress and the answer of a child process; how it failed where it gave none."""
     task = {
         "problem": problem,
@@ -239,7 +240,7 @@ def _failure(code: int | None, err: str) -> dict[str, Any]:
         return {"outcome": RunFailure.OUT_OF_MEMORY}
     ending = err.strip().splitlines()[-1:] or [""]
     how = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
-    return {"outcome": RunFailure.CRASHED, "message": f"{how}: {ending[0]}"[:300]}
+    return {"outcome": RunFailure.CRASHED, "message": f"{how}: {ending[0]}"[:300], "traceback": err[-MOST_SAID:]}
 
 
 def _times(trace: Sequence[Point], answer: dict[str, Any]) -> tuple[float | None, float | None]:

@@ -4,17 +4,21 @@
 * `exhaustive`: the oracle, which tries every set of units and every wiring; about ten transformations.
 * `branch-and-bound`: the paper's Algorithms 1 and 2 with the merging of section IV-D; not optimal.
 
-None of them looks at open pairs of tags: problems that have some come to them through `undecided`.
+None of them looks at open pairs of tags: problems that have some come to them through `undecided`. Any other function
+comes by `planner_of`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from importlib import import_module
 from types import MappingProxyType
+from typing import Any
 
+from cfgplan.errors import CfgplanError, InputError, known
 from cfgplan.planners.undecided import Deciding
-from cfgplan.planning import Plan, Planner, Problem, Progress
+from cfgplan.planning import OwnPlannerError, Plan, Planner, Problem, Progress
 
 
 def _imported_on_use(module: str) -> Planner:
@@ -43,3 +47,53 @@ PLANNERS: Mapping[str, Planner] = MappingProxyType(
         "branch-and-bound": _imported_on_use("cfgplan.planners.branch_and_bound"),
     }
 )
+
+
+def planner_of(planner: str | Planner) -> Planner:
+    """A registered planner by its name; one of the user's own as `module:function`, or the function itself.
+
+    Raises InputError for a name that leads nowhere. One of the user's own raises OwnPlannerError where it fails.
+    """
+    if not isinstance(planner, str):
+        return _own(f"{planner.__module__}:{planner.__qualname__}" if hasattr(planner, "__qualname__") else "", planner)
+    if ":" not in planner:
+        return PLANNERS[known(planner, PLANNERS, "planner", f"name one of {', '.join(PLANNERS)}, or module:function")]
+    try:
+        return _own(planner, function_at(planner))
+    except ImportError as error:
+        mend = "name it as module:function; the module is looked for where Python looks, and here"
+        raise InputError.of(f"the planner {planner!r} can't be used: {error}", mend=mend) from error
+
+
+def function_at(name: str) -> Callable[..., Any]:
+    """The function at `module:function`. Raises ImportError."""
+    module, _, function = name.partition(":")
+    if not (module and function):
+        raise ImportError(f"{name!r} is not module:function")
+    found = getattr(import_module(module), function, None)
+    if not callable(found):
+        raise ImportError(f"module {module} has no function {function}")
+    return found  # type: ignore[no-any-return]
+
+
+def _own(name: str, function: Planner) -> Planner:
+    """A function as a planner of this name, in a `Deciding` where pairs are open; what it raises is its own fault."""
+
+    def planner(
+        problem: Problem,
+        *,
+        time_limit_s: float | None = None,
+        report: Callable[[Progress], None] | None = None,
+    ) -> Plan:
+        plan = Deciding(function) if problem.similarity.open else function
+        try:
+            found = plan(problem, time_limit_s=time_limit_s, report=report)
+        except CfgplanError:
+            raise
+        except Exception as error:
+            raise OwnPlannerError(f"the planner {name} failed: {type(error).__name__}: {error}") from error
+        if not isinstance(found, Plan):
+            raise OwnPlannerError(f"the planner {name} gave no cfgplan.Plan, but {found!r:.60}")
+        return replace(found, planner=name) if name else found
+
+    return planner

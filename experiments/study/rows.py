@@ -79,7 +79,7 @@ def append_row(path: Path, row: Row) -> None:
 
 
 _FIELDS = frozenset(each.name for each in fields(Row))
-_REQUIRED = frozenset(each.name for each in fields(Row) if each.default_factory is MISSING)
+_REQUIRED = frozenset(f.name for f in fields(Row) if f.default_factory is MISSING and f.default is MISSING)
 
 
 def _row(path: Path, number: int, line: str) -> Row:

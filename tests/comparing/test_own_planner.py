@@ -1,0 +1,124 @@
+"""A planner of one's own, named as module:function, in `solve`, `run` and `compare` and in Python."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+import cfgplan
+from cfgplan.cli import main
+from cfgplan.cli.exits import Exit
+from cfgplan.comparing import Limits, RunFailure, entrant, run_one
+from cfgplan.planners import PLANNERS
+from cfgplan.planning import OwnPlannerError, Plan, Problem
+from experiments.study.instances import generated
+from experiments.study.plots import write_plots
+from experiments.study.runner import run_one as row_of
+
+ROOT = Path(__file__).parents[2]
+LOST = str(ROOT / "models" / "nao" / "2-segmenter-lost.yaml")
+SMALL = generated("adversarial", kind="dedicated", size=3)
+LIMITS = Limits(time_limit_s=20)
+
+
+def knows_better(problem: Problem, **_: object) -> Plan:
+    return PLANNERS["cpsat"](problem)
+
+
+def breaks(problem: Problem, **_: object) -> Plan:
+    raise ZeroDivisionError(f"{len(problem.environment.library)} transformations are too many for me")
+
+
+def answers_with_a_number(_: Problem, **__: object) -> int:
+    return 42
+
+
+def boasts(problem: Problem, **_: object) -> Plan:
+    return replace(PLANNERS["cpsat"](problem), cost_us=1, bound_us=1)
+
+
+def named(function: Callable[..., object]) -> str:
+    return f"{__name__}:{function.__name__}"
+
+
+def test_it_solves_under_its_own_name(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["solve", LOST, "--planner", named(knows_better)]) == Exit.OK
+    assert f"proven by {named(knows_better)}" in capsys.readouterr().out
+    problem = cfgplan.match(cfgplan.load(LOST))
+    assert cfgplan.plan(problem, planner=knows_better) == cfgplan.plan(problem, planner=named(knows_better))
+
+
+def test_run_takes_it(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", LOST, "--dry-run", "--planner", named(knows_better)]) == Exit.OK
+    assert "segmenter(piff).1" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("planner", "says"),
+    [
+        (breaks, "failed: ZeroDivisionError: 6 transformations are too many for me"),
+        (answers_with_a_number, "gave no cfgplan.Plan, but 42"),
+    ],
+)
+def test_a_fault_of_its_own_is_told_as_such(
+    planner: Callable[..., object], says: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("CFGPLAN_TRACEBACK", raising=False)
+    assert main(["solve", LOST, "--planner", named(planner)]) == Exit.BAD_INPUT
+    said = capsys.readouterr().err
+    assert says in said
+    assert "bug in cfgplan" not in said
+    monkeypatch.setenv("CFGPLAN_TRACEBACK", "1")
+    with pytest.raises(OwnPlannerError):
+        main(["solve", LOST, "--planner", named(planner)])
+
+
+def test_a_plan_that_the_judge_refuses_is_its_own_fault(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["solve", LOST, "--planner", named(boasts)]) == Exit.INTERNAL
+    said = capsys.readouterr().err
+    assert "Do not rely on this plan" in said
+    assert f"This is a bug in the planner {named(boasts)}, not in cfgplan." in said
+
+
+@pytest.mark.parametrize("verb", ["solve", "run", "compare", "explain"])
+def test_one_that_is_not_there_is_named_before_any_work(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([verb, "nothing.yaml", "--planner", "no_such_module:plan"]) == Exit.BAD_INPUT
+    said = capsys.readouterr().err
+    assert "No module named 'no_such_module'" in said
+    assert "nothing.yaml" not in said
+
+
+def test_one_in_the_folder_of_the_call_is_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "planner_of_this_folder.py").write_text(
+        "from cfgplan.planners import PLANNERS\n\ndef plan(problem, **more):\n    return PLANNERS['cpsat'](problem)\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.path", [entry for entry in __import__("sys").path if entry])
+    for verb in ("solve", "compare"):
+        assert main([verb, LOST, "--planner", "planner_of_this_folder:plan"]) == Exit.OK
+        assert "planner_of_this_folder:plan" in capsys.readouterr().out
+
+
+def test_compare_says_why_one_crashed_and_does_not_end_with_0(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["compare", LOST, "--planner", "cpsat", "--planner", named(breaks)]
+    assert main(arguments) == Exit.INVALID
+    out = capsys.readouterr().out
+    assert "ZeroDivisionError: 6 transformations are too many for me (test_own_planner.py, line" in out
+    assert "proofs agree" not in out
+    assert "Traceback" not in out
+    assert main([*arguments, "--traceback"]) == Exit.INVALID
+    assert "Traceback (most recent call last)" in capsys.readouterr().out
+    assert run_one(SMALL.problem, entrant(named(answers_with_a_number)), LIMITS).outcome == RunFailure.CRASHED
+
+
+def test_what_the_judge_refuses_is_in_no_proof_no_time_and_no_plot(tmp_path: Path) -> None:
+    row = row_of(SMALL, entrant(named(boasts)), LIMITS)
+    assert row.violations
+    assert (row.proven, row.has_plan, row.bound_us, row.trace) == (False, False, 0, ())
+    assert {row.first_s, row.best_s, row.proof_s, row.total_s} == {None}
+    assert write_plots([row], tmp_path) == []
