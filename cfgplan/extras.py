@@ -15,8 +15,10 @@ _EXTRA_OF = {
     "mcap": "record",
     "prometheus_client": "metrics",
     "pygraphviz": "graph",
+    "rosbags": "ros2",
     "starlette": "page",
     "uvicorn": "page",
+    "xxhash": "ros2",
     "zenoh": "fleet",
 }
 

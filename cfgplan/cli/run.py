@@ -19,7 +19,7 @@ from cfgplan.cli.exits import OF_STATUS, Exit
 from cfgplan.cli.interrupts import Interrupts
 from cfgplan.cli.run_output import JsonLines, Lines, RunOutput
 from cfgplan.cli.screen import Screen, counted
-from cfgplan.errors import InputError
+from cfgplan.errors import Fault, InputError
 from cfgplan.extras import needed
 from cfgplan.planning import Decider, Problem
 
@@ -112,6 +112,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         mend = "name them under `hosts:`, or leave out --local and --connect"
         raise InputError.of("the file has no hosts", file=options.env, mend=mend)
     _check_can_start(loaded)
+    if not options.dry_run and _fleet(options) is None:
+        _check_ros2_units(loaded, Path(options.env))
     if loaded.environment.units:
         count = counted(len(loaded.environment.units), "running unit")
         screen.note(f"The file names {count}, but a run starts from nothing: `units:` does not count.")
@@ -136,6 +138,23 @@ def _check_can_start(world: World) -> None:
         message = f"nothing can be started: {labels}{more} are left out, since none names its unit code"
         mend = "add `source: units.py:Class` to them, or plan with `solve`"
         raise InputError.of(message, file=str(world.file.path) if world.file else None, mend=mend)
+
+
+def _check_ros2_units(world: World, env: Path) -> None:
+    """Have all that is wrong with units for ROS 2 topics told before anything is started."""
+    units = [one for one in world.environment.library if (one.source or "").startswith("cfgplan_runtime.ros2:")]
+    if not units:
+        return
+    from cfgplan_runtime.ros2.units import check_unit
+
+    faults = list[Fault]()
+    for transformation in units:
+        try:
+            check_unit(transformation, env if env.is_dir() else env.parent)
+        except InputError as error:
+            faults += (fault if fault.file else replace(fault, file=str(env)) for fault in error.faults)
+    if faults:
+        raise InputError(faults)
 
 
 def _operate(options: argparse.Namespace, world: World, screen: Screen) -> Exit:

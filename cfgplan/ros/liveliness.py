@@ -114,6 +114,11 @@ class NodeToken:
     namespace: str = "/"
     enclave: str = "/"
 
+    @property
+    def full_name(self) -> str:
+        """The node's name with its namespace: `/robot/camera`."""
+        return f"{self.namespace.rstrip('/')}/{self.name}"
+
     def __str__(self) -> str:
         return "/".join(self.parts(self.number, _NODE))
 

@@ -1,0 +1,150 @@
+"""Definitions of messages: those of a ROS 2 distribution, and the `.msg` files of one's own."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cfgplan.errors import InputError, did_you_mean
+from cfgplan.extras import needed
+from cfgplan.ros import MessageType
+from cfgplan_runtime.ros2.message_form import MessageForm
+
+if TYPE_CHECKING:
+    from rosbags.interfaces.typing import Typesdict
+    from rosbags.typesys.store import Typestore
+
+USUAL_DISTRIBUTION = "jazzy"
+"""The definitions that are meant where neither a parameter nor ROS_DISTRO names a distribution."""
+NO_HASH = "TypeHashNotSupported"
+"""What stands in place of a type's hash in distributions that have none."""
+_WITHOUT_HASHES = ("humble",)
+
+
+class Definitions:
+    """The messages that are known: of a distribution, then of files and folders, then of AMENT_PREFIX_PATH.
+
+    A file or folder that is not absolute is in `folder`; without one it is in the working folder, or in one of those
+    that Python imports from, which a unit's is. Raises InputError.
+    """
+
+    def __init__(self, distribution: str | None = None, files: Sequence[str] = (), folder: Path | None = None) -> None:
+        needed("ROS 2 topics", "rosbags")
+        places = [*map(Path, ("", *sys.path))] if folder is None else [folder]
+        self.distribution = distribution or os.environ.get("ROS_DISTRO") or USUAL_DISTRIBUTION
+        self._store = _store_of(self.distribution)
+        self._own = dict(_own_files(_found(file, places) for file in files))
+        for name in self._own:
+            self._store.fielddefs.pop(name, None)
+            self._store.types.pop(name, None)
+
+    def form(self, type: MessageType) -> MessageForm:  # noqa: A002
+        """The form of a type's messages. Raises InputError if it, or a type in it, is not known or not supported."""
+        self._learn(type.ros2, [])
+        for name in self._within(type.ros2):
+            constants, fields = self._store.fielddefs[name]
+            self._store.fielddefs[name] = (constants, [(each, _without_char(what)) for each, what in fields])
+        type_hash = NO_HASH if self.distribution in _WITHOUT_HASHES else self._store.hash_rihs01(type.ros2)
+        return MessageForm(type, type_hash, self._store)
+
+    def _learn(self, name: str, path: list[str]) -> None:
+        """Have a type known, and those of its fields."""
+        if name not in self._store.fielddefs:
+            self._store.register(self._read(name, path))
+        for other in _types_in(self._store.fielddefs[name][1]):
+            if other not in path:
+                self._learn(other, [*path, name])
+
+    def _read(self, name: str, path: Sequence[str]) -> Typesdict:
+        from rosbags.typesys import get_types_from_msg
+
+        if path and name.endswith("/wstring"):
+            raise InputError.of(f"{path[-1]} has texts of wide characters (wstring), which can't be read or written")
+        file = self._own.get(name) or _installed(name)
+        if file is None:
+            wanted = f"no definition of {name}, which {path[-1]} has, is known" if path else f"{name} is not known"
+            mend = "name the folder of its .msg file by `definitions`, or start in a terminal where ROS is set up"
+            raise InputError.of(wanted, mend=did_you_mean(name, self._store.fielddefs, mend))
+        try:
+            return get_types_from_msg(file.read_text(encoding="utf-8"), name)
+        except OSError as error:
+            raise InputError.of(f"can't be read: {error.strerror}", file=str(file)) from None
+        except Exception as error:
+            # The parser's own errors, and those of what it does not foresee, have no common class but this.
+            raise InputError.of(f"this is no message definition: {error}", file=str(file)) from None
+
+    def _within(self, name: str) -> Iterator[str]:
+        """A known type and those of its fields, each once."""
+        found, ahead = {name: None}, [name]
+        while ahead:
+            for other in _types_in(self._store.fielddefs[ahead.pop()][1]):
+                if other not in found:
+                    found[other] = None
+                    ahead.append(other)
+        return iter(found)
+
+
+def _store_of(distribution: str) -> Typestore:
+    from rosbags.typesys import Stores, get_typestore
+
+    known = {store.value.removeprefix("ros2_"): store for store in Stores if store.value.startswith("ros2_")}
+    if distribution not in known:
+        mend = did_you_mean(distribution, known, f"there is {', '.join(known)}")
+        raise InputError.of(f"no definitions of a ROS 2 distribution `{distribution}` are known", mend=mend)
+    return get_typestore(known[distribution])
+
+
+def _own_files(paths: Iterable[Path]) -> Iterator[tuple[str, Path]]:
+    """The types that files define, and folders with such files at any depth: package/msg/Name.msg, package/Name.msg."""
+    for path in paths:
+        inside = [path] if path.is_file() else sorted(path.rglob("*.msg"))
+        if not inside:
+            raise InputError.of("there is no .msg file in this folder", file=str(path))
+        for file in inside:
+            folder = file.resolve().parent
+            package = folder.parent.name if folder.name == "msg" else folder.name
+            yield f"{package}/msg/{file.stem}", file
+
+
+def _found(given: str, places: Iterable[Path]) -> Path:
+    for place in places:
+        if (place / given).exists():
+            return place / given
+    raise InputError.of("there is no such file or folder of message definitions", file=given)
+
+
+def _installed(name: str) -> Path | None:
+    """The file of a type in the packages of a ROS 2 that is set up in this terminal."""
+    package, kind, stem = name.split("/")
+    for prefix in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
+        file = Path(prefix, "share", package, kind, f"{stem}.msg")
+        if file.is_file():
+            return file
+    return None
+
+
+def _types_in(fields: Iterable[tuple[str, Any]]) -> Iterator[str]:
+    for _, (kind, what) in fields:
+        inner = what[0] if kind in _several() else (kind, what)
+        if isinstance(inner[1], str):
+            yield inner[1]
+
+
+def _without_char(field: Any) -> Any:
+    """A field of `char` is one of `uint8` in ROS 2, and its hash is that one's."""
+    kind, what = field
+    if kind in _several():
+        inner, size = what
+        return (kind, (_without_char(inner), size))
+    return (kind, ("uint8", what[1])) if what[0] == "char" else field
+
+
+@cache
+def _several() -> tuple[Any, ...]:
+    from rosbags.interfaces import Nodetype
+
+    return Nodetype.ARRAY, Nodetype.SEQUENCE

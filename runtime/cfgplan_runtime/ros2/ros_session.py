@@ -1,0 +1,218 @@
+"""A ROS 2 node over Zenoh, as `rmw_zenoh` has them: its publishers, its subscriptions, and what others tell of theirs.
+
+References: the design document of ros2/rmw_zenoh, and what its publishers and subscriptions declare.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import struct
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any, Final
+
+from cfgplan.errors import InputError
+from cfgplan.extras import needed
+from cfgplan.ros import EndpointToken, NodeToken, Qos, read_token
+from cfgplan.ros.liveliness import ADMIN_SPACE, EndpointKind
+from cfgplan_runtime.errors import RuntimeFaultError
+from cfgplan_runtime.ros2.message_form import MessageForm
+from cfgplan_runtime.streams.payload import Buffer
+
+if TYPE_CHECKING:
+    import zenoh
+
+USUAL_ROUTER: Final = "tcp/localhost:7447"
+_ATTACHMENT = struct.Struct("<qqB16s")
+"""Sequence number, time in nanoseconds since the epoch, and the publisher's id with its length."""
+_HEARTBEAT_S = 0.5
+_CONNECT_S, _CONNECT_LOOK_S = 3.0, 0.05
+_SESSION_CLOSE_S = 2.0
+_ROS_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+_MOST_DOMAIN = 232
+
+Take = Callable[[bytes, int], None]
+"""Called with a message in CDR and when it was published (nanoseconds since the epoch), in threads of Zenoh's."""
+
+
+class RosSession:
+    """One node. Its router is at `connect`, else where the variables of `rmw_zenoh` say, else on this computer.
+
+    ROS_DOMAIN_ID holds where `domain` is None. Raises InputError.
+    """
+
+    def __init__(self, node: str, *, domain: int | None = None, connect: Sequence[str] = ()) -> None:
+        needed("ROS 2 topics", "rosbags", "xxhash", "zenoh")
+        import zenoh
+
+        self._zenoh = zenoh
+        self._config = _config(connect)
+        try:
+            self._session = zenoh.open(self._config)
+        except zenoh.ZError as error:
+            mend = "see the endpoints, ZENOH_SESSION_CONFIG_URI and ZENOH_CONFIG_OVERRIDE"
+            raise InputError.of(f"no session of Zenoh can be opened: {_line(error)}", mend=mend) from None
+        self._numbers = iter(range(1 << 31))
+        self._kept: list[Any] = []
+        """What ends with the last reference to it."""
+        space, _, name = checked_name(node, "node").rpartition("/")
+        self.node = NodeToken(_domain(domain), str(self._session.info.zid()), next(self._numbers), name, space or "/")
+        self._live(str(self.node))
+
+    def tell_if_alone(self, tell: Callable[[str], None]) -> None:
+        """Tell if after some seconds neither a router nor another peer is reached."""
+        end = time.monotonic() + _CONNECT_S
+        while time.monotonic() < end:
+            if self._session.is_closed() or self._session.info.routers_zid() or self._session.info.peers_zid():
+                return
+            time.sleep(_CONNECT_LOOK_S)
+        where = self._config.get_json("connect/endpoints")
+        tell(f"no Zenoh router is reached at {where} yet; one is started by `ros2 run rmw_zenoh_cpp rmw_zenohd`")
+
+    def publisher(self, topic: str, form: MessageForm, qos: Qos) -> Callable[[Buffer, int], None]:
+        """Begin to publish; returns a function that puts a message in CDR, made at a time. Raises InputError.
+
+        It raises RuntimeFaultError once the session is closed.
+        """
+        ext, zenoh = self._zenoh.ext, self._zenoh
+        endpoint = self._endpoint("publisher", topic, form, qos)
+        is_reliable, keeps = qos.reliability == "reliable", qos.durability == "transient_local"
+        miss = ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=_HEARTBEAT_S)
+        publisher = ext.declare_advanced_publisher(
+            self._session,
+            endpoint.key,
+            congestion_control=zenoh.CongestionControl.DROP,
+            reliability=zenoh.Reliability.RELIABLE if is_reliable else zenoh.Reliability.BEST_EFFORT,
+            express=True,
+            cache=ext.CacheConfig(qos.depth) if keeps else None,
+            sample_miss_detection=miss if keeps and is_reliable else None,
+            publisher_detection=keeps,
+        )
+        self._kept.append(publisher)
+        self._live(str(endpoint))
+        publisher_id = _id_of(endpoint)
+        numbers = iter(range(1, 1 << 62))
+
+        def put(message: Buffer, time_ns: int) -> None:
+            head = _ATTACHMENT.pack(next(numbers), time_ns, len(publisher_id), publisher_id)
+            try:
+                publisher.put(zenoh.ZBytes(message), attachment=head)
+            except zenoh.ZError as error:
+                raise RuntimeFaultError(f"{topic}: {_line(error)}") from None
+
+        return put
+
+    def subscribe(self, topic: str, form: MessageForm, qos: Qos, take: Take) -> None:
+        """Have the messages of a topic taken from now on, and with transient local the last ones. Raises InputError."""
+        ext = self._zenoh.ext
+        endpoint = self._endpoint("subscription", topic, form, qos)
+        keeps = qos.durability == "transient_local"
+        recovers = keeps and qos.reliability == "reliable"
+
+        def tell(sample: zenoh.Sample) -> None:
+            head = b"" if sample.attachment is None else sample.attachment.to_bytes()
+            time_ns = _ATTACHMENT.unpack_from(head)[1] if len(head) >= _ATTACHMENT.size else time.time_ns()
+            take(sample.payload.to_bytes(), time_ns)
+
+        subscriber = ext.declare_advanced_subscriber(
+            self._session,
+            endpoint.key,
+            tell,
+            history=ext.HistoryConfig(detect_late_publishers=True, max_samples=qos.depth) if keeps else None,
+            recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True) if recovers else None,
+            subscriber_detection=keeps,
+        )
+        self._kept.append(subscriber)
+        self._live(str(endpoint))
+
+    def watch_publishers(self, topic: str, tell: Callable[[EndpointToken], None]) -> None:
+        """Have each publisher of a topic told that is there or comes, whatever its type, in threads of Zenoh's."""
+        mangled = topic.replace("/", "%")
+        keys = f"{ADMIN_SPACE}/{self.node.domain}/*/*/*/MP/*/*/*/{mangled}/**"
+        put = self._zenoh.SampleKind.PUT
+
+        def hear(sample: zenoh.Sample) -> None:
+            with suppress(InputError):  # it is told in a way that is not known
+                token = read_token(str(sample.key_expr))
+                if sample.kind == put and isinstance(token, EndpointToken):
+                    tell(token)
+
+        self._kept.append(self._session.liveliness().declare_subscriber(keys, hear, history=True))
+
+    def close(self) -> None:
+        """End the node and all that it has; the session is left to itself if it does not close in time."""
+        thread = threading.Thread(target=self._session.close, daemon=True)
+        thread.start()
+        thread.join(_SESSION_CLOSE_S)
+
+    def _live(self, key: str) -> None:
+        self._kept.append(self._session.liveliness().declare_token(key))
+
+    def _endpoint(self, kind: EndpointKind, topic: str, form: MessageForm, qos: Qos) -> EndpointToken:
+        name = checked_name(topic, "topic")
+        return EndpointToken(self.node, next(self._numbers), kind, name, form.type, form.type_hash, qos)
+
+
+def checked_name(name: str, what: str) -> str:
+    """A name with its namespace, from the root. Raises InputError if ROS 2 allows none such."""
+    parts = name.removeprefix("/").split("/")
+    if not all(map(_ROS_NAME.fullmatch, parts)):
+        mend = "it is made of letters, digits and underscores, each part after a `/`, none with a digit first"
+        raise InputError.of(f"`{name}` can't be the name of a ROS 2 {what}", mend=mend)
+    return "/" + "/".join(parts)
+
+
+def _domain(given: int | None) -> int:
+    told = os.environ.get("ROS_DOMAIN_ID") or "0" if given is None else str(given)
+    if not told.isdecimal() or int(told) > _MOST_DOMAIN:
+        raise InputError.of(f"`{told}` is no domain of ROS 2", mend=f"it is a number from 0 to {_MOST_DOMAIN}")
+    return int(told)
+
+
+def _id_of(endpoint: EndpointToken) -> bytes:
+    """The 16 bytes that tell an endpoint from all others: the hash of its token, the lower half first."""
+    import xxhash
+
+    return xxhash.xxh3_128_intdigest(str(endpoint).encode()).to_bytes(16, "little")
+
+
+def _config(connect: Sequence[str]) -> zenoh.Config:
+    """How a session is opened: as rmw_zenoh does, by the same variables."""
+    import zenoh
+
+    told = os.environ.get("ZENOH_SESSION_CONFIG_URI")
+    try:
+        if told:
+            config = zenoh.Config.from_file(told.removeprefix("file://"))
+        else:
+            config = zenoh.Config.from_json5(json.dumps(_USUAL))
+        if connect:
+            config.insert_json5("connect/endpoints", json.dumps(list(connect)))
+        for part in filter(None, os.environ.get("ZENOH_CONFIG_OVERRIDE", "").split(";")):
+            key, _, value = part.partition("=")
+            config.insert_json5(key.strip(), value.strip())
+    except zenoh.ZError as error:
+        mend = "see ZENOH_SESSION_CONFIG_URI (a file of Zenoh's) and ZENOH_CONFIG_OVERRIDE (key=value;key=value)"
+        raise InputError.of(f"Zenoh can't be configured: {_line(error)}", mend=mend) from None
+    return config
+
+
+_USUAL: Final = {
+    "mode": "peer",
+    "connect": {"endpoints": [USUAL_ROUTER], "timeout_ms": -1, "exit_on_failure": False},
+    "listen": {"endpoints": ["tcp/localhost:0"]},
+    "scouting": {
+        "multicast": {"enabled": False},
+        "gossip": {"enabled": True, "target": ["router"], "autoconnect_strategy": {"to_peer": "greater-zid"}},
+    },
+    "timestamping": {"enabled": True},
+    "transport": {"shared_memory": {"enabled": False}},
+}
+
+
+def _line(error: Exception) -> str:
+    return str(error).strip().partition("\n")[0]

@@ -1,0 +1,218 @@
+"""Unit code for ROS 2 topics: a source that subscribes to one, and a sink that publishes what comes at its input."""
+
+from __future__ import annotations
+
+import re
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+
+from cfgplan.domain import Transformation
+from cfgplan.errors import Fault, InputError
+from cfgplan.extras import needed
+from cfgplan.ros import EndpointToken, MessageType, Qos
+from cfgplan_runtime.children.unit_code import At
+from cfgplan_runtime.errors import EncodingError, WrongPortsError
+from cfgplan_runtime.ros2.definitions import Definitions
+from cfgplan_runtime.ros2.message_form import MessageForm, MisfitError
+from cfgplan_runtime.ros2.ros_session import RosSession, checked_name
+
+SUBSCRIBER, PUBLISHER = "cfgplan_runtime.ros2:Subscriber", "cfgplan_runtime.ros2:Publisher"
+_ORDERS_LOOK_S = 0.05
+"""A source that gets no messages looks for orders so often."""
+_MOST_DEPTH = 100_000
+
+
+class PublisherParams(msgspec.Struct, forbid_unknown_fields=True):
+    """The params of a `Publisher`, and those that a `Subscriber` has too."""
+
+    topic: str
+    type: str
+    reliability: Literal["reliable", "best_effort"] = "reliable"
+    durability: Literal["volatile", "transient_local"] = "volatile"
+    depth: int = 10
+    """How many messages are kept: by a subscriber until they are taken, with transient local by both for who comes."""
+    node: str | None = None
+    """The name of the node; by the topic's if None."""
+    domain: int | None = None
+    """ROS_DOMAIN_ID if None."""
+    connect: str | list[str] = []
+    """Endpoints of routers; see `RosSession`."""
+    definitions: str | list[str] = []
+    distribution: str | None = None
+    """ROS_DISTRO if None; see `Definitions`."""
+
+    @property
+    def qos(self) -> Qos:
+        return Qos(self.reliability, self.durability, depth=self.depth)
+
+    def check(self) -> None:
+        """Raises InputError for names and numbers that ROS 2 does not allow."""
+        checked_name(self.topic, "topic")
+        if self.node is not None:
+            checked_name(self.node, "node")
+        if not 1 <= self.depth <= _MOST_DEPTH:
+            raise InputError.of(f"`{self.depth}` is no depth of a topic", mend=f"it is from 1 to {_MOST_DEPTH}")
+
+    def form(self, folder: Path | None = None) -> MessageForm:
+        """The form of the topic's messages; `folder` is what `definitions` is relative to. Raises InputError."""
+        files = [self.definitions] if isinstance(self.definitions, str) else self.definitions
+        return Definitions(self.distribution, files, folder).form(MessageType.read(self.type))
+
+    def open(self, tell: Callable[[str], None]) -> RosSession:
+        """The session of a node; tells if it reaches nobody. Raises InputError."""
+        name = self.node or f"cfgplan_{re.sub('/+', '_', self.topic.strip('/'))}"
+        connect = [self.connect] if isinstance(self.connect, str) else self.connect
+        session = RosSession(name, domain=self.domain, connect=connect)
+        threading.Thread(target=session.tell_if_alone, args=[tell], daemon=True).start()
+        return session
+
+
+class SubscriberParams(PublisherParams):
+    """The params of a `Subscriber`."""
+
+    stamp: Literal["received", "source", "header"] = "received"
+    """Which time an element has: when it came, when it was published, or what its header says."""
+
+
+class Subscriber:
+    """A source: gives the messages of a ROS 2 topic as mappings from field to value. Raises InputError."""
+
+    def __init__(self, **params: object) -> None:
+        self._params = _read(params, SubscriberParams)
+        self._form = self._params.form()
+
+    def __iter__(self) -> Iterator[Any]:
+        topic, once = self._params.topic, Once(_say)
+        mailbox = _Mailbox(self._params.depth)
+        session = self._params.open(_say)
+        session.watch_publishers(checked_name(topic, "topic"), lambda token: once.tell(*_unlike(token, self._form)))
+        session.subscribe(topic, self._form, self._params.qos, mailbox.put)
+        while True:
+            letter = mailbox.take(_ORDERS_LOOK_S)
+            if mailbox.dropped:
+                once.tell("dropped", f"{topic}: messages come faster than they are taken, and the oldest are dropped")
+            if letter is None:
+                yield None
+                continue
+            data, time_ns = letter
+            try:
+                value = self._form.decode(data)
+            except EncodingError as error:
+                once.tell("unread", f"{topic}: {error}")
+                continue
+            yield self._timed(value, time_ns)
+
+    def _timed(self, value: dict[str, Any], time_ns: int) -> object:
+        if self._params.stamp == "header" and "stamp" in (header := value.get("header", {})):
+            return At(header["stamp"]["sec"] * 10**9 + header["stamp"]["nanosec"], value)
+        return value if self._params.stamp == "received" else At(time_ns, value)
+
+
+class Publisher:
+    """A sink: publishes each value that comes at its one input as a message. Raises InputError."""
+
+    def __init__(self, **params: object) -> None:
+        self._params = _read(params, PublisherParams)
+        self._form = self._params.form()
+        self._once = Once(_say)
+        self._session = self._params.open(_say)  # it is closed when nobody has it
+        self._put = self._session.publisher(self._params.topic, self._form, self._params.qos)
+
+    def __call__(self, **inputs: object) -> None:
+        if len(inputs) != 1:
+            raise WrongPortsError(f"a publisher has one input, not {len(inputs)}")
+        (value,) = inputs.values()
+        now_ns = time.time_ns()
+        try:
+            self._put(self._form.encode(value, now_ns), now_ns)
+        except MisfitError as error:
+            self._once.tell(error.path, f"{self._params.topic}: {error}")
+
+
+class Once:
+    """Tells what is new."""
+
+    def __init__(self, tell: Callable[[str], None]) -> None:
+        self._tell = tell
+        self._told: set[str] = set()
+
+    def tell(self, what: str, text: str) -> None:
+        """Tell a text, unless one was told about this; an empty one is not told."""
+        if text and what not in self._told:
+            self._told.add(what)
+            self._tell(text)
+
+
+def check_unit(transformation: Transformation, folder: Path) -> None:
+    """Raises InputError if a transformation whose source is in this module can't be started as it is said."""
+    params_of = {SUBSCRIBER: SubscriberParams, PUBLISHER: PublisherParams}.get(transformation.source or "")
+    if params_of is None:
+        return
+    needed("ROS 2 topics", "rosbags", "xxhash", "zenoh")
+    given, taken = len(transformation.outputs), len(transformation.inputs)
+    is_source = params_of is SubscriberParams
+    try:
+        if (taken, given) != ((0, 1) if is_source else (1, 0)):
+            ports = "no input and one output" if is_source else "one input and no output"
+            raise InputError.of(f"a {(transformation.source or '').rpartition(':')[2]} has {ports}")
+        _read(dict(transformation.params), params_of).form(folder)
+    except InputError as error:
+        raise InputError(
+            Fault(f"{transformation.label}: {fault.message}", fault.file, mend=fault.mend) for fault in error.faults
+        ) from None
+
+
+def _read(params: Mapping[str, object], kind: type[Any]) -> Any:
+    try:
+        read = msgspec.convert(params, kind)
+    except msgspec.ValidationError as error:
+        there = ", ".join(kind.__struct_fields__)
+        raise InputError.of(f"params of a ROS 2 topic: {error}", mend=f"they are {there}") from None
+    read.check()
+    return read
+
+
+def _unlike(token: EndpointToken, form: MessageForm) -> tuple[str, str]:
+    """What a publisher's type is if it is not the form's, and that in words; an empty text if it is."""
+    who = f"{token.topic}: {token.node.full_name} publishes {token.type}"
+    if token.type != form.type:
+        return str(token.type), f"{who}, which does not come as {form.type}"
+    if token.type_hash != form.type_hash:
+        mend = "name its ROS by `distribution`, or the definition that it has by `definitions`"
+        return token.type_hash, f"{who} of another definition ({token.type_hash}), which does not come: {mend}"
+    return "", ""
+
+
+class _Mailbox:
+    """Messages that wait; the oldest goes if there are too many. Thread-safe."""
+
+    def __init__(self, depth: int) -> None:
+        self.dropped = 0
+        self._depth = depth
+        self._waiting: deque[tuple[bytes, int]] = deque()
+        self._changed = threading.Condition()
+
+    def put(self, data: bytes, time_ns: int) -> None:
+        with self._changed:
+            if len(self._waiting) == self._depth:
+                self._waiting.popleft()
+                self.dropped += 1
+            self._waiting.append((data, time_ns))
+            self._changed.notify()
+
+    def take(self, timeout_s: float) -> tuple[bytes, int] | None:
+        """The oldest message; None if none comes in time."""
+        with self._changed:
+            self._changed.wait_for(lambda: bool(self._waiting), timeout_s)
+            return self._waiting.popleft() if self._waiting else None
+
+
+def _say(text: str) -> None:
+    """What a unit prints is reported."""
+    print(text, flush=True)  # noqa: T201
