@@ -8,11 +8,13 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import cfgplan_runtime
 import pytest
 
 import cfgplan
 from cfgplan.cli import main
 from cfgplan.cli.main import VERBS
+from cfgplan.cli.reference import names, with_docstrings
 from cfgplan.formats import fields
 from cfgplan.formats.fields import ELEMENT, Part, Use
 
@@ -69,13 +71,40 @@ def test_the_tour_does_what_it_says(tmp_path: Path) -> None:
     assert second.stopped == ()
 
 
+def test_every_page_is_in_the_index_once() -> None:
+    groups = re.findall(r":caption: .*?\n\n(.*?)```", TEXT["index"], re.DOTALL)
+    assert sorted(name for group in groups for name in group.split()) == sorted(TEXT.keys() - {"index"})
+
+
+def test_the_reference_has_every_public_name_and_its_docstring() -> None:
+    packages = (cfgplan, cfgplan_runtime)
+    public = [f"{package.__name__}.{name}" for package in packages for name in package.__all__]
+    assert sorted(names(TEXT["reference"])) == sorted(public)
+    text = with_docstrings(TEXT["reference"])
+    assert "cfgplan.load(" in text
+    assert "Read an environment file" in text
+    assert "* `OPTIMAL`: `optimal`" in text
+    undocumented = [entry for entry in re.split(r"(?m)^### ", text) if re.search(r"```\s+\Z", entry)]
+    assert undocumented == []
+
+
+def test_what_the_page_on_trouble_quotes_is_said_somewhere() -> None:
+    code = "".join(
+        path.read_text(encoding="utf-8") for room in ("cfgplan", "runtime") for path in (ROOT / room).rglob("*.py")
+    )
+    symptoms = [line.split("|")[1] for line in TEXT["troubleshooting"].splitlines() if line.startswith("| ")]
+    quoted = [quote for symptom in symptoms for quote in re.findall(r'"(.*?)"', symptom)]
+    assert len(quoted) > 5
+    assert [quote for quote in quoted if quote not in code] == []
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_links_of_the_manual_lead_somewhere(page: Path) -> None:
     for link in re.findall(r"\]\(([^)#]+)", TEXT[page.stem]):
         assert "://" in link or (MANUAL / link).exists(), link
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", [page for page in PAGES if page.stem != "index"], ids=lambda page: page.stem)
 def test_a_page_is_shown_in_the_terminal(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["help", page.stem]) == 0
     assert TEXT[page.stem].partition("\n")[0].removeprefix("# ") in capsys.readouterr().out
@@ -84,7 +113,8 @@ def test_a_page_is_shown_in_the_terminal(page: Path, capsys: pytest.CaptureFixtu
 def test_the_pages_are_listed_and_a_misspelt_one_is_found(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["help"]) == 0
     listed = capsys.readouterr().out
-    assert all(page in listed for page in TEXT)
+    assert all(page in listed for page in TEXT.keys() - {"index"})
+    assert listed.index("tutorial") < listed.index("environment"), "in the order of the index"
     assert main(["help", "tutorail"]) == 30
     assert "did you mean `tutorial`?" in capsys.readouterr().err
 

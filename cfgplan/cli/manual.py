@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import re
+from collections.abc import Mapping
 from pathlib import Path
 
 from cfgplan.cli.exits import Exit
@@ -10,6 +12,8 @@ from cfgplan.cli.screen import Screen
 from cfgplan.errors import known
 
 _PAGES = Path(__file__).parents[1] / "manual"
+_INDEX = "index"
+"""The page that groups the others: the site begins with it."""
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
@@ -23,14 +27,25 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from rich.markdown import Markdown
 
-    pages = {page.stem: page for page in sorted(_PAGES.glob("*.md"))}
+    from cfgplan.cli.reference import with_docstrings
+
+    pages = {page.stem: page for page in _PAGES.glob("*.md") if page.stem != _INDEX}
     if options.topic is None:
-        rows = "".join(f"\n{name:14}{_title(page)}" for name, page in pages.items())
-        screen.write(f"`cfgplan help TOPIC` shows a page, `cfgplan VERB --help` the options of a verb.\n{rows}\n")
+        screen.write(
+            f"`cfgplan help TOPIC` shows a page, `cfgplan VERB --help` the options of a verb.\n{_listed(pages)}"
+        )
         return Exit.OK
     page = pages[known(options.topic, pages, "page")]
-    screen.show(Markdown(page.read_text(encoding="utf-8"), hyperlinks=False))
+    screen.show(Markdown(with_docstrings(page.read_text(encoding="utf-8")), hyperlinks=False))
     return Exit.OK
+
+
+def _listed(pages: Mapping[str, Path]) -> str:
+    """The pages with their titles, in the groups and the order of the index."""
+    text = ""
+    for group, names in re.findall(r":caption: (.*?)\n\n(.*?)```", (_PAGES / f"{_INDEX}.md").read_text(), re.DOTALL):
+        text += f"\n{group}\n" + "".join(f"  {name:16}{_title(pages[name])}\n" for name in names.split())
+    return text
 
 
 def _title(page: Path) -> str:
