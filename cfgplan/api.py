@@ -17,8 +17,9 @@ from threading import Event
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from cfgplan import validity
-from cfgplan.domain import Environment, Similarity
+from cfgplan.domain import ENVIRONMENT_HEADS, Environment, Similarity, environment_rows
 from cfgplan.errors import Fault, InputError
+from cfgplan.extras import is_there
 from cfgplan.matching import (
     REASONERS,
     Matches,
@@ -33,6 +34,7 @@ from cfgplan.planners import PLANNERS, planner_of
 from cfgplan.planners.undecided import Deciding
 from cfgplan.planning import Decider, Failures, Plan, Planner, PlannerFaultError, Problem, Progress
 from cfgplan.reasons import with_pinned_reasons
+from cfgplan.summary import Summary, summarised, summary
 from cfgplan.validity import Violation
 
 if TYPE_CHECKING:
@@ -56,6 +58,13 @@ class UntruthfulPlanError(PlannerFaultError):
         super().__init__(f"the answer of planner {plan.planner} is wrong: {'; '.join(map(str, found))}", plan)
 
 
+def _world_summary(world: World) -> Summary:
+    line = f"{world.environment.counted}; horizon {world.horizon_s} s"
+    line += f"; from {world.file.path}" if world.file is not None else ""
+    return summary(line, ENVIRONMENT_HEADS, environment_rows(world.environment))
+
+
+@summarised(_world_summary)
 @dataclass(frozen=True)
 class World:
     """An environment with the ontology that gives its tags their meaning, and what planning needs besides.
@@ -252,6 +261,14 @@ class Solved(NamedTuple):
 
     problem: Problem
     plan: Plan
+
+    def _repr_svg_(self) -> str | None:
+        """The picture of `cfgplan graph`, for a notebook; None without a plan or without pygraphviz."""
+        if self.plan.change_set is None or not is_there("pygraphviz"):
+            return None
+        from cfgplan import drawing
+
+        return drawing.picture(self.problem.environment, self.plan.change_set).render("svg").decode()
 
 
 def solve(

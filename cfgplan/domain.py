@@ -19,6 +19,7 @@ from cfgplan.canonical import fields_of, refuse_duplicates, store_resources, sto
 from cfgplan.errors import InvalidValueError
 from cfgplan.qualities import LARGEST_QUALITY, MICRO, Better, QualityAttribute, Wish
 from cfgplan.selectors import check_selector, selector
+from cfgplan.summary import Summary, counted, cpu, summarised, summary
 from cfgplan.transformations import ALL as ALL
 from cfgplan.transformations import CPU as CPU
 from cfgplan.transformations import MEMORY as MEMORY
@@ -212,6 +213,17 @@ class Link:
         return (one.fits(first) and other.fits(second)) or (one.fits(second) and other.fits(first))
 
 
+def _similarity_summary(similarity: Similarity) -> Summary:
+    pairs, still = sum(map(len, similarity.offers.values())), sum(map(len, similarity.open.values()))
+    line = f"{counted(pairs, 'pair')} of tags match, {still} open"
+    return summary(
+        line,
+        ("demanded", "offered"),
+        ((tag, ", ".join(sorted(offered))) for tag, offered in sorted(similarity.offers.items())),
+    )
+
+
+@summarised(_similarity_summary)
 @dataclass(frozen=True)
 class Similarity:
     """The relation ~ between tags (Definition 5): which offered tag may feed which demanded tag.
@@ -313,6 +325,29 @@ class Objective(StrEnum):
     """New units, spares too."""
 
 
+def _environment_summary(environment: Environment) -> Summary:
+    return summary(environment.counted, ENVIRONMENT_HEADS, environment_rows(environment))
+
+
+ENVIRONMENT_HEADS = ("", "name", "takes", "gives", "labor", "upkeep each second")
+
+
+def environment_rows(environment: Environment) -> Iterator[tuple[str, ...]]:
+    """A row for each target, unit and transformation, as a notebook shows them."""
+    for target in environment.targets:
+        yield "target", target.label, target.tag or f"a unit of {target.run}", target.topic, "", ""
+    for unit in environment.units:
+        feeds = ", ".join(f"{port} from {' and '.join(map(str, streams))}" for port, streams in unit.feeds.items())
+        gives = ", ".join(f"{each.port} to {each.topic}" for each in unit.publications)
+        yield "unit", unit.id, feeds, gives, "", ""
+    for kind in environment.library:
+        takes, gives = (
+            ", ".join(f"{port.name}: {port.tag}" for port in ports) for ports in (kind.inputs, kind.outputs)
+        )
+        yield "transformation", kind.label, takes, gives, cpu(kind.labor_us), cpu(kind.upkeep_us)
+
+
+@summarised(_environment_summary)
 @dataclass(frozen=True)
 class Environment:
     """Computation units, library and targets (Definition 5); ~ is a `Similarity` beside it.
@@ -362,6 +397,13 @@ class Environment:
                 raise InvalidValueError(f"target {target.label!r} is at {target.host}, which is no host")
 
     __getstate__ = fields_of
+
+    @property
+    def counted(self) -> str:
+        """How much there is: `14 transformations, 5 units, 1 target`."""
+        parts = [(self.library, "transformation"), (self.units, "unit"), (self.targets, "target")]
+        parts += [(self.hosts, "host")] if self.hosts else []
+        return ", ".join(counted(len(things), noun) for things, noun in parts)
 
     @cached_property
     def unit(self) -> Mapping[str, ComputationUnit]:

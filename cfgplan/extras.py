@@ -23,6 +23,11 @@ _EXTRA_OF = {
 }
 
 
+def is_there(package: str) -> bool:
+    """Whether a package is installed."""
+    return find_spec(package) is not None
+
+
 def install(package: str) -> str:
     """How to get a package."""
     extra = _EXTRA_OF.get(package.partition(".")[0])
@@ -32,5 +37,5 @@ def install(package: str) -> str:
 def needed(who: str, *packages: str) -> None:
     """Raises InputError if `who` (in the plural) can't work since one of these packages is not installed."""
     for package in packages:
-        if find_spec(package) is None:
+        if not is_there(package):
             raise InputError.of(f"{who} need the package {package}, which is not installed", mend=install(package))

@@ -11,9 +11,19 @@ from typing import Any, Final, Protocol
 
 from cfgplan.canonical import fields_of, store_whole
 from cfgplan.costs import LARGEST_COST_US, standby_cost_us, start_cost_us, transfer_cost_us
-from cfgplan.domain import ChangeSet, Environment, Objective, Similarity, Transformation
+from cfgplan.domain import (
+    ENVIRONMENT_HEADS,
+    ChangeSet,
+    Environment,
+    Objective,
+    Similarity,
+    Subscription,
+    Transformation,
+    environment_rows,
+)
 from cfgplan.errors import CfgplanError, InputError, InvalidValueError
 from cfgplan.qualities import price_us
+from cfgplan.summary import Summary, counted, cpu, summarised, summary
 
 MOST_INSTANCES = 8
 """A plan starts at most so many units of one transformation, whatever `max_instances` says."""
@@ -44,6 +54,13 @@ class Notion(StrEnum):
     LATENCY = "latencies of links"
 
 
+def _problem_summary(problem: Problem) -> Summary:
+    pairs = sum(map(len, problem.similarity.offers.values()))
+    line = f"{problem.environment.counted}; horizon {problem.horizon_s} s; {counted(pairs, 'pair')} of tags match"
+    return summary(line, ENVIRONMENT_HEADS, environment_rows(problem.environment))
+
+
+@summarised(_problem_summary)
 @dataclass(frozen=True)
 class Problem:
     """Find the optimal update of `environment` over `horizon_s` seconds, at most `max_cost_us` dear.
@@ -221,6 +238,26 @@ class Measured:
         return (self.value - self.bound) / self.value if self.value else 0.0
 
 
+def _plan_summary(plan: Plan) -> Summary:
+    cost = "" if plan.cost_us is None else f", {cpu(plan.cost_us)} of CPU, at least {cpu(plan.bound_us)}"
+    if plan.change_set is None:
+        return summary(f"{plan.status} by {plan.planner}{cost}", ("", "why"), plan.reasons.items())
+    changes = plan.change_set
+    numbers = [(changes.started, "to start"), (changes.rewired, "to rewire"), (changes.stopped, "to stop")]
+    line = f"{plan.status} by {plan.planner}{cost}; {', '.join(f'{len(units)} {to}' for units, to in numbers)}"
+    rows = [
+        (what, unit.id, "spare" if unit.standby else unit.host or "", ", ".join(map(_wire, unit.subscriptions)))
+        for what, units in (("start", changes.started), ("rewire", changes.rewired))
+        for unit in units
+    ]
+    return summary(line, ("", "unit", "on", "fed by"), [*rows, *(("stop", unit, "", "") for unit in changes.stopped)])
+
+
+def _wire(wire: Subscription) -> str:
+    return f"{wire.port} from {wire.stream}"
+
+
+@summarised(_plan_summary)
 @dataclass(frozen=True)
 class Plan:
     """A planner's answer.

@@ -8,12 +8,13 @@ from collections.abc import Collection, Iterable, Iterator
 from rich.text import Text
 
 from cfgplan.cli.screen import counted
-from cfgplan.costs import keep_cost_us, labor_us, seconds, standby_cost_us, upkeep_us
+from cfgplan.costs import keep_cost_us, labor_us, standby_cost_us, upkeep_us
 from cfgplan.domain import CPU, MEMORY, POWER, ComputationUnit, Environment, Host, Objective, Stream, Target
 from cfgplan.figures import cost_parts, link_loads, loads, qualities_of_targets, transfers
 from cfgplan.planners import IGNORING_REQUIRED
 from cfgplan.planning import Failures, Plan, Problem, Status
 from cfgplan.qualities import Better, QualityAttribute, Wish, units
+from cfgplan.summary import cpu as cpu
 
 _STYLE = {"+": "green", "~": "yellow", "-": "red", "=": "dim"}
 MOST_OPEN_PAIRS, MOST_NAMES = 10, 3
@@ -32,11 +33,6 @@ def update_text(problem: Problem, plan: Plan, given_up: Collection[str] = ()) ->
     """The whole report of `solve`; ends without a newline. `given_up` are labels of targets that `problem` lacks."""
     lines = [*_changes(problem, plan), *_summary(problem, plan, given_up)]
     return Text("\n").join(lines)
-
-
-def cpu(cost_us: int) -> str:
-    """A cost for people: `1.25 s`."""
-    return f"{seconds(cost_us):f} s"
 
 
 def amount(objective: Objective, value: int) -> str:

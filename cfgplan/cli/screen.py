@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from cfgplan.errors import Fault
 from cfgplan.planning import Plan, PlannerFaultError
+from cfgplan.summary import counted as counted
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -33,11 +34,6 @@ _ESCAPE = re.compile(r"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)|
 def printable(text: str) -> str:
     """The text without control sequences and other characters that a terminal would obey."""
     return "".join(c if c.isprintable() else " " for c in _ESCAPE.sub("", text).expandtabs())
-
-
-def counted(number: int, one: str, many: str | None = None) -> str:
-    """A number with its noun: `1 target`, `2 targets`."""
-    return f"{number} {one if number == 1 else many or one + 's'}"
 
 
 class Screen:

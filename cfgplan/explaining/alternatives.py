@@ -15,6 +15,7 @@ from cfgplan.explaining.kept import Kept, Labels, unused_required
 from cfgplan.explaining.what_if import requiring, without_transformations
 from cfgplan.planning import REFUSED, Notion, Plan, Planner, Problem, Rank, Status, refuse_order
 from cfgplan.reasons import Givers, startable
+from cfgplan.summary import Summary, counted, cpu, summarised, summary
 
 FIRST_LOOK_S = 1.0
 """Seconds for the planner's first look at a part; each later look, when the part's bound is the least, takes twice
@@ -22,6 +23,21 @@ as long.
 """
 
 
+def _alternatives_summary(found: Alternatives) -> Summary:
+    more = " and there are more" if found.has_more else "" if found.complete else " and there may be more"
+    rows = [
+        (
+            number,
+            "" if plan.cost_us is None else cpu(plan.cost_us),
+            ", ".join(unit.id for unit in plan.change_set.started),
+        )
+        for number, plan in enumerate(found.plans, 1)
+        if plan.change_set is not None
+    ]
+    return summary(f"{counted(len(found.plans), 'plan')}, the best first{more}", ("", "cost", "starts"), rows)
+
+
+@summarised(_alternatives_summary)
 @dataclass(frozen=True)
 class Alternatives:
     """The best `plans` of a problem, no two of which run the same set of transformations, in the order of optimality.

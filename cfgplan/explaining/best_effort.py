@@ -13,8 +13,16 @@ from cfgplan.domain import Target
 from cfgplan.explaining.what_if import only_targets
 from cfgplan.planning import REFUSED, Notion, Pair, Plan, Planner, Problem, Status
 from cfgplan.reasons import unmet_reasons, with_pinned_reasons
+from cfgplan.summary import Summary, counted, summarised, summary
 
 
+def _best_effort_summary(found: BestEffort) -> Summary:
+    given_up = counted(len(found.given_up), "target")
+    proven = "" if found.exact else ", which is not proven"
+    return summary(f"{given_up} given up{proven}; {found.plan!r}", ("given up", "why"), sorted(found.given_up.items()))
+
+
+@summarised(_best_effort_summary)
 @dataclass(frozen=True)
 class BestEffort:
     """The best update that some of the targets allow.

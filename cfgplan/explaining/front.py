@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 from cfgplan.domain import Target
 from cfgplan.figures import qualities_of_targets
 from cfgplan.planning import REFUSED, Plan, Planner, Problem, Status, refuse_order
-from cfgplan.qualities import Better, QualityAttribute, Wish
+from cfgplan.qualities import MICRO, Better, QualityAttribute, Wish
+from cfgplan.summary import Summary, counted, cpu, summarised, summary
 
 
 @dataclass(frozen=True)
@@ -20,6 +21,14 @@ class FrontPoint:
     value: int
 
 
+def _front_summary(front: Front) -> Summary:
+    name, unit = front.attribute.name, front.attribute.unit
+    line = f"{counted(len(front.points), 'plan')} for {front.target} that no other beats in cost and {name}"
+    rows = ((cpu(point.cost_us), f"{point.value / MICRO:g} {unit or ''}".strip()) for point in front.points)
+    return summary(line if front.complete else f"{line}; there may be more", ("cost", name), rows)
+
+
+@summarised(_front_summary)
 @dataclass(frozen=True)
 class Front:
     """The cost-quality front of one target and attribute, from the cheapest plan to the best.

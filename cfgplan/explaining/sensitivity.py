@@ -13,6 +13,7 @@ from cfgplan.domain import Environment, Transformation
 from cfgplan.errors import InputError
 from cfgplan.planning import Plan, Planner, Problem, Status, refuse_order
 from cfgplan.qualities import MICRO
+from cfgplan.summary import Summary, counted, summarised, summary
 from cfgplan.validity.hosts import carried_us, rents_us
 
 
@@ -45,6 +46,18 @@ class Span:
         return self.begin <= value and (self.end is None or value <= self.end)
 
 
+def _sensitivity_summary(found: Sensitivity) -> Summary:
+    what = "the horizon" if found.transformation is None else f"the upkeep of {found.transformation}"
+    proven = "" if found.exact else "; not all of it is proven"
+    line = f"{counted(len(found.spans), 'plan')} over {what}{proven}"
+    rows = (
+        (f"{float(span.begin):g}", "for ever" if span.end is None else f"{float(span.end):g}", ", ".join(span.runs))
+        for span in found.spans
+    )
+    return summary(line, ("from", "to", "runs"), rows)
+
+
+@summarised(_sensitivity_summary)
 @dataclass(frozen=True)
 class Sensitivity:
     """The least cost as a function of a parameter: concave, and in each of its `spans` straight.

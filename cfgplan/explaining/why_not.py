@@ -9,6 +9,7 @@ from cfgplan.explaining.limits import Limit, in_the_way
 from cfgplan.explaining.unfed import NearestOffers, Unreachable, unreachable
 from cfgplan.explaining.what_if import only_targets, requiring, running
 from cfgplan.planning import REFUSED, Plan, Planner, Problem, Status
+from cfgplan.summary import Summary, counted, summarised, summary
 
 
 @dataclass(frozen=True)
@@ -112,6 +113,17 @@ class Unused:
     proven: bool = True
 
 
+def _why_not_summary(why: WhyNot) -> Summary:
+    rows = [("out of reach", each.target, f"nothing gives {each.wanted.tag}") for each in why.unreachable]
+    if why.clash is not None:
+        demands = why.clash.demands
+        asked = (*demands.targets, *demands.required, *demands.pinned)
+        rows.append(("not together", ", ".join(asked), ", ".join(map(str, why.clash.limits))))
+    rows += [("not used", each.transformation, ", ".join(each.excluded_by)) for each in why.unused]
+    return summary(f"{why.plan.status}; {counted(len(rows), 'reason')}", ("", "what", "why"), rows)
+
+
+@summarised(_why_not_summary)
 @dataclass(frozen=True)
 class WhyNot:
     """What keeps targets from being met and required transformations from being used.

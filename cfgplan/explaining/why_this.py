@@ -10,6 +10,7 @@ from cfgplan.domain import ComputationUnit, Environment, Objective
 from cfgplan.explaining.kept import Kept, unused_required
 from cfgplan.explaining.what_if import requiring, without_transformations
 from cfgplan.planning import Notion, Plan, Planner, Problem, Status
+from cfgplan.summary import Summary, cpu, summarised, summary
 
 
 class Choice(StrEnum):
@@ -33,6 +34,19 @@ class Choice(StrEnum):
     """The planner did not find out in time."""
 
 
+def _why_summary(why: Why) -> Summary:
+    dearer = "" if why.difference_us is None else f"; the next best plan costs {cpu(why.difference_us)} more"
+    rows = [
+        ("units", ", ".join(why.units)),
+        ("serve", ", ".join(why.targets)),
+        ("feed", ", ".join(why.consumers)),
+        ("else would run", ", ".join(why.more)),
+        ("else would not", ", ".join(why.less)),
+    ]
+    return summary(f"{why.subject} is {why.choice}{dearer}", ("", "which"), [row for row in rows if row[1]])
+
+
+@summarised(_why_summary)
 @dataclass(frozen=True)
 class Why:
     """Why a plan uses `subject`, or why not: a unit, the units of a transformation, or an output of them.
