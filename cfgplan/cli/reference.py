@@ -11,18 +11,18 @@ from functools import cached_property
 from importlib import import_module
 from typing import Any
 
-_MARK = re.compile(r"<!-- docstrings of (\w+): (.*?) -->", re.DOTALL)
-_WIDTH = 80
+_DOCSTRINGS = re.compile(r"<!-- docstrings of (\w+): (.*?) -->", re.DOTALL)
+_SIGNATURE_WIDTH = 80
 
 
 def with_docstrings(page: str) -> str:
     """A page's text with each mark `<!-- docstrings of PACKAGE: NAME NAME -->` replaced by what these names say."""
-    return _MARK.sub(lambda mark: "\n".join(_entry(mark[1], name) for name in mark[2].split()), page)
+    return _DOCSTRINGS.sub(lambda mark: "\n".join(_entry(mark[1], name) for name in mark[2].split()), page)
 
 
 def names(page: str) -> Iterator[str]:
     """The names, with their package, whose docstrings a page asks for."""
-    for package, listed in _MARK.findall(page):
+    for package, listed in _DOCSTRINGS.findall(page):
         yield from (f"{package}.{name}" for name in listed.split())
 
 
@@ -51,7 +51,7 @@ def _signature(name: str, found: Any) -> str:
     given = signature.return_annotation
     gives = f" -> {given}" if isinstance(given, str) and not inspect.isclass(found) else ""
     line = f"{name}({', '.join(shown)}){gives}"
-    return line if len(line) <= _WIDTH else f"{name}(\n    " + ",\n    ".join(shown) + f",\n){gives}"
+    return line if len(line) <= _SIGNATURE_WIDTH else f"{name}(\n    " + ",\n    ".join(shown) + f",\n){gives}"
 
 
 def _parameter(given: inspect.Parameter) -> str:
