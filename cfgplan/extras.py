@@ -16,6 +16,7 @@ _EXTRA_OF = {
     "prometheus_client": "metrics",
     "pygraphviz": "graph",
     "rosbags": "ros2",
+    "shtab": "completion",
     "starlette": "page",
     "uvicorn": "page",
     "xxhash": "ros2",

@@ -12,6 +12,7 @@ import re
 import shlex
 from dataclasses import dataclass
 from doctest import ELLIPSIS, NORMALIZE_WHITESPACE, OutputChecker
+from itertools import takewhile
 from pathlib import Path
 from textwrap import dedent
 
@@ -43,10 +44,14 @@ def blocks_of(page: Path) -> list[Block]:
 
 
 def commands(block: Block) -> list[list[str]]:
-    """The arguments of each `cfgplan` command; what is written of `.venv/bin` and other programs is left out."""
+    """The arguments of each `cfgplan` command, without redirection; `.venv/bin` and other programs are left out."""
     lines = block.text.replace("\\\n", " ").splitlines()
     parts = [shlex.split(part, comments=True) for line in lines for part in line.split(" && ")]
-    return [part[1:] for part in parts if part and part[0].rpartition("/")[2] == "cfgplan"]
+    return [
+        list(takewhile(lambda word: word != ">", part[1:]))
+        for part in parts
+        if part and part[0].rpartition("/")[2] == "cfgplan"
+    ]
 
 
 def check_text(shown: str, said: str) -> None:

@@ -7,7 +7,7 @@ import contextlib
 import io
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
@@ -40,6 +40,7 @@ VERBS: Mapping[str, str] = MappingProxyType(
         "import": "make an environment file of a graph of ROS nodes, of the paper's XML, or of a composition test set",
         "export": "write the environment file's JSON Schema, or an environment as YAML or the paper's XML",
         "init": "write a small environment of one's own, with its ontology and unit code",
+        "completion": "print what a shell needs to complete these commands: bash or zsh",
         "help": "show a page of the manual",
     }
 )
@@ -181,6 +182,14 @@ class _Version(argparse.Action):
 
 def parser_of(arguments: Sequence[str]) -> Parser:
     """The parser of a command line: only the verb that it names knows its options. Raises InputError."""
+    asked = next((each for each in arguments if not each.startswith("-")), None)
+    if asked is not None:
+        known(asked, VERBS, "verb", "cfgplan --help lists the verbs")
+    return parser_with((asked,))
+
+
+def parser_with(filled: Collection[str | None]) -> Parser:
+    """A parser of all verbs; those in `filled` know their options, which takes importing what they use."""
     parser = Parser(
         prog="cfgplan",
         description="Wire stream-processing components by meaning: the cheapest update of a running system, "
@@ -191,15 +200,12 @@ def parser_of(arguments: Sequence[str]) -> Parser:
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="show the versions of cfgplan, solver and reasoner")
     verbs = parser.add_subparsers(metavar="VERB")
-    asked = next((each for each in arguments if not each.startswith("-")), None)
-    if asked is not None:
-        known(asked, VERBS, "verb", "cfgplan --help lists the verbs")
     for name, summary in VERBS.items():
         sentence = f"{summary[0].upper()}{summary[1:]}."
         verb = verbs.add_parser(
             name, help=summary, description=sentence, formatter_class=argparse.RawDescriptionHelpFormatter
         )
-        if name == asked:
+        if name in filled:
             module, _, add_to = _OTHER_HOMES.get(name, f"{name}:add_to").partition(":")
             getattr(import_module(f"cfgplan.cli.{module}"), add_to)(verb)
     return parser

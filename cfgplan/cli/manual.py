@@ -20,7 +20,7 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "example:\n  cfgplan help\n  cfgplan help environment\n\n`cfgplan VERB --help` has the options of a verb."
     )
-    parser.add_argument("topic", metavar="TOPIC", nargs="?", help="a page; without one they are listed")
+    parser.add_argument("manual_page", metavar="TOPIC", nargs="?", help="a page; without one they are listed")
     parser.set_defaults(run=run)
 
 
@@ -29,15 +29,20 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
     from cfgplan.cli.reference import with_docstrings
 
-    pages = {page.stem: page for page in _PAGES.glob("*.md") if page.stem != _INDEX}
-    if options.topic is None:
+    pages = manual_pages()
+    if options.manual_page is None:
         screen.write(
             f"`cfgplan help TOPIC` shows a page, `cfgplan VERB --help` the options of a verb.\n{_listed(pages)}"
         )
         return Exit.OK
-    page = pages[known(options.topic, pages, "page")]
+    page = pages[known(options.manual_page, pages, "page")]
     screen.show(Markdown(with_docstrings(page.read_text(encoding="utf-8")), hyperlinks=False))
     return Exit.OK
+
+
+def manual_pages() -> dict[str, Path]:
+    """The pages' files by their names."""
+    return {page.stem: page for page in _PAGES.glob("*.md") if page.stem != _INDEX}
 
 
 def _listed(pages: Mapping[str, Path]) -> str:
