@@ -8,14 +8,14 @@ from dataclasses import replace
 from threading import Event
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
-from cfgplan.api import World, accepted, interruptible, nearest_offers
+from cfgplan.api import World, accepted, interruptible, near_offers, nearest_offers, violations
 from cfgplan.errors import InputError, known
 from cfgplan.planners.undecided import Deciding
 from cfgplan.planning import Decider, Plan, Planner, Problem, Progress
 from cfgplan.reasons import pinned_reasons
 
 if TYPE_CHECKING:
-    from cfgplan.explaining import Alternatives, BestEffort, Front, Sensitivity, Unreachable, Why, WhyNot
+    from cfgplan.explaining import Alternatives, BestEffort, Front, Sensitivity, Unreachable, Why, WhyNot, WiringFault
     from cfgplan.matching import Nearest
 
 
@@ -66,6 +66,19 @@ def unfed_pinned(
         label = problem.environment.unit[unit].transformation
         (found[unit],) = explaining.unreachable(explaining.running(problem, label), nearest)
     return found
+
+
+def wiring_faults(
+    world: World, problem: Problem, *, reasoner: str = "auto", reasoner_limit_s: float | None = None
+) -> tuple[WiringFault, ...]:
+    """What is wrong or odd with the configuration that runs, the probable fault first, with the nearest streams."""
+    from cfgplan import explaining
+
+    environment = problem.environment
+    found = violations(environment, problem.similarity, problem.survive, problem.horizon_s)
+    demands = explaining.wiring_demands(environment, found)
+    near = near_offers(world, demands, reasoner=reasoner, time_limit_s=reasoner_limit_s)
+    return explaining.wiring_faults(environment, found, near)
 
 
 Subject: TypeAlias = Literal["unit", "transformation", "stream"]

@@ -208,8 +208,18 @@ def nearest_offers(
     """The offered tags of the library that come nearest to a demanded tag, and what each lacks."""
     from cfgplan.matching import nearest_offers as nearest
 
-    offered = {port.tag for transformation in world.environment.library for port in transformation.outputs}
+    offered, _ = _tags(world.environment)
     return nearest(demanded, offered, world.ontology, reasoner=reasoner, time_limit_s=time_limit_s)
+
+
+def near_offers(
+    world: World, demanded: Collection[str], *, reasoner: str = "auto", time_limit_s: float | None = None
+) -> dict[str, tuple[Nearest, ...]]:
+    """For each of some demanded tags all offered ones that hold a part of it, the nearest first."""
+    from cfgplan.matching import near_offers as near
+
+    offered, _ = _tags(world.environment)
+    return near(demanded, offered, world.ontology, reasoner=reasoner, time_limit_s=time_limit_s)
 
 
 def problem(

@@ -79,7 +79,7 @@ def test_an_input_takes_one_stream() -> None:
     both = (fed("image", "camera.1/out"), fed("image", "camera.2/out"), fed("old", "detector.1/ball"))
     units = (camera, second, replace(detector, subscriptions=both))
     assert [str(v) for v in violations(replace(VALID, units=units), SIMILARITY)] == [
-        "input image of unit detector.1 takes one stream, but has 2"
+        "input image of unit detector.1 takes one stream, but has 2: camera.1/out, camera.2/out"
     ]
 
 
@@ -94,7 +94,7 @@ def second_camera(**said: object) -> Environment:
     ("said", "feeds", "expected"),
     [
         ({"count": 2}, ["camera.1/out", "camera.2/out"], []),
-        ({"count": 2}, ["camera.1/out"], ["input image of unit detector.1 takes 2 streams, but has 1"]),
+        ({"count": 2}, ["camera.1/out"], ["input image of unit detector.1 takes 2 streams, but has 1: camera.1/out"]),
         ({"count": ALL}, ["camera.1/out", "camera.2/out"], []),
         (
             {"count": ALL},

@@ -1,22 +1,33 @@
-"""`cfgplan check`: every rule that the running configuration violates."""
+"""`cfgplan check`: what is wrong with the running configuration, the probable fault first."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from cfgplan.cli import options as shared
 from cfgplan.cli.exits import Exit
+from cfgplan.cli.explain import some
 from cfgplan.cli.screen import Screen, counted
 
 if TYPE_CHECKING:
+    from rich.text import Text
+
     from cfgplan.api import World
-    from cfgplan.validity import Violation
+    from cfgplan.explaining import WiringFault
 
 
 def add_to(parser: argparse.ArgumentParser) -> None:
-    parser.epilog = "example:\n  cfgplan check models/nao/2-segmenter-lost.yaml"
+    parser.epilog = (
+        "example:\n  cfgplan check models/nao/2-segmenter-lost.yaml\n  cfgplan check after.yaml --against before.yaml"
+    )
     shared.add_environment(parser)
+    parser.add_argument(
+        "--against",
+        metavar="OTHER",
+        help="show only what this environment file, such as the one before a change, had not",
+    )
     shared.add_survive(parser)
     shared.add_matching(parser)
     shared.add_json(parser)
@@ -24,9 +35,43 @@ def add_to(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace, screen: Screen) -> Exit:
-    from rich.text import Text
+    from cfgplan.explaining import Suspicion
 
-    from cfgplan import api
+    world, every = _faults(options, screen)
+    found, gone = every, 0
+    if options.against is not None:
+        before = {
+            fault.key for fault in _faults(argparse.Namespace(**{**vars(options), "env": options.against}), screen)[1]
+        }
+        found = tuple(fault for fault in every if fault.key not in before)
+        gone = len(before - {fault.key for fault in every})
+    broken = [fault for fault in found if fault.violation is not None]
+    is_open = bool(broken) and all(fault.violation.is_open for fault in broken if fault.violation)
+    if screen.json:
+        is_valid = not any(fault.violation for fault in every)
+        told = {
+            "valid": None if is_open else is_valid,
+            "violations": [_as_json(world, fault) for fault in broken],
+            "unfed": [_as_json(world, fault) for fault in found if fault.suspicion is Suspicion.PERHAPS],
+            "untaken": [f"{fault.unit}/{fault.port}" for fault in found if fault.suspicion is Suspicion.UNTAKEN],
+        }
+        screen.show_json(told if options.against is None else {**told, "against": options.against, "gone": gone})
+    else:
+        for fault in found:
+            if fault.suspicion is not Suspicion.UNTAKEN:
+                screen.show(_text(world, fault))
+        untaken = [f"{fault.unit}/{fault.port}" for fault in found if fault.suspicion is Suspicion.UNTAKEN]
+        if untaken:
+            screen.show(f"nobody takes {counted(len(untaken), 'stream')}: {some(untaken)}")
+        screen.show(_verdict(options, world, broken, gone))
+    if is_open:
+        return Exit.NOT_PROVEN
+    return Exit.INVALID if broken else Exit.OK
+
+
+def _faults(options: argparse.Namespace, screen: Screen) -> tuple[World, tuple[WiringFault, ...]]:
+    """The world that the options name, and what is wrong or odd there."""
+    from cfgplan import answers, api
     from cfgplan.planners.undecided import used_pairs
 
     world = shared.load(options, screen)
@@ -34,54 +79,69 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     with screen.phase("match"):
         matches.decide([*used_pairs(world.environment, matches.similarity)])
     problem = shared.problem(options, screen, world, matches)
-    found = api.violations(problem.environment, problem.similarity, problem.survive, problem.horizon_s)
-    broken = sum(not violation.is_open for violation in found)
-    is_open = bool(found) and not broken
-    if screen.json:
-        screen.show_json(
+    with screen.phase("judge"):
+        reasoning = {"reasoner": options.reasoner, "reasoner_limit_s": options.reasoner_timeout}
+        return world, answers.wiring_faults(world, problem, **reasoning)
+
+
+def _text(world: World, fault: WiringFault) -> Text:
+    from rich.text import Text
+
+    line = Text(f"{_place(world, fault)}: ", style="bold")
+    line.append(f"{fault.rule}: ", style="red" if fault.violation else "yellow")
+    line.append(fault.text, style="not bold")
+    for near in fault.near:
+        line.append(f"\n    nearest: {near.stream} gives {near.verdict}", style="not bold")
+    return line
+
+
+def _verdict(options: argparse.Namespace, world: World, broken: Sequence[WiringFault], gone: int) -> Text:
+    from rich.text import Text
+
+    environment = world.environment
+    size = ", ".join(
+        [
+            counted(len(environment.library), "transformation"),
+            counted(len(environment.units), "running unit"),
+            counted(len(environment.targets), "target"),
+        ]
+    )
+    sure = [fault for fault in broken if fault.violation and not fault.violation.is_open]
+    if options.against is not None:
+        what = "nothing new is wrong" if not broken else f"{counted(len(broken), 'rule')} violated that held"
+        since = f"{what} since {options.against}; {counted(gone, 'fault')} of then {'is' if gone == 1 else 'are'} gone"
+        return Text(f"{size}: {since}.", style="bold red" if broken else "bold green")
+    if sure:
+        return Text(f"{size}: the running configuration violates {counted(len(sure), 'rule')}.", style="bold red")
+    if broken:
+        return Text(f"{size}: it is not decided whether the running configuration is valid.", style="bold yellow")
+    return Text(f"{size}: the running configuration is valid.", style="bold green")
+
+
+def _as_json(world: World, fault: WiringFault) -> dict[str, object]:
+    violation = fault.violation
+    return {
+        "rule": fault.rule,
+        "text": fault.text,
+        "unit": fault.unit,
+        "port": fault.port,
+        "target": violation.target if violation else None,
+        "undecided": violation is not None and violation.is_open,
+        "place": _place(world, fault),
+        "nearest": [
             {
-                "valid": None if is_open else not found,
-                "violations": [
-                    {
-                        "rule": violation.rule.name.lower(),
-                        "text": violation.text,
-                        "unit": violation.unit,
-                        "port": violation.port,
-                        "target": violation.target,
-                        "undecided": violation.is_open,
-                        "place": _place(world, violation),
-                    }
-                    for violation in found
-                ],
+                "stream": str(near.stream),
+                "offered": near.offer.offered,
+                "missing": near.offer.missing,
+                "taken": near.is_taken,
             }
-        )
-    else:
-        for violation in found:
-            line = Text(f"{_place(world, violation)}: ", style="bold")
-            line.append(f"{violation.rule.name.lower()}: ", style="red")
-            line.append(violation.text)
-            screen.show(line)
-        environment = world.environment
-        size = ", ".join(
-            [
-                counted(len(environment.library), "transformation"),
-                counted(len(environment.units), "running unit"),
-                counted(len(environment.targets), "target"),
-            ]
-        )
-        verdict, style = "the running configuration is valid", "bold green"
-        if is_open:
-            verdict, style = "it is not decided whether the running configuration is valid", "bold yellow"
-        elif found:
-            verdict, style = f"the running configuration violates {counted(broken, 'rule')}", "bold red"
-        screen.show(Text(f"{size}: {verdict}.", style=style))
-    if is_open:
-        return Exit.NOT_PROVEN
-    return Exit.INVALID if found else Exit.OK
+            for near in fault.near
+        ],
+    }
 
 
-def _place(world: World, violation: Violation) -> str:
-    """Where the unit or target of a violation is written, as `file:line:column`."""
-    file = world.file
-    place = file.place(unit=violation.unit, port=violation.port, target=violation.target) if file else None
+def _place(world: World, fault: WiringFault) -> str:
+    """Where the unit or target of a fault is written, as `file:line:column`."""
+    file, target = world.file, fault.violation.target if fault.violation else None
+    place = file.place(unit=fault.unit, port=fault.port, target=target) if file else None
     return ":".join(map(str, place)) if place else str(file.path if file else "environment")

@@ -205,15 +205,15 @@ def why_text(why: Why) -> Text:
     """Why a plan uses something, or why not: what it serves, and what it would cost to do without."""
     lines = []
     if why.units:
-        named = [] if why.units == (why.subject,) else [f"runs as {_some(why.units)}"]
+        named = [] if why.units == (why.subject,) else [f"runs as {some(why.units)}"]
         idle = "is a spare for when something fails" if why.is_spare else "serves no target"
         served = f"serves {_named('target', why.targets)}" if why.targets else idle
-        through = [f"feeds {_some(why.consumers)}"] if why.consumers else []
+        through = [f"feeds {some(why.consumers)}"] if why.consumers else []
         lines.append(Text(f"{why.subject} {', '.join([*named, served, *through])}."))
     lines.append(Text(choice_line(why), style="bold"))
     for sign, labels, style in (("+", why.more, "green"), ("-", why.less, "red")):
         if labels:
-            lines.append(Text(f"  {sign} {_some(labels)}", style=style))
+            lines.append(Text(f"  {sign} {some(labels)}", style=style))
     if why.units and why.difference_us is not None and not why.more and not why.less:
         lines.append(Text("  another unit of its transformation would take its place"))
     if why.choice is Choice.FORCED:
@@ -251,10 +251,10 @@ def choice_line(why: Why) -> str:
 def table_lines(whys: Sequence[Why]) -> Iterator[str]:
     """A line for each unit of a plan: what it serves, and what doing without its transformation would cost."""
     width = max((len(unit) for why in whys for unit in why.units), default=0)
-    told = max((len(_some(why.targets)) for why in whys), default=0)
+    told = max((len(some(why.targets)) for why in whys), default=0)
     for why in whys:
         for unit in why.units:
-            yield f"  {unit:{width}}  for {_some(why.targets) or '-':{told}}  {_briefly(why)}"
+            yield f"  {unit:{width}}  for {some(why.targets) or '-':{told}}  {_briefly(why)}"
 
 
 def _briefly(why: Why) -> str:
@@ -306,7 +306,7 @@ def _blocked(environment: Environment, blocked: Blocked) -> Iterator[str]:
         yield from _demand(environment, unfed, f"{blocked.transformation}: input {unfed.port} wants")
         return
     names = " and ".join(unfed.port or "" for unfed in blocked.inputs)
-    able = f"only {_some(blocked.available)} can feed them" if blocked.available else "nothing can feed them"
+    able = f"only {some(blocked.available)} can feed them" if blocked.available else "nothing can feed them"
     yield f"{blocked.transformation}: inputs {names} must be fed by different transformations, but {able}"
 
 
@@ -314,14 +314,14 @@ def _demand(environment: Environment, unfed: Unfed, opening: str) -> Iterator[st
     if unfed.givers:
         yield f"{opening} {unfed.tag}, but what would give it can't run"
         if unfed.undecided:
-            yield f"    nobody has decided yet whether what {_some(unfed.undecided)} gives matches"
+            yield f"    nobody has decided yet whether what {some(unfed.undecided)} gives matches"
         return
     yield f"{opening} {unfed.tag}, but no output matches"
     fewest = min((len(offer.missing) for offer in unfed.nearest), default=0)
     for offer in unfed.nearest:
         if len(offer.missing) > fewest:
             continue
-        givers = _some(_outputs(environment).get(offer.offered, ()))
+        givers = some(_outputs(environment).get(offer.offered, ()))
         yield f"    nearest: {givers} gives {offer.offered}: {offer.verdict}"
 
 
@@ -335,9 +335,9 @@ def _outputs(environment: Environment) -> Mapping[str, tuple[str, ...]]:
 
 def _named(what: str, labels: frozenset[str] | tuple[str, ...]) -> str:
     plural = "s" if what == "target" and len(labels) > 1 else ""
-    return f"{what}{plural} {_some(tuple(sorted(labels)))}"
+    return f"{what}{plural} {some(tuple(sorted(labels)))}"
 
 
-def _some(names: Sequence[str], most: int = 6) -> str:
+def some(names: Sequence[str], most: int = 6) -> str:
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + more

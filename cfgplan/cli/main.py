@@ -22,7 +22,7 @@ from cfgplan.planning import OwnPlannerError, PlannerFaultError
 
 VERBS: Mapping[str, str] = MappingProxyType(
     {
-        "check": "load and match an environment and judge its running configuration",
+        "check": "judge the running configuration of an environment, alone or against another file",
         "match": "print which outputs may feed which inputs and targets, or explain one pair",
         "solve": "find the cheapest update that meets every target, and prove it",
         "explain": "say why there is no plan, or why the plan uses what it uses and what doing without would cost",

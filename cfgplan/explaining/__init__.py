@@ -12,6 +12,7 @@ from cfgplan.explaining.unfed import Blocked, Unfed, Unreachable, unreachable
 from cfgplan.explaining.what_if import running
 from cfgplan.explaining.why_not import Clash, DemandSet, Unused, WhyNot, demanding, why_not
 from cfgplan.explaining.why_this import Choice, Why, why_stream, why_transformation, why_unit
+from cfgplan.explaining.wiring import NearStream, Suspicion, WiringFault, wiring_demands, wiring_faults
 
 __all__ = [
     "Alternatives",
@@ -24,13 +25,16 @@ __all__ = [
     "Front",
     "FrontPoint",
     "Limit",
+    "NearStream",
     "Sensitivity",
     "Span",
+    "Suspicion",
     "Unfed",
     "Unreachable",
     "Unused",
     "Why",
     "WhyNot",
+    "WiringFault",
     "alternatives",
     "best_effort",
     "demanding",
@@ -43,4 +47,6 @@ __all__ = [
     "why_stream",
     "why_transformation",
     "why_unit",
+    "wiring_demands",
+    "wiring_faults",
 ]

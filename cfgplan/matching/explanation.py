@@ -8,6 +8,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from cfgplan.domain import Similarity
 from cfgplan.matching.concepts import Concept, Intersection, in_functional_syntax
 from cfgplan.matching.derivations import derivation
 from cfgplan.matching.faults import ReasonerError
@@ -101,16 +102,33 @@ def nearest_offers(
 
     Among those that lack as many, fewer undecided conjuncts go first. What lacks all of them is not near.
     """
-    parts = conjuncts(parse_tag(demanded_tag, ontology), ontology)
-    found = match(offered_tags, parts, ontology, reasoner=reasoner, time_limit_s=time_limit_s)
-    near: list[Nearest] = []
+    near = near_offers([demanded_tag], offered_tags, ontology, reasoner=reasoner, time_limit_s=time_limit_s)
+    return near[demanded_tag][:k]
+
+
+def near_offers(
+    demanded_tags: Collection[str],
+    offered_tags: Collection[str],
+    ontology: Ontology,
+    *,
+    reasoner: str = "auto",
+    time_limit_s: float | None = None,
+) -> dict[str, tuple[Nearest, ...]]:
+    """For each of some demanded tags all offered ones that come near, in the order of `nearest_offers`."""
+    parts = {tag: conjuncts(parse_tag(tag, ontology), ontology) for tag in demanded_tags}
+    every = {part for of_tag in parts.values() for part in of_tag}
+    similarity = match(offered_tags, every, ontology, reasoner=reasoner, time_limit_s=time_limit_s).similarity
+    return {tag: _near(of_tag, offered_tags, similarity) for tag, of_tag in parts.items()}
+
+
+def _near(parts: Sequence[str], offered_tags: Collection[str], similarity: Similarity) -> tuple[Nearest, ...]:
+    near = []
     for tag in set(offered_tags):
-        undecided = tuple(part for part in parts if found.similarity.is_open(tag, part))
-        lacking = (part for part in parts if not found.similarity.holds(tag, part) and part not in undecided)
-        nearest = Nearest(tag, tuple(lacking), undecided)
-        if len(nearest.missing) < len(parts):
-            near.append(nearest)
-    return tuple(sorted(near, key=lambda one: (len(one.missing), len(one.undecided), one.offered))[:k])
+        undecided = tuple(part for part in parts if similarity.is_open(tag, part))
+        missing = tuple(part for part in parts if not similarity.holds(tag, part) and part not in undecided)
+        if len(missing) < len(parts):
+            near.append(Nearest(tag, missing, undecided))
+    return tuple(sorted(near, key=lambda one: (len(one.missing), len(one.undecided), one.offered)))
 
 
 def _steps_of_the_reference(offered: Concept, demanded: Concept, ontology: Ontology, reasoner: str) -> tuple[str, ...]:

@@ -27,6 +27,7 @@ from cfgplan.formats.fields import DEFAULT_HORIZON_S, DEFAULT_LABOR_US
 from cfgplan.qualities import MICRO
 from cfgplan.ros.graph import RosGraph, RosNode, RosPort
 from cfgplan.ros.guesses import GuessTable
+from cfgplan.ros.sources import NodeKind, NodeSource
 from cfgplan.ros.types import MessageType
 from cfgplan.ros.vocabulary import RosVocabulary
 
@@ -183,7 +184,10 @@ class _Making:
         if is_service:
             if not feeds[end] and not optional:
                 self._guess(about, "it may stay unfed", "nobody serves it now, and it is called now and then")
-            return InputPort(end.port, tag, service=True, optional=optional or not feeds[end])
+            is_optional = optional or not feeds[end]
+            return InputPort(
+                end.port, tag, service=True, optional=is_optional, type=_type(port), remap=_own(node, port)
+            )
         row = self._table.says(node.name, port, "several")
         several = len(feeds[end]) > 1 if row is None else bool(row.several)
         if row is not None and (several or len(feeds[end]) > 1):
@@ -198,7 +202,15 @@ class _Making:
         if is_own and not feedback:
             self._guess(about, "may close a cycle", "the node hears itself")
         count = ALL if several and not is_own else 1
-        return InputPort(end.port, tag, feedback=feedback or is_own, optional=optional, count=count)
+        return InputPort(
+            end.port,
+            tag,
+            feedback=feedback or is_own,
+            optional=optional,
+            count=count,
+            type=_type(port),
+            remap=_own(node, port),
+        )
 
     def _says(self, about: str, node: RosNode, port: RosPort, word: Literal["optional"], guess: str) -> bool:
         row = self._table.says(node.name, port, word)
@@ -269,11 +281,19 @@ class _Making:
             label,
             inputs=tuple(port for end, port in ports.items() if end.node == label),
             outputs=tuple(
-                OutputPort(names[port], self._words.tag(port), rate_uhz=round((port.rate_hz or 0) * MICRO))
+                OutputPort(
+                    names[port],
+                    self._words.tag(port),
+                    rate_uhz=round((port.rate_hz or 0) * MICRO),
+                    type=_type(port),
+                    remap=_own(node, port),
+                )
                 for port in node.ports
                 if port.role.gives
             ),
             labor_us=DEFAULT_LABOR_US,
+            source=str(_source(node)),
+            params=node.parameters,
         )
 
     def _targets(self, environment: Environment) -> Iterator[Target]:
@@ -287,6 +307,26 @@ class _Making:
         for label in _ends(environment):
             self._guess(label, "it is wanted for itself", "nobody needs its streams")
             yield _to_run(label)
+
+
+def _type(port: RosPort) -> str | None:
+    return None if port.type is None else str(port.type)
+
+
+def _own(node: RosNode, port: RosPort) -> str:
+    """What the node itself calls a topic or service: before remapping, where that is known."""
+    return port.own or next((own for own, name in node.remappings if name == port.name), port.name)
+
+
+def _source(node: RosNode) -> NodeSource:
+    """How the node is started; where that is not known, somebody else runs it."""
+    if node.package and node.plugin:
+        kind: NodeKind = "component" if "::" in node.plugin else "nodelet"
+        name = node.plugin.removeprefix(f"{node.package}/")
+        return NodeSource(kind, node.package, name, node.arguments, node.container or "")
+    if node.package and node.executable:
+        return NodeSource("node", node.package, node.executable, node.arguments)
+    return NodeSource("external", "", node.name)
 
 
 def _to_run(label: str) -> Target:

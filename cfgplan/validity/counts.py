@@ -23,7 +23,8 @@ def count_violations(environment: Environment, similarity: Similarity) -> Iterat
                 yield Violation(Rule.FED, f"{where} takes all that matches, but not {missed[0]}", unit.id, port.name)
         elif number and number != port.count:
             counted = "one stream" if port.count == 1 else f"{port.count} streams"
-            yield Violation(Rule.FED, f"{where} takes {counted}, but has {number}", unit.id, port.name)
+            text = f"{where} takes {counted}, but has {number}: {', '.join(map(str, streams))}"
+            yield Violation(Rule.FED, text, unit.id, port.name)
         if port.count > 1 and len({stream.unit for stream in streams}) < number:
             yield Violation(Rule.FED, f"{where} takes streams of different units", unit.id, port.name)
 

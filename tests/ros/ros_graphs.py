@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from cfgplan import api
+from cfgplan import answers, api
+from cfgplan.api import World
+from cfgplan.explaining import WiringFault
 from cfgplan.ros.environments import Imported, imported
 from cfgplan.ros.graph import Role, RosGraph, RosNode, RosPort
 from cfgplan.ros.guesses import guess_table
@@ -38,11 +40,22 @@ def written(found: Imported, folder: Path) -> Path:
     return env
 
 
-def judged(whole: RosGraph, folder: Path, guesses: str | None = None) -> list[Violation]:
-    """What is wrong with the environment that a graph becomes, once it was written and read again."""
+def read_back(whole: RosGraph, folder: Path, guesses: str | None = None) -> World:
+    """The environment that a graph becomes, once it was written and read again."""
     files = []
     if guesses is not None:
         files = [folder / "guesses.yaml"]
         files[0].write_text(guesses)
-    problem = api.match(api.load(written(imported(whole, guess_table(files)), folder)))
+    return api.load(written(imported(whole, guess_table(files)), folder))
+
+
+def judged(whole: RosGraph, folder: Path, guesses: str | None = None) -> list[Violation]:
+    """What is wrong with that environment."""
+    problem = api.match(read_back(whole, folder, guesses))
     return api.violations(problem.environment, problem.similarity)
+
+
+def faults(whole: RosGraph, folder: Path) -> tuple[WiringFault, ...]:
+    """What is wrong or odd with it, the probable fault first."""
+    world = read_back(whole, folder)
+    return answers.wiring_faults(world, api.match(world))

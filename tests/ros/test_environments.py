@@ -8,13 +8,14 @@ from tempfile import TemporaryDirectory
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from ros_graphs import graph, judged, node, written
+from ros_graphs import graph, judged, node, read_back, written
 
 from cfgplan import api
 from cfgplan.domain import ALL
 from cfgplan.ros.environments import imported, port_names
 from cfgplan.ros.graph import Role, RosGraph, RosNode, RosPort, merged
 from cfgplan.ros.guesses import guess_table
+from cfgplan.ros.types import MessageType
 
 SCAN, ODOM, TWIST, TF = "sensor_msgs/LaserScan", "nav_msgs/Odometry", "geometry_msgs/Twist", "tf2_msgs/TFMessage"
 
@@ -69,7 +70,9 @@ def test_every_guess_is_told_and_stands_above_the_file() -> None:
 
 def test_two_commanders_are_one_too_many_and_a_file_may_say_that_they_are_not(tmp_path: Path) -> None:
     twice = merged([ROBOT, graph(node("/teleop", {"/cmd_vel": TWIST}))])
-    assert [v.text for v in judged(twice, tmp_path)] == ["input cmd_vel of unit base.1 takes one stream, but has 2"]
+    assert [v.text for v in judged(twice, tmp_path)] == [
+        "input cmd_vel of unit base.1 takes one stream, but has 2: move_base.1/cmd_vel, teleop.1/cmd_vel"
+    ]
     allowed = "inputs: [{topic: /cmd_vel, several: true, why: the base takes both}]"
     assert judged(twice, tmp_path, allowed) == []
 
@@ -141,6 +144,27 @@ def test_one_graph_gives_one_file_in_whatever_order_it_is_told(tmp_path: Path) -
     back = imported(RosGraph(ROBOT.nodes[::-1], ROBOT.sources), guess_table())
     assert (there.text("o.ttl"), there.ontology) == (back.text("o.ttl"), back.ontology)
     assert written(there, tmp_path).read_text() == there.text("robot.ttl")
+
+
+def test_the_file_says_how_nodes_are_started_and_what_they_call_their_ports(tmp_path: Path) -> None:
+    nodes = [
+        RosNode(
+            "/eyes/talk", (RosPort(Role.PUBLISHES, "/b"),), "rospy_tutorials", "talker", remappings=(("/a", "/b"),)
+        ),
+        RosNode("/eyes/rect", (), "image_proc", None, "image_proc/rectify", "/eyes/manager"),
+        RosNode("/eyes/crop", (), "image_proc", None, "image_proc::CropNode"),
+        RosNode("/unknown", (RosPort(Role.SUBSCRIBES, "/b", MessageType("std_msgs", "String")),)),
+    ]
+    library = read_back(graph(*nodes), tmp_path).environment.transformation
+    assert {label: each.source for label, each in library.items()} == {
+        "eyes/talk": "node:rospy_tutorials/talker",
+        "eyes/rect": "nodelet:image_proc/rectify@/eyes/manager",
+        "eyes/crop": "component:image_proc/image_proc::CropNode",
+        "unknown": "external:/unknown",
+    }
+    assert library["eyes/talk"].output["b"].remap == "/a"
+    heard = library["unknown"].input["b"]
+    assert (heard.remap, heard.type) == ("/b", "std_msgs/msg/String")
 
 
 def test_a_recording_tells_how_often_messages_come() -> None:

@@ -1,0 +1,222 @@
+"""What is wrong with the wiring of what runs, the probable fault first.
+
+Broken rules are the judge's. To them come inputs that may stay unfed but look as if they should not, and streams that
+nobody takes. Beside an input stand the streams that come near to what it needs: a wrong name somewhere makes a pair of
+them, an input that nobody feeds and a stream of its kind that nobody takes.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cache
+
+from cfgplan.domain import ComputationUnit, Environment, InputPort, Stream, Subscription
+from cfgplan.matching import Nearest
+from cfgplan.validity import Rule, Violation
+
+MOST_NEAR = 3
+"""How many near streams are told of an input."""
+ALIKE = 0.6
+"""How like the texts of two tags are, at least, for a stream to be told where none is near by its meaning."""
+_SERVICE = re.compile(r"\b(srv|action)\b")
+"""What the type of an output says that answers requests; who asks now and then is not known, so all are taken."""
+
+
+class Suspicion(IntEnum):
+    """How probable it is that a fault is the one to mend first: the smaller the more."""
+
+    CLASH = 0
+    """A stream comes to an input that does not match it."""
+    PAIR = 1
+    """An input is not fed, and nobody takes a stream that comes near."""
+    NUMBER = 2
+    """An input takes too many streams or too few."""
+    PERHAPS = 3
+    """An input that may stay unfed is one of a pair."""
+    TAKEN = 4
+    """An input is not fed, and others take what comes near."""
+    NAMESAKE = 5
+    """An input is not fed, and what comes near does so by name only."""
+    OTHER = 6
+    """Another rule is broken."""
+    ALONE = 7
+    """An input is not fed, and nothing comes near."""
+    NEEDLESS = 8
+    """A unit runs that no target needs, mostly because it feeds an input no more."""
+    UNTAKEN = 9
+    """Nobody takes a stream."""
+
+
+@dataclass(frozen=True, slots=True)
+class NearStream:
+    """A stream that comes near to what an input needs, whether anyone takes it, and how like it is (0 to 1)."""
+
+    stream: Stream
+    offer: Nearest
+    is_taken: bool
+    likeness: float
+    by_name: bool = False
+
+    @property
+    def verdict(self) -> str:
+        """What it gives, what that lacks, and whether it is free, in words."""
+        return f"{self.offer.offered}: {self.offer.verdict}{'' if self.is_taken else '; nobody takes it'}"
+
+
+@dataclass(frozen=True, slots=True)
+class WiringFault:
+    """Something that is wrong, or odd, with the wiring; odd is what breaks no rule: then there is no violation."""
+
+    suspicion: Suspicion
+    text: str
+    violation: Violation | None = None
+    unit: str | None = None
+    port: str | None = None
+    near: tuple[NearStream, ...] = ()
+
+    @property
+    def rule(self) -> str:
+        """The name of the broken rule, or what is odd."""
+        if self.violation is not None:
+            return self.violation.rule.name.lower()
+        return "untaken" if self.suspicion is Suspicion.UNTAKEN else "unfed"
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """What tells it from other faults, in this environment and in others."""
+        return self.rule, self.text
+
+
+def wiring_demands(environment: Environment, violations: Sequence[Violation]) -> set[str]:
+    """The tags for which `wiring_faults` needs near offers."""
+    return {port.tag for _, port in [*_unfed(environment), *_broken(environment, violations)]}
+
+
+def wiring_faults(
+    environment: Environment, violations: Sequence[Violation], near: Mapping[str, Sequence[Nearest]]
+) -> tuple[WiringFault, ...]:
+    """All that is wrong or odd with what runs, the probable fault first. `near` has the offers near to each demand."""
+    return tuple(sorted(_Wiring(environment, near).faults(violations), key=_order))
+
+
+def _order(fault: WiringFault) -> tuple[int, float, str]:
+    return fault.suspicion, -fault.near[0].likeness if fault.near else 0.0, fault.text
+
+
+def _unfed(environment: Environment) -> Iterator[tuple[ComputationUnit, InputPort]]:
+    """The inputs of running units that nothing feeds."""
+    for unit in environment.units:
+        transformation = environment.transformation.get(unit.transformation)
+        for port in transformation.inputs if transformation and not unit.standby else ():
+            if port.name not in unit.feeds:
+                yield unit, port
+
+
+def _broken(environment: Environment, violations: Sequence[Violation]) -> Iterator[tuple[ComputationUnit, InputPort]]:
+    """The inputs at which rules are broken."""
+    for violation in violations:
+        found = _input_of(environment, violation)
+        if found is not None:
+            yield found
+
+
+def _input_of(environment: Environment, violation: Violation) -> tuple[ComputationUnit, InputPort] | None:
+    unit = environment.unit.get(violation.unit or "")
+    transformation = unit and environment.transformation.get(unit.transformation)
+    port = transformation and transformation.input.get(violation.port or "")
+    return (unit, port) if unit and port else None
+
+
+class _Wiring:
+    """The streams of running units, and who takes them."""
+
+    def __init__(self, environment: Environment, near: Mapping[str, Sequence[Nearest]]) -> None:
+        self._environment = environment
+        self._near = near
+        running = [unit for unit in environment.units if not unit.standby]
+        self._taken = {s.stream for unit in running for s in unit.subscriptions}
+        self._taken |= {Stream(unit.id, p.port) for unit in running for p in unit.publications}
+        self._offering: dict[str, list[Stream]] = {}
+        for unit in running:
+            transformation = environment.transformation.get(unit.transformation)
+            for output in transformation.outputs if transformation else ():
+                self._offering.setdefault(output.tag, []).append(Stream(unit.id, output.name))
+                if output.type is not None and _SERVICE.search(output.type):
+                    self._taken.add(Stream(unit.id, output.name))
+
+    def faults(self, violations: Sequence[Violation]) -> Iterator[WiringFault]:
+        told, paired = set(), set()
+        for violation in violations:
+            fault = self._of_rule(violation)
+            told.add((fault.unit, fault.port))
+            paired |= {near.stream for near in fault.near}
+            yield fault
+        for unit, port in _unfed(self._environment):
+            near = self._nearest(unit, port)
+            if (unit.id, port.name) not in told and _of_unfed(near) is Suspicion.PAIR:
+                paired |= {each.stream for each in near}
+                text = f"optional input {port.name} of unit {unit.id} is not fed"
+                yield WiringFault(Suspicion.PERHAPS, text, None, unit.id, port.name, near)
+        for stream in sorted(s for streams in self._offering.values() for s in streams):
+            if stream not in self._taken and stream not in paired:
+                text = f"nobody takes {stream}"
+                yield WiringFault(Suspicion.UNTAKEN, text, None, stream.unit, stream.port)
+
+    def _of_rule(self, violation: Violation) -> WiringFault:
+        found = _input_of(self._environment, violation)
+        is_fed = found is not None and found[1].name in found[0].feeds
+        near: tuple[NearStream, ...] = ()
+        suspicion = Suspicion.OTHER
+        if violation.rule is Rule.LEAN:
+            suspicion = Suspicion.NEEDLESS
+        elif violation.rule is Rule.FED and is_fed:
+            suspicion = Suspicion.NUMBER
+        elif violation.rule in (Rule.FED, Rule.MATCHING):
+            near = self._nearest(*found) if found else ()
+            suspicion = _of_unfed(near)
+            if violation.rule is Rule.MATCHING:
+                near, suspicion = tuple(each for each in near if not each.by_name), Suspicion.CLASH
+        return WiringFault(suspicion, violation.text, violation, violation.unit, violation.port, near)
+
+    def _nearest(self, unit: ComputationUnit, port: InputPort) -> tuple[NearStream, ...]:
+        """The streams of others that come nearest to what an input needs, or else are called nearly so."""
+        found: list[NearStream] = []
+        for offer in self._near.get(port.tag, ()):
+            found += self._near_streams(unit, port, offer)
+        if not found:
+            for offered in self._offering:
+                if likeness(offered, port.tag) >= ALIKE:
+                    found += self._near_streams(unit, port, Nearest(offered, (port.tag,)), by_name=True)
+        found.sort(key=lambda near: (len(near.offer.missing), near.is_taken, -near.likeness, near.stream))
+        return tuple(found[:MOST_NEAR])
+
+    def _near_streams(
+        self, unit: ComputationUnit, port: InputPort, offer: Nearest, *, by_name: bool = False
+    ) -> Iterator[NearStream]:
+        for stream in self._offering.get(offer.offered, ()):
+            if stream.unit != unit.id and Subscription(port.name, stream) not in unit.subscriptions:
+                like = likeness(offer.offered, port.tag)
+                yield NearStream(stream, offer, stream in self._taken, like, by_name)
+
+
+def _of_unfed(near: Sequence[NearStream]) -> Suspicion:
+    if not near:
+        return Suspicion.ALONE
+    if near[0].by_name:
+        return Suspicion.NAMESAKE
+    return Suspicion.TAKEN if all(each.is_taken for each in near) else Suspicion.PAIR
+
+
+def likeness(one: str, other: str) -> float:
+    """How like two texts are, from 0 to 1: Dice's coefficient of their runs of three characters."""
+    ours, theirs = _runs(one), _runs(other)
+    return 2 * len(ours & theirs) / (len(ours) + len(theirs))
+
+
+@cache
+def _runs(text: str) -> frozenset[str]:
+    padded = f"  {text} "
+    return frozenset(padded[at : at + 3] for at in range(len(padded) - 2))
