@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 import subprocess
 import sys
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ import pytest
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.fleet.links import LEASE_S, Pulse, ReachedAt, config, reach, sign_period_s
 from cfgplan_runtime.streams.zenoh_link import ZenohLink
-from small_fleet import PATIENCE_S
+from small_fleet import PATIENCE_S, eventually
 
 from cfgplan.cli import main
 from cfgplan.errors import InputError
@@ -41,6 +41,31 @@ def test_an_address_that_is_taken_is_told() -> None:
         endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
         with pytest.raises(InputError, match=f"can't listen on {endpoint}"):
             ZenohLink(config([endpoint]))
+
+
+def test_a_connection_that_zenoh_has_left_unread_is_given_up_and_others_are_not() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server, ExitStack() as stack:
+        port = server.getsockname()[1]
+        ends = []
+        for _ in range(2):
+            client = stack.enter_context(socket.create_connection(("127.0.0.1", port), PATIENCE_S))
+            ends.append((client, stack.enter_context(server.accept()[0])))
+        (unread, _), (read, reading) = ends
+        link = ZenohLink(config(connect=[f"tcp/127.0.0.1:{port}"]))
+        stack.callback(link.close)
+        unread.sendall(b"what nobody takes")
+        unread.setblocking(False)
+
+        def is_given_up() -> bool:
+            read.sendall(b"more")
+            assert reading.recv(4) == b"more"
+            with suppress(BlockingIOError):
+                return unread.recv(1) == b""
+            return False
+
+        eventually(is_given_up)
+        read.sendall(b"more")
+        assert reading.recv(4) == b"more"
 
 
 CFGPLAN = (sys.executable, "-c", "import sys; from cfgplan.cli import main; sys.exit(main())")

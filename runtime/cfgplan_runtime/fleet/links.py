@@ -22,8 +22,10 @@ _LINK_LEASES = 2
 """A link that is silent for half a lease is made anew: the kernel waits longer and longer until it tries it again."""
 _LATE_SIGNS, MISSED_SIGNS = 2, 4
 """A sign of life that comes after so many periods is late. Who did not look for so many may have missed some."""
-_OPEN_MS = 400
-"""Who is cut off gives up an attempt after so long: one that began too early can't succeed once the link is mended."""
+_OPEN_MS, _OPEN_PRIVATE_MS = 400, 10_000
+"""Who is cut off gives up an attempt after so long: one that began too early can't succeed once the link is mended.
+Within one computer nothing is cut.
+"""
 REACH_S = 5.0
 _LANES = {"interactive_high": 16, "data_high": 16, "data_low": 16}
 """Batches of 64 kB that wait in each of Zenoh's lanes for a full link, the most that it allows. In 2, its default, no
@@ -70,6 +72,7 @@ def config(
     }
     if certificates is not None:
         link |= {"protocols": ["tls"], "tls": tls(certificates) | socket_options}
+    is_private = all(endpoint.startswith(f"{_PRIVATE}/") for endpoint in (*listen, *connect))
     return {
         "mode": mode,
         "listen": {"endpoints": list(listen)},
@@ -82,7 +85,7 @@ def config(
         "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
         "transport": {
             "link": link,
-            "unicast": {"open_timeout": _OPEN_MS},
+            "unicast": {"open_timeout": _OPEN_PRIVATE_MS if is_private else _OPEN_MS},
             # Containers of one computer share it, but not always what is needed to read it.
             "shared_memory": {"enabled": False},
         },

@@ -5,17 +5,21 @@ What is put may be lost on the way: `crossing` sends it again.
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import re
 import socket
 import stat
+import struct
+import termios
 import threading
+import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from queue import SimpleQueue
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 from cfgplan.errors import InputError
 from cfgplan.extras import needed
@@ -29,6 +33,9 @@ Lane: TypeAlias = Literal["orders", "small", "large"]
 
 _GIVE_UP: int | None = getattr(socket, "TCP_USER_TIMEOUT", None)
 """Linux has it; without it a link that is silently cut while data waits in it may be noticed late, or never."""
+_WAITING = struct.Struct("@i")
+_CAME, _CAME_AT = struct.Struct("@Q"), 128
+"""How many bytes came, and where Linux has that number in what it tells of a TCP connection."""
 _LINK_CLOSE_S = 2.0
 """Zenoh may wait long for a peer that is gone when a session is closed."""
 
@@ -60,18 +67,29 @@ class ZenohLink:
         ports = _ports([*config["listen"]["endpoints"], *config["connect"]["endpoints"]])
         if ports and _GIVE_UP is not None:
             lease_ms = config["transport"]["link"]["tx"]["lease"]
-            threading.Thread(target=self._keep_bounded, args=(ports, lease_ms, _GIVE_UP), daemon=True).start()
+            threading.Thread(target=self._keep_sound, args=(ports, lease_ms, _GIVE_UP), daemon=True).start()
 
-    def _keep_bounded(self, ports: frozenset[int], lease_ms: int, option: int) -> None:
-        """Have the kernel give up connections to or from these ports of which nobody takes the data for a lease.
+    def _keep_sound(self, ports: frozenset[int], lease_ms: int, option: int) -> None:
+        """Have the connections to or from these ports given up of which nobody takes the data for a lease.
 
-        Zenoh closes a link only after what it has put into its socket. Of one that is silently cut, TLS would never be
-        closed, and so nobody be told, and TCP would stop all other streams until it is mended.
+        At the other end it is the kernel that gives up: Zenoh closes a link only after what it has put into its socket.
+        Of one that is silently cut, TLS would never be closed, and so nobody be told, and TCP would stop all other
+        streams until it is mended.
+
+        At this end we do: a session whose attempt to connect takes just as long as it may take (`open_timeout`) gives
+        it up when the link is there already. The link then stays, but is never read: one computer hears nothing of the
+        other, which hears it, and for good.
         """
+        known: dict[tuple[object, object], Taken] = {}
         while not self._is_closed.wait(lease_ms / 4000):
+            before, known, now_s = known, {}, time.monotonic()
             for connection in _connections(ports):
                 with suppress(OSError):
                     connection.setsockopt(socket.IPPROTO_TCP, option, lease_ms)
+                    ends = connection.getsockname(), connection.getpeername()
+                    known[ends] = taken(connection, now_s, before.get(ends))
+                    if now_s - known[ends].since_s >= lease_ms / 1000:
+                        connection.shutdown(socket.SHUT_RDWR)
 
     def hear(self, keys: str, take: Callable[[str, bytes, bytes], None]) -> None:
         """Have everything that is put below `keys` told: its key, head and payload."""
@@ -146,6 +164,22 @@ class ZenohLink:
         thread = threading.Thread(target=self._session.close, daemon=True)
         thread.start()
         thread.join(_LINK_CLOSE_S)
+
+
+class Taken(NamedTuple):
+    """How many of the bytes that came to a connection were taken, and since when no more were though some wait."""
+
+    bytes: int
+    since_s: float
+
+
+def taken(connection: socket.socket, now_s: float, before: Taken | None) -> Taken:
+    """What is taken of a TCP connection's data now, if that was so before. Raises OSError."""
+    (waiting,) = _WAITING.unpack(fcntl.ioctl(connection, termios.FIONREAD, bytes(_WAITING.size)))
+    told = connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _CAME_AT + _CAME.size)
+    (came,) = _CAME.unpack_from(told, _CAME_AT)
+    is_unread = before is not None and waiting and came - waiting == before.bytes
+    return before if before is not None and is_unread else Taken(came - waiting, now_s)
 
 
 def _ports(endpoints: Iterable[str]) -> frozenset[int]:
