@@ -318,6 +318,12 @@ def test_what_a_killed_manager_has_left_goes_on_under_the_next_without_a_gap() -
         (prepared,) = fleet.spares().values()
         with fleet.runtime(source(), worker()) as runtime:
             assert set(runtime.environment.units) == {COUNT, WORK, cold("work.9", "r1")}
+            backend = runtime.supervisor.backend
+            eventually(lambda: backend.usage("work.9") is not None)
+            assert backend.usage("work.9").pid == prepared
+            eventually(lambda: len(runtime.observe()) == 2 and all(one.steps > 0 for one in runtime.observe()))
+            assert all(one.labor_us > 0 and one.cpu_us > one.labor_us for one in runtime.observe())
+            assert {one.unit: one.host for one in runtime.observe()} == {"count.1": "r1", "work.1": "r2"}
             listener.await_more(20)
             for number in range(3):
                 old, new = (moved(WORK, f"work.{number + n}", ("r1", "r2")[(number + n) % 2]) for n in (1, 2))

@@ -15,7 +15,15 @@ import psutil
 import pytest
 from cfgplan_runtime import ApplyError, Runtime
 from cfgplan_runtime.streams.run_folder import base_folder, remove_dead_runs
-from cfgplan_runtime.supervision.events import Event, SpareLost, SparePrepared, SpareUsed, UnitDied, UnitReady
+from cfgplan_runtime.supervision.events import (
+    Event,
+    SpareLost,
+    SparePrepared,
+    SpareUsed,
+    UnitDied,
+    UnitPrinted,
+    UnitReady,
+)
 from cfgplan_runtime.supervision.simulated_backend import Behaviour
 from in_simulation import InSimulation
 from watching import Listener, StartRuntime, seen
@@ -220,6 +228,21 @@ def test_a_spare_that_can_not_be_constructed_is_told_and_a_start_goes_the_usual_
     assert "no such camera" in seen(runtime, SpareLost)[0].cause
     with pytest.raises(ApplyError, match="no such camera"):
         runtime.apply(ChangeSet((unit("work.3", x="count.1/n"),), stopped=("work.2",)))
+
+
+def test_a_spare_whose_constructor_hangs_says_where_and_is_prepared_again(
+    run_units: StartRuntime, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cfgplan_runtime.processes.process_backend.PREPARE_S", 0.2)
+    note = tmp_path / "go on"
+    runtime = run_units(source(), replace(SLOW, params={"note": str(note)}))
+    runtime.apply(start(unit("count.1"), cold("work.2")))
+    eventually(lambda: bool(seen(runtime, SpareLost)))
+    assert seen(runtime, SpareLost)[0] == SpareLost("work.2", "was not prepared within 0.2 s")
+    assert any("in __init__" in event.line for event in seen(runtime, UnitPrinted))
+    note.touch()
+    eventually(lambda: bool(seen(runtime, SparePrepared)))
+    assert not seen(runtime, UnitDied)
 
 
 def test_what_is_still_being_prepared_is_begun_in_too(run_units: StartRuntime, tmp_path: Path) -> None:

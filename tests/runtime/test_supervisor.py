@@ -6,11 +6,12 @@ import random
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any
+from unittest import mock
 
 import pytest
 from cfgplan_runtime import ApplyError, Patience, SimulatedBackend, StaleChangeSetError, Supervisor
 from cfgplan_runtime.errors import NoSourceError
-from cfgplan_runtime.supervision.backend import Inlet
+from cfgplan_runtime.supervision.backend import Found, Inlet
 from cfgplan_runtime.supervision.events import (
     Applied,
     Event,
@@ -314,6 +315,27 @@ def test_a_silent_unit_is_dumped_then_killed() -> None:
     simulation.pass_time(2.0)
     assert [event.unit for event in simulation.events if isinstance(event, UnitHung | UnitDied)] == ["work.1"] * 2
     assert simulation.asked("dump", "kill") == [("dump", "work.1"), ("kill", "work.1")]
+
+
+def test_a_unit_that_an_earlier_supervisor_has_started_is_awaited_as_long_as_one_of_its_own() -> None:
+    library = source(), worker()
+    backend = SimulatedBackend({"count": Behaviour(start_s=20.0), "work": Behaviour(start_s=1e6)})
+    units = unit("count.1"), unit("work.1", x="count.1/n")
+    for one, transformation in zip(units, library, strict=True):
+        backend.start(one.id, transformation, None, None)
+    found = Found(units, library, (), {}, (), {})
+    with mock.patch.object(SimulatedBackend, "found", return_value=found):
+        events: list[Event] = []
+        supervisor = Supervisor(backend, Environment((), library, (RESULT,)), events.append)
+    while not any(isinstance(event, UnitDied) for event in events):
+        supervisor.pump(1.0)
+    assert [event for event in events if isinstance(event, UnitReady | UnitDied)] == [
+        UnitReady("count.1", 0),
+        UnitDied("work.1", "killed by SIGKILL"),
+    ]
+    assert [event.unit for event in events if isinstance(event, UnitHung)] == ["work.1"]
+    assert set(supervisor.environment.unit) == supervisor.alive == {"count.1"}
+    assert 30.0 < backend.now() < 60.0
 
 
 def test_a_stalled_supervisor_takes_nobody_for_hung_but_what_hangs() -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from cfgplan.domain import ComputationUnit, Host, Publication, Stream, Subscription, Transformation
 from cfgplan_runtime.children.messages import Release
 from cfgplan_runtime.children.unit_order import unit_order
-from cfgplan_runtime.fleet.orders import CutOrder, DiscardOrder, Held, HeldExport, HeldUnit, KillOrder
+from cfgplan_runtime.fleet.orders import CloseTopicOrder, CutOrder, DiscardOrder, Held, HeldExport, HeldUnit, KillOrder
 from cfgplan_runtime.fleet.routes import Crossing, OrderTo, Route, Routes
 from cfgplan_runtime.processes.process_backend import RELAY
 from cfgplan_runtime.supervision.backend import Found, FoundWire
@@ -32,15 +32,17 @@ class Adoption:
 def adopt(run: str, held: Mapping[str, Held], library: Mapping[str, Transformation]) -> Adoption:
     """Keep the units that `library` would start as they were started, and what goes between them.
 
-    `held` has what each host holds. New crossings will bear the name of `run`.
+    `held` has what each host holds. Of units, spares or topics of one name, which hosts have that were cut off from
+    each other, those of the latest manager are kept. New crossings will bear the name of `run`.
     """
+    held = dict(sorted(held.items(), key=lambda item: (-item[1].term, item[0])))
     units, ended_units = _kept({host: one.units for host, one in held.items()}, library)
     spares, ended_spares = _kept({host: one.spares for host, one in held.items()}, library)
     ended_spares += [(spares.pop(unit), unit) for unit in sorted(spares.keys() & units.keys())]
+    topics, closed = _topics(held)
     crossings, released = _crossings(held)
-    routes, has_switched, cut = _routes(held, units, crossings)
-    topics = {topic: (asked, host) for host, one in held.items() for topic, asked in one.topics.items()}
-    fed = [crossing for crossing in crossings.values() if crossing.stream.unit in units]
+    routes, has_switched, cut = _routes(held, units, {topic: host for topic, (_, host) in topics.items()}, crossings)
+    fed = [crossing for crossing in crossings.values() if units.get(crossing.stream.unit) == crossing.source]
     return Adoption(
         _found(held, units, spares, topics, routes, has_switched, library) if units or spares or topics else None,
         units,
@@ -52,6 +54,7 @@ def adopt(run: str, held: Mapping[str, Held], library: Mapping[str, Transformati
             *((host, DiscardOrder(spare)) for host, spare in ended_spares),
             *released,
             *cut,
+            *closed,
         ],
     )
 
@@ -59,16 +62,32 @@ def adopt(run: str, held: Mapping[str, Held], library: Mapping[str, Transformati
 def _kept(
     held: Mapping[str, Mapping[str, HeldUnit]], library: Mapping[str, Transformation]
 ) -> tuple[dict[str, str], list[tuple[str, str]]]:
-    """The host of each unit that was started as it would be now, and the hosts and ids of all others."""
+    """The host of each unit that was started as it would be now, and is not stopping; the hosts and ids of all others.
+
+    Of several of one id the first is kept.
+    """
     kept, ended = dict[str, str](), list[tuple[str, str]]()
     for host, units in held.items():
         for unit, known in units.items():
             transformation = library.get(known.label)
-            if transformation is not None and unit_order(unit, transformation, None) == known.order:
+            is_as_wanted = transformation is not None and unit_order(unit, transformation, None) == known.order
+            if is_as_wanted and not known.is_stopping and unit not in kept:
                 kept[unit] = host
             else:
                 ended.append((host, unit))
     return kept, ended
+
+
+def _topics(held: Mapping[str, Held]) -> tuple[dict[str, tuple[str | None, str]], list[OrderTo]]:
+    """By topic the host that was asked for and the first one where it is; what closes it on others."""
+    topics, orders = dict[str, tuple[str | None, str]](), list[OrderTo]()
+    for host, one in held.items():
+        for topic, asked in one.topics.items():
+            if topic in topics:
+                orders.append((host, CloseTopicOrder(topic)))
+            else:
+                topics[topic] = asked, host
+    return topics, orders
 
 
 def _crossings(held: Mapping[str, Held]) -> tuple[dict[str, Crossing], list[OrderTo]]:
@@ -90,7 +109,7 @@ def _crossing(name: str, export: HeldExport, stream: Stream, source: str, connec
 
 
 def _routes(
-    held: Mapping[str, Held], units: Mapping[str, str], crossings: Mapping[str, Crossing]
+    held: Mapping[str, Held], units: Mapping[str, str], topics: Mapping[str, str], crossings: Mapping[str, Crossing]
 ) -> tuple[list[Route], set[int], list[OrderTo]]:
     """The routes between units that are kept, which of their wires have switched, and the ends of all others."""
     routes, has_switched, orders = list[Route](), set[int](), list[OrderTo]()
@@ -98,11 +117,12 @@ def _routes(
         for known in one.wires:
             crossing = crossings.get(known.stream.port) if known.stream.unit == RELAY else None
             stream = known.stream if crossing is None else crossing.stream
-            is_wanted = known.inlet.is_outlet or known.inlet.unit in units
-            if stream.unit not in units or not is_wanted:
+            source = target if crossing is None else crossing.source
+            inlet_host = topics.get(known.inlet.port) if known.inlet.is_outlet else units.get(known.inlet.unit)
+            if units.get(stream.unit) != source or inlet_host != target:
                 orders.append((target, CutOrder(known.wire, known.inlet)))
                 continue
-            routes.append(Route(known.wire, stream, known.inlet, units[stream.unit], target, crossing))
+            routes.append(Route(known.wire, stream, known.inlet, source, target, crossing))
             if known.has_switched:
                 has_switched.add(known.wire)
     return routes, has_switched, orders

@@ -148,6 +148,8 @@ class Agent:
         self._topics: dict[str, str | None] = {}
         self._exports: dict[str, HeldExport] = {}
         self._imports: dict[str, HeldImport] = {}
+        self._held_term = 0
+        """The term of the manager before this one."""
         self._ahead_ns: int | None = None
         self._stopping: dict[str, tuple[str, ...]] = {}
         """Units that are to stop once marks for them have come by these crossings, unless those are gone."""
@@ -322,6 +324,7 @@ class Agent:
                 return
             if talk is not None and session.manager != talk.session.manager:
                 self._superseded = time.monotonic() + LEASE_S, talk.session
+                self._held_term = talk.session.term
             talk = self._talk = Talk(self._link, self.name, MANAGER, session, Order)
             self._orders.clear()
             self._is_left = False
@@ -359,6 +362,8 @@ class Agent:
                 backend.discard(spare)
             case StopOrder(unit, after):
                 self._stopping[unit] = after
+                if unit in self._units:
+                    self._units[unit].is_stopping = True
             case KillOrder(unit, dump):
                 if self._stopping.pop(unit, None) is not None:
                     backend.stop(unit)
@@ -401,7 +406,16 @@ class Agent:
 
     def _held(self) -> Held:
         wires = list(self._wires.values())
-        return Held(self._units, self._spares, wires, self._topics, self._exports, self._imports, self._ahead_ns)
+        return Held(
+            self._held_term,
+            self._units,
+            self._spares,
+            wires,
+            self._topics,
+            self._exports,
+            self._imports,
+            self._ahead_ns,
+        )
 
     def _hold_wire(self, order: ConnectOrder) -> None:
         if order.inlet.unit == RELAY and order.inlet.port in self._exports:

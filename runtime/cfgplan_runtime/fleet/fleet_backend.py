@@ -528,6 +528,8 @@ class FleetBackend:
 
     def _note(self, host: _HostState, event: Event) -> None:
         match event:
+            case UnitDied(unit) | UnitStopped(unit) if self._units.get(unit, host.name) != host.name:
+                return  # another of that id is kept elsewhere
             case UnitDied(unit) | UnitStopped(unit):
                 self._units.pop(unit, None)
                 host.usage.pop(unit, None)

@@ -170,6 +170,7 @@ class HeldUnit(msgspec.Struct):
     label: str
     order: UnitOrder
     labor_us: int | None = None
+    is_stopping: bool = False
 
 
 class HeldWire(msgspec.Struct):
@@ -197,8 +198,11 @@ class HeldImport(msgspec.Struct):
 
 
 class Held(msgspec.Struct):
-    """What an agent keeps on its host. `topics` have the host of their target."""
+    """What an agent keeps on its host by the orders of a manager of this `term`. `topics` have the host of their
+    target.
+    """
 
+    term: int = 0
     units: dict[str, HeldUnit] = {}
     spares: dict[str, HeldUnit] = {}
     wires: list[HeldWire] = []

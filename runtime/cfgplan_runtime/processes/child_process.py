@@ -11,6 +11,7 @@ import sys
 import time
 from dataclasses import dataclass, field
 from functools import cache
+from math import inf
 from pathlib import Path
 
 from cfgplan.costs import MICROSECONDS
@@ -61,6 +62,8 @@ class ChildProcess:
     """The cause of its end, as it told it."""
     is_spare: bool = False
     """Whether it waits to be a unit. Until then its name is that of a cold spare."""
+    due_s: float = inf
+    """When a spare has to be prepared, or has to have said where it hangs; infinite once it is prepared."""
     changed_ns: dict[str, int] = field(default_factory=dict)
     """The files of its code, as far as known, and when each was last changed, as the spare has read it."""
 

@@ -98,8 +98,10 @@ HELPER_S = 10.0
 _HELPER_START_S = 60.0
 """Seconds until the first sign of life: the nursery imports modules first."""
 _OUTLET_QUEUE = 1024
-_CODE_LOOK_S = 1.0
-"""Seconds until it is looked again whether the code of spares has changed."""
+_SPARES_LOOK_S = 1.0
+"""Seconds until it is looked again whether the code of spares has changed, or one hangs."""
+PREPARE_S = 30.0
+"""Seconds that a spare may take to be prepared."""
 _AGAIN_S, _MOST_AGAIN_S, _GOOD_LIFE_S = 0.1, 5.0, 10.0
 """Seconds until outlets that were lost twice in a row are made anew, doubled for each further loss up to the second
 value. A loss after a life of the third value is not in a row."""
@@ -182,8 +184,8 @@ class ProcessBackend:
         if self._outlets_due_s is not None and self._outlets_due_s <= self.now():
             self._start_outlets()
         if self._look_due_s <= self.now():
-            self._look_due_s = self.now() + _CODE_LOOK_S
-            self._end_changed_spares()
+            self._look_due_s = self.now() + _SPARES_LOOK_S
+            self._watch_spares()
         events, self._events = self._events, []
         return events
 
@@ -205,7 +207,7 @@ class ProcessBackend:
             self._fork(order.unit, self._here(order))
             return
         del self._spares[spare]
-        prepared.name, prepared.is_spare = order.unit, False
+        prepared.name, prepared.is_spare, prepared.trouble = order.unit, False, ""
         self._by_name[order.unit] = prepared
         self._events.append(SpareUsed(order.unit, spare))
         self._tell(prepared, BeginUnit(order.unit, order.state))
@@ -219,8 +221,9 @@ class ProcessBackend:
         child = self._fork(order.unit, SpareOrder(self._here(order)))
         place = Path(self._code_folder, order.source.rpartition(":")[0])
         changed = changed_ns(place)
-        if child is not None and changed is not None:
-            child.changed_ns = {str(place): changed}
+        if child is not None:
+            child.due_s = self.now() + PREPARE_S
+            child.changed_ns = {} if changed is None else {str(place): changed}
 
     def discard(self, spare: str) -> None:
         child = self._spares.pop(spare, None)
@@ -491,7 +494,7 @@ class ProcessBackend:
                 child.labor_us = cpu_ns // 1000
                 self._tell_ready(child)
             case Prepared(cpu_ns, changed):
-                child.changed_ns |= changed
+                child.due_s, child.changed_ns = inf, child.changed_ns | changed
                 if self._spares.get(name) is child:
                     self._events.append(SparePrepared(name, cpu_ns // 1000))
             case Switched(_, wire):
@@ -524,11 +527,17 @@ class ProcessBackend:
         offset_ns = self.clock_offset_ns - self._ahead_ns
         return msgspec.structs.replace(order, folder=self._code_folder, clock_offset_ns=offset_ns)
 
-    def _end_changed_spares(self) -> None:
+    def _watch_spares(self) -> None:
+        """End the spares whose code has changed, and those that hang, once they have printed where they are."""
         for child in self._spares.values():
-            changed = child.changed_file()
+            changed, hangs = child.changed_file(), child.due_s <= self.now()
             if changed is not None:
                 child.trouble = f"{changed} has changed since it was prepared"
+            elif hangs and not child.trouble:
+                child.trouble = f"was not prepared within {PREPARE_S:g} s"
+                self._nursery.kill(child.serial, dump=True)
+                continue
+            if changed is not None or hangs:
                 self._nursery.kill(child.serial)
 
     def _tell(self, child: ChildProcess, message: object, sockets: Sequence[socket.socket] = ()) -> None:

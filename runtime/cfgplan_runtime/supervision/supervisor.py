@@ -87,6 +87,8 @@ class Supervisor:
         self.is_abandoned = False
         self._report = report
         self._applied: dict[str, Applied] = {}
+        self._update_patience = Patience()
+        """That of the last update."""
         self._records: dict[str, UnitRecord] = {}
         self._states: dict[str, bytes] = {}
         self._library: dict[str, Transformation] = {}
@@ -126,8 +128,9 @@ class Supervisor:
         name = id or uuid.uuid4().hex[:12]
         self.cause_of_death.clear()
         self.is_abandoned = False
+        self._update_patience = patience or Patience()
         try:
-            commands = carry_out(self, change_set, after, patience or Patience(), keeps_new=keeps_new)
+            commands = carry_out(self, change_set, after, self._update_patience, keeps_new=keeps_new)
             carried = self._drive(commands)
         except ApplyError as error:
             self.spares.keep(self.environment, self.now())
@@ -255,12 +258,17 @@ class Supervisor:
                 raise RuntimeFaultError("the runtime is closed")
             self.pump(deadline - self.now())
 
+    @property
+    def _patience_to_start_s(self) -> float:
+        """How long a unit may take to be ready that no update waits for: an update has ended it before."""
+        return self._update_patience.start_s + self._update_patience.kill_s
+
     def _start(self, unit: ComputationUnit, transformation: Transformation) -> None:
         self.alive.add(unit.id)
         self.ready.discard(unit.id)
         self.cause_of_death.pop(unit.id, None)
         self._library[unit.id] = transformation
-        self._records[unit.id] = UnitRecord(transformation.label, unit.host)
+        self._records[unit.id] = UnitRecord(transformation.label, unit.host, sign_s=self.now())
         spare = self.spares.take(transformation, unit.host)
         self.backend.start(unit.id, transformation, self._states.get(transformation.label), unit.host, spare)
 
@@ -363,13 +371,13 @@ class Supervisor:
                 del self._patience[helper]
                 self._report(HelperHung(helper, now - sign_s))
                 self.backend.renew(helper)
-        for unit in sorted(self.ready):
+        for unit in sorted(self.alive):
             record, run = self._records[unit], self._library[unit].run
             if record.killed_s is not None:
                 if now - record.killed_s >= _TIME_TO_DUMP_S:
                     self.backend.kill(unit)
                 continue
-            patience_s = _patience_s(self._library[unit])
+            patience_s = _patience_s(self._library[unit]) if unit in self.ready else self._patience_to_start_s
             if patience_s is not None and now - record.sign_s > patience_s:
                 record.killed_s = now
                 self._report(UnitHung(unit, now - record.sign_s))

@@ -1,0 +1,102 @@
+"""What a manager keeps of what it finds on its hosts, without a network."""
+
+from __future__ import annotations
+
+from cfgplan_runtime.children.messages import Export, Import
+from cfgplan_runtime.children.unit_order import unit_order
+from cfgplan_runtime.fleet.adoption import Adoption, adopt
+from cfgplan_runtime.fleet.orders import (
+    CloseTopicOrder,
+    CutOrder,
+    DiscardOrder,
+    Held,
+    HeldExport,
+    HeldImport,
+    HeldUnit,
+    HeldWire,
+    KillOrder,
+)
+from cfgplan_runtime.processes.process_backend import RELAY
+from cfgplan_runtime.supervision.backend import FoundWire, Inlet
+from small_fleet import cold, source, unit, worker
+
+from cfgplan.domain import ComputationUnit, Publication, Stream
+
+LIBRARY = {one.label: one for one in (source(), worker())}
+COUNTED, WORKED = Stream("count.1", "n"), Stream("work.1", "y")
+TO_WORK, TO_TOPIC = Inlet("work.1", "x"), Inlet("", "/result")
+
+
+def started(*units: str, is_stopping: bool = False) -> dict[str, HeldUnit]:
+    """Units `label.N` as they were started, with their labor."""
+    labels = {one: one.rpartition(".")[0] for one in units}
+    return {
+        one: HeldUnit(label, unit_order(one, LIBRARY[label], None), 7, is_stopping) for one, label in labels.items()
+    }
+
+
+def found_units(adoption: Adoption) -> set[object]:
+    return set() if adoption.found is None else set(adoption.found.units)
+
+
+def test_of_two_units_of_one_id_that_of_the_latest_manager_is_kept_with_its_wires() -> None:
+    apart = Held(
+        term=1,
+        units=started("count.1", "work.1"),
+        spares=started("work.9"),
+        wires=[HeldWire(1, COUNTED, TO_WORK), HeldWire(2, WORKED, TO_TOPIC, has_switched=True)],
+        topics={"/result": None},
+    )
+    later = Held(
+        term=2,
+        units=started("work.1"),
+        spares=started("work.9"),
+        wires=[HeldWire(4, WORKED, TO_TOPIC, has_switched=True)],
+        topics={"/result": None},
+    )
+    adoption = adopt("new", {"r1": apart, "r2": later}, LIBRARY)
+    assert found_units(adoption) == {
+        unit("count.1", "r1"),
+        ComputationUnit("work.1", "work", (), (Publication("y", "/result"),), "r2"),
+        cold("work.9", "r2"),
+    }
+    assert adoption.found is not None
+    assert adoption.found.wires == (FoundWire(4, WORKED, TO_TOPIC, has_switched=True),)
+    assert adoption.topics == {"/result": (None, "r2")}
+    assert sorted(adoption.orders, key=str) == sorted(
+        [
+            ("r1", KillOrder("work.1", dump=False)),
+            ("r1", DiscardOrder("work.9")),
+            ("r1", CutOrder(1, TO_WORK)),
+            ("r1", CutOrder(2, TO_TOPIC)),
+            ("r1", CloseTopicOrder("/result")),
+        ],
+        key=str,
+    )
+
+
+def test_a_stream_from_the_other_one_of_two_units_of_one_id_is_cut() -> None:
+    def at(host: str, term: int) -> Held:
+        return Held(
+            term=term, units=started("count.1"), exports={host: HeldExport(Export(host, "r3", 9, False), -1, COUNTED)}
+        )
+
+    fed = Held(
+        term=2,
+        units=started("work.1"),
+        wires=[HeldWire(3, Stream(RELAY, "r1"), TO_WORK)],
+        imports={name: HeldImport(Import(name, name), 1) for name in ("r1", "r2")},
+    )
+    adoption = adopt("new", {"r1": at("r1", 1), "r2": at("r2", 2), "r3": fed}, LIBRARY)
+    assert adoption.orders == [("r1", KillOrder("count.1", dump=False)), ("r3", CutOrder(3, TO_WORK))]
+    (wire, *_), feeding = adoption.routes.connect(5, COUNTED, TO_WORK, "r2", "r3", queue=9, blocks=False), "r2"
+    assert wire[1].stream == Stream(RELAY, feeding), (
+        "of the crossings of one stream that of the unit that is kept is used"
+    )
+
+
+def test_a_unit_that_was_told_to_stop_is_not_taken_for_one_that_runs() -> None:
+    held = Held(units=started("count.1") | started("work.1", is_stopping=True))
+    adoption = adopt("new", {"r1": held}, LIBRARY)
+    assert found_units(adoption) == {unit("count.1", "r1")}
+    assert adoption.orders == [("r1", KillOrder("work.1", dump=False))]
