@@ -135,15 +135,16 @@ class Problem:
         """How many units of a transformation a plan may start: one, unless more are asked for or allowed.
 
         Of one that others run with it is one for each host; where inputs that its outputs may feed count streams, the
-        largest count.
+        largest count. Where failures are to be survived it is one more.
         """
         if transformation.max_instances is not None:
             return min(transformation.max_instances, MOST_INSTANCES)
-        usual = 1 if self.survive is None else 2
+        spares = 0 if self.survive is None else 1
+        usual = 1 + spares
         if transformation.label in self.environment.companions:
             usual = max(usual, len(self.environment.hosts_for(transformation)))
         counted = (n for tag, n in self._counts.items() for o in transformation.outputs if self._may_feed(o.tag, tag))
-        return max(min(max(usual, transformation.min_instances), MOST_INSTANCES), *counted, 0)
+        return max(min(max(usual, transformation.min_instances), MOST_INSTANCES), max(counted, default=0) + spares)
 
     @cached_property
     def _counts(self) -> Mapping[str, int]:

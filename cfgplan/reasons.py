@@ -113,15 +113,18 @@ class Givers:
         return self._similarity.offers.get(tag, frozenset())
 
 
-def startable(environment: Environment, givers: Givers, each: Each = iter) -> frozenset[str]:
+def startable(
+    environment: Environment, givers: Givers, each: Each = iter, units: Mapping[str, int] | None = None
+) -> frozenset[str]:
     """The labels of all transformations of which a unit can be fed in some valid, grounded wiring.
 
     More providers never hurt, so one wiring feeds them all at once. A feedback input may be fed by any
-    member of the answer, the other inputs only by members that come before.
+    member of the answer, the other inputs only by members that come before. With `units` there are only so many of
+    each transformation; that outputs serve only so many is not looked at.
     """
     alive = frozenset(environment.transformation)
     while True:
-        reached = forward_closure(environment, givers, alive, each)
+        reached = forward_closure(environment, givers, alive, each, units)
         if reached == alive or not any(
             p.feedback and not p.optional for t in environment.library if t.label in reached for p in t.inputs
         ):
@@ -188,7 +191,11 @@ def assign_different(choices: Mapping[str, Collection[str]]) -> dict[str, str] |
 
 
 def forward_closure(
-    environment: Environment, givers: Givers, alive: frozenset[str], each: Each = iter
+    environment: Environment,
+    givers: Givers,
+    alive: frozenset[str],
+    each: Each = iter,
+    units: Mapping[str, int] | None = None,
 ) -> frozenset[str]:
     """The labels of the transformations that can be fed, starting from sources. A feedback input may be fed by anything
     `alive`.
@@ -223,7 +230,8 @@ def forward_closure(
                         accepting[each].append(tag)
                     return
                 fed.add(tag)
-        (crowded if distinct_groups(transformation) else ahead).append(transformation)
+        is_crowded = distinct_groups(transformation) or (units and any(p.count > 1 for p in transformation.inputs))
+        (crowded if is_crowded else ahead).append(transformation)
 
     for transformation in each(environment.library):
         if transformation.label in alive:
@@ -239,6 +247,7 @@ def forward_closure(
                         for consumer in waiting.pop(tag, ()):
                             go_on(consumer)
         ahead = [t for t in crowded if _groups_can_be_fed(t, givers, reached, alive)]
+        ahead = ahead if units is None else [t for t in ahead if _is_fed_by(units, t, givers, reached, alive)]
         if not ahead:
             break
         ready = {t.label for t in ahead}
@@ -255,6 +264,20 @@ def _groups_can_be_fed(
         )
         is not None
         for group in distinct_groups(transformation)
+    )
+
+
+def _is_fed_by(
+    units: Mapping[str, int],
+    transformation: Transformation,
+    givers: Givers,
+    before: Collection[str],
+    alive: Collection[str],
+) -> bool:
+    """Whether there are so many units of other transformations as inputs take streams."""
+    return all(
+        port.count <= sum(units[g] for g in givers.of(port.tag) if g in (alive if port.feedback else before))
+        for port in transformation.needed_inputs
     )
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 
 from cfgplan.domain import (
+    ALL,
     ChangeSet,
     ComputationUnit,
     Environment,
@@ -177,6 +178,62 @@ def test_what_no_single_failure_may_break_needs_spares() -> None:
     roomy = replace(VALID, units=(camera, detector, *spares), hosts=(Host("robot"), Host("base")))
     assert rules(roomy, Failures.UNITS) == set()
     assert rules(roomy, Failures.HOSTS) == {Broken.SURVIVES}
+
+
+def test_after_a_failure_inputs_take_as_many_streams_as_before() -> None:
+    several = replace(DETECTOR, inputs=(InputPort("image", "Image", count=2),), standby_us=1)
+    spare = ComputationUnit("detector.2", "detector", host="base", standby=True)
+    cameras = [replace(camera, id=f"camera.{number}") for number in (1, 2, 3)]
+    feeds = tuple(Subscription("image", Stream(f"camera.{number}", "out")) for number in (1, 2))
+    two = replace(
+        VALID,
+        units=(*cameras[:2], replace(detector, subscriptions=feeds), spare),
+        library=(CAMERA, several),
+        hosts=(Host("robot"), Host("base")),
+    )
+    assert rules(two) == {Broken.LEAN}
+    assert rules(two, Failures.UNITS) == {Broken.SURVIVES}
+    assert rules(replace(two, units=(*two.units, cameras[2])), Failures.UNITS) == set()
+
+
+@pytest.mark.parametrize(
+    ("serves", "expected"),
+    [(1, [f"if unit detector.{n} fails, what is left can't be wired to meet all targets" for n in (1, 2)]), (2, [])],
+)
+def test_after_a_failure_no_stream_serves_more_than_it_may(serves: int, expected: list[str]) -> None:
+    targets = tuple(replace(TARGET, label=f"t{n}", topic=f"/{n}", quality=()) for n in (1, 2))
+    scarce = replace(DETECTOR, outputs=(replace(BALL, serves=serves),))
+    cameras = (camera, ComputationUnit("camera.2", "camera", host="robot", standby=True))
+    detectors = (
+        replace(detector, id=f"detector.{n}", publications=(Publication("ball", f"/{n}"),), host="base") for n in (1, 2)
+    )
+    hosts = (Host("robot"), Host("base"))
+    environment = replace(VALID, units=(*cameras, *detectors), library=(CAMERA, scarce), targets=targets, hosts=hosts)
+    assert [str(violation) for violation in violations(environment, SIMILARITY, Failures.UNITS)] == expected
+
+
+def test_what_closes_a_cycle_with_an_input_that_takes_all_does_not_run_after_a_failure() -> None:
+    def kind(label: str, takes: str, gives: str, **said: int) -> Transformation:
+        inputs = tuple(InputPort("i", tag, **said) for tag in takes)
+        return Transformation(label, inputs, tuple(OutputPort("o", tag) for tag in gives), standby_us=1)
+
+    library = (kind("bell", "", "A"), kind("log", "A", "L", count=ALL), kind("echo", "L", "A"), kind("wire", "", "L"))
+    offers = Similarity({tag: frozenset({tag}) for tag in "AL"})
+    units = (
+        ComputationUnit("log.1", "log", (Subscription("i", Stream("bell.1", "o")),), (Publication("o", "/l"),)),
+        ComputationUnit("bell.1", "bell"),
+        ComputationUnit("echo.1", "echo", standby=True),
+    )
+    spares = (ComputationUnit("log.2", "log", standby=True), ComputationUnit("wire.1", "wire", standby=True))
+
+    def fatal(target: str, units: tuple[ComputationUnit, ...]) -> set[str | None]:
+        environment = Environment(units, library, (Target("t", target, "/l"),))
+        found = violations(environment, offers, Failures.UNITS)
+        return {violation.unit for violation in found if violation.rule is Broken.SURVIVES}
+
+    assert fatal("L", units) == {"bell.1", "log.1"}
+    assert fatal("L", (*units, spares[0])) == {"bell.1"}
+    assert fatal("L", (*units, *spares)) == set()
 
 
 def test_a_spare_that_no_failure_needs_is_needless() -> None:

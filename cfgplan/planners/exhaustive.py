@@ -32,7 +32,7 @@ from cfgplan.validity.hosts import carried_us, company_violations, placing_viola
 from cfgplan.validity.plans import cost_us, unused_required, values_of
 from cfgplan.validity.quality import priced_us
 from cfgplan.validity.startable import givers_by_tag, startable
-from cfgplan.validity.survival import survival_violations
+from cfgplan.validity.survival import justified_spares, survival_violations
 
 MOST_SETS = 300_000
 """More sets of units are refused."""
@@ -125,13 +125,18 @@ def _configurations(
         after = replace(environment, units=units)
         if not pinned.issubset(after.unit) or any(survival_violations(after, similarity, problem.survive)):
             continue
+        spares: set[str] | None = None
         for rewired, wired in _wirings(problem, units, steps, partial(_may_rewire, may_do, least)):
             steps.wirings += 1
             after = replace(environment, units=wired)
             more_us = carried_us(after, problem.horizon_s) + priced_us(after) + unfed_us(after, problem.horizon_s)
             unused, dear_us = len(unused_required(after)), least.cost_us + more_us
             rank = OracleRank(unused, _first(problem, after, dear_us, rewired), dear_us, rewired, least.started)
-            if may_do(rank) and not violations(after, similarity, problem.survive, problem.horizon_s):
+            if not may_do(rank):
+                continue
+            if spares is None:
+                spares = justified_spares(after, similarity, problem.survive)
+            if not violations(after, similarity, None, problem.horizon_s, spares):
                 yield rank, after
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from graphlib import CycleError, TopologicalSorter
 
 from cfgplan.domain import Environment, Similarity, Stream
@@ -17,11 +17,16 @@ from cfgplan.validity.survival import justified_spares, survival_violations
 
 
 def violations(
-    environment: Environment, similarity: Similarity, survive: Failures | None = None, horizon_s: int = 0
+    environment: Environment,
+    similarity: Similarity,
+    survive: Failures | None = None,
+    horizon_s: int = 0,
+    spares: Collection[str] = (),
 ) -> list[Violation]:
     """Every rule that the running configuration violates; empty when it is valid (Definition 9).
 
     With `survive`, it must bear every single failure of that kind too; the energy of hosts has to last for the horizon.
+    Whoever knows that it does, and which are its `justified_spares`, passes these instead.
     """
     return [
         *_unknown_transformations(environment),
@@ -39,7 +44,7 @@ def violations(
         *link_violations(environment),
         *instance_violations(environment),
         *survival_violations(environment, similarity, survive),
-        *_needless_units(environment, similarity, survive),
+        *_needless_units(environment, similarity, survive, spares),
     ]
 
 
@@ -140,13 +145,15 @@ def _indistinct_feeds(environment: Environment) -> Iterator[Violation]:
                 yield Violation(Rule.DISTINCT, text, unit.id, ports[0])
 
 
-def _needless_units(environment: Environment, similarity: Similarity, survive: Failures | None) -> Iterator[Violation]:
+def _needless_units(
+    environment: Environment, similarity: Similarity, survive: Failures | None, spares: Collection[str]
+) -> Iterator[Violation]:
     kept = {unit.id for unit, transformation in known_units(environment) if transformation.pinned and not unit.standby}
     kept |= asked_by_number(environment)
     company = company_of(environment)
-    needed = needed_by(environment, meeting_targets(environment) | kept, company)
+    needed = needed_by(environment, meeting_targets(environment).union(kept, spares), company)
     if len(needed) < len(environment.units):
-        needed |= needed_by(environment, justified_spares(environment, similarity, survive), company)
+        needed |= needed_by(environment, justified_spares(environment, similarity, survive, needed), company)
     for unit in environment.units:
         if unit.id not in needed:
             yield Violation(Rule.LEAN, f"unit {unit.id} runs, but no target needs it", unit.id)

@@ -5,25 +5,28 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Mapping
 
-from cfgplan.domain import Environment, Similarity, Transformation
+from cfgplan.domain import Environment, InputPort, Similarity, Transformation
 
 
-def startable(environment: Environment, similarity: Similarity) -> set[str]:
+def startable(environment: Environment, similarity: Similarity, units: Mapping[str, int] | None = None) -> set[str]:
     """The labels of all transformations of which a unit can run in some valid wiring.
 
     More providers never hurt, so it is enough to look at all of them running at once: the largest
     set whose ordinary inputs are fed by members that come before and feedback inputs by any member.
+    With `units` there are only so many of each; that outputs serve only so many is not looked at.
     """
     givers = givers_by_tag(environment, similarity)
     candidates = set(environment.transformation)
     while True:
-        grounded = _grounded(environment, givers, candidates)
+        grounded = _grounded(environment, givers, candidates, units)
         if grounded == candidates:
             return grounded
         candidates = grounded
 
 
-def _grounded(environment: Environment, givers: Mapping[str, set[str]], candidates: set[str]) -> set[str]:
+def _grounded(
+    environment: Environment, givers: Mapping[str, set[str]], candidates: set[str], units: Mapping[str, int] | None
+) -> set[str]:
     """The candidates that are fed from sources on; each is looked at again when it may have got a feeder."""
     giving: dict[str, list[str]] = defaultdict(list)
     for tag, labels in givers.items():
@@ -37,25 +40,36 @@ def _grounded(environment: Environment, givers: Mapping[str, set[str]], candidat
     given: set[str] = set()
     ahead = [environment.transformation[label] for label in candidates]
     for one in ahead:
-        if one.label in grounded or not _can_be_fed(givers, one, grounded, candidates):
+        if one.label in grounded or not _can_be_fed(givers, one, grounded, candidates, units):
             continue
         grounded.add(one.label)
         for tag in giving[one.label]:
             is_first = tag not in given
             given.add(tag)
-            ahead += [t for t in taking[tag] if is_first or any(port.distinct is not None for port in t.inputs)]
+            ahead += [t for t in taking[tag] if is_first or any(_takes_several(port) for port in t.inputs)]
     return grounded
 
 
+def _takes_several(port: InputPort) -> bool:
+    return port.distinct is not None or port.count > 1
+
+
 def _can_be_fed(
-    givers: Mapping[str, set[str]], transformation: Transformation, before: set[str], anywhere: set[str]
+    givers: Mapping[str, set[str]],
+    transformation: Transformation,
+    before: set[str],
+    anywhere: set[str],
+    units: Mapping[str, int] | None,
 ) -> bool:
     choices: dict[str, dict[str, set[str]]] = defaultdict(dict)
     for port in transformation.needed_inputs:
         group = port.distinct if port.distinct is not None else f"\0{port.name}"
         allowed = anywhere if port.feedback else before
+        feeding = givers.get(port.tag, set()) & allowed
+        if units is not None and sum(units.get(label, 0) for label in feeding) < port.count:
+            return False
         for number in range(max(port.count, 1) if port.distinct is not None else 1):
-            choices[group][f"{port.name}\0{number}"] = givers.get(port.tag, set()) & allowed
+            choices[group][f"{port.name}\0{number}"] = feeding
     return all(different_choices_exist(group) for group in choices.values())
 
 

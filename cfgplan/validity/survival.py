@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Collection, Iterator
 from dataclasses import replace
 
-from cfgplan.domain import ComputationUnit, Environment, Similarity, Target, Transformation
+from cfgplan.domain import ComputationUnit, Environment, Similarity, Target
 from cfgplan.planning import Failures
 from cfgplan.validity.reading import known_units
+from cfgplan.validity.rewiring import Known, Rewiring
 from cfgplan.validity.rules import Rule, Violation
 from cfgplan.validity.startable import givers_by_tag, startable
 
@@ -20,20 +22,27 @@ def survival_violations(
         return
     units, givers = list(known_units(environment)), givers_by_tag(environment, similarity)
     for what, lost, targets in _failures(environment, survive):
-        left = [(unit, transformation) for unit, transformation in units if unit.id not in lost]
-        for target in _unmet(left, givers, similarity, targets):
+        left = _able([(unit, kind) for unit, kind in units if unit.id not in lost], similarity)
+        labels, lone = {kind.label for _, kind in left}, next(iter(lost)) if len(lost) == 1 else None
+        unmet = [target for target in targets if labels.isdisjoint(givers.get(target.tag, ()))]
+        for target in unmet:
             text = f"if {what} fails, nothing else can meet target {target.label}"
-            yield Violation(Rule.SURVIVES, text, next(iter(lost)) if len(lost) == 1 else None, target=target.label)
+            yield Violation(Rule.SURVIVES, text, lone, target=target.label)
+        if not unmet and not Rewiring(left, similarity, targets).exists():
+            text = f"if {what} fails, what is left can't be wired to meet all targets"
+            yield Violation(Rule.SURVIVES, text, lone)
 
 
-def justified_spares(environment: Environment, similarity: Similarity, survive: Failures | None) -> set[str]:
-    """The units without which the others would not bear some failure."""
+def justified_spares(
+    environment: Environment, similarity: Similarity, survive: Failures | None, but: Collection[str] = ()
+) -> set[str]:
+    """The units without which the others would not bear some failure; those of `but` are left out."""
     if survive is None:
         return set()
     return {
         unit.id
         for unit in environment.units
-        if any(survival_violations(_without(environment, unit), similarity, survive))
+        if unit.id not in but and any(survival_violations(_without(environment, unit), similarity, survive))
     }
 
 
@@ -51,15 +60,11 @@ def _failures(environment: Environment, survive: Failures) -> Iterator[tuple[str
         yield f"host {host.name}", lost, tuple(target for target in environment.targets if target.host != host.name)
 
 
-def _unmet(
-    left: list[tuple[ComputationUnit, Transformation]],
-    givers: Mapping[str, set[str]],
-    similarity: Similarity,
-    targets: tuple[Target, ...],
-) -> Iterator[Target]:
-    """The targets that no wiring of what is left meets: more units never hurt, so all of them may run."""
+def _able(left: list[Known], similarity: Similarity) -> list[Known]:
+    """The units that can run if all of them may: more units never hurt, but where they compete for streams."""
     while True:
-        labels = startable(Environment((), tuple({kind.label: kind for _, kind in left}.values())), similarity)
+        library = tuple({kind.label: kind for _, kind in left}.values())
+        labels = startable(Environment((), library), similarity, Counter(kind.label for _, kind in left))
         there = {(unit.transformation, unit.host) for unit, _ in left}
         able = [
             (unit, kind)
@@ -67,6 +72,5 @@ def _unmet(
             if kind.label in labels and all((other, unit.host) in there for other in kind.beside)
         ]
         if len(able) == len(left):
-            break
+            return able
         left = able
-    yield from (target for target in targets if labels.isdisjoint(givers.get(target.tag, ())))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from math import comb, prod
 from types import MappingProxyType
 from typing import Any
 
@@ -40,6 +41,15 @@ def differences(problem: Problem, found: Plan, oracle: Plan) -> list[str]:
     if as_good(found) != as_good(oracle):
         wrong.append(f"the planner says {as_good(found)}, the oracle {as_good(oracle)}")
     return wrong
+
+
+def sets_of_units(problem: Problem) -> int:
+    """How many sets of units the oracle tries, about."""
+    environment = problem.environment
+    waits = [t.standby_us is not None and problem.survive is not None for t in environment.library]
+    places = [len(environment.hosts_for(t)) * (1 + wait) for t, wait in zip(environment.library, waits, strict=True)]
+    new = [comb(there + problem.most_new(t), there) for t, there in zip(environment.library, places, strict=True)]
+    return 2 ** len(environment.units) * prod(new)
 
 
 def of_one(problem: Problem) -> list[str]:
@@ -90,6 +100,15 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
             of_one,
         ),
         "latency": Kind(fleets(QUALITY | HOSTS | {Notion.LATENCY}, most=2), of_one),
+        "survival of wiring": Kind(
+            st.one_of(
+                fleets(SURVIVAL | OPTIONAL),
+                fleets(SURVIVAL | COUNTS | LIMITS, most=2),
+                fleets(SURVIVAL | WIRING | NUMBERS, most=2),
+                fleets(SURVIVAL | WIRING | HOSTS | BESIDE, most=2),
+            ).filter(lambda problem: bool(problem.notions & WIRING) and sets_of_units(problem) < 2000),
+            of_one,
+        ),
         "survival": Kind(st.one_of(fleets(SURVIVAL), fleets(SURVIVAL | HOSTS, most=2)), of_one),
         "optional": Kind(st.one_of(fleets(OPTIONAL), fleets(OPTIONAL, most=4)), of_one),
         "counts": Kind(st.one_of(fleets(COUNTS), fleets(WIRING)), of_one),

@@ -13,6 +13,7 @@ import pytest
 
 from cfgplan.domain import (
     ALL,
+    ChangeSet,
     ComputationUnit,
     Environment,
     InputPort,
@@ -367,35 +368,52 @@ def test_a_count_starts_as_many_units_as_it_takes() -> None:
     ]
 
 
-@pytest.mark.parametrize(
-    ("port", "word"), [({"count": 2}, "inputs that take several streams"), ({"optional": True}, "optional inputs")]
-)
-def test_what_is_not_known_together_with_survival_is_refused_by_name(port: dict[str, Any], word: str) -> None:
-    problem = world(
-        "B", make("source", gives="A"), replace(make("sink", "A", "B"), inputs=(InputPort("i", "A", **port),))
+def backends(**said: Any) -> Problem:
+    """A balancer of two backends, each of which asks a database; every unit may fail."""
+    database = Transformation(
+        "database", (), (OutputPort("rows", "A", **said),), labor_us=9, upkeep_us=9, max_instances=3
     )
-    with pytest.raises(InputError, match=f"does not know survival of failures together with {word}"):
-        cpsat_plan(replace(problem, survive=Failures.UNITS))
+    balancer = replace(make("balancer", "B", "C", upkeep=3), inputs=(InputPort("pages", "B", count=2),))
+    library = (replace(t, standby_us=1) for t in (database, make("backend", "A", "B", labor=5, upkeep=3), balancer))
+    return replace(world("C", *library), survive=Failures.UNITS)
 
 
-def test_branch_and_bound_refuses_targets_that_want_a_unit_by_name() -> None:
-    problem = world("", make("sink", gives="A"))
-    wanting = problem.with_parts(targets=(Target("t", run="sink"),))
-    with pytest.raises(InputError, match="does not know targets that want a unit, not a stream"):
-        PLANNERS["branch-and-bound"](wanting)
+@pytest.mark.parametrize(("said", "databases"), [({}, (1, 1)), ({"serves": 2}, (1, 1)), ({"serves": 1}, (2, 1))])
+def test_after_a_failure_as_many_streams_are_there_as_inputs_take(
+    said: dict[str, Any], databases: tuple[int, int]
+) -> None:
+    problem = backends(**said)
+    plan = cpsat_plan(problem)
+    assert plan.status is Status.OPTIMAL
+    assert plan_violations(problem, plan) == []
+    there = problem.after(plan).units
+    numbers = {
+        label: tuple(sum((u.transformation, u.standby) == (label, waits) for u in there) for waits in (False, True))
+        for label in ("database", "backend", "balancer")
+    }
+    assert numbers == {"database": databases, "backend": (2, 1), "balancer": (1, 1)}
 
 
-@pytest.mark.parametrize("name", ["branch-and-bound"])
-def test_a_planner_that_does_not_know_counted_and_optional_inputs_refuses_them(name: str) -> None:
-    for port in (InputPort("in0", "A", count=2), InputPort("in0", "A", optional=True)):
-        problem = world("B", make("source", gives="A"), replace(make("sink", "A", "B"), inputs=(port,)))
-        with pytest.raises(InputError, match=r"does not know (inputs that take several streams|optional inputs)"):
-            PLANNERS[name](problem)
+def test_it_is_said_after_which_failure_there_are_too_few_units_for_an_input() -> None:
+    problem = backends()
+    two = tuple(replace(t, max_instances=2) if t.label == "backend" else t for t in problem.environment.library)
+    found = cpsat_plan(problem.with_parts(library=two))
+    assert found.status is Status.INFEASIBLE
+    assert found.reasons == {"C": "target C would have no stream if one of 2 units of backend fails"}
 
 
-def test_open_pairs_at_an_input_that_takes_all_leave_a_plan_without_a_claim() -> None:
-    sink = replace(make("sink", "A", "B"), inputs=(InputPort("in0", "A", count=ALL),))
-    problem = world("BC", make("source", gives="A"), make("other", gives="C"), sink)
-    plan = cpsat_plan(replace(problem, similarity=Similarity(problem.similarity.offers, {"A": frozenset("C")})))
-    assert (plan.status, plan.bound_us, plan.undecided) == (Status.FEASIBLE, 0, (("C", "A"),))
-    assert cpsat_plan(problem).status is Status.OPTIMAL
+def test_an_input_that_starts_nothing_is_fed_by_a_unit_that_runs_for_a_failure_and_by_no_other() -> None:
+    one, other = make("one", gives="A", upkeep=0), make("other", gives="A", upkeep=0)
+    screen = replace(make("screen", "A", "D"), inputs=(InputPort("in0", "A", optional=True),))
+    runs = (
+        unit("one", topics={"/A": "out0"}),
+        unit("other"),
+        unit("screen", "other.1/out0", topics={"/D": "out0"}),
+        unit("screen", "other.1/out0", number=2),
+    )
+    problem = world("AD", one, other, screen, units=runs)
+    fragile, firm = cpsat_plan(problem), cpsat_plan(replace(problem, survive=Failures.UNITS))
+    assert fragile.change_set is not None
+    assert fragile.change_set.stopped == ("other.1", "screen.2")
+    assert [str(s.stream) for u in fragile.change_set.rewired for s in u.subscriptions] == ["one.1/out0"]
+    assert (firm.status, firm.change_set) == (Status.OPTIMAL, ChangeSet())

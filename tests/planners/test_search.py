@@ -95,7 +95,7 @@ def test_a_solution_that_is_no_plan_for_no_reason_is_an_error() -> None:
 
 def test_a_failure_that_is_not_survived_although_enough_is_demanded_is_an_error() -> None:
     problem = replace(random_library(0, transformations=12, targets=1), survive=Failures.UNITS)
-    always = [Missed(frozenset({problem.environment.library[0].label}))]
+    always = [Missed(frozenset({((problem.environment.library[0].label, None), 0)}))]
     alone = search_alone(problem)
     with mock.patch.object(Survival, "missed", lambda *_: always), pytest.raises(ContradictionError):
         alone.run()

@@ -127,6 +127,8 @@ class Candidates:
         self.least: dict[QualityAttribute, dict[Stream, int]] = {}
         self.most: dict[tuple[object, ...], dict[str, int]] = {}
         """Caches of `best_case`: the least badness of each stream, and the largest of use with some bounds."""
+        self.can_share: dict[tuple[object, ...], bool] = {}
+        """A cache of `survivors`: whether so many units of each site can meet some targets."""
 
     def among(self, labels: Collection[str]) -> Candidates:
         """The candidates of some transformations, with the bounds and useless streams known so far."""

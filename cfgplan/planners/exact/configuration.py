@@ -130,7 +130,7 @@ class Configuration:
     def _bears(self, host: str | None, left: Collection[int], targets: tuple[Target, ...]) -> bool:
         """Add spares that meet the targets together with the units `left` after a failure. False if there are none."""
         candidates, labels = self.candidates, self._labels(left)
-        if not unmet(candidates, Failure(host, self._sites(left), targets)):
+        if not unmet(candidates, Failure(host, dict.fromkeys(self._sites(left), 1), targets)):
             return True
         network = candidates.network
         there = candidates.numbers(labels)

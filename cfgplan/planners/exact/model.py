@@ -55,6 +55,8 @@ class Model:
         self.carried: dict[tuple[Stream, HostName], IntVar] = {}
         self.is_fed: dict[tuple[int, str], IntVar] = {}
         """By input that is optional or takes several streams: that it is fed."""
+        self.spares: dict[int, IntVar] = {}
+        """By candidate that may feed inputs which start nothing: that a failure is not survived without it."""
         self.uses_required: dict[str, IntVar] = {}
         self.uses: dict[str, IntVar] = {}
         """By host that is counted or has a rent: that something is there."""

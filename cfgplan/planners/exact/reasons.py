@@ -10,7 +10,7 @@ from cfgplan.domain import POWER, Environment, Host, Target, Transformation, amo
 from cfgplan.planners.exact.best_case import least_badness
 from cfgplan.planners.exact.candidates import Candidates
 from cfgplan.planners.exact.places import Rooms
-from cfgplan.planning import Failures, Problem
+from cfgplan.planning import Failures, Notion, Problem
 from cfgplan.qualities import is_met, units
 from cfgplan.reasons import Givers, startable
 
@@ -185,11 +185,13 @@ def _lack(problem: Problem, t: Transformation) -> str | None:
     return None
 
 
-def _can_be_met(problem: Problem, target: Target, without: Collection[str]) -> bool:
-    """Whether the target can be met without some transformations, whatever units there are."""
+def _can_be_met(
+    problem: Problem, target: Target, without: Collection[str], units: Mapping[str, int] | None = None
+) -> bool:
+    """Whether the target can be met without some transformations, by so many units, or any number, of the others."""
     library = tuple(t for t in problem.environment.library if t.label not in without)
     givers = Givers(library, problem.similarity)
-    return not startable(Environment((), library), givers).isdisjoint(givers.of(target.tag))
+    return not startable(Environment((), library), givers, units=units).isdisjoint(givers.of(target.tag))
 
 
 def _fatal_failure(problem: Problem, target: Target) -> str | None:
@@ -197,17 +199,17 @@ def _fatal_failure(problem: Problem, target: Target) -> str | None:
     environment = problem.environment
     if problem.survive is None:
         return None
-    lost: dict[str, set[str]] = {}
-    if problem.survive is Failures.HOSTS:
-        for host in environment.hosts:
-            bound = {t.label for t in environment.library if environment.hosts_for(t) == (host.name,)}
-            if host.name != target.host:
-                lost[f"host {host.name} fails"] = bound
-    number = Counter(unit.transformation for unit in environment.units if not unit.standby)
-    for t in environment.library:
-        if t.max_instances == 1 or number[t.label] + problem.most_new(t) == 1:
-            lost[f"the only unit of {t.label} fails"] = {t.label}
-    for what, labels in lost.items():
-        if not _can_be_met(problem, target, labels):
-            return f"{_unmet(target)} if {what}"
+    for host in environment.hosts if problem.survive is Failures.HOSTS else ():
+        bound = {t.label for t in environment.library if environment.hosts_for(t) == (host.name,)}
+        if host.name != target.host and not _can_be_met(problem, target, bound):
+            return f"{_unmet(target)} if host {host.name} fails"
+    there = Counter(unit.transformation for unit in environment.units)
+    most = {t.label: there[t.label] + problem.most_new(t) for t in environment.library}
+    most |= {t.label: min(most[t.label], t.max_instances) for t in environment.library if t.max_instances is not None}
+    for label, number in most.items():
+        left = {**most, label: number - 1}
+        if number == 1 and not _can_be_met(problem, target, {label}):
+            return f"{_unmet(target)} if the only unit of {label} fails"
+        if number > 1 and Notion.COUNTS in problem.notions and not _can_be_met(problem, target, (), left):
+            return f"{_unmet(target)} if one of {number} units of {label} fails"
     return None

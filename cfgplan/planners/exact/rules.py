@@ -401,8 +401,8 @@ def _taking(model: Model, stream: Stream) -> list[IntVar]:
 
 
 def an_input_that_starts_nothing_is_fed_by_what_is_needed_anyway(model: Model) -> None:
-    """What is needed: what serves a target, is pinned, or is there by number. Nothing else takes a stream that serves
-    only so many, since there would be room for the input without it.
+    """What is needed: what serves a target, is pinned, or is there by number or for a failure. Nothing else takes a
+    stream that serves only so many, since there would be room for the input without it.
     """
     if not model.idle_feeders:
         return
@@ -416,6 +416,10 @@ def an_input_that_starts_nothing_is_fed_by_what_is_needed_anyway(model: Model) -
             model.cp.add_implication(asked, model.runs[i])
             model.cp.add(LinearExpr.sum([model.runs[n] for n in units]) <= t.min_instances).only_enforce_if(asked)
             roots[i].append(asked)
+    for i in sorted(model.tracked & model.runs.keys()) if model.problem.survive is not None else ():
+        spare = model.spares[i] = model.boolean()
+        model.cp.add_implication(spare, model.runs[i])
+        roots[i].append(spare)
     needed = _serving(model, roots, is_company_served=True)
     for (unit, name), connects in model.connects.items():
         is_idle = name in candidates.all[unit].transformation.idle_inputs

@@ -20,7 +20,7 @@ from ortools.sat.python.cp_model import (
 
 from cfgplan.domain import Objective
 from cfgplan.errors import InputError
-from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.exact.candidates import ONLY_IN_THE_MODEL, Candidates
 from cfgplan.planners.exact.decode import decode, lean, named
 from cfgplan.planners.exact.first_plans import FirstPlans
 from cfgplan.planners.exact.model import Model, ModelRule
@@ -75,7 +75,9 @@ class Search:
         self._has_hosts = bool(candidates.environment.hosts)
         self._survival, self._first = None, None
         if self.problem.survive is not None:
-            self._survival, self._first = Survival(candidates), FirstPlans(candidates, standing)
+            self._survival = Survival(candidates)
+            if not ONLY_IN_THE_MODEL & self.problem.notions:
+                self._first = FirstPlans(candidates, standing)
         self.model = Model(candidates, rules, is_apart=is_apart)
         self.model.enough_of_each_run(landmarks)
         chains_are_as_bad_as_who_runs_lets_them(self.model, cuts)
@@ -252,8 +254,10 @@ class Search:
 
     def consider(self, true: set[int]) -> Key | None:
         """Offer a solution as a plan. Returns its key, or None if the solution is no plan."""
-        units = decode(self.model, true)
-        if units is None or (self._survival is not None and self._survival.missed(units)):
+        units, survival = decode(self.model, true), self._survival
+        if units is None:
+            return None
+        if survival is not None and (survival.missed(units) or survival.needless_spares(self.model, true, units)):
             return None
         return self.standing.offer(named(self.model.candidates, lean(self.model.candidates, units)))
 
@@ -272,10 +276,15 @@ class Search:
         """
         model, cp, candidates = self.model, self.model.cp, self.model.candidates
         running = {i for i, runs in model.runs.items() if runs.index in true}
-        if self._survival is not None and self._first is not None:
-            units = decode(model, true)
-            if units is not None and self._survival.demand(model, self._survival.missed(units)):
-                self._first.offer(running)
+        units = None if self._survival is None else decode(model, true)
+        if self._survival is not None and units is not None:
+            if missed := self._survival.missed(units):
+                if self._survival.demand(model, missed):
+                    if self._first is not None:
+                        self._first.offer(running)
+                    return
+            elif needless := self._survival.needless_spares(model, true, units):
+                self._survival.forbid_spares(model, true, needless)
                 return
         unfounded, ways_in = model.anywhere.cut(true, model.anywhere.grounded(true))
         if not unfounded:

@@ -13,7 +13,6 @@ from functools import partial
 from threading import Event
 from typing import Final
 
-from cfgplan.errors import InputError
 from cfgplan.planners.exact.candidates import ONLY_IN_THE_MODEL
 from cfgplan.planners.exact.memory import Memory
 from cfgplan.planners.exact.running import offer_what_runs
@@ -47,7 +46,8 @@ class PlannerSession:
         """The optimal update. Stopped by the clock, by `stop` or by Ctrl-C it is the best one so far."""
         if problem.similarity.open:
             return Deciding(partial(self.plan, stop=stop))(problem, time_limit_s=time_limit_s, report=report)
-        clock = Clock(time_limit_s, stop, _tuning_for(problem, self._tuning))
+        is_solver_only = self._tuning.is_solver_only or bool(SOLVED_AT_ONCE & problem.notions)
+        clock = Clock(time_limit_s, stop, replace(self._tuning, is_solver_only=is_solver_only))
         standing = Standing(problem, clock, report)
         clock.run(lambda: self._go_through_stages(standing), standing.plan)
         clock.end("search")
@@ -67,19 +67,6 @@ class PlannerSession:
         for stage in standing.clock.each(STAGES, 1):
             if stage(work):
                 break
-
-
-def _tuning_for(problem: Problem, usual: Tuning) -> Tuning:
-    """The solver alone for what only the model knows.
-
-    Raises InputError if the model does not know all that is asked together.
-    """
-    wiring = ONLY_IN_THE_MODEL & problem.notions
-    if wiring and Notion.SURVIVAL in problem.notions:
-        words = " and ".join(sorted(wiring))
-        mend = "leave out `survive` and cold spares, or `optional`, `count` and `serves`"
-        raise InputError.of(f"the planner does not know {Notion.SURVIVAL} together with {words}", mend=mend)
-    return replace(usual, is_solver_only=True) if SOLVED_AT_ONCE & problem.notions else usual
 
 
 def plan(

@@ -5,27 +5,44 @@ target runs one. After the failure of a unit the others can still meet all targe
 units there: one of them may be the failing one, and a lone cold spare does not meet the target now. After the failure
 of a host every landmark needs a unit on another one. There are too many landmarks to name, so those that a solution
 misses are added, round by round.
+
+Where it matters how many units of a site there are, only those count that are more than a number: with no more of each
+the target can't be met.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections import Counter
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
-from ortools.sat.python.cp_model import LinearExpr
+from ortools.sat.python.cp_model import IntVar, LinearExpr
 
 from cfgplan.domain import ComputationUnit, Target
-from cfgplan.planners.exact.candidates import Candidates
+from cfgplan.planners.exact.candidates import Candidates, HostName
 from cfgplan.planners.exact.model import Model
 from cfgplan.planners.exact.reach import Reach
-from cfgplan.planners.exact.survivors import Site, failures, is_met, site_of, unmet
+from cfgplan.planners.exact.survivors import (
+    Site,
+    UnitsBySite,
+    are_counted,
+    are_met,
+    can_do_without,
+    failures,
+    site_of,
+    unmet,
+)
+from cfgplan.planners.solving.engine import at_least
 
 
 @dataclass(frozen=True)
 class Missed:
-    """A landmark that has too few units: one in all or, with a `host`, none on another host."""
+    """A landmark that has too few units: one in all or, with a `host`, none on another host.
 
-    sites: frozenset[Site]
+    Of a site only the units beyond a number count, which is that of `beyond`.
+    """
+
+    beyond: frozenset[tuple[Site, int]]
     host: str | None = None
 
 
@@ -35,10 +52,14 @@ class Survival:
     def __init__(self, candidates: Candidates) -> None:
         self.candidates = candidates
         dear: dict[Site, int] = {}
+        self._most: Counter[Site] = Counter()
         for candidate in candidates.all:
-            for host in candidate.hosts:
-                site = site_of(candidates.environment, candidate.transformation.label, host)
+            sites = {site_of(candidates.environment, candidate.transformation.label, host) for host in candidate.hosts}
+            for site in sites:
                 dear[site] = max(dear.get(site, 0), candidate.cost_us)
+            self._most.update(sites)
+        if not are_counted(candidates):
+            self._most = Counter(dict.fromkeys(dear, 1))
         self._by_cost = sorted(dear, key=lambda site: (-dear[site], site[0], site[1] or ""))
         self._known: set[Missed] = set()
 
@@ -47,9 +68,9 @@ class Survival:
         if self.candidates.problem.survive is None:
             return []
         found = [
-            Missed(self._landmark(target, failure.left), failure.host)
+            Missed(self._landmark(targets, failure.left), failure.host)
             for failure in failures(self.candidates, units)
-            for target in unmet(self.candidates, failure)
+            for targets in unmet(self.candidates, failure)
         ]
         return list(dict.fromkeys(found))
 
@@ -58,29 +79,68 @@ class Survival:
         new = [each for each in missed if each not in self._known]
         self._known.update(new)
         for each in new:
-            there = [
-                (host, literal)
-                for i, c in enumerate(self.candidates.all)
-                for host, literal in (*model.runs_on[i].items(), *model.waits_on[i].items())
-                if site_of(self.candidates.environment, c.transformation.label, host) in each.sites
-            ]
-            if each.host is None:
-                model.cp.add(LinearExpr.sum([literal for _, literal in there]) >= 2)
-            else:
-                model.cp.add_bool_or([literal for host, literal in there if host != each.host])
+            least = 2 if each.host is None else 1
+            counting: list[IntVar] = []
+            for site, number in sorted(each.beyond, key=str):
+                there = [
+                    literal for host, literal in self._there(model, site) if each.host is None or host != each.host
+                ]
+                counting += there if number == 0 else _beyond(model, there, number, least)
+            at_least(model.cp, least, counting)
         return bool(new)
 
-    def _landmark(self, target: Target, left: Collection[Site]) -> frozenset[Site]:
-        """All sites but a largest set that does not meet the target; the dear ones go into the set first."""
+    def needless_spares(self, model: Model, true: Collection[int], units: list[ComputationUnit]) -> list[int]:
+        """The candidates that a solution says to run for failures, though its `units` bear all of them without."""
+        there = {unit.id: unit for unit in units}
+        spares = [(i, there[self.candidates.all[i].id]) for i, spare in model.spares.items() if spare.index in true]
+        return [i for i, unit in spares if can_do_without(self.candidates, units, unit)]
+
+    def forbid_spares(self, model: Model, true: Collection[int], needless: Collection[int]) -> None:
+        """Forbid spares where all others are there that a solution has: these bear all failures."""
+        states = [(i, literal) for on in (model.runs_on, model.waits_on) for i in on for literal in on[i].values()]
+        for spare in needless:
+            others = [literal.negated() for i, literal in states if literal.index in true and i != spare]
+            model.cp.add_bool_or([model.spares[spare].negated(), *others])
+
+    def _there(self, model: Model, site: Site) -> Iterator[tuple[HostName, IntVar]]:
+        """The booleans that units of a site are there, with their hosts."""
+        for i in self.candidates.units_of(site[0]):
+            for host, literal in (*model.runs_on[i].items(), *model.waits_on[i].items()):
+                if site_of(self.candidates.environment, site[0], host) == site:
+                    yield host, literal
+
+    def _landmark(self, targets: tuple[Target, ...], left: UnitsBySite) -> frozenset[tuple[Site, int]]:
+        """All sites beyond a largest number of units with which the targets are not met; the dear ones are many first.
+
+        More units of a site are added until the targets are met.
+        """
         candidates = self.candidates
-        without = set(left)
+        without = dict(left)
         reach = Reach(candidates.network, candidates.numbers(label for label, _ in left))
         for site in candidates.clock.each(self._by_cost, 1):
-            if site not in without:
-                without.add(site)
+            there = without.get(site, 0)
+            if not there:
                 for number in candidates.numbers([site[0]]):
                     reach.add(number)
-                if is_met(candidates, reach, without, target):
-                    without.remove(site)
+            for most in range(self._most[site], there, -1):
+                without[site] = most
+                if not are_met(candidates, reach, without, targets):
+                    break
+            else:
+                if there:
+                    without[site] = there
+                else:
+                    without.pop(site, None)
                     reach.take_back()
-        return frozenset(self._by_cost) - without
+        return frozenset(
+            (site, without.get(site, 0)) for site in self._by_cost if without.get(site, 0) < self._most[site]
+        )
+
+
+def _beyond(model: Model, there: list[IntVar], number: int, most: int) -> list[IntVar]:
+    """Booleans that hold only if one more of some others hold than a number; two more; and so on up to `most`."""
+    found = []
+    for more in range(1, min(most, len(there) - number) + 1):
+        found.append(model.cp.new_bool_var(""))
+        model.cp.add(LinearExpr.sum(there) >= number + more).only_enforce_if(found[-1])
+    return found
