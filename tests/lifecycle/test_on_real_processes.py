@@ -43,23 +43,45 @@ def test_the_stream_goes_on_after_the_death_of_each_unit(run_for_real: RealRun) 
 def test_a_killed_unit_is_replaced_where_its_spare_was_prepared(run_for_real: RealRun) -> None:
     run = run_for_real
     run.start(source(standby=0.0001), worker(deed="start slowly", standby=0.0001), survive=1)
-
-    def prepared() -> set[str]:
-        return {view.unit.id for view in run.manager.snapshot().units if view.is_prepared}
-
-    def used() -> list[SpareUsed]:
-        told = [report.event for report in list(run.reports) if isinstance(report, UnitEvent)]
-        return [event for event in told if isinstance(event, SpareUsed)]
-
-    eventually(lambda: len(prepared()) == 2)
-    spares = prepared()
+    eventually(lambda: len(prepared(run)) == 2)
+    spares = prepared(run)
     run.kill("work.1")
-    eventually(lambda: bool(used()))
-    assert {event.spare for event in used()} < spares
+    eventually(lambda: bool(used(run)))
+    assert {event.spare for event in used(run)} < spares
     assert run.manager.settle(60)
     run.await_result("work")
-    eventually(lambda: len(prepared()) == 2)
+    eventually(lambda: len(prepared(run)) == 2)
     assert [gone.unit for gone in run.seen(UnitGone)] == ["work.1"]
+
+
+def test_one_of_several_streams_is_replaced_where_its_spare_was_prepared(run_for_real: RealRun) -> None:
+    run, several = run_for_real, worker(standby=0.0001)
+    several["work"]["inputs"] = {"x": {"tag": "N", "count": 2}}
+    run.start(source(standby=0.0001), several, survive=1)
+    eventually(lambda: len(prepared(run)) == 2)
+    before = run.runtime.environment.unit["work.1"].feeds["x"]
+    assert len(before) == 2
+    killed = run.runtime.pid(before[0].unit)
+    run.kill(before[0].unit)
+    eventually(lambda: bool(used(run)))
+    assert run.manager.settle(60)
+    run.await_result("work")
+    after = run.runtime.environment.unit["work.1"].feeds["x"]
+    assert len(after) == 2
+    assert before[1] in after
+    assert killed not in {run.runtime.pid(stream.unit) for stream in after}
+    eventually(lambda: len(prepared(run)) == 2)
+    assert [gone.unit for gone in run.seen(UnitGone)] == [before[0].unit]
+
+
+def prepared(run: RealRun) -> set[str]:
+    """The cold spares that are ready."""
+    return {view.unit.id for view in run.manager.snapshot().units if view.is_prepared}
+
+
+def used(run: RealRun) -> list[SpareUsed]:
+    told = [report.event for report in list(run.reports) if isinstance(report, UnitEvent)]
+    return [event for event in told if isinstance(event, SpareUsed)]
 
 
 def test_the_stream_goes_on_after_a_subscription_is_removed(run_for_real: RealRun) -> None:
