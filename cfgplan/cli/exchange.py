@@ -16,15 +16,16 @@ def add_import(parser: argparse.ArgumentParser) -> None:
         "example:\n"
         "  cfgplan import xml specifications/ --out env.yaml\n"
         "  cfgplan import wsc wsc08/set01 --out set01.yaml\n"
-        "  cfgplan import ros1 live --out robot.yaml"
+        "  cfgplan import ros1 live --out robot.yaml\n"
+        "  cfgplan import ros2 tcp/robot:7447 --out robot.yaml"
     )
-    parser.add_argument("what", choices=("xml", "wsc", "ros1"), help="what to read")
+    parser.add_argument("what", choices=("xml", "wsc", "ros1", "ros2"), help="what to read")
     parser.add_argument(
         "path",
         metavar="PATH",
         nargs="+",
         help="xml: file or folder of them. wsc: folder of a test set. ros1: `live` (the master of ROS_MASTER_URI), "
-        "or a master's address; several are put together",
+        "or a master's address. ros2: `live`, or a Zenoh router's endpoint; several are put together",
     )
     parser.add_argument(
         "--objective",
@@ -33,7 +34,10 @@ def add_import(parser: argparse.ArgumentParser) -> None:
         help="wsc: fewest services, or fewest among the compositions of the shortest length (services)",
     )
     shared.add_several(
-        parser, "--guesses", "FILE", "ros1: what to believe of types, topics and nodes; `cfgplan help ros` tells how"
+        parser,
+        "--guesses",
+        "FILE",
+        "ros1, ros2: what to believe of types, topics and nodes; `cfgplan help ros` tells how",
     )
     shared.add_out(parser)
     parser.set_defaults(run=_import)
@@ -42,7 +46,7 @@ def add_import(parser: argparse.ArgumentParser) -> None:
 def _import(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan import api
 
-    if options.what == "ros1":
+    if options.what in ("ros1", "ros2"):
         return _import_ros(options, screen)
     path, *more = options.path
     if more:
@@ -69,12 +73,12 @@ def _import_ros(options: argparse.Namespace, screen: Screen) -> Exit:
 
     from cfgplan.ros.environments import imported
     from cfgplan.ros.guesses import guess_table
-    from cfgplan.ros.origins import ros1_graph
+    from cfgplan.ros.origins import ros1_graph, ros2_graph
 
     ontology = _beside(options.out, "a graph becomes two files, the environment and its ontology", ".ttl")
     table = guess_table(map(Path, options.guesses))
     with screen.phase("read"):
-        graph = ros1_graph(options.path)
+        graph = (ros1_graph if options.what == "ros1" else ros2_graph)(options.path)
     found = imported(graph, table)
     shared.put(found.ontology, str(ontology), screen)
     shared.put(found.text(ontology.name), options.out, screen)

@@ -35,7 +35,8 @@ class RosPort:
     """An end of a topic, service or action at a node.
 
     `name` is the full name after remapping, `own` the name in the node's code, where that is known. The type is None
-    where no source tells it. `rate_hz` is what a recording says of a topic.
+    where no source tells it. `rate_hz` is what a recording says of a topic, and `definition` the digest of the type's
+    definition: ends with different ones do not understand each other.
     """
 
     role: Role
@@ -43,6 +44,11 @@ class RosPort:
     type: MessageType | None = None
     own: str | None = None
     rate_hz: float | None = None
+    definition: str | None = None
+
+
+def _port_key(port: RosPort) -> tuple[str, ...]:
+    return port.role, port.name, str(port.type), port.definition or ""
 
 
 @dataclass(frozen=True)
@@ -65,8 +71,8 @@ class RosNode:
     parameters: Mapping[str, object] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
-        unique = {(port.role, port.name, str(port.type)): port for port in reversed(self.ports)}
-        store_sorted(self, "ports", unique.values(), lambda port: (port.role, port.name, str(port.type)))
+        unique = {_port_key(port): port for port in reversed(self.ports)}
+        store_sorted(self, "ports", unique.values(), _port_key)
 
     def names(self, role: Role) -> list[str]:
         """The topics or services that it has this role at, sorted."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator
 
 from cfgplan.ros.graph import RosGraph, RosPort
@@ -38,13 +39,22 @@ class RosVocabulary:
         self._taken: set[str] = set()
         types = sorted({port.type for port in ports if port.type is not None})
         self._types = {kind: self._concept(_type_words(kind)) for kind in types}
+        definitions = sorted({(port.type, port.definition) for port in ports if port.type and port.definition})
+        several = {kind for kind, number in Counter(kind for kind, _ in definitions).items() if number > 1}
+        self._definitions = {
+            (kind, digest): self._concept(f"{_type_words(kind)}/{_short(digest)}")
+            for kind, digest in definitions
+            if kind in several
+        }
         self._topics = {name: self._concept(name, "topic") for name in graph.topics}
         self._services = {name: self._concept(name, "service") for name in graph.services}
 
     def tag(self, port: RosPort) -> str:
         """What a port gives or needs: messages of its type on its topic."""
         topic = (self._services if port.role.is_service else self._topics)[port.name]
-        return topic if port.type is None else f"{self._types[port.type]} and {topic}"
+        if port.type is None:
+            return topic
+        return f"{self._definitions.get((port.type, port.definition or ''), self._types[port.type])} and {topic}"
 
     @property
     def text(self) -> str:
@@ -71,6 +81,11 @@ class RosVocabulary:
         yield "#   :nav_msgs-Odometry rdfs:subClassOf :geometry_msgs-PoseWithCovarianceStamped ."
         yield ":Message a owl:Class ."
         yield from self._classes("Message", ((word, str(kind)) for kind, word in self._types.items()))
+        if self._definitions:
+            yield ""
+            yield "# Types of which nodes have different definitions, and do not understand each other."
+        for (kind, digest), word in self._definitions.items():
+            yield from self._classes(self._types[kind], [(word, f"{kind} {digest}")])
         yield ""
         yield "# Topics. As long as a tag names its topic, only that topic feeds an input, as in ROS. To let others,"
         yield "# leave the topic out of the input's tag, or say here that one topic is as good as another, such as"
@@ -87,6 +102,11 @@ class RosVocabulary:
     def _classes(above: str, members: Iterable[tuple[str, str]]) -> Iterator[str]:
         for word, label in sorted(members):
             yield f":{word} a owl:Class ; rdfs:subClassOf :{above} ; rdfs:label {json.dumps(label)} ."
+
+
+def _short(digest: str) -> str:
+    """What stands for a definition's digest in a name."""
+    return digest.rpartition("_")[2][:8]
 
 
 def _type_words(kind: MessageType) -> str:

@@ -5,20 +5,19 @@ References: the design document of ros2/rmw_zenoh, and what its publishers and s
 
 from __future__ import annotations
 
-import json
-import os
 import re
 import struct
 import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from cfgplan.errors import InputError
 from cfgplan.extras import needed
 from cfgplan.ros import EndpointToken, NodeToken, Qos, read_token
 from cfgplan.ros.liveliness import ADMIN_SPACE, EndpointKind
+from cfgplan.ros.zenoh_config import first_line, ros_domain, zenoh_config
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.ros2.message_form import MessageForm
 from cfgplan_runtime.streams.payload import Buffer
@@ -26,14 +25,12 @@ from cfgplan_runtime.streams.payload import Buffer
 if TYPE_CHECKING:
     import zenoh
 
-USUAL_ROUTER: Final = "tcp/localhost:7447"
 _ATTACHMENT = struct.Struct("<qqB16s")
 """Sequence number, time in nanoseconds since the epoch, and the publisher's id with its length."""
 _HEARTBEAT_S = 0.5
 _CONNECT_S, _CONNECT_LOOK_S = 3.0, 0.05
 _SESSION_CLOSE_S = 2.0
 _ROS_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
-_MOST_DOMAIN = 232
 
 Take = Callable[[bytes, int], None]
 """Called with a message in CDR and when it was published (nanoseconds since the epoch), in threads of Zenoh's."""
@@ -50,17 +47,19 @@ class RosSession:
         import zenoh
 
         self._zenoh = zenoh
-        self._config = _config(connect)
+        self._config = zenoh_config(connect)
         try:
             self._session = zenoh.open(self._config)
         except zenoh.ZError as error:
             mend = "see the endpoints, ZENOH_SESSION_CONFIG_URI and ZENOH_CONFIG_OVERRIDE"
-            raise InputError.of(f"no session of Zenoh can be opened: {_line(error)}", mend=mend) from None
+            raise InputError.of(f"no session of Zenoh can be opened: {first_line(error)}", mend=mend) from None
         self._numbers = iter(range(1 << 31))
         self._kept: list[Any] = []
         """What ends with the last reference to it."""
         space, _, name = checked_name(node, "node").rpartition("/")
-        self.node = NodeToken(_domain(domain), str(self._session.info.zid()), next(self._numbers), name, space or "/")
+        self.node = NodeToken(
+            ros_domain(domain), str(self._session.info.zid()), next(self._numbers), name, space or "/"
+        )
         self._live(str(self.node))
 
     def tell_if_alone(self, tell: Callable[[str], None]) -> None:
@@ -102,7 +101,7 @@ class RosSession:
             try:
                 publisher.put(zenoh.ZBytes(message), attachment=head)
             except zenoh.ZError as error:
-                raise RuntimeFaultError(f"{topic}: {_line(error)}") from None
+                raise RuntimeFaultError(f"{topic}: {first_line(error)}") from None
 
         return put
 
@@ -166,53 +165,8 @@ def checked_name(name: str, what: str) -> str:
     return "/" + "/".join(parts)
 
 
-def _domain(given: int | None) -> int:
-    told = os.environ.get("ROS_DOMAIN_ID") or "0" if given is None else str(given)
-    if not told.isdecimal() or int(told) > _MOST_DOMAIN:
-        raise InputError.of(f"`{told}` is no domain of ROS 2", mend=f"it is a number from 0 to {_MOST_DOMAIN}")
-    return int(told)
-
-
 def _id_of(endpoint: EndpointToken) -> bytes:
     """The 16 bytes that tell an endpoint from all others: the hash of its token, the lower half first."""
     import xxhash
 
     return xxhash.xxh3_128_intdigest(str(endpoint).encode()).to_bytes(16, "little")
-
-
-def _config(connect: Sequence[str]) -> zenoh.Config:
-    """How a session is opened: as rmw_zenoh does, by the same variables."""
-    import zenoh
-
-    told = os.environ.get("ZENOH_SESSION_CONFIG_URI")
-    try:
-        if told:
-            config = zenoh.Config.from_file(told.removeprefix("file://"))
-        else:
-            config = zenoh.Config.from_json5(json.dumps(_USUAL))
-        if connect:
-            config.insert_json5("connect/endpoints", json.dumps(list(connect)))
-        for part in filter(None, os.environ.get("ZENOH_CONFIG_OVERRIDE", "").split(";")):
-            key, _, value = part.partition("=")
-            config.insert_json5(key.strip(), value.strip())
-    except zenoh.ZError as error:
-        mend = "see ZENOH_SESSION_CONFIG_URI (a file of Zenoh's) and ZENOH_CONFIG_OVERRIDE (key=value;key=value)"
-        raise InputError.of(f"Zenoh can't be configured: {_line(error)}", mend=mend) from None
-    return config
-
-
-_USUAL: Final = {
-    "mode": "peer",
-    "connect": {"endpoints": [USUAL_ROUTER], "timeout_ms": -1, "exit_on_failure": False},
-    "listen": {"endpoints": ["tcp/localhost:0"]},
-    "scouting": {
-        "multicast": {"enabled": False},
-        "gossip": {"enabled": True, "target": ["router"], "autoconnect_strategy": {"to_peer": "greater-zid"}},
-    },
-    "timestamping": {"enabled": True},
-    "transport": {"shared_memory": {"enabled": False}},
-}
-
-
-def _line(error: Exception) -> str:
-    return str(error).strip().partition("\n")[0]
