@@ -16,6 +16,7 @@ from cfgplan.cli import options as shared
 from cfgplan.cli.agent import add_links, reached
 from cfgplan.cli.exits import Exit
 from cfgplan.cli.screen import OUTPUT_VERSION, Screen, printable
+from cfgplan.domain import ChangeSet, Environment
 from cfgplan.errors import Fault, InputError
 
 if TYPE_CHECKING:
@@ -30,6 +31,8 @@ example:
   cfgplan ctl remove-target ball
   cfgplan ctl kill camera.1            (it is replaced at once)
   cfgplan ctl review
+  cfgplan ctl plan --out plan.json     (what a review would do now)
+  cfgplan ctl apply plan.json          (refused if something has changed since)
   cfgplan ctl stop
   cfgplan ctl state --connect tls/10.0.0.3:7447 --certificates /etc/cfgplan/manager      (from another computer)
 
@@ -63,6 +66,8 @@ _COMMANDS = (
     _Command("lose-host", "do without a host", "HOST", "its name", "lose_host", "host"),
     _Command("regain-host", "use a host again", "HOST", "its name", "regain_host", "host"),
     _Command("review", "plan now, as if the horizon were reached", method="review"),
+    _Command("plan", "say what a review would do now, and change nothing"),
+    _Command("apply", "carry out a plan that was made for what runs", "FILE", "what `ctl plan --out` wrote"),
     _Command("events", "print what happens, until the run ends"),
     _Command("socket", "print where the run's control socket is, for other programs"),
     _Command("stop", "stop the run, letting units finish"),
@@ -85,11 +90,13 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         add_links(each, default=argparse.SUPPRESS)
         each.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="print JSON for machines")
         if command.operand:
-            kind = str if command.name == "add" else normal
+            kind = str if command.operand == "FILE" else normal
             each.add_argument("operand", type=kind, metavar=command.operand, help=command.means)
         if command.name == "add":
             each.add_argument("--name", type=normal, metavar="NAME", help="the name to add it under (the file's)")
-        if command.method or command.name == "add":
+        if command.name == "plan":
+            shared.add_out(each)
+        if command.method or command.name in ("add", "plan", "apply"):
             shared.add_time(each, "--wait", 60.0, "how long to wait for the review (60s)")
 
 
@@ -97,7 +104,7 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     from cfgplan_runtime.operating.control_client import connect
     from cfgplan_runtime.operating.protocol import RefusedError
 
-    text = _read(options.operand) if options.command == "add" else None
+    text = _read(options.operand) if options.command in ("add", "apply") else None
     with reached(options) as fleet, connect(options.run_id, fleet) as control:
         try:
             match options.command:
@@ -113,6 +120,11 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
                     name = options.name or _name(options.operand)
                     params = {"name": name, "text": text}
                     return _change(control, screen, "add", params, f"Added {name}.", options.wait)
+                case "plan":
+                    return _plan(control, screen, options)
+                case "apply":
+                    params = {"name": options.operand, "text": text}
+                    return _change(control, screen, "apply", params, "Done.", options.wait)
             command = next(command for command in _COMMANDS if command.name == options.command)
             params = {command.key: options.operand} if command.key else {}
             return _change(control, screen, command.method, params, "Done.", options.wait)
@@ -166,6 +178,26 @@ def _stop(control: Control, screen: Screen) -> Exit:
     else:
         screen.show(f"Run {control.system.run} has stopped.")
     return Exit.OK
+
+
+def _plan(control: Control, screen: Screen, options: argparse.Namespace) -> Exit:
+    reply = control.call("plan", timeout_s=options.wait + 10, wait_s=options.wait)
+    document = json.dumps(reply["plan"], indent=2, ensure_ascii=False) + "\n"
+    if options.out:
+        shared.put(document, options.out, screen)
+    if screen.json:
+        screen.write(document)
+    else:
+        from cfgplan_runtime.operating.records import units_of
+
+        from cfgplan.cli.plan_text import changes_text
+
+        if changes := reply["plan"]["change_set"]:
+            started, rewired = units_of(changes["started"]), units_of(changes["rewired"])
+            change_set = ChangeSet(started, rewired, tuple(changes["stopped"]))
+            screen.show(changes_text(Environment(units_of(reply["running"])), change_set))
+        screen.show(reply["says"])
+    return _met(not reason for reason in reply["unmet"].values())
 
 
 def _change(control: Control, screen: Screen, method: str, params: dict[str, Any], done: str, wait_s: float) -> Exit:

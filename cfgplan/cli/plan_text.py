@@ -9,7 +9,7 @@ from rich.text import Text
 
 from cfgplan.cli.screen import counted
 from cfgplan.costs import keep_cost_us, labor_us, standby_cost_us, upkeep_us
-from cfgplan.domain import CPU, MEMORY, POWER, ComputationUnit, Environment, Host, Objective, Stream, Target
+from cfgplan.domain import CPU, MEMORY, POWER, ChangeSet, ComputationUnit, Environment, Host, Objective, Stream, Target
 from cfgplan.figures import cost_parts, link_loads, loads, qualities_of_targets, transfers
 from cfgplan.planners import IGNORING_REQUIRED
 from cfgplan.planning import Failures, Plan, Problem, Status
@@ -31,8 +31,13 @@ _VERB = {"+": "start", "~": "rewire", "-": "stop", "=": "keep"}
 
 def update_text(problem: Problem, plan: Plan, given_up: Collection[str] = ()) -> Text:
     """The whole report of `solve`; ends without a newline. `given_up` are labels of targets that `problem` lacks."""
-    lines = [*_changes(problem, plan), *_summary(problem, plan, given_up)]
-    return Text("\n").join(lines)
+    changes = () if plan.change_set is None else _changes(problem.environment, plan.change_set)
+    return Text("\n").join([*changes, *_summary(problem, plan, given_up)])
+
+
+def changes_text(before: Environment, changes: ChangeSet) -> Text:
+    """What a change set starts, rewires, stops and keeps of an environment; ends with an empty line."""
+    return Text("\n").join(_changes(before, changes))
 
 
 def amount(objective: Objective, value: int) -> str:
@@ -42,13 +47,10 @@ def amount(objective: Objective, value: int) -> str:
     return cpu(value) if objective is Objective.COST else f"{cpu(value)} of rent"
 
 
-def _changes(problem: Problem, plan: Plan) -> Iterator[Text]:
-    before = problem.environment
-    if plan.change_set is None:
-        return
-    after = before.update(plan.change_set)
-    started = {unit.id for unit in plan.change_set.started}
-    rewired = {unit.id for unit in plan.change_set.rewired}
+def _changes(before: Environment, changes: ChangeSet) -> Iterator[Text]:
+    after = before.update(changes)
+    started = {unit.id for unit in changes.started}
+    rewired = {unit.id for unit in changes.rewired}
     width = max((len(unit.id) for unit in (*before.units, *after.units)), default=0)
     units = with_the_stream(after)
     for unit in units:
@@ -59,7 +61,7 @@ def _changes(problem: Problem, plan: Plan) -> Iterator[Text]:
         if unit.id in rewired:
             yield _headline("~", unit, width, before)
             yield from _differences(before.unit[unit.id], unit)
-    for unit_id in plan.change_set.stopped:
+    for unit_id in changes.stopped:
         yield _headline("-", before.unit[unit_id], width, before)
     for unit in units:
         if unit.id not in started and unit.id not in rewired:

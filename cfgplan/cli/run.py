@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from cfgplan_runtime.operating.operation import Operation, Settings
 
     from cfgplan.api import World
+    from cfgplan.domain import ComputationUnit, Environment
     from cfgplan.explaining.best_effort import BestEffort
     from cfgplan.planning import Plan, Planner, Problem
 
@@ -53,6 +54,8 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     shared.add_environment(parser)
     shared.add_span(parser)
     parser.add_argument("--dry-run", action="store_true", help="say what would be started, and start nothing")
+    differing = "say how what the run starts differs from the file's `units:`; nothing of them is adopted"
+    parser.add_argument("--from", dest="compared", choices=("units",), help=differing)
     parser.add_argument("--strict", action="store_true", help="start nothing unless every target can be met")
     parser.add_argument("--plain", action="store_true", help="print lines instead of the live view, as when piped")
     parser.add_argument("--log", metavar="FILE", help="add every event to FILE, one JSON line each")
@@ -114,9 +117,11 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     _check_can_start(loaded)
     if not options.dry_run and _fleet(options) is None:
         _check_ros2_units(loaded, Path(options.env))
-    if loaded.environment.units:
+    said = loaded.environment if options.compared else None
+    if loaded.environment.units and said is None:
         count = counted(len(loaded.environment.units), "running unit")
-        screen.note(f"The file names {count}, but a run starts from nothing: `units:` does not count.")
+        mend = "`--from units` says what differs"
+        screen.note(f"The file names {count}, but a run starts from nothing: `units:` does not count; {mend}.")
     world = replace(loaded, environment=replace(loaded.environment, units=()))
     if options.dry_run or options.strict:
         settings = _settings(options)
@@ -126,8 +131,10 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         code = _exit_of(found)
         if options.dry_run or code is not Exit.OK:
             _show_first(found, world.digest, screen)
+            if said is not None and found.plan.change_set is not None:
+                screen.note(difference_text(said, found.problem.after(found.plan)), style="")
             return code
-    return _operate(options, world, screen)
+    return _operate(options, world, screen, said)
 
 
 def _check_can_start(world: World) -> None:
@@ -157,7 +164,7 @@ def _check_ros2_units(world: World, env: Path) -> None:
         raise InputError(faults)
 
 
-def _operate(options: argparse.Namespace, world: World, screen: Screen) -> Exit:
+def _operate(options: argparse.Namespace, world: World, screen: Screen, said: Environment | None) -> Exit:
     from cfgplan_runtime.operating.operation import Operation
 
     with Interrupts() as interrupts:
@@ -167,6 +174,8 @@ def _operate(options: argparse.Namespace, world: World, screen: Screen) -> Exit:
             interrupts.only_count()
             _await_first_review(operation, interrupts, screen)
             operation.observe()
+            if said is not None:
+                screen.note(difference_text(said, operation.runtime.environment), style="")
             output = _output_for(screen, operation, plain=options.plain)
             with _page(options, operation) as url, output:
                 if url is not None:
@@ -191,6 +200,48 @@ def _page(options: argparse.Namespace, operation: Operation) -> Iterator[str | N
 
     with PageServer(lambda: connect(operation.id), port=options.page) as server:
         yield server.url
+
+
+def difference_text(said: Environment, running: Environment) -> str:
+    """How the units that run differ from those that a file says, whatever their ids."""
+    from cfgplan.cli.plan_text import changes_text
+
+    changes = said.change_to(named_alike(said, running))
+    if not changes:
+        return "What runs is what `units:` says."
+    return f"From `units:` to what runs:\n{changes_text(said, changes).plain.rstrip()}"
+
+
+def named_alike(said: Environment, running: Environment) -> tuple[ComputationUnit, ...]:
+    """The running units, each by the id of one that is said of its transformation and host, if one is left."""
+    left = dict(said.unit)
+    names: dict[str, str] = {}
+    for same_id in (True, False):
+        for unit in (unit for unit in running.units if unit.id not in names):
+            alike = (
+                one.id for one in left.values() if _kind(one) == _kind(unit) and (one.id == unit.id or not same_id)
+            )
+            if (name := min(alike, default=None)) is not None:
+                names[unit.id] = name
+                del left[name]
+    taken = {*said.unit, *names.values()}
+    for unit in (unit for unit in running.units if unit.id not in names):
+        names[unit.id] = unit.id if unit.id not in taken else f"{unit.id} (runs)"
+    return tuple(
+        replace(
+            unit,
+            id=names[unit.id],
+            subscriptions=tuple(
+                replace(one, stream=replace(one.stream, unit=names.get(one.stream.unit, one.stream.unit)))
+                for one in unit.subscriptions
+            ),
+        )
+        for unit in running.units
+    )
+
+
+def _kind(unit: ComputationUnit) -> tuple[str, str | None, bool]:
+    return unit.transformation, unit.host, unit.standby
 
 
 def _await_first_review(operation: Operation, interrupts: Interrupts, screen: Screen) -> None:

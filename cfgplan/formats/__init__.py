@@ -6,7 +6,7 @@ from cfgplan.formats.dump import as_xml, as_yaml, dump_yaml, plain_environment
 from cfgplan.formats.environment_file import EnvironmentFile
 from cfgplan.formats.fields import environment_schema
 from cfgplan.formats.places import Place
-from cfgplan.formats.plan_file import dump_plan, load_plan
+from cfgplan.formats.plan_file import dump_plan, load_plan, read_run_plan
 from cfgplan.formats.tags import TagVocabulary
 from cfgplan.formats.wsc import read_wsc, wsc_texts
 from cfgplan.formats.xml_dump import dump_xml
@@ -27,6 +27,7 @@ __all__ = [
     "plain_environment",
     "read_declared",
     "read_document",
+    "read_run_plan",
     "read_wsc",
     "wsc_texts",
 ]

@@ -32,6 +32,7 @@ from cfgplan.figures import cost_parts, loads, qualities_of_targets, transfers
 from cfgplan.formats.dump import plain_unit
 from cfgplan.formats.files import read_text
 from cfgplan.formats.json_text import read_json
+from cfgplan.formats.places import Source
 from cfgplan.formats.schema_faults import schema_faults
 from cfgplan.planning import Measured, Plan, Problem, Status
 from cfgplan.qualities import units
@@ -107,12 +108,16 @@ class PlanPart(_PlanPart):
     counts: dict[str, int] = Field(default={}, description="the planner's own figures")
     survive: Literal["units", "hosts"] | None = Field(default=None, description="single failures that it bears")
     figures: Any = Field(default=None, description="cost by parts, quality, hosts and transfers, beyond the paper")
+    basis: dict[str, dict[str, str]] = Field(
+        default={}, description="of a run's plan: a digest of each unit, transformation, target and setting it is for"
+    )
 
 
-def dump_plan(plan: Plan, problem: Problem, digest: str) -> str:
+def dump_plan(plan: Plan, problem: Problem, digest: str, basis: Mapping[str, Mapping[str, str]] | None = None) -> str:
     """The JSON text of a plan for `problem`, whose environment has the digest `EnvironmentFile.digest`.
 
-    Raises InvalidValueError for a change set over transformations or targets: planners change units.
+    A run's plan has a `basis`: digests by kind and name. Raises InvalidValueError for a change set over
+    transformations or targets: planners change units.
     """
     document = {
         "format_version": FORMAT_VERSION,
@@ -135,6 +140,7 @@ def dump_plan(plan: Plan, problem: Problem, digest: str) -> str:
         "seconds": dict(plan.seconds),
         "counts": dict(plan.counts),
         **_beyond_the_paper(plan, problem),
+        **({} if basis is None else {"basis": basis}),
     }
     return json.dumps(document, indent=2, ensure_ascii=False) + "\n"
 
@@ -146,21 +152,38 @@ def load_plan(path: str | os.PathLike[str], digest: str | None = None) -> Plan:
     that is to be carried out call `cfgplan.load_plan`, which asks the judge.
     """
     source = read_json(read_text(FilePath(path)), str(path))
-    if source.faults:
-        raise InputError(source.faults)
-    try:
-        part = PlanPart.model_validate(source.data)
-    except ValidationError as error:
-        raise InputError(schema_faults(source, (), error.errors(include_url=False), PlanPart)) from None
+    part = _plan_part(source)
     if digest is not None and part.environment != digest:
         message = "the plan is stale: it was made for another environment, or this one has changed since"
         raise InputError([source.fault(("environment",), message, "solve again to get a plan for this environment")])
+    return _plan_in(source, part)
+
+
+def read_run_plan(text: str, name: str) -> tuple[Plan, Mapping[str, Mapping[str, str]]]:
+    """The plan in the text of a file `name` and the basis that it was made for; empty if it was made for no run.
+
+    Raises InputError. Only the form is checked.
+    """
+    source = read_json(text, name)
+    part = _plan_part(source)
+    return _plan_in(source, part), part.basis
+
+
+def _plan_part(source: Source) -> PlanPart:
+    if source.faults:
+        raise InputError(source.faults)
+    try:
+        return PlanPart.model_validate(source.data)
+    except ValidationError as error:
+        raise InputError(schema_faults(source, (), error.errors(include_url=False), PlanPart)) from None
+
+
+def _plan_in(source: Source, part: PlanPart) -> Plan:
     try:
         return _plan(part)
     except InvalidValueError as error:
-        raise InputError(
-            [source.fault(("change_set",), str(error), "write the plan anew with `solve --out`")]
-        ) from None
+        mend = "write the plan anew with `solve --out` or `ctl plan --out`"
+        raise InputError([source.fault(("change_set",), str(error), mend)]) from None
 
 
 def _change_set(change_set: ChangeSet, problem: Problem) -> dict[str, Any]:
@@ -175,7 +198,9 @@ def _change_set(change_set: ChangeSet, problem: Problem) -> dict[str, Any]:
 
 
 def _unit(unit: ComputationUnit, problem: Problem, *, starts: bool) -> dict[str, Any]:
-    transformation = problem.environment.transformation[unit.transformation]
+    transformation = problem.environment.transformation.get(unit.transformation)
+    if transformation is None:  # a run keeps it although it starts no more of them
+        return plain_unit(unit)
     return {
         **plain_unit(unit),
         "labor_us": transformation.labor_us if starts and not unit.standby else 0,

@@ -4,7 +4,16 @@ It shares no code with any planner and recomputes feasibility and cost from the 
 """
 
 from cfgplan.validity.environments import violations
-from cfgplan.validity.plans import kept_us, plan_violations, silent_stops, values_of
+from cfgplan.validity.plans import kept_us, plan_violations, silent_stops, unused_required, values_of
 from cfgplan.validity.rules import Rule, Violation
 
-__all__ = ["Rule", "Violation", "kept_us", "plan_violations", "silent_stops", "values_of", "violations"]
+__all__ = [
+    "Rule",
+    "Violation",
+    "kept_us",
+    "plan_violations",
+    "silent_stops",
+    "unused_required",
+    "values_of",
+    "violations",
+]

@@ -152,3 +152,21 @@ def test_the_heavy_engines_are_imported_only_where_they_are_used() -> None:
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert not heavy & set(eval(found.stderr))
+
+
+def test_units_are_the_same_whatever_their_ids() -> None:
+    from cfgplan.cli.run import difference_text
+    from cfgplan.domain import ComputationUnit, Environment, Publication, Stream, Subscription
+
+    def fed(unit: str, by: str, topic: str = "/t") -> ComputationUnit:
+        subscriptions = (Subscription("x", Stream(by, "n")),)
+        return ComputationUnit(unit, "work", subscriptions, (Publication("y", topic),))
+
+    said = Environment((ComputationUnit("a", "count"), ComputationUnit("b", "count"), fed("c", "b")))
+    same = Environment((ComputationUnit("count.1", "count"), ComputationUnit("b", "count"), fed("work.1", "b")))
+    assert difference_text(said, same) == "What runs is what `units:` says."
+    other = Environment((ComputationUnit("c", "count"), fed("work.1", "c"), ComputationUnit("b", "else")))
+    text = difference_text(said, other)
+    assert "  + start   b (runs)" in text
+    assert "  - stop    b" in text
+    assert "x <- a/n   (was b/n)" in text

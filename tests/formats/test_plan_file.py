@@ -23,7 +23,7 @@ from cfgplan.domain import (
     Transformation,
 )
 from cfgplan.errors import InputError, InvalidValueError
-from cfgplan.formats import EnvironmentFile, dump_plan, load_plan
+from cfgplan.formats import EnvironmentFile, dump_plan, load_plan, read_run_plan
 from cfgplan.formats.plan_file import PlanPart
 from cfgplan.planning import Measured, Plan, Problem, Status
 
@@ -133,6 +133,12 @@ def test_what_is_no_plan_is_refused(tmp_path: Path) -> None:
 
 def test_the_schema_of_plans_names_every_key() -> None:
     data = json.loads(dump_plan(PLAN, PROBLEM, "digest"))
-    beyond_the_paper = {"survive", "figures", "objectives"}
-    assert set(data) | beyond_the_paper == set(PlanPart.model_fields)
-    assert beyond_the_paper.isdisjoint(data)
+    now_and_then = {"survive", "figures", "objectives", "basis"}
+    assert set(data) | now_and_then == set(PlanPart.model_fields)
+    assert now_and_then.isdisjoint(data)
+
+
+def test_the_plan_of_a_run_names_what_it_was_made_for() -> None:
+    basis = {"unit": {"camera.1": "1234"}, "target": {}}
+    assert read_run_plan(dump_plan(PLAN, PROBLEM, "digest", basis), "plan.json") == (PLAN, basis)
+    assert read_run_plan(dump_plan(PLAN, PROBLEM, "digest"), "plan.json") == (PLAN, {})

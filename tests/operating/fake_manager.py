@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import Future
 
+from cfgplan_runtime.lifecycle.basis import Preview
 from cfgplan_runtime.lifecycle.changes import Change, Declare
+from cfgplan_runtime.lifecycle.deliberation import Thought
 from cfgplan_runtime.lifecycle.perturbations import ReviewRequested, UnitGone
 from cfgplan_runtime.lifecycle.reports import (
     BackingOff,
@@ -20,6 +22,7 @@ from cfgplan_runtime.lifecycle.reports import (
 from cfgplan_runtime.supervision.observation import Observation
 
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Publication, Stream, Subscription, Target
+from cfgplan.planning import Problem, Similarity
 
 CAMERA = ComputationUnit("camera.1", "camera")
 DETECTOR = ComputationUnit(
@@ -82,6 +85,16 @@ class FakeManager:
             future.set_exception(self.refuse)
         elif not self.is_slow:
             future.set_result(REVIEW)
+        return future
+
+    def preview(self) -> Future[Preview]:
+        future: Future[Preview] = Future()
+        if not self.is_slow:
+            thought = Thought(
+                Environment((CAMERA,)), Environment(), unmet={"goal": "nothing gives Goal"}, cause="no time"
+            )
+            problem = Problem(Environment((CAMERA,)), Similarity({}), 60)
+            future.set_result(Preview(thought, problem, {"unit": {"camera.1": "1234"}}))
         return future
 
     def snapshot(self) -> Snapshot:

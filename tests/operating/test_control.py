@@ -18,6 +18,7 @@ from cfgplan_runtime.operating.protocol import RefusedError
 from cfgplan_runtime.streams.run_folder import RunFolder, control_address
 from fake_manager import FakeManager
 
+from cfgplan.domain import ChangeSet
 from cfgplan.errors import Fault, InputError
 
 ROBOT = """
@@ -111,6 +112,38 @@ def test_a_method_requests_its_change_and_tells_the_review(
     reply = control.call(method, **params)
     assert manager.requested == [change]
     assert (reply["review"]["decision"], reply["is_waiting"]) == ("applied", False)
+
+
+def test_a_plan_is_told_with_what_it_was_made_for(control: Control, manager: FakeManager) -> None:
+    told = control.call("plan")
+    assert told["plan"]["basis"] == {"unit": {"camera.1": "1234"}}
+    assert told["plan"]["status"] == "unknown"
+    assert told["says"] == "A review would now decide nothing: no time"
+    assert told["unmet"] == {"goal": "nothing gives Goal"}
+    assert [unit["id"] for unit in told["running"]] == ["camera.1"]
+    manager.is_slow = True
+    with pytest.raises(RefusedError, match="no plan was made in time"):
+        control.call("plan", wait_s=0.01)
+    assert manager.requested == []
+
+
+def test_a_plan_to_carry_out_is_read_before_it_is_asked_for(control: Control, manager: FakeManager) -> None:
+    plan = {"format_version": 1, "environment": "", "planner": "x", "status": "feasible", "horizon_s": 1, "bound_us": 0}
+    changes_nothing = {**plan, "change_set": {}}
+    for text, message in (
+        ("[", "this is not JSON"),
+        ("{}", "format_version"),
+        (json.dumps(plan), "this plan has no update: it is feasible"),
+        (json.dumps(changes_nothing), "this plan was not made for a run"),
+    ):
+        with pytest.raises(RefusedError) as refused:
+            control.call("apply", text=text, name="plan.json")
+        assert message in str(refused.value.faults[0])
+        assert refused.value.faults[0].file == "plan.json"
+    assert manager.requested == []
+    basis = {"unit": {"camera.1": "1234"}}
+    control.call("apply", text=json.dumps({**changes_nothing, "basis": basis}), name="plan.json")
+    assert manager.requested == [changes.ApplyPlan(ChangeSet(), basis, "plan.json")]
 
 
 def test_stop_is_asked_for_and_not_waited_for(control: Control, manager: FakeManager) -> None:

@@ -412,3 +412,47 @@ def test_lines_are_printed_where_no_terminal_is(env: Path) -> None:
     assert lines[0].startswith("Running 2 units as run ")
     assert any(line.startswith("Review 1: started camera(piff).1, detector(piff).1; ") for line in lines)
     assert "\x1b" not in done.stdout
+
+
+@pytest.mark.usefixtures("run")
+def test_a_plan_is_written_read_and_carried_out_unless_it_is_stale(
+    env: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "plan.json"
+    env.write_text(
+        ENVIRONMENT.replace("labor: 0.1\n    upkeep: 0.01\n    inputs", "labor: 0.1\n    upkeep: 9\n    inputs")
+    )
+    cheaper = ENVIRONMENT[ENVIRONMENT.index("  - label: detector") : ENVIRONMENT.index("targets:")]
+    (tmp_path / "cheaper.yaml").write_text(f"transformations:\n{cheaper.replace('detector(', 'cheaper(')}")
+    ctl(capsys, "add", tmp_path / "cheaper.yaml")
+    eventually(lambda: state_now(capsys)["saving_us"])
+
+    assert main(["ctl", "plan", "--out", str(file)]) == 0
+    said = capsys.readouterr()
+    assert "+ start   cheaper(piff).1" in said.out
+    assert "image <- camera(piff).1/image" in said.out
+    assert "- stop    detector(piff).1" in said.out
+    assert "A review would now start cheaper(piff).1, stop detector(piff).1; " in said.out
+    assert f"Wrote {file}." in said.err
+    assert ctl(capsys, "plan")["change_set"] == json.loads(file.read_text())["change_set"]
+
+    applied = ctl(capsys, "apply", file)
+    assert applied["review"]["decision"] == "applied"
+    assert {unit["id"] for unit in state_now(capsys)["units"]} == {"camera(piff).1", "cheaper(piff).1"}
+    assert main(["ctl", "apply", str(file)]) == 30
+    refused = capsys.readouterr().err
+    assert "the plan is stale: unit cheaper(piff).1 runs now" in refused
+    assert "the plan is stale: unit detector(piff).1 does not run any more" in refused
+    assert "cfgplan ctl plan --out" in refused
+
+
+def test_what_a_run_starts_is_held_against_the_units_of_the_file(env: Path) -> None:
+    said = "units:\n  - {id: eye, transformation: camera(piff)}\n  - {id: old, transformation: detector(piff)}\n"
+    env.write_text(ENVIRONMENT + said)
+    for arguments in (["--for", "200ms"], ["--dry-run"]):
+        line = command("run", env, "--no-estimates", "--from", "units", *arguments)
+        done = subprocess.run(line, capture_output=True, text=True, timeout=PATIENCE_S, check=True)
+        assert "From `units:` to what runs:\n  ~ rewire  old" in done.stderr
+        assert "image <- eye/image   (was a gap)" in done.stderr
+        assert "ball -> topic /result" in done.stderr
+        assert "= keep    eye" in done.stderr

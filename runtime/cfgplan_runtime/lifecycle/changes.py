@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TypeAlias
 
 from cfgplan.api import World
-from cfgplan.domain import Target, Transformation
+from cfgplan.domain import ChangeSet, Target, Transformation
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,10 +104,19 @@ class ReviewNow:
     by: str = "request"
 
 
+@dataclass(frozen=True)
+class ApplyPlan:
+    """Carry out a plan that was made for `basis` (`basis.Basis`), if that is what runs and what is wanted."""
+
+    change_set: ChangeSet
+    basis: Mapping[str, Mapping[str, str]] = field(hash=False)
+    by: str = "request"
+
+
 @dataclass(frozen=True, slots=True)
 class Stop:
     """Stop every unit, then the manager."""
 
 
 WorldChange: TypeAlias = Add | Remove | Declare | Withdraw | Restore | ReplaceWorld
-Change: TypeAlias = WorldChange | KillUnit | LoseHost | RegainHost | ReviewNow | Stop
+Change: TypeAlias = WorldChange | KillUnit | LoseHost | RegainHost | ReviewNow | ApplyPlan | Stop

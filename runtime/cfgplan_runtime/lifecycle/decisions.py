@@ -12,6 +12,7 @@ from math import inf
 
 from cfgplan.api import World
 from cfgplan.domain import ChangeSet
+from cfgplan.errors import InputError
 from cfgplan_runtime.errors import (
     AbandonedError,
     ApplyError,
@@ -21,13 +22,15 @@ from cfgplan_runtime.errors import (
 )
 from cfgplan_runtime.lifecycle import intake
 from cfgplan_runtime.lifecycle.back_off import BackOffs
-from cfgplan_runtime.lifecycle.changes import Stop
+from cfgplan_runtime.lifecycle.basis import basis_of, staleness
+from cfgplan_runtime.lifecycle.changes import ApplyPlan, Stop
 from cfgplan_runtime.lifecycle.configuration import Situation, with_world
 from cfgplan_runtime.lifecycle.deliberation import Thought
-from cfgplan_runtime.lifecycle.inbox import Asked, Item, Leave, Unusable
+from cfgplan_runtime.lifecycle.inbox import Asked, Item, Leave, PreviewAsked, Unusable
 from cfgplan_runtime.lifecycle.perturbations import (
     HorizonReached,
     MayStartAgain,
+    PlanGiven,
     ReviewRequested,
     Started,
     UpdateFailed,
@@ -35,14 +38,17 @@ from cfgplan_runtime.lifecycle.perturbations import (
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Decision, Ended, Observed, Review, ReviewBegan, Reviewed
 from cfgplan_runtime.lifecycle.showing import silence_reason
-from cfgplan_runtime.lifecycle.state import Doing, Gathering, Planning, State, Updating
+from cfgplan_runtime.lifecycle.state import Doing, Entry, Gathering, Planning, State, Updating
 from cfgplan_runtime.lifecycle.turns import (
     ApplyUpdate,
     Effect,
     Finished,
+    GivenJudged,
     Happened,
     Happening,
+    JudgeGiven,
     MakePlan,
+    MakePreview,
     Matched,
     Observe,
     Planned,
@@ -78,6 +84,8 @@ def breaks_in(doing: Doing, item: Item) -> BreakIn:
     is_starting = isinstance(doing, Updating) and bool(doing.change_set.started)
     abandon = BreakIn.ABANDON if is_starting else BreakIn(0)
     match item:
+        case PreviewAsked() | Asked(ApplyPlan()):
+            return BreakIn(0)
         case Leave() | Asked(Stop()):
             return BreakIn.INTERRUPT | abandon | BreakIn.END
         case Asked():
@@ -121,6 +129,8 @@ def _case(turn: Turn, what: Happening) -> Turn:
             return intake.asked(turn, what)
         case Matched():
             return intake.matched(turn, what)
+        case PreviewAsked():
+            return turn.to(replace(turn.state, previews=(*turn.state.previews, what.outcome)))
         case Unusable():
             return intake.refused(turn, what.by, what.faults)
         case Leave():
@@ -129,6 +139,8 @@ def _case(turn: Turn, what: Happening) -> Turn:
             return _seen(turn, what)
         case Planned():
             return _planned(turn, what)
+        case GivenJudged():
+            return _given_judged(turn, what.thought)
         case Updated():
             return _updated(turn, what)
         case Finished():
@@ -155,6 +167,8 @@ def _tick(turn: Turn, time_s: float) -> Turn:
     match turn.state.doing:
         case Gathering(until_s) if until_s <= at_s:
             return _begun(turn, time_s)
+        case None if state.has_plans_to_see_to:
+            return _seen_to(turn, time_s)
         case None if state.observe_at_s <= at_s:
             return turn.also(Observe())
     return turn
@@ -189,6 +203,39 @@ def _planning(turn: Turn, planning: Planning) -> Turn:
     return turn.also(MakePlan(world, running, situation, planning.optimises, _is_last(planning, state)))
 
 
+def _seen_to(turn: Turn, time_s: float) -> Turn:
+    """Have the first plan that was given judged, if it was made for what runs and what is wanted; or make previews."""
+    state, at_s = turn.state, turn.at_s
+    if not state.given:
+        order = MakePreview(state.living.world, state.running, state.situation, state.previews)
+        return turn.to(replace(state, previews=())).also(order)
+    request, *others = state.given
+    assert isinstance(request.change, ApplyPlan)
+    turn = turn.to(replace(state, given=tuple(others)))
+    world, running, given = state.living.world, state.running, request.change
+    if faults := staleness(given.basis, basis_of(world, running)):
+        return turn.also(Respond(request.outcome, InputError(faults)))
+    entry = Entry(PlanGiven(given.by), at_s, at_s, (request.outcome,))
+    planning = Planning(state.number + 1, at_s, time_s, 0.0, world, (entry,), plans=1)
+    situation = state.situation.with_started(running.units, running, at_s)
+    turn = turn.to(replace(turn.state, doing=planning, situation=situation))
+    return turn.also(JudgeGiven(world, running, situation, given.change_set))
+
+
+def _given_judged(turn: Turn, thought: Thought) -> Turn:
+    """Carry out a plan that was given, if it is valid."""
+    state, planning = turn.state, turn.state.doing
+    assert isinstance(planning, Planning)
+    if thought.change_set is None:
+        mend = "have another one made: `cfgplan ctl plan --out`"
+        refusal = InputError.of(f"the plan can't be carried out: {thought.cause}", mend=mend)
+        outcomes = [outcome for entry in planning.entries for outcome in entry.outcomes]
+        return turn.to(replace(state, doing=None)).also(*(Respond(outcome, refusal) for outcome in outcomes))
+    perturbations = tuple(entry.perturbation for entry in planning.entries)
+    turn = turn.to(replace(state, number=planning.number)).also(Tell(ReviewBegan(planning.number, perturbations)))
+    return _carried_out(turn, planning, thought)
+
+
 def _is_last(planning: Planning, state: State) -> bool:
     return planning.plans > state.policy.interruptions
 
@@ -205,8 +252,14 @@ def _planned(turn: Turn, planned: Planned) -> Turn:
         turn = _shortened(turn, label)
     if thought.change_set is None:
         return _reviewed(turn, planning, thought, UpdateFailed(thought.cause))
-    wanted, library = thought.change_set, planning.world.environment
-    change_set = with_world(wanted if thought.decision is Decision.APPLIED else ChangeSet(), library, state.running)
+    return _carried_out(turn, planning, thought)
+
+
+def _carried_out(turn: Turn, planning: Planning, thought: Thought) -> Turn:
+    """Apply what was decided, if it changes anything."""
+    state, library = turn.state, planning.world.environment
+    wanted = thought.change_set if thought.decision is Decision.APPLIED else None
+    change_set = with_world(wanted or ChangeSet(), library, state.running)
     if not change_set:
         return _prepared(_reviewed(turn, planning, thought, None))
     situation = turn.state.situation.without(*(unit.id for unit in change_set.started))
@@ -374,7 +427,9 @@ def _finished(turn: Turn, cause: str) -> Turn:
             entries = state.entries
     left = [outcome for outcomes in state.waiting.values() for outcome in outcomes]
     left += [outcome for entry in entries for outcome in entry.outcomes]
+    left += [request.outcome for request in state.given]
     error = RuntimeFaultError("the manager has ended")
-    turn = turn.to(replace(state, doing=None, entries=(), waiting={}, stops=(), is_over=True))
+    nothing = replace(state, doing=None, entries=(), waiting={}, stops=(), given=(), previews=(), is_over=True)
+    turn = turn.to(nothing).also(*(Respond(outcome, error) for outcome in state.previews))
     turn = turn.also(*(Respond(outcome) for outcome in state.stops))
     return turn.also(*(Respond(outcome, error) for outcome in left)).also(Tell(Ended(cause)))

@@ -14,8 +14,9 @@ from cfgplan.api import World
 from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Objective, Transformation
 from cfgplan.errors import CfgplanError
 from cfgplan.explaining.best_effort import BestEffort, best_effort
+from cfgplan.explaining.what_if import only_targets
 from cfgplan.planners.undecided import Deciding
-from cfgplan.planning import Failures, Pair, Plan, Planner, Problem, Progress, Status, fresh_unit_ids
+from cfgplan.planning import Failures, Measured, Notion, Pair, Plan, Planner, Problem, Progress, Status, fresh_unit_ids
 from cfgplan.reasons import unmet_reasons
 from cfgplan.validity import Rule
 from cfgplan_runtime.lifecycle.configuration import (
@@ -125,6 +126,24 @@ class Deliberation:
         }
         return replace(thought, unmet={**out_of_reach, **self._reasons(thought, world)}, warnings=warnings)
 
+    def judged(self, world: World, running: Environment, situation: Situation, change_set: ChangeSet) -> Thought:
+        """What a change set over units means that somebody has given; without one if it is not valid."""
+        avoided, costs, planned = self._planned(world, running, situation)
+        now = as_it_runs(replace(world.environment, library=tuple(costs.values())), running)
+        thought = Thought(running, planned, validity.kept_us(now, world.horizon_s), avoided)
+        wanted = self.problem(planned, world)
+        try:
+            asked = [_given(problem, change_set) for problem in (wanted, *(less for less, _ in _asking_less(wanted)))]
+            valid = (found for found in asked if not validity.plan_violations(found.problem, found.plan))
+            judged = _judged(thought, next(valid, asked[0]), optimises=True)
+        except Exception as error:  # the judge's own fault must not end the life-cycle
+            return replace(thought, cause=str(error) or type(error).__name__)
+        unmet = [target.label for target in planned.targets if target.label not in asked[0].problem.environment.target]
+        given_up = dict.fromkeys(unmet, "the plan that was given does not meet it")
+        return replace(
+            judged, decision=Decision.APPLIED, met=tuple(asked[0].problem.environment.target), unmet=given_up
+        )
+
     def prepare(self, world: World, running: Environment, situation: Situation, *, stop: threading.Event) -> None:
         """Plan for what runs now, so that a planner that remembers is ready for repairs."""
         if self._session is None:
@@ -132,7 +151,7 @@ class Deliberation:
         self._stop = stop
         _, _, planned = self._planned(world, running, situation)
         with suppress(Exception):  # a review would meet it again, and tell
-            self._plan(self._problem(planned, world), optimises=False)
+            self._plan(self.problem(planned, world), optimises=False)
 
     def _remembering(
         self,
@@ -153,7 +172,7 @@ class Deliberation:
         thought = Thought(running, planned, cost_before_us, avoided, seconds=seconds)
         with _timed("plan", seconds):
             try:
-                found, asked, given_up = self._plan(self._problem(planned, world), optimises=optimises)
+                found, asked, given_up = self._plan(self.problem(planned, world), optimises=optimises)
             except CfgplanError as error:
                 return replace(thought, cause=str(error))
             except Exception as error:  # a planner's own fault must not end the life-cycle
@@ -166,7 +185,8 @@ class Deliberation:
             except Exception as error:  # what nobody has judged is not carried out
                 return replace(thought, cause=f"the judge failed: {type(error).__name__}: {error}")
 
-    def _problem(self, planned: Environment, world: World) -> Problem:
+    def problem(self, planned: Environment, world: World) -> Problem:
+        """The problem of planning in an environment that `think` has planned in."""
         is_bearable = world.survive is not Failures.HOSTS or planned.hosts
         survive = world.survive if is_bearable else None
         return Problem(planned, self._matching.similarity, world.horizon_s, world.max_cost_us, survive)
@@ -231,7 +251,7 @@ class Deliberation:
         if not (thought.unmet and thought.avoided):
             return thought.unmet
         impossible, impossible_now = (
-            unmet_reasons(self._problem(environment, world)) for environment in (world.environment, thought.planned)
+            unmet_reasons(self.problem(environment, world)) for environment in (world.environment, thought.planned)
         )
         some = [f"{label} ({thought.avoided[label]})" for label in sorted(thought.avoided)[:_MOST_AVOIDED_NAMED]]
         more = len(thought.avoided) - len(some)
@@ -251,6 +271,20 @@ def _asking_less(problem: Problem) -> Iterator[tuple[Problem, str]]:
         library = tuple(replace(t, min_instances=0) if t.min_instances else t for t in problem.environment.library)
         problem = replace(problem, environment=replace(problem.environment, library=library))
         yield problem, "there is no room for as many instances as are asked for"
+
+
+def _given(problem: Problem, change_set: ChangeSet) -> BestEffort:
+    """A change set that somebody has given, as a plan of which nothing is proven, for the targets that it meets."""
+    after = problem.environment.update(change_set)
+    problem = only_targets(problem, after.meeting(after.units).keys())
+    values, unused = validity.values_of(problem, after), validity.unused_required(after)
+    order = problem.environment.minimise if Notion.ORDER in problem.notions else ()
+    objectives = tuple(Measured(objective, values[objective], 0) for objective in order)
+    plan = Plan(
+        "given", Status.FEASIBLE, change_set, values[Objective.COST], objectives=objectives, unused_required=unused
+    )
+    is_proven = all(one.is_proven for one in plan.measured)  # nothing is less than nothing
+    return BestEffort(replace(plan, status=Status.OPTIMAL) if is_proven else plan, problem, {}, exact=False)
 
 
 def _worth(found: BestEffort) -> tuple[bool, list[int]]:

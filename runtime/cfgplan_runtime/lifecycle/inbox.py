@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from cfgplan.errors import Fault
+from cfgplan_runtime.lifecycle.basis import Preview
 from cfgplan_runtime.lifecycle.changes import Change
 from cfgplan_runtime.lifecycle.reports import Review
 from cfgplan_runtime.supervision.events import Event
@@ -33,11 +34,18 @@ class Unusable:
 
 
 @dataclass(frozen=True, slots=True)
+class PreviewAsked:
+    """Somebody asks what a review would do now."""
+
+    outcome: Future[Preview]
+
+
+@dataclass(frozen=True, slots=True)
 class Leave:
     """The manager is to end, and to leave the units to the middleware."""
 
 
-Item: TypeAlias = Event | Asked | Unusable | Leave
+Item: TypeAlias = Event | Asked | PreviewAsked | Unusable | Leave
 
 
 @dataclass(frozen=True, slots=True)

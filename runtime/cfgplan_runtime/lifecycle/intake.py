@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from cfgplan.errors import Fault, InputError
 from cfgplan_runtime.children.messages import Flow
-from cfgplan_runtime.lifecycle.changes import KillUnit, LoseHost, RegainHost, ReplaceWorld, ReviewNow, Stop
+from cfgplan_runtime.lifecycle.changes import ApplyPlan, KillUnit, LoseHost, RegainHost, ReplaceWorld, ReviewNow, Stop
 from cfgplan_runtime.lifecycle.configuration import hosts_of
 from cfgplan_runtime.lifecycle.differing import difference
 from cfgplan_runtime.lifecycle.inbox import Asked, Outcome
@@ -116,6 +116,8 @@ def asked(turn: Turn, request: Asked) -> Turn:
             case ReviewNow(by):
                 forgiven = replace(situation, back_offs=situation.back_offs.forgiving_all())
                 return turn.situated(forgiven).perturbed(ReviewRequested(by), outcomes)
+            case ApplyPlan():
+                return turn.to(replace(state, given=(*state.given, request)))
             case change:
                 return turn.also(Match(state.living, request, change))
     except InputError as error:

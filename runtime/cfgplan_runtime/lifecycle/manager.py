@@ -27,11 +27,12 @@ from cfgplan_runtime.errors import (
     StaleChangeSetError,
 )
 from cfgplan_runtime.lifecycle import turns
+from cfgplan_runtime.lifecycle.basis import Preview, basis_of
 from cfgplan_runtime.lifecycle.changes import Change, Stop
 from cfgplan_runtime.lifecycle.configuration import as_it_runs
 from cfgplan_runtime.lifecycle.decisions import BreakIn, breaks_in, decide, first_state
 from cfgplan_runtime.lifecycle.deliberation import Deliberation
-from cfgplan_runtime.lifecycle.inbox import Asked, Inbox, Item, Leave, Outcome, Unusable
+from cfgplan_runtime.lifecycle.inbox import Asked, Inbox, Item, Leave, Outcome, PreviewAsked, Unusable
 from cfgplan_runtime.lifecycle.perturbations import Started
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Report, Snapshot, UnitEvent
@@ -104,6 +105,18 @@ class Manager:
         outcome: Outcome = Future()
         outcome.set_running_or_notify_cancel()  # who asks can't take it back
         self._put(Asked(change, outcome))
+        if self._state.is_over:
+            self._turn_away()
+        return outcome
+
+    def preview(self) -> Future[Preview]:
+        """Ask what a review would do now. Returns a future, done when no review is due or under way.
+
+        It raises RuntimeFaultError if the manager ends before.
+        """
+        outcome: Future[Preview] = Future()
+        outcome.set_running_or_notify_cancel()
+        self._put(PreviewAsked(outcome))
         if self._state.is_over:
             self._turn_away()
         return outcome
@@ -261,6 +274,10 @@ class Manager:
                 self._estimator.failed(label, self._clock.now())
             case turns.MakePlan():
                 self._plan(effect)
+            case turns.MakePreview():
+                self._preview(effect)
+            case turns.JudgeGiven(world, running, situation, change_set):
+                self._decide(turns.GivenJudged(self._deliberation.judged(world, running, situation, change_set)))
             case turns.ApplyUpdate():
                 self._apply(effect)
             case turns.Prepare(world, running, situation):
@@ -290,6 +307,17 @@ class Manager:
         self._interrupt.clear()
         self._decide_arrivals()
         self._decide(turns.Planned(thought, was_interrupted))
+
+    def _preview(self, order: turns.MakePreview) -> None:
+        world, running, situation = order.world, order.running, order.situation
+        thought = self._deliberation.think(world, running, situation, optimises=True, stop=self._interrupt)
+        problem = self._deliberation.problem(thought.planned, world)
+        preview = Preview(thought, problem, basis_of(world, running))
+        for outcome in order.outcomes:
+            if self._interrupt.is_set():
+                self._put(PreviewAsked(outcome))
+            else:
+                outcome.set_result(preview)
 
     def _apply(self, order: turns.ApplyUpdate) -> None:
         start, failed = time.perf_counter(), None
@@ -329,7 +357,7 @@ class Manager:
         """Fail the requests that came after the end. For any thread."""
         with self._turning_away:
             while arrival := self._inbox.take():
-                if isinstance(arrival.item, Asked):
+                if isinstance(arrival.item, Asked | PreviewAsked):
                     arrival.item.outcome.set_exception(RuntimeFaultError("the manager has ended"))
 
     # From any thread.

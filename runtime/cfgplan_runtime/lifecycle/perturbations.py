@@ -131,6 +131,13 @@ class ReviewRequested:
     by: str = field(default="request")
 
 
+@dataclass(frozen=True, slots=True)
+class PlanGiven:
+    """Somebody has given a plan to carry out as it is."""
+
+    by: str
+
+
 Perturbation: TypeAlias = (
     Started
     | UnitGone
@@ -144,4 +151,5 @@ Perturbation: TypeAlias = (
     | UpdateFailed
     | MayStartAgain
     | ReviewRequested
+    | PlanGiven
 )

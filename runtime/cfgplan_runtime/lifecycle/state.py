@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from concurrent.futures import Future
 from dataclasses import dataclass, field
 from math import inf
 from typing import Literal, TypeAlias
@@ -10,9 +11,10 @@ from typing import Literal, TypeAlias
 from cfgplan.api import World
 from cfgplan.domain import ChangeSet, Environment, Transformation
 from cfgplan.errors import Fault
+from cfgplan_runtime.lifecycle.basis import Preview
 from cfgplan_runtime.lifecycle.configuration import Situation
 from cfgplan_runtime.lifecycle.deliberation import Thought
-from cfgplan_runtime.lifecycle.inbox import Outcome
+from cfgplan_runtime.lifecycle.inbox import Asked, Outcome
 from cfgplan_runtime.lifecycle.perturbations import Perturbation, SubscriptionLost, UnitGone, UpdateFailed
 from cfgplan_runtime.lifecycle.policy import Policy
 from cfgplan_runtime.lifecycle.reports import Phase, Review
@@ -104,6 +106,10 @@ class State:
     """Why the last state of the world's file can't be used."""
     stops: tuple[Outcome, ...] = ()
     """Who has asked for the end."""
+    previews: tuple[Future[Preview], ...] = ()
+    """Who has asked what a review would do."""
+    given: tuple[Asked, ...] = ()
+    """Plans to carry out, as soon as no review is due or under way."""
     is_closing: bool = False
     is_over: bool = False
     number: int = 0
@@ -141,10 +147,17 @@ class State:
         """When the manager is to act even if nothing comes in."""
         if isinstance(self.doing, Gathering):
             return self.doing.until_s
+        if self.has_plans_to_see_to:
+            return min(self.due_s, 0.0)
         return min(self.due_s, self.situation.back_offs.next_end_s, self.horizon_at_s, self.observe_at_s)
+
+    @property
+    def has_plans_to_see_to(self) -> bool:
+        """Whether a plan is to be made or carried out on request, and what runs is not about to change."""
+        return self.doing is None and not self.waiting and bool(self.previews or self.given)
 
     @property
     def is_settled(self) -> bool:
         """Whether no unit's end is awaited, and no review due or under way but retries after a middleware's fault."""
         faults = (isinstance(each.perturbation, UpdateFailed) and each.perturbation.is_fault for each in self.entries)
-        return self.doing is None and all(faults) and not self.waiting
+        return self.doing is None and all(faults) and not (self.waiting or self.previews or self.given)

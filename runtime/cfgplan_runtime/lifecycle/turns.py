@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from cfgplan.api import World
 from cfgplan.domain import ChangeSet, Environment
 from cfgplan.errors import InputError
+from cfgplan_runtime.lifecycle.basis import Preview
 from cfgplan_runtime.lifecycle.changes import WorldChange
 from cfgplan_runtime.lifecycle.configuration import Situation
 from cfgplan_runtime.lifecycle.deliberation import Thought
@@ -54,6 +56,13 @@ class Planned:
 
 
 @dataclass(frozen=True, slots=True)
+class GivenJudged:
+    """What a plan that was given means now; without a change set it is not valid here, for the thought's `cause`."""
+
+    thought: Thought
+
+
+@dataclass(frozen=True, slots=True)
 class Updated:
     """An update took `seconds` of wall time, and failed if there is an `error`."""
 
@@ -68,7 +77,7 @@ class Finished:
     cause: str = ""
 
 
-Happening: TypeAlias = Item | Started | Tick | Matched | Seen | Planned | Updated | Finished
+Happening: TypeAlias = Item | Started | Tick | Matched | Seen | Planned | GivenJudged | Updated | Finished
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +103,7 @@ class Tell:
 class Respond:
     """Answer who asked: with the review that is over, None if there will be none, or an error."""
 
-    outcome: Outcome
+    outcome: Future[Any]
     answer: Review | Exception | None = None
 
 
@@ -138,6 +147,26 @@ class MakePlan:
 
 
 @dataclass(frozen=True, slots=True)
+class MakePreview:
+    """Answer what a review would do now, unless something comes in between: then it is asked again."""
+
+    world: World
+    running: Environment
+    situation: Situation
+    outcomes: tuple[Future[Preview], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class JudgeGiven:
+    """Judge a change set that was given: GivenJudged follows at once."""
+
+    world: World
+    running: Environment
+    situation: Situation
+    change_set: ChangeSet
+
+
+@dataclass(frozen=True, slots=True)
 class ApplyUpdate:
     """Carry out an update of `basis`: Updated follows."""
 
@@ -160,7 +189,18 @@ class StopAll:
 
 
 Effect: TypeAlias = (
-    Tell | Respond | Match | Terminate | Observe | LearnOfFailure | MakePlan | ApplyUpdate | Prepare | StopAll
+    Tell
+    | Respond
+    | Match
+    | Terminate
+    | Observe
+    | LearnOfFailure
+    | MakePlan
+    | MakePreview
+    | JudgeGiven
+    | ApplyUpdate
+    | Prepare
+    | StopAll
 )
 
 

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import itertools
+import json
 from collections.abc import Callable, Mapping
 from concurrent.futures import CancelledError, Future
 from concurrent.futures import TimeoutError as FutureTimeoutError
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from cfgplan.errors import CfgplanError, InputError
+from cfgplan.formats import read_run_plan
+from cfgplan_runtime.lifecycle.basis import Preview, plan_text
 from cfgplan_runtime.lifecycle.changes import (
+    ApplyPlan,
     Change,
     KillUnit,
     LoseHost,
@@ -25,7 +29,8 @@ from cfgplan_runtime.operating.control_server import Method
 from cfgplan_runtime.operating.declaration import declaration
 from cfgplan_runtime.operating.flows import Flows
 from cfgplan_runtime.operating.protocol import Record, RefusedError
-from cfgplan_runtime.operating.records import review_record, snapshot_record
+from cfgplan_runtime.operating.records import review_record, snapshot_record, wired
+from cfgplan_runtime.operating.sentences import preview_sentence
 
 REQUEST_PATIENCE_S = 60.0
 """How long a reply waits for the review that a change leads to."""
@@ -33,11 +38,15 @@ REQUEST_PATIENCE_S = 60.0
 
 LONGEST_WAIT_S = 1_000_000
 
+T = TypeVar("T")
+
 
 class Controlled(Protocol):
     """A manager, as its operators use it."""
 
     def request(self, change: Change) -> Future[Review | None]: ...
+
+    def preview(self) -> Future[Preview]: ...
 
     def snapshot(self) -> Snapshot: ...
 
@@ -65,6 +74,8 @@ class Methods:
             "state": self._state,
             "add": self._add,
             "review": self._review,
+            "plan": self._plan,
+            "apply": self._apply,
             "stop": self._stop,
             **{name: self._changing(key, change) for name, (key, change) in one_name.items()},
         }
@@ -97,6 +108,35 @@ class Methods:
         _only(params, "wait_s")
         return self._ask(ReviewNow("the control socket"), params)
 
+    def _plan(self, params: Mapping[str, Any]) -> Record:
+        _only(params, "wait_s")
+        try:
+            preview = _waited_for(self._manager.preview(), params)
+        except FutureTimeoutError:
+            mend = "wait longer, or ask again when the reviews are over"
+            raise RefusedError("busy", "no plan was made in time", mend) from None
+        thought = preview.thought
+        return {
+            "plan": json.loads(plan_text(preview)),
+            "says": preview_sentence(thought),
+            "unmet": dict(thought.unmet),
+            "running": [wired(unit) for unit in thought.running.units],
+        }
+
+    def _apply(self, params: Mapping[str, Any]) -> Record:
+        _only(params, "text", "name", "wait_s")
+        name = _text(params, "name", "the plan")
+        try:
+            plan, basis = read_run_plan(_text(params, "text"), name)
+            if plan.change_set is None:
+                raise InputError.of(f"this plan has no update: it is {plan.status}", file=name)
+            if not basis:
+                mend = "`cfgplan ctl plan --out` makes one for what runs"
+                raise InputError.of("this plan was not made for a run", file=name, mend=mend)
+        except InputError as error:
+            raise _refusal(error) from None
+        return self._ask(ApplyPlan(plan.change_set, basis, name), params)
+
     def _stop(self, params: Mapping[str, Any]) -> Record:
         _only(params)
         self._manager.request(Stop())
@@ -111,19 +151,27 @@ class Methods:
 
     def _ask(self, change: Change, params: Mapping[str, Any]) -> Record:
         """Request a change, and wait for what its review decides."""
-        wait_s = params.get("wait_s", REQUEST_PATIENCE_S)
-        if isinstance(wait_s, bool) or not isinstance(wait_s, int | float) or not 0 <= wait_s <= LONGEST_WAIT_S:
-            mend = f"write a number from 0 to {LONGEST_WAIT_S}"
-            raise RefusedError("bad_params", "`wait_s` is no number of seconds that can be waited for", mend)
         try:
-            review = self._manager.request(change).result(wait_s)
+            review = _waited_for(self._manager.request(change), params)
         except FutureTimeoutError:
             return {"review": None, "is_waiting": True}
-        except CancelledError:
-            raise RefusedError("ended", "the run has ended") from None
-        except CfgplanError as error:
-            raise _refusal(error) from None
         return {"review": None if review is None else review_record(review), "is_waiting": False}
+
+
+def _waited_for(future: Future[T], params: Mapping[str, Any]) -> T:
+    """The result of a future, within `wait_s` of the params. Raises RefusedError, and FutureTimeoutError if it is not
+    there by then.
+    """
+    wait_s = params.get("wait_s", REQUEST_PATIENCE_S)
+    if isinstance(wait_s, bool) or not isinstance(wait_s, int | float) or not 0 <= wait_s <= LONGEST_WAIT_S:
+        mend = f"write a number from 0 to {LONGEST_WAIT_S}"
+        raise RefusedError("bad_params", "`wait_s` is no number of seconds that can be waited for", mend)
+    try:
+        return future.result(wait_s)
+    except CancelledError:
+        raise RefusedError("ended", "the run has ended") from None
+    except CfgplanError as error:
+        raise _refusal(error) from None
 
 
 def _refusal(error: CfgplanError) -> RefusedError:

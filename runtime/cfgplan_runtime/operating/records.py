@@ -7,14 +7,14 @@ Times are in seconds, costs in microseconds of CPU time, and names say so. Every
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from typing import Any
 
 import msgspec
 
-from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Stream
+from cfgplan.domain import ChangeSet, ComputationUnit, Environment, Publication, Stream, Subscription
 from cfgplan.formats.dump import one_or_more
 from cfgplan_runtime.lifecycle.reports import (
     Observed,
@@ -64,8 +64,8 @@ def review_record(review: Review) -> Record:
 def change_record(changes: ChangeSet) -> Record:
     """A change set as the plan file says it."""
     return {
-        "started": [_wired(unit) for unit in changes.started],
-        "rewired": [_wired(unit) for unit in changes.rewired],
+        "started": [wired(unit) for unit in changes.started],
+        "rewired": [wired(unit) for unit in changes.rewired],
         "stopped": list(changes.stopped),
     }
 
@@ -130,7 +130,7 @@ def _target(target: TargetView, flow: Record | None) -> Record:
 
 
 def _unit(view: UnitView, environment: Environment) -> Record:
-    record = {**_wired(view.unit), "host": view.host}
+    record = {**wired(view.unit), "host": view.host}
     transformation = environment.transformation.get(view.unit.transformation)
     if view.unit.standby:
         record["prepared"] = view.is_prepared
@@ -153,7 +153,7 @@ def _unit(view: UnitView, environment: Environment) -> Record:
     return record
 
 
-def _wired(unit: ComputationUnit) -> Record:
+def wired(unit: ComputationUnit) -> Record:
     record: Record = {
         "id": unit.id,
         "transformation": unit.transformation,
@@ -175,3 +175,20 @@ def logging_to(log: RunLog) -> Callable[[Report], None]:
             log.write_line(says.pop("kind"), says)
 
     return write
+
+
+def units_of(records: Iterable[Record]) -> tuple[ComputationUnit, ...]:
+    """The units that records tell of, as `wired` writes them."""
+    return tuple(map(_unit_of, records))
+
+
+def _unit_of(unit: Record) -> ComputationUnit:
+    fed = ((port, [streams] if isinstance(streams, str) else streams) for port, streams in unit["inputs"].items())
+    return ComputationUnit(
+        unit["id"],
+        unit["transformation"],
+        tuple(Subscription(port, Stream.parse(stream)) for port, streams in fed for stream in streams),
+        tuple(Publication(port, topic) for port, topics in unit["topics"].items() for topic in topics),
+        unit.get("host"),
+        unit.get("standby", False),
+    )

@@ -6,9 +6,11 @@ import re
 from collections.abc import Iterable
 from pathlib import Path
 
+from cfgplan.domain import ChangeSet
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.lifecycle import changes
 from cfgplan_runtime.lifecycle import perturbations as kinds
+from cfgplan_runtime.lifecycle.deliberation import Thought
 from cfgplan_runtime.lifecycle.reports import (
     BackedOff,
     Decision,
@@ -136,7 +138,7 @@ def decision(review: Review) -> str:
     """What a review decided, in a few words."""
     match review.decision:
         case Decision.APPLIED:
-            return _changes(review)
+            return "applied" if review.change_set is None else _changes(review.change_set)
         case Decision.KEPT:
             return "nothing to change"
         case Decision.DEFERRED:
@@ -171,22 +173,28 @@ def _cause(perturbation: kinds.Perturbation) -> str:
             return "the last update failed"
         case kinds.MayStartAgain(transformations):
             return f"{named(transformations)} may start again"
+        case kinds.PlanGiven(by):
+            return f"{by} was to be carried out"
     return "asked for"
 
 
-def _changes(review: Review) -> str:
-    changes = review.change_set
+def preview_sentence(thought: Thought) -> str:
+    """What a review would do now, and what that costs."""
+    changes = thought.change_set
     if changes is None:
-        return "applied"
-    parts = [
-        f"{verb} {named(names)}"
-        for verb, names in (
-            ("started", [unit.id for unit in changes.started]),
-            ("rewired", [unit.id for unit in changes.rewired]),
-            ("stopped", changes.stopped),
-        )
-        if names
-    ]
+        return f"A review would now decide nothing: {thought.cause}"
+    is_kept = thought.decision is Decision.KEPT or not changes
+    parts = [f"A review would now {'change nothing' if is_kept else _changes(changes, ('start', 'rewire', 'stop'))}"]
+    if thought.cost_us is not None:
+        before_us = thought.cost_before_us
+        parts.append(f"{thought.cost_us / 1e6:.4g} s of CPU over the horizon, {before_us / 1e6:.4g} s as it is")
+    parts += [f"{label} is not met: {reason}" for label, reason in sorted(thought.unmet.items())]
+    return "; ".join(parts)
+
+
+def _changes(changes: ChangeSet, verbs: tuple[str, str, str] = ("started", "rewired", "stopped")) -> str:
+    groups = [unit.id for unit in changes.started], [unit.id for unit in changes.rewired], changes.stopped
+    parts = [f"{verb} {named(names)}" for verb, names in zip(verbs, groups, strict=True) if names]
     return ", ".join(parts) or "nothing to change"
 
 

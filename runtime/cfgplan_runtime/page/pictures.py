@@ -11,18 +11,16 @@ from cfgplan.domain import (
     ComputationUnit,
     Environment,
     Host,
-    Publication,
-    Stream,
-    Subscription,
     Target,
 )
 from cfgplan.drawing import picture
 from cfgplan_runtime.operating.protocol import Record
+from cfgplan_runtime.operating.records import units_of
 
 
 def configuration(state: Record) -> Environment:
     """The units and targets of a run's state (`cfgplan/manual/control.md`), without any library."""
-    units = tuple(map(_unit, state["units"]))
+    units = units_of(state["units"])
     return Environment(units, targets=tuple(map(_target, state["targets"])), hosts=_hosts(units))
 
 
@@ -51,18 +49,6 @@ def svg(before: Environment, now: Environment) -> str:
 
 def _hosts(units: Iterable[ComputationUnit]) -> tuple[Host, ...]:
     return tuple(map(Host, sorted({unit.host for unit in units if unit.host is not None})))
-
-
-def _unit(unit: Record) -> ComputationUnit:
-    fed = ((port, [streams] if isinstance(streams, str) else streams) for port, streams in unit["inputs"].items())
-    return ComputationUnit(
-        unit["id"],
-        unit["transformation"],
-        tuple(Subscription(port, Stream.parse(stream)) for port, streams in fed for stream in streams),
-        tuple(Publication(port, topic) for port, topics in unit["topics"].items() for topic in topics),
-        unit.get("host"),
-        unit.get("standby", False),
-    )
 
 
 def _target(target: Record) -> Target:

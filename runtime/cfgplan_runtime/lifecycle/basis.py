@@ -1,0 +1,95 @@
+"""What a plan is made for: what runs and what is wanted, by name, so that it can be said why a plan is stale."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import msgspec
+
+from cfgplan.api import World
+from cfgplan.domain import ChangeSet, Environment
+from cfgplan.errors import Fault
+from cfgplan.formats import dump_plan
+from cfgplan.planning import Plan, Problem, Status
+from cfgplan_runtime.lifecycle.deliberation import Thought
+from cfgplan_runtime.lifecycle.reports import Decision
+
+Basis: TypeAlias = Mapping[str, Mapping[str, str]]
+"""By kind and name: a digest of each unit that runs, each transformation, target and setting."""
+
+_STALE_FOR = {
+    "unit": ("{} runs now", "{} does not run any more", "{} is wired otherwise now"),
+    "transformation": ("{} is there now", "{} is not there any more", "{} has been changed"),
+    "target": ("{} is wanted now", "{} is not wanted any more", "{} has been changed"),
+    "setting": ("{} is set now", "{} is not set any more", "{} has been changed"),
+}
+_MOST_REASONS = 6
+
+
+@dataclass(frozen=True)
+class Preview:
+    """What a review would do now, in which problem, and for what."""
+
+    thought: Thought
+    problem: Problem
+    basis: Basis
+
+
+def basis_of(world: World, running: Environment) -> Basis:
+    """What a plan for a world, in which `running` runs, is made for."""
+    wanted = world.environment
+    settings = {
+        "horizon": world.horizon_s,
+        "max_cost": world.max_cost_us,
+        "survive": world.survive,
+        "hosts": wanted.hosts,
+        "links": wanted.links,
+        "transfer": wanted.transfer_us,
+        "minimise": wanted.minimise,
+        "qualities": wanted.qualities,
+        "ontology": (sorted(world.ontology.axioms), world.ontology.ignored),
+    }
+    kinds = (("unit", running.unit), ("transformation", wanted.transformation), ("target", wanted.target))
+    named = {kind: {name: _digest(value) for name, value in values.items()} for kind, values in kinds}
+    return {**named, "setting": {name: _digest(value) for name, value in settings.items()}}
+
+
+def plan_text(preview: Preview) -> str:
+    """The plan file (JSON) of what a review would do."""
+    thought = preview.thought
+    status = Status.UNKNOWN if thought.change_set is None else Status.FEASIBLE
+    plan = Plan(
+        "review",
+        Status.OPTIMAL if thought.is_proven else status,
+        thought.change_set if thought.decision is not Decision.KEPT else ChangeSet(),
+        thought.cost_us,
+        thought.bound_us,
+        thought.unmet,
+        undecided=thought.undecided,
+        seconds=thought.seconds,
+    )
+    digest = hashlib.sha256(msgspec.json.encode(preview.basis, order="deterministic")).hexdigest()
+    return dump_plan(plan, preview.problem, digest, preview.basis)
+
+
+def staleness(then: Basis, now: Basis) -> tuple[Fault, ...]:
+    """Why a plan that was made for one basis does not fit another; empty if it does."""
+    why = [f"{kind} {said}" for kind in _STALE_FOR for said in _differences(kind, then.get(kind, {}), now[kind])]
+    more = len(why) - _MOST_REASONS
+    told = [*why[:_MOST_REASONS], *([f"and {more} more differ"] if more > 0 else [])]
+    mend = "have a plan made for what runs now: `cfgplan ctl plan --out`"
+    return tuple(Fault(f"the plan is stale: {each}", mend=mend) for each in told)
+
+
+def _differences(kind: str, then: Mapping[str, str], now: Mapping[str, str]) -> Iterator[str]:
+    come, gone, changed = _STALE_FOR[kind]
+    for name in sorted(then.keys() | now.keys()):
+        if then.get(name) != now.get(name):
+            yield (come if name not in then else gone if name not in now else changed).format(name)
+
+
+def _digest(value: Any) -> str:
+    return hashlib.sha256(msgspec.json.encode(value, order="deterministic", enc_hook=repr)).hexdigest()[:16]
