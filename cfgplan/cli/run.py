@@ -7,7 +7,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from importlib.machinery import PathFinder
 from pathlib import Path
@@ -26,6 +26,7 @@ from cfgplan.planning import Decider, Problem
 if TYPE_CHECKING:
     from cfgplan_runtime.fleet.fleet_runtime import Fleet
     from cfgplan_runtime.operating.operation import Operation, Settings
+    from cfgplan_runtime.runtime import Runtime
 
     from cfgplan.api import World
     from cfgplan.domain import ComputationUnit, Environment
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from cfgplan.planning import Plan, Planner, Problem
 
 _LIVE_LOOK_S = 0.1
+ROS1 = "ros1"
 _HOSTS_S = 5.0
 """So many seconds after the start a fleet's backend must have told of each host."""
 _ESTIMATORS = ("declared", "latest", "average", "trend", "holt")
@@ -85,6 +87,8 @@ def add_to(parser: argparse.ArgumentParser) -> None:
         "--page", type=shared.port, nargs="?", const=0, metavar="N", help="serve a page about the run on 127.0.0.1:N"
     )
     parser.add_argument("--local", action="store_true", help="run all of the file's hosts on this computer")
+    runs = "what units are: processes of ours, or nodes of ROS 1 (processes)"
+    parser.add_argument("--middleware", choices=("processes", ROS1), default="processes", help=runs)
     add_links(parser)
     parser.add_argument(
         "--take-over", action="store_true", help="take the hosts from a run that goes on elsewhere, with what they run"
@@ -115,7 +119,9 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
         mend = "name them under `hosts:`, or leave out --local and --connect"
         raise InputError.of("the file has no hosts", file=options.env, mend=mend)
     _check_can_start(loaded)
-    if not options.dry_run and _fleet(options) is None:
+    if not options.dry_run and options.middleware == ROS1:
+        _check_nodes(options, loaded)
+    elif not options.dry_run and _fleet(options) is None:
         _check_ros2_units(loaded, Path(options.env))
     said = loaded.environment if options.compared else None
     if loaded.environment.units and said is None:
@@ -145,6 +151,18 @@ def _check_can_start(world: World) -> None:
         message = f"nothing can be started: {labels}{more} are left out, since none names its unit code"
         mend = "add `source: units.py:Class` to them, or plan with `solve`"
         raise InputError.of(message, file=str(world.file.path) if world.file else None, mend=mend)
+
+
+def _check_nodes(options: argparse.Namespace, world: World) -> None:
+    """Have all that is wrong with nodes of ROS 1 told before anything is started."""
+    from cfgplan_runtime.ros1.ros_unit import check_nodes
+
+    if options.record is not None:
+        mend = "use `rosbag record` on the targets' topics"
+        raise InputError.of("--record knows no messages of ROS 1", mend=mend)
+    if _fleet(options) is not None:
+        raise InputError.of("ROS 1 nodes are started on this computer only", mend="leave out --local and --connect")
+    check_nodes(world.environment, options.env)
 
 
 def _check_ros2_units(world: World, env: Path) -> None:
@@ -326,7 +344,7 @@ def _settings(options: argparse.Namespace) -> Settings:
         log=None if options.log is None else Path(options.log),
         record=None if options.record is None else Path(options.record),
         metrics_port=options.metrics_port,
-        fleet=_fleet(options),
+        runtime=_runtime(options),
         adjust=_adjusted(options),
     )
 
@@ -342,6 +360,21 @@ def _fleet(options: argparse.Namespace) -> Fleet | None:
 
     certificates = None if options.certificates is None else Path(options.certificates)
     return Fleet(tuple(options.connect), certificates, options.local, options.take_over)
+
+
+def _runtime(options: argparse.Namespace) -> Callable[[Environment, Path], AbstractContextManager[Runtime]] | None:
+    """What makes the runtime; None if that is processes of this computer."""
+    fleet = _fleet(options)
+    if options.middleware == ROS1:
+        from cfgplan_runtime.ros1.ros1_backend import Ros1Backend
+        from cfgplan_runtime.runtime import Runtime
+
+        return lambda _, folder: Runtime(backend=lambda: Ros1Backend(folder=folder))
+    if fleet is None:
+        return None
+    from cfgplan_runtime.fleet.fleet_runtime import fleet_runtime
+
+    return lambda environment, folder: fleet_runtime(fleet, environment, folder, options.preload)
 
 
 def _planner(name: str) -> Planner:

@@ -7,7 +7,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field
 from math import inf
 from pathlib import Path
@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from cfgplan import __version__
 from cfgplan.api import World
+from cfgplan.domain import Environment
 from cfgplan.errors import InputError
 from cfgplan.extras import needed
 from cfgplan_runtime.children.messages import Flow
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.estimating.estimates_file import EstimatesError, load, save
 from cfgplan_runtime.estimating.estimator import make_estimator
-from cfgplan_runtime.fleet.fleet_runtime import Fleet, fleet_runtime
 from cfgplan_runtime.lifecycle.changes import ReplaceWorld
 from cfgplan_runtime.lifecycle.manager import Manager
 from cfgplan_runtime.lifecycle.policy import Policy
@@ -70,8 +70,9 @@ class Settings:
     log: Path | None = None
     record: Path | None = None
     metrics_port: int | None = None
-    fleet: Fleet | None = None
-    """How hosts are reached; None for a run on this computer alone."""
+    runtime: Callable[[Environment, Path], AbstractContextManager[Runtime]] | None = None
+    """Makes what runs the units, of the world's environment and the folder that code is relative to; None: processes of
+    this computer."""
     adjust: Callable[[World], World] = lambda world: world
 
 
@@ -174,11 +175,10 @@ class Operation:
             self.log = _open_log(settings.log)
             stack.callback(self.log.close)
         folder = (self._path if self._path.is_dir() else self._path.parent).resolve()
-        if settings.fleet is None:
+        if settings.runtime is None:
             self.runtime = stack.enter_context(Runtime(folder=folder, preload=settings.preload))
         else:
-            fleet = fleet_runtime(settings.fleet, world.environment, folder, settings.preload)
-            self.runtime = stack.enter_context(fleet)
+            self.runtime = stack.enter_context(settings.runtime(world.environment, folder))
         if self.recorder is not None:
             facts = {"run": self.id, "environment": str(self._path.resolve()), "version": __version__}
             self.recorder.recording.describe(facts)

@@ -21,6 +21,29 @@ from cfgplan_runtime.children.messages import FromChild
 _LONGEST_LINE = 1 << 16
 
 
+class PrintedLines:
+    """What a process prints into the other end of a socket, line by line."""
+
+    def __init__(self, end: socket.socket) -> None:
+        end.setblocking(False)
+        self.socket = end
+        self._line = bytearray()
+
+    def read(self) -> tuple[list[str], bool]:
+        """The lines printed since the last call, and whether more may come."""
+        try:
+            data = self.socket.recv(1 << 16)
+        except BlockingIOError:
+            return [], True
+        except OSError:
+            data = b""
+        self._line += data
+        lines = self._line.split(b"\n")
+        is_cut = not data or len(lines[-1]) > _LONGEST_LINE
+        self._line = bytearray() if is_cut else lines.pop()
+        return [line.decode(errors="backslashreplace") for line in lines if line or not is_cut], bool(data)
+
+
 @dataclass(slots=True, eq=False)
 class ChildProcess:
     """A child that the nursery was asked for. The outlets' child has no name."""
@@ -28,7 +51,7 @@ class ChildProcess:
     serial: int
     name: str
     control: ControlConnection[FromChild]
-    printed: socket.socket
+    printed: PrintedLines
     pid: int | None = None
     labor_us: int | None = None
     """The CPU time of its start, once it is ready."""
@@ -43,25 +66,10 @@ class ChildProcess:
     """When a spare has to be prepared, or has to have said where it hangs; infinite once it is prepared."""
     changed_ns: dict[str, int] = field(default_factory=dict)
     """The files of its code, as far as known, and when each was last changed, as the spare has read it."""
-    _line: bytearray = field(default_factory=bytearray)
 
     def changed_file(self) -> str | None:
         """A file of a spare's code that has changed since it was read; None if none has."""
         return next((file for file, at_ns in self.changed_ns.items() if changed_ns(Path(file)) != at_ns), None)
-
-    def printed_lines(self) -> tuple[list[str], bool]:
-        """The lines printed since the last call, and whether more may come."""
-        try:
-            data = self.printed.recv(1 << 16)
-        except BlockingIOError:
-            return [], True
-        except OSError:
-            data = b""
-        self._line += data
-        lines = self._line.split(b"\n")
-        is_cut = not data or len(lines[-1]) > _LONGEST_LINE
-        self._line = bytearray() if is_cut else lines.pop()
-        return [line.decode(errors="backslashreplace") for line in lines if line or not is_cut], bool(data)
 
 
 def changed_ns(file: Path) -> int | None:
@@ -74,12 +82,17 @@ def changed_ns(file: Path) -> int | None:
 
 def cause_of_end(child: ChildProcess, status: int) -> str:
     """How a child ended, in words."""
-    import signal
-
     if child.trouble:
         return child.trouble
-    end = f"killed by {signal.Signals(-status).name}" if status < 0 else f"ended with exit status {status}"
+    end = end_of_process(status)
     return f"{end} (in step {child.steps} or later)" if child.steps else end
+
+
+def end_of_process(status: int) -> str:
+    """What an exit status says, in words."""
+    import signal
+
+    return f"killed by {signal.Signals(-status).name}" if status < 0 else f"ended with exit status {status}"
 
 
 _CLOCK_OF_ALL_THREADS = 2

@@ -52,7 +52,14 @@ from cfgplan_runtime.children.messages import (
     Unserved,
 )
 from cfgplan_runtime.children.unit_order import unit_order
-from cfgplan_runtime.processes.child_process import ChildProcess, cause_of_end, changed_ns, cpu_us, memory_bytes
+from cfgplan_runtime.processes.child_process import (
+    ChildProcess,
+    PrintedLines,
+    cause_of_end,
+    changed_ns,
+    cpu_us,
+    memory_bytes,
+)
 from cfgplan_runtime.processes.cpu_group import CpuGroup
 from cfgplan_runtime.processes.nursery_link import NurseryLink
 from cfgplan_runtime.streams.channel import Bell, socket_pair
@@ -234,7 +241,7 @@ class ProcessBackend:
     def open_relay(self) -> socket.socket:
         """The relay's end of its connection: wires from and to RELAY are led there. Raises OSError."""
         ours, theirs = socket.socketpair()
-        relay = ChildProcess(_NO_PROCESS, RELAY, ControlConnection(ours, FromChild), printed=ours)
+        relay = ChildProcess(_NO_PROCESS, RELAY, ControlConnection(ours, FromChild), PrintedLines(ours))
         self._children[_NO_PROCESS] = self._by_name[RELAY] = relay
         self._selector.register(ours, selectors.EVENT_READ, lambda: self._hear(relay))
         return theirs
@@ -395,8 +402,7 @@ class ProcessBackend:
             return None
         self._serial += 1
         ours, theirs, printed, printing = ends
-        printed.setblocking(False)
-        child = ChildProcess(self._serial, name, ControlConnection(ours, FromChild), printed)
+        child = ChildProcess(self._serial, name, ControlConnection(ours, FromChild), PrintedLines(printed))
         child.is_spare = isinstance(order, SpareOrder)
         self._children[child.serial] = (self._spares if child.is_spare else self._by_name)[name] = child
         self._selector.register(ours, selectors.EVENT_READ, lambda: self._hear(child))
@@ -456,11 +462,11 @@ class ProcessBackend:
         names = self._spares if child.is_spare else self._by_name
         if names.get(child.name) is child:
             del names[child.name]
-        for end in (child.control.socket, child.printed):
+        for end in (child.control.socket, child.printed.socket):
             with suppress(KeyError, ValueError):
                 self._selector.unregister(end)
         child.control.close()
-        child.printed.close()
+        child.printed.socket.close()
 
     def _hear(self, child: ChildProcess) -> None:
         child.control.flush()
@@ -474,11 +480,11 @@ class ProcessBackend:
             self._watch_control(child)
 
     def _hear_print(self, child: ChildProcess) -> bool:
-        lines, is_open = child.printed_lines()
+        lines, is_open = child.printed.read()
         self._events.extend(UnitPrinted(child.name, line) for line in lines)
         if not is_open:
             with suppress(KeyError, ValueError):
-                self._selector.unregister(child.printed)
+                self._selector.unregister(child.printed.socket)
         return bool(lines) and is_open
 
     def _understand(self, child: ChildProcess, message: FromChild) -> None:

@@ -1,0 +1,71 @@
+"""A ROS 1 node that was started here: its process, what it prints, and how it is ended."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from cfgplan_runtime.processes.child_process import PrintedLines
+from cfgplan_runtime.ros1.ros_master import with_parent
+
+
+class NodeProcess:
+    """A process in a session of its own, which ends with the thread that made it. Raises OSError if it can't start.
+
+    `ended` can be read once it has ended.
+    """
+
+    def __init__(self, command: Sequence[str], environment: Mapping[str, str], folder: Path) -> None:
+        ours, theirs = socket.socketpair()
+        try:
+            self._process: subprocess.Popen[bytes] = subprocess.Popen(
+                with_parent(list(command)),
+                env=dict(environment),
+                cwd=folder,
+                stdin=subprocess.DEVNULL,
+                stdout=theirs.fileno(),
+                stderr=theirs.fileno(),
+                start_new_session=True,
+            )
+        except OSError:
+            ours.close()
+            raise
+        finally:
+            theirs.close()
+        self.pid = self._process.pid
+        self.printed = PrintedLines(ours)
+        self.ended = os.pidfd_open(self.pid)
+
+    def has(self, pid: int) -> bool:
+        """Whether a process belongs to this node."""
+        try:
+            return os.getsid(pid) == self.pid
+        except OSError:
+            return False
+
+    def interrupt(self) -> None:
+        """Ask it to end, as Ctrl-C does."""
+        self._signal(signal.SIGINT)
+
+    def kill(self) -> None:
+        """End it and all that it has started."""
+        self._signal(signal.SIGKILL)
+
+    def reap(self) -> int:
+        """Its exit status, once it has ended; what it has left behind is ended too."""
+        self.kill()
+        status = self._process.wait()
+        os.close(self.ended)
+        self.printed.socket.close()
+        return status
+
+    def _signal(self, number: int) -> None:
+        for kill in (os.killpg, os.kill):
+            with suppress(OSError):
+                kill(self.pid, number)
+                return

@@ -1,0 +1,406 @@
+"""Units as nodes of ROS 1 on this computer, connected by a relay at each input."""
+
+from __future__ import annotations
+
+import selectors
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass
+from math import inf
+from pathlib import Path
+
+from cfgplan.domain import Stream, Transformation
+from cfgplan.errors import InputError
+from cfgplan.ros.node_api import SilentError
+from cfgplan_runtime.children.messages import (
+    CloseOutlet,
+    Cut,
+    End,
+    Lost,
+    OpenOutlet,
+    PortCounts,
+    Switched,
+    SwitchNow,
+)
+from cfgplan_runtime.processes.child_process import cpu_us, end_of_process, memory_bytes
+from cfgplan_runtime.ros1.node_process import NodeProcess
+from cfgplan_runtime.ros1.node_watch import NodeWatch
+from cfgplan_runtime.ros1.relay_link import RelayLink
+from cfgplan_runtime.ros1.relay_messages import CloseInlets, Lead, Passed, Refused, RelayOrder, ToTopicRelay
+from cfgplan_runtime.ros1.ros_master import RosMaster, forget_node
+from cfgplan_runtime.ros1.ros_unit import RosUnit, graph_word, node_source
+from cfgplan_runtime.streams.channel import Bell
+from cfgplan_runtime.streams.run_folder import RunFolder
+from cfgplan_runtime.supervision.backend import Inlet, Usage
+from cfgplan_runtime.supervision.delays import doubling_s
+from cfgplan_runtime.supervision.events import (
+    Event,
+    HelperAlive,
+    InputLost,
+    OutletsLost,
+    OutletsOpened,
+    TopicsStatus,
+    UnitDied,
+    UnitPrinted,
+    UnitReady,
+    UnitStatus,
+    UnitStopped,
+    WireSwitched,
+)
+
+_RELAY_HELPER = "relay of topics"
+_RELAY_S, _RELAY_START_S = 10.0, 60.0
+"""Seconds that the relay may be silent, and that its start may take."""
+_RELAY_AGAIN_S, _MOST_RELAY_AGAIN_S = 0.05, 5.0
+"""Seconds until a relay that was lost twice in a row is made anew, doubled for each further loss."""
+
+
+@dataclass(slots=True, eq=False)
+class _UnitNode:
+    """A unit's node. It has no process here if somebody else runs it, and an address once it has told its master."""
+
+    unit: str
+    ros: RosUnit
+    process: NodeProcess | None = None
+    watch: NodeWatch | None = None
+    address: str | None = None
+    is_stopping: bool = False
+
+
+class Ros1Backend:
+    """A backend of ROS 1 nodes. All its methods are called from one thread, which must outlive it.
+
+    Its master is that of ROS_MASTER_URI, or one of its own if none answers there. `folder` is what `node:./FILE` is
+    relative to. Raises InputError.
+    """
+
+    def __init__(self, *, folder: Path | None = None, base: Path | None = None) -> None:
+        self.master = RosMaster()
+        self.run_folder = RunFolder(base)
+        self._folder = (folder or Path.cwd()).resolve()
+        self._selector = selectors.DefaultSelector()
+        self._bell = Bell()
+        self._selector.register(self._bell.socket, selectors.EVENT_READ, self._bell.hear)
+        self._posted: deque[Callable[[], None]] = deque()
+        self._events: list[Event] = []
+        self._nodes: dict[str, _UnitNode] = {}
+        self._units: dict[str, str] = {}
+        """The unit of each node by the node's name."""
+        self._leads: dict[int, tuple[Inlet, Lead]] = {}
+        """Wires that the relay has, or is to have."""
+        self._topics: list[str] = []
+        self._passed = Passed({}, {}, {})
+        self._relay: RelayLink | None = None
+        self._relay_losses = 0
+        self._relay_due_s: float | None = None
+        """When the relay is to be made anew; None if there is one."""
+        self._to_master = ThreadPoolExecutor(1, "to-master")
+        self._start_relay()
+
+    @property
+    def id(self) -> str:
+        return self.run_folder.id
+
+    def found(self) -> None:
+        return None
+
+    def now(self) -> float:
+        return time.monotonic()
+
+    def wake(self) -> None:
+        self._bell.ring()
+
+    def wait(self, timeout_s: float | None) -> Sequence[Event]:
+        if self._relay_due_s is not None:
+            left_s = max(0.0, self._relay_due_s - self.now())
+            timeout_s = left_s if timeout_s is None else min(timeout_s, left_s)
+        for key, _ in self._selector.select(0.0 if self._events or self._posted else timeout_s):
+            key.data()
+        while self._posted:
+            self._posted.popleft()()
+        if self._relay_due_s is not None and self._relay_due_s <= self.now():
+            self._start_relay()
+        events, self._events = self._events, []
+        return events
+
+    def start(
+        self,
+        unit: str,
+        transformation: Transformation,
+        state: bytes | None,  # noqa: ARG002
+        host: str | None,  # noqa: ARG002
+        spare: str | None = None,  # noqa: ARG002
+    ) -> None:
+        try:
+            source = node_source(transformation)
+            name = source.name if source.kind == "external" else self._free_name(unit)
+            self._begin(_UnitNode(unit, RosUnit(name, source, transformation)))
+        except (InputError, SilentError, OSError) as error:
+            self._events.append(UnitDied(unit, f"can't be started: {error}"))
+
+    def prepare(self, spare: str, transformation: Transformation, host: str | None) -> None:
+        """Do nothing: a node that waits would run."""
+
+    def discard(self, spare: str) -> None:
+        """Do nothing: nothing is prepared."""
+
+    def stop(self, unit: str) -> None:
+        node = self._nodes.get(unit)
+        if node is not None:
+            node.is_stopping = True
+            if node.process is None:
+                self._bury(node, "")
+            else:
+                node.process.interrupt()
+
+    def kill(self, unit: str, *, dump: bool = False) -> None:
+        node = self._nodes.get(unit)
+        if node is None or dump:
+            return
+        if node.process is None:
+            self._bury(node, "is given up")
+        else:
+            node.process.kill()
+
+    def connect(self, wire: int, stream: Stream, inlet: Inlet, *, queue: int, blocks: bool) -> None:  # noqa: ARG002
+        producer, consumer = self._nodes.get(stream.unit), self._nodes.get(inlet.unit)
+        if producer is None or (consumer is None and not inlet.is_outlet):
+            self._events.append(InputLost(inlet.unit or None, inlet.port, wire))
+            return
+        target = inlet.port if consumer is None else consumer.ros.listens_at(inlet.input)
+        publisher = producer.ros.name if producer.ros.is_foreign else None
+        source = producer.ros.publishes_at(stream.port)
+        lead = Lead(wire, inlet.unit, str(inlet), source, target, queue, publisher)
+        self._leads[wire] = inlet, lead
+        self._tell(lead)
+
+    def disconnect(self, wire: int, inlet: Inlet) -> None:
+        self._leads.pop(wire, None)
+        self._tell(Cut(str(inlet), wire))
+
+    def end_wire(self, wire: int, stream: Stream, inlet: Inlet) -> None:  # noqa: ARG002
+        self._leads.pop(wire, None)
+        self._tell(End(str(inlet), wire))
+
+    def switch_now(self, inlet: Inlet) -> None:
+        self._tell(SwitchNow(str(inlet)))
+
+    def open_outlet(self, topic: str, host: str | None) -> None:  # noqa: ARG002
+        self._topics.append(topic)
+        self._tell(OpenOutlet(topic))
+
+    def close_outlet(self, topic: str) -> None:
+        self._topics.remove(topic)
+        self._tell(CloseOutlet(topic))
+
+    def renew(self, helper: str) -> None:  # noqa: ARG002
+        self._lose_relay()
+
+    def usage(self, unit: str) -> Usage | None:
+        """What a node's process has used; a node that somebody else runs costs this run nothing."""
+        node = self._nodes.get(unit)
+        if node is None:
+            return None
+        if node.process is None:
+            return Usage(0, 0)
+        cpu, memory = cpu_us(node.process.pid), memory_bytes(node.process.pid)
+        return None if cpu is None or memory is None else Usage(cpu, memory, node.process.pid)
+
+    def pid(self, unit: str) -> int | None:
+        node = self._nodes.get(unit)
+        return None if node is None or node.process is None else node.process.pid
+
+    def close(self) -> None:
+        for node in list(self._nodes.values()):
+            if node.process is not None:
+                node.process.kill()
+            self._bury(node, "")
+        if self._relay is not None:
+            self._relay.close()
+        self._to_master.shutdown()
+        self.master.close()
+        self._selector.close()
+        self._bell.close()
+        self.run_folder.close()
+
+    # What watches tell, from their threads.
+
+    def note_ready(self, node: str, address: str) -> None:
+        self._post(node, lambda of: self._tell_ready(of, address))
+
+    def note_alive(self, node: str) -> None:
+        self._post(node, lambda of: self._events.append(self._status(of)))
+
+    def note_late(self, node: str, topics: list[str]) -> None:
+        line = f"cfgplan: {node} does not publish {', '.join(topics)}: what is it called in its code (`remap`)?"
+        self._post(node, lambda of: self._events.append(UnitPrinted(of.unit, line)))
+
+    def note_silence(self, node: str) -> None:
+        self._post(node, self._note_silence)
+
+    def _post(self, node: str, call: Callable[[_UnitNode], None]) -> None:
+        def do() -> None:
+            known = self._nodes.get(self._units.get(node, ""))
+            if known is not None:
+                call(known)
+
+        self._posted.append(do)
+        self._bell.ring()
+
+    def _tell_ready(self, node: _UnitNode, address: str) -> None:
+        node.address = address
+        usage = self.usage(node.unit)
+        self._events.append(UnitReady(node.unit, 0 if usage is None else usage.cpu_us))
+
+    def _status(self, node: _UnitNode) -> UnitStatus:
+        """A sign of life, with what the relay has seen of a unit's streams."""
+        outputs = {
+            port.name: PortCounts(self._passed.sources.get(node.ros.publishes_at(port.name), 0))
+            for port in node.ros.transformation.outputs
+        }
+        inputs = {}
+        for inlet, lead in self._leads.values():
+            if inlet.unit == node.unit and lead.inlet in self._passed.inlets:
+                inputs[inlet.port] = self._passed.inlets[lead.inlet]
+        return UnitStatus(node.unit, sum(counts.elements for counts in outputs.values()), 0, inputs, outputs)
+
+    def _note_silence(self, node: _UnitNode) -> None:
+        if node.process is None:
+            self._bury(node, f"{node.ros.name} does not answer any more")
+
+    # Nodes.
+
+    def _free_name(self, unit: str) -> str:
+        """A name for a unit's node. Raises SilentError if another node of that name is there."""
+        first = f"/{graph_word(unit)}"
+        names = (first, *(f"{first}_{number}" for number in range(2, len(self._units) + 3)))
+        name = next(name for name in names if name not in self._units)
+        with suppress(SilentError):
+            self.master.ask_node(name, "getPid")
+            raise InputError.of(f"a node {name} is there already, which is not this run's", mend="end it")
+        return name
+
+    def _begin(self, node: _UnitNode) -> None:
+        ros, transformation = node.ros, node.ros.transformation
+        if ros.is_foreign:
+            self.master.ask_node(ros.name, "getPid")
+        else:
+            self.master.set_parameters(ros.name, ros.parameters)
+            process = node.process = NodeProcess(ros.command(self._folder), self.master.environment, self._folder)
+            self._selector.register(process.ended, selectors.EVENT_READ, lambda: self._end_of(node, process))
+            self._selector.register(
+                process.printed.socket, selectors.EVENT_READ, lambda: self._hear_print(node, process)
+            )
+        self._nodes[node.unit] = node
+        self._units[ros.name] = node.unit
+        node.watch = NodeWatch(
+            self,
+            self.master.address,
+            ros.name,
+            (lambda _: True) if node.process is None else node.process.has,
+            [ros.publishes_at(port.name) for port in transformation.outputs],
+            [ros.listens_at(port.name) for port in transformation.inputs if not port.service],
+        )
+
+    def _hear_print(self, node: _UnitNode, process: NodeProcess) -> bool:
+        lines, is_open = process.printed.read()
+        self._events.extend(UnitPrinted(node.unit, line) for line in lines)
+        if not is_open:
+            with suppress(KeyError, ValueError):
+                self._selector.unregister(process.printed.socket)
+        return bool(lines) and is_open
+
+    def _end_of(self, node: _UnitNode, process: NodeProcess) -> None:
+        """Read the last lines of a process that has ended, then report its end."""
+        process.kill()
+        while self._hear_print(node, process):
+            pass
+        self._bury(node, None)
+
+    def _bury(self, node: _UnitNode, cause: str | None) -> None:
+        """Forget a node that is gone, or given up. `cause` is None if its exit status says it."""
+        del self._nodes[node.unit], self._units[node.ros.name]
+        if node.watch is not None:
+            node.watch.end()
+        if node.process is not None:
+            for end in (node.process.ended, node.process.printed.socket):
+                with suppress(KeyError, ValueError):
+                    self._selector.unregister(end)
+            status = node.process.reap()
+            cause = end_of_process(status) if cause is None else cause
+            if node.address is not None:
+                self._to_master.submit(forget_node, self.master.address, node.ros.name, node.address)
+        self._tell(CloseInlets(node.unit))
+        self._events.append(UnitStopped(node.unit) if node.is_stopping else UnitDied(node.unit, cause or ""))
+
+    # The relay.
+
+    def _tell(self, message: ToTopicRelay) -> None:
+        if self._relay is not None:
+            self._relay.tell(message)
+            self._watch_relay(self._relay)
+
+    def _start_relay(self) -> None:
+        self._relay_due_s = None
+        order = RelayOrder(f"/cfgplan_relay_{self.id}", self.master.address, self.master.host)
+        relay = self._relay = RelayLink(order)
+        self._selector.register(relay.control.socket, selectors.EVENT_READ, lambda: self._hear_relay(relay))
+        self._events.append(HelperAlive(_RELAY_HELPER, _RELAY_START_S))
+        for topic in self._topics:
+            self._tell(OpenOutlet(topic))
+        if self._relay_losses:
+            self._leads = {wire: one for wire, one in self._leads.items() if not one[0].is_outlet}
+            for _, lead in self._leads.values():
+                self._tell(lead)
+            self._events.append(OutletsOpened())
+
+    def _hear_relay(self, relay: RelayLink) -> None:
+        for message in relay.hear():
+            match message:
+                case Switched(_, wire):
+                    self._note_switch(wire)
+                case Lost(_, wire) if wire in self._leads:
+                    inlet, _ = self._leads.pop(wire)
+                    self._events.append(InputLost(inlet.unit or None, inlet.port, wire))
+                case Passed(_, _, flows):
+                    self._passed = message
+                    self._events += [HelperAlive(_RELAY_HELPER, _RELAY_S), TopicsStatus(flows)]
+                    self._relay_losses = 0
+                case Refused(topic, cause):
+                    self._tell_refusal(topic, cause)
+        if relay.control.has_ended:
+            self._lose_relay()
+        else:
+            self._watch_relay(relay)
+
+    def _note_switch(self, wire: int) -> None:
+        if wire in self._leads:
+            inlet, _ = self._leads[wire]
+            self._leads = {
+                other: one for other, one in self._leads.items() if other >= wire or one[0] != inlet
+            }  # what it has replaced
+        self._events.append(WireSwitched(wire))
+
+    def _tell_refusal(self, topic: str, cause: str) -> None:
+        unit = next((inlet.unit for inlet, lead in self._leads.values() if lead.target == topic), "")
+        if unit:
+            self._events.append(UnitPrinted(unit, f"cfgplan: {topic}: {cause}"))
+
+    def _lose_relay(self) -> None:
+        """End the relay and report that. It is made anew at once the first time, later after losses in a row."""
+        if self._relay is None:
+            return
+        self._selector.unregister(self._relay.control.socket)
+        status = self._relay.close()
+        self._relay = None
+        self._relay_losses += 1
+        self._relay_due_s = self.now() + doubling_s(self._relay_losses, _RELAY_AGAIN_S, _MOST_RELAY_AGAIN_S)
+        self._events += [HelperAlive(_RELAY_HELPER, inf), OutletsLost(f"the relay was {end_of_process(status)}")]
+
+    def _watch_relay(self, relay: RelayLink) -> None:
+        events = selectors.EVENT_READ | (selectors.EVENT_WRITE if relay.control.is_waiting else 0)
+        with suppress(KeyError):
+            self._selector.modify(relay.control.socket, events, lambda: self._hear_relay(relay))

@@ -1,0 +1,121 @@
+"""The ROS 1 master of a run: one that answers, or else one that is started for the run and ends with it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import subprocess
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from typing import Any
+from urllib.parse import urlparse
+
+from cfgplan.errors import InputError
+from cfgplan.ros.master import MASTER_VARIABLE, USUAL_MASTER
+from cfgplan.ros.node_api import SilentError, asked, peer
+from cfgplan_runtime.errors import RuntimeFaultError
+
+_CALLED_BY = "/cfgplan"
+_MASTER_START_S = 30.0
+_MASTER_LOOK_S = 0.02
+_HOST_VARIABLES = ("ROS_IP", "ROS_HOSTNAME")
+
+
+def with_parent(command: list[str]) -> list[str]:
+    """A command that ends when the thread that starts it ends, where the system can do that."""
+    setpriv = shutil.which("setpriv")
+    return command if setpriv is None else [setpriv, "--pdeathsig", "KILL", "--", *command]
+
+
+class RosMaster:
+    """The master at ROS_MASTER_URI. If none answers there it is started, as `roslaunch` does, without `rosout`.
+
+    What it starts ends with the thread that made it. For one thread. Raises InputError if there is no master.
+    """
+
+    def __init__(self) -> None:
+        self.address = os.environ.get(MASTER_VARIABLE) or USUAL_MASTER
+        self._process: subprocess.Popen[bytes] | None = None
+        self._peer = peer(self.address)
+        place = urlparse(self.address)
+        self.is_local = place.hostname in ("localhost", "127.0.0.1", "::1", socket.gethostname())
+        if not self.answers():
+            self._start(place.port or 11311)
+
+    @property
+    def is_own(self) -> bool:
+        return self._process is not None
+
+    @property
+    def host(self) -> str:
+        """The name by which nodes here are reached."""
+        named = next((os.environ[name] for name in reversed(_HOST_VARIABLES) if os.environ.get(name)), None)
+        return named or ("127.0.0.1" if self.is_local else socket.gethostname())
+
+    @property
+    def environment(self) -> Mapping[str, str]:
+        """The environment of nodes: with a master on this computer, nobody else reaches them unless it says so."""
+        is_said = any(os.environ.get(name) for name in _HOST_VARIABLES)
+        host = {} if is_said or not self.is_local else {"ROS_IP": self.host}
+        return {**os.environ, MASTER_VARIABLE: self.address, "PYTHONUNBUFFERED": "1", **host}
+
+    def answers(self) -> bool:
+        """Whether the master is there."""
+        try:
+            self.ask("getPid")
+        except SilentError:
+            return False
+        return True
+
+    def ask(self, method: str, *arguments: object) -> Any:
+        """What it answers. Raises SilentError."""
+        return asked(self._peer, _CALLED_BY, method, *arguments)
+
+    def ask_node(self, node: str, method: str) -> Any:
+        """What a node that the master knows answers. Raises SilentError."""
+        return asked(peer(str(self.ask("lookupNode", node))), _CALLED_BY, method)
+
+    def set_parameters(self, node: str, parameters: Mapping[str, object]) -> None:
+        """Have a node find these parameters, by full names, and no others of its own. Raises SilentError."""
+        with suppress(SilentError):  # it has none
+            self.ask("deleteParam", node)
+        for name, value in parameters.items():
+            self.ask("setParam", name, value)
+
+    def close(self) -> None:
+        """End the master, if it is this run's own."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+
+    def _start(self, port: int) -> None:
+        program = shutil.which("rosmaster")
+        if program is None or not self.is_local:
+            mend = (
+                "name one that runs in ROS_MASTER_URI, or install one (Debian, Ubuntu: apt install python3-rosmaster)"
+            )
+            raise InputError.of(f"no ROS 1 master answers at {self.address}", mend=mend)
+        command = with_parent([program, "--core", "-p", str(port)])
+        null = subprocess.DEVNULL
+        self._process = subprocess.Popen(
+            command, stdin=null, stdout=null, stderr=null, env=self.environment, start_new_session=True
+        )
+        until = time.monotonic() + _MASTER_START_S
+        while not self.answers():
+            if self._process.poll() is not None or time.monotonic() > until:
+                self.close()
+                raise RuntimeFaultError(f"{program} does not start at {self.address}")
+            time.sleep(_MASTER_LOOK_S)
+
+
+def forget_node(master: str, node: str, address: str) -> None:
+    """Tell a master what a node that has died there would have told it. Raises SilentError."""
+    of = peer(master)
+    publishers, subscribers, servers = asked(of, node, "getSystemState")
+    for method, rows in (("unregisterPublisher", publishers), ("unregisterSubscriber", subscribers)):
+        for topic in [topic for topic, nodes in rows if node in nodes]:
+            asked(of, node, method, topic, address)
+    for service in [service for service, nodes in servers if node in nodes]:
+        asked(of, node, "unregisterService", service, asked(of, node, "lookupService", service))

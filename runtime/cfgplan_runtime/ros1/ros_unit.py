@@ -1,0 +1,142 @@
+"""A unit as a ROS 1 node: its name, its topics, and the command that starts it."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from cfgplan.domain import Environment
+from cfgplan.errors import Fault, InputError
+from cfgplan.ros.graph import resolved
+from cfgplan.ros.sources import NodeSource
+from cfgplan.ros.types import MessageType
+from cfgplan.transformations import InputPort, OutputPort, Transformation
+
+_TOPIC = re.compile(r"(/[A-Za-z]\w*)+", re.ASCII)
+_SYSTEM_PREFIXES = ("/usr/local", "/usr")
+
+
+@dataclass(frozen=True)
+class RosUnit:
+    """A unit's node, by its full `name`."""
+
+    name: str
+    source: NodeSource
+    transformation: Transformation
+
+    @property
+    def is_foreign(self) -> bool:
+        """Whether somebody else runs it."""
+        return self.source.kind == "external"
+
+    def listens_at(self, port: str) -> str:
+        """The topic that an input listens to."""
+        return self._name_of(self.transformation.input[port], "in")
+
+    def publishes_at(self, port: str) -> str:
+        """The topic that an output publishes on."""
+        return self._name_of(self.transformation.output[port], "out")
+
+    @property
+    def remappings(self) -> Mapping[str, str]:
+        """Each port's topic by the name that the node's code has for it."""
+        transformation = self.transformation
+        led = {port.remap or port.name: self.listens_at(port.name) for port in transformation.inputs}
+        return {**led, **{port.remap or port.name: self.publishes_at(port.name) for port in transformation.outputs}}
+
+    @property
+    def parameters(self) -> Mapping[str, object]:
+        """The node's parameters by their full names."""
+        params = self.transformation.params
+        return {name if name.startswith("/") else f"{self.name}/{name.lstrip('~')}": params[name] for name in params}
+
+    def command(self, folder: Path) -> list[str]:
+        """The command that starts a node; files are relative to `folder`. Raises InputError if it can't be found."""
+        source = self.source
+        program = _file(folder, source.name) if not source.package else executable(source.package, source.name)
+        remaps = [f"{own}:={topic}" for own, topic in self.remappings.items()]
+        return [str(program), *source.arguments, f"__name:={self.name.removeprefix('/')}", *remaps]
+
+    def _name_of(self, port: InputPort | OutputPort, direction: str) -> str:
+        if self.is_foreign:
+            return resolved(port.remap or port.name, self.name.rpartition("/")[0], self.name)
+        return f"{self.name}/{direction}/{graph_word(port.name)}"
+
+
+def graph_word(text: str) -> str:
+    """A text as ROS 1 allows it in names: letters, digits and underscores, a letter first."""
+    word = re.sub(r"_+", "_", re.sub(r"\W", "_", text, flags=re.ASCII)).strip("_")
+    return word if word[:1].isalpha() else f"n{word}"
+
+
+def node_source(transformation: Transformation) -> NodeSource:
+    """The ROS 1 node that units of a transformation are. Raises InputError for one that can't be."""
+    label = transformation.label
+    source = NodeSource.read(transformation.source)
+    if source is None or source.kind == "component":
+        mend = "write node:PACKAGE/EXECUTABLE, node:./FILE or external:/NAME"
+        raise InputError.of(f"{label}: `{transformation.source}` is no node of ROS 1", mend=mend)
+    ports: tuple[InputPort | OutputPort, ...] = (*transformation.inputs, *transformation.outputs)
+    if source.kind != "external":
+        names = Counter(port.remap or port.name for port in ports)
+        twice = sorted(name for name, count in names.items() if count > 1)
+        if twice:
+            what = f"two ports are {twice[0]!r} to the node, which can't be led to two topics"
+            raise InputError.of(f"{label}: {what}", mend="leave one of them out of the file")
+    for port in ports:
+        if port.type is not None:
+            MessageType.read(port.type)
+    return source
+
+
+def check_nodes(environment: Environment, file: str) -> None:
+    """Raises InputError with all that is wrong with an environment's transformations as nodes, and with its topics."""
+    faults = list[Fault]()
+    for transformation in environment.library:
+        try:
+            node_source(transformation)
+        except InputError as error:
+            faults += error.faults
+    for target in environment.stream_targets:
+        if not _TOPIC.fullmatch(target.topic):
+            mend = "use letters, digits and underscores between slashes, such as /front/image"
+            what = f"{target.label}: `{target.topic}` can't be the name of a ROS 1 topic"
+            faults += InputError.of(what, mend=mend).faults
+    if faults:
+        raise InputError([replace(fault, file=fault.file or file) for fault in faults])
+
+
+def executable(package: str, name: str) -> Path:
+    """An executable of a package, as `rosrun` finds it. Raises InputError."""
+    found = next((path for path in _candidates(package, name) if os.access(path, os.X_OK) and path.is_file()), None)
+    if found is None:
+        mend = "look at its spelling, and source the setup file of its workspace before `cfgplan run`"
+        raise InputError.of(f"there is no executable {name!r} of a package {package!r}", mend=mend)
+    return found
+
+
+def _candidates(package: str, name: str) -> Iterator[Path]:
+    for prefix in (*_paths("CMAKE_PREFIX_PATH"), *map(Path, _SYSTEM_PREFIXES)):
+        yield prefix / "lib" / package / name
+    for root in _paths("ROS_PACKAGE_PATH"):
+        for manifest in root.rglob("package.xml"):
+            if manifest.parent.name == package:
+                yield from manifest.parent.rglob(name)
+
+
+def _paths(variable: str) -> list[Path]:
+    return [Path(path) for path in os.environ.get(variable, "").split(os.pathsep) if path]
+
+
+def _file(folder: Path, name: str) -> Path:
+    path = (folder / name).resolve()
+    if not path.is_file():
+        mend = "files are relative to the environment file"
+        raise InputError.of(f"there is no file {name}", file=str(path), mend=mend)
+    if not os.access(path, os.X_OK):
+        raise InputError.of("this node is not executable", file=str(path), mend=f"chmod +x {path.name}")
+    return path

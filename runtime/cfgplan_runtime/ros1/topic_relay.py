@@ -1,0 +1,493 @@
+"""The process that rewires ROS 1 nodes: a node itself, which leads topics that nodes publish to those they listen to.
+
+Each input of a node listens to a topic of its own, on which only the relay publishes. What it publishes there comes
+from one output after the other, as wires say, so that no node has to know of it.
+"""
+
+from __future__ import annotations
+
+import os
+import selectors
+import socket
+import struct
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import partial
+
+import msgspec
+
+from cfgplan.ros.node_api import SilentError, asked, header_of, peer
+from cfgplan_runtime.children.control import ControlConnection
+from cfgplan_runtime.children.messages import (
+    CloseOutlet,
+    Cut,
+    End,
+    Finish,
+    Lost,
+    OpenOutlet,
+    PortCounts,
+    Ready,
+    Switched,
+    SwitchNow,
+)
+from cfgplan_runtime.children.outlet_child import Meter
+from cfgplan_runtime.processes.nursery import die_with_parent
+from cfgplan_runtime.ros1.relay_api import RelayApi
+from cfgplan_runtime.ros1.relay_messages import (
+    CloseInlets,
+    FromTopicRelay,
+    Lead,
+    Passed,
+    Refused,
+    RelayOrder,
+    ToTopicRelay,
+)
+from cfgplan_runtime.ros1.tcpros import Framed, Header, MessageReader, MessageWriter, read_header, subscribed
+from cfgplan_runtime.streams.channel import Bell
+from cfgplan_runtime.streams.element import Element, Moment
+from cfgplan_runtime.streams.inlet import InputQueue
+
+SIGN_S = 1.0
+"""Seconds from one sign of life to the next."""
+_TRUSTED_NS = 5_000_000_000
+"""A message's stamp counts as its time if it is not further from now."""
+_STAMP = struct.Struct("<4xIII")
+"""A message that begins with a header: its length, then the header's number, seconds and nanoseconds."""
+_STAMPED = ("Header header", "std_msgs/Header header", "roslib/Header header")
+_CONNECT_AGAIN_S, _MOST_CONNECT_AGAIN_S = 0.05, 2.0
+"""Seconds until a publisher that does not answer is asked again, doubled up to the second value."""
+
+
+@dataclass(slots=True, eq=False)
+class _Publication:
+    """A topic that the relay publishes; nobody can have it before it is known what is published."""
+
+    topic: str
+    queue: int
+    header: Header | None = None
+    writers: list[MessageWriter] = field(default_factory=list)
+    latched: Framed | None = None
+    dropped: int = 0
+    """What was dropped for subscribers that are gone."""
+
+
+@dataclass(slots=True, eq=False)
+class _LedInlet:
+    """An inlet with the topic that it comes out on; `told` is the wire that was last told as its source."""
+
+    unit: str
+    name: str
+    queue: InputQueue
+    publication: _Publication
+    told: int | None = None
+    elements: int = 0
+
+
+@dataclass(slots=True, eq=False)
+class _SourceTopic:
+    """A topic that the relay listens to, with the inlet of each wire, and how many of its messages that was offered.
+
+    `wanted` are the addresses of its publishers, `readers` the connections to them.
+    """
+
+    topic: str
+    publisher: str | None
+    wires: dict[int, _LedInlet] = field(default_factory=dict)
+    offered: dict[int, int] = field(default_factory=dict)
+    wanted: set[str] = field(default_factory=set)
+    readers: dict[str, MessageReader] = field(default_factory=dict)
+    header: Header | None = None
+    has_stamp: bool = False
+    messages: int = 0
+    last: Moment = (0, 0)
+
+    def moment(self, message: Framed, now_ns: int) -> Moment:
+        """When a message was made: its stamp, if it has one that can be true, else its arrival. Moments always rise."""
+        time_ns = now_ns
+        if self.has_stamp and len(message) >= _STAMP.size:
+            _, seconds, nanoseconds = _STAMP.unpack_from(message)
+            stamp_ns = seconds * 1_000_000_000 + nanoseconds
+            if abs(stamp_ns - now_ns) < _TRUSTED_NS:
+                time_ns = stamp_ns
+        self.last = (time_ns, 0) if time_ns > self.last[0] else (self.last[0], self.last[1] + 1)
+        return self.last
+
+
+class TopicRelay:
+    """The relay of a run. All state belongs to the thread of `run`; other threads wait for other nodes."""
+
+    def __init__(self, order: RelayOrder, control: ControlConnection[ToTopicRelay]) -> None:
+        self._node, self._master = order.node, order.master
+        self._control = control
+        self._sources: dict[tuple[str, str | None], _SourceTopic] = {}
+        self._inlets: dict[str, _LedInlet] = {}
+        self._publications: dict[str, _Publication] = {}
+        self._meters: dict[str, Meter] = {}
+        self._posted: deque[Callable[[], None]] = deque()
+        self._bell = Bell()
+        self._is_finishing = False
+        self._selector = selectors.DefaultSelector()
+        self._listener = socket.create_server((order.host, 0), backlog=64)
+        self._listener.setblocking(False)
+        self._api = RelayApi(self, order.master, order.host, self._listener.getsockname()[1])
+        self._to_master = ThreadPoolExecutor(1, "to-master")
+        """What the master is told, in order."""
+        self._selector.register(control.socket, selectors.EVENT_READ, self._hear)
+        self._selector.register(self._bell.socket, selectors.EVENT_READ, self._bell.hear)
+        self._selector.register(self._listener, selectors.EVENT_READ, self._accept)
+
+    def run(self) -> None:
+        """Relay until told to finish, or until the run is gone."""
+        self._say(Ready(time.process_time_ns()))
+        due = time.monotonic()
+        while not self._control.has_ended and not self._is_finishing:
+            for key, _ in self._selector.select(max(0.0, due - time.monotonic())):
+                if key.fileobj.fileno() != -1:  # type: ignore[union-attr]
+                    key.data()
+            while self._posted:
+                self._posted.popleft()()
+            if time.monotonic() >= due:
+                due = time.monotonic() + SIGN_S
+                self._say(self._sign())
+
+    # What other threads ask.
+
+    def published(self) -> Mapping[str, str]:
+        known = list(self._publications.values())
+        return {one.topic: one.header["type"] for one in known if one.header is not None}
+
+    def subscribed(self) -> Mapping[str, str]:
+        known = list(self._sources.values())
+        return {one.topic: "*" if one.header is None else one.header["type"] for one in known}
+
+    def note_publishers(self, topic: str, addresses: list[str]) -> None:
+        """Connect to the publishers of a topic that are new. Waits for the master."""
+        for source in [source for source in list(self._sources.values()) if source.topic == topic]:
+            wanted = set(addresses)
+            if source.publisher is not None:
+                with suppress(SilentError):
+                    wanted &= {str(asked(peer(self._master), self._node, "lookupNode", source.publisher))}
+            self._post(partial(self._want, source, wanted))
+
+    def finish(self) -> None:
+        self._is_finishing = True
+        self._bell.ring()
+
+    def _post(self, call: Callable[[], None]) -> None:
+        self._posted.append(call)
+        self._bell.ring()
+
+    # What the run asks.
+
+    def _hear(self) -> None:
+        self._control.flush()
+        for message, _ in self._control.receive():
+            match message:
+                case Lead():
+                    self._lead(message)
+                case Cut(_, wire):
+                    self._end(wire, drains=False)
+                case End(_, wire):
+                    self._end(wire, drains=True)
+                case SwitchNow(name) if name in self._inlets:
+                    self._hand_on(self._inlets[name], self._inlets[name].queue.switch((time.time_ns(), 0)))
+                case OpenOutlet(topic):
+                    self._meters[topic] = Meter(time.monotonic())
+                case CloseOutlet(topic):
+                    self._meters.pop(topic, None)
+                    self._close_inlet(topic)
+                case CloseInlets(unit):
+                    for name in [name for name, inlet in self._inlets.items() if inlet.unit == unit]:
+                        self._close_inlet(name)
+                case Finish():
+                    self._is_finishing = True
+        self._watch_control()
+
+    def _lead(self, order: Lead) -> None:
+        if order.inlet not in self._inlets:
+            publication = self._publications.setdefault(order.target, _Publication(order.target, order.queue))
+            queue = InputQueue(order.queue)
+            self._inlets[order.inlet] = _LedInlet(order.unit, order.inlet, queue, publication)
+        inlet, at = self._inlets[order.inlet], (order.source, order.publisher)
+        if at not in self._sources:
+            self._sources[at] = _SourceTopic(*at)
+            self._to_master.submit(self._subscribe, order.source)
+        source = self._sources[at]
+        source.wires[order.wire], source.offered[order.wire] = inlet, 0
+        inlet.queue.attach(order.wire)
+        self._tell_switch(inlet)
+
+    def _end(self, wire: int, *, drains: bool) -> None:
+        found = next((source for source in self._sources.values() if wire in source.wires), None)
+        if found is None:
+            return
+        if drains:
+            for address, reader in list(found.readers.items()):
+                self._read(found, address, reader)
+        inlet = found.wires.pop(wire)
+        del found.offered[wire]
+        was_active = wire == inlet.queue.active
+        self._hand_on(inlet, inlet.queue.end(wire))
+        if was_active and inlet.queue.active is None and drains:
+            inlet.told = None
+            self._say(Lost(inlet.name, wire))
+        self._drop_unused(found)
+
+    def _drop_unused(self, source: _SourceTopic) -> None:
+        if source.wires:
+            return
+        del self._sources[source.topic, source.publisher]
+        for address, reader in list(source.readers.items()):
+            self._forget_reader(source, address, reader)
+        source.wanted.clear()
+        if not any(one.topic == source.topic for one in self._sources.values()):
+            self._to_master.submit(self._ask_master, "unregisterSubscriber", source.topic, self._api.address)
+
+    def _close_inlet(self, name: str) -> None:
+        inlet = self._inlets.pop(name, None)
+        if inlet is None:
+            return
+        for source in list(self._sources.values()):
+            for wire in [wire for wire, to in source.wires.items() if to is inlet]:
+                del source.wires[wire], source.offered[wire]
+            self._drop_unused(source)
+        publication = inlet.publication
+        if not any(one.publication is publication for one in self._inlets.values()):
+            self._publications.pop(publication.topic, None)
+            for writer in publication.writers:
+                self._forget_writer(writer)
+            if publication.header is not None:
+                self._to_master.submit(self._ask_master, "unregisterPublisher", publication.topic, self._api.address)
+
+    # What comes from nodes.
+
+    def _want(self, source: _SourceTopic, addresses: set[str]) -> None:
+        """Connect to these publishers of a source, and to no others."""
+        if self._sources.get((source.topic, source.publisher)) is not source:
+            return
+        source.wanted, new = addresses, addresses - source.wanted
+        for address in [address for address in source.readers if address not in addresses]:
+            self._read(source, address, source.readers[address])
+            if address in source.readers:
+                self._forget_reader(source, address, source.readers[address])
+        for address in sorted(new):
+            self._begin_connecting(source, address)
+
+    def _begin_connecting(self, source: _SourceTopic, address: str) -> None:
+        threading.Thread(target=self._connect, args=(source, address), daemon=True).start()
+
+    def _connect(self, source: _SourceTopic, address: str) -> None:
+        """Wait until a publisher has taken the relay on. Works in a thread of its own."""
+        again_s = _CONNECT_AGAIN_S
+        while address in source.wanted:
+            with suppress(SilentError, OSError):
+                connection = subscribed(address, self._node, source.topic)
+                self._post(partial(self._connected, source, address, *connection))
+                return
+            time.sleep(again_s)
+            again_s = min(2 * again_s, _MOST_CONNECT_AGAIN_S)
+
+    def _connected(self, source: _SourceTopic, address: str, end: socket.socket, header: Header) -> None:
+        if address not in source.wanted or address in source.readers:
+            end.close()
+            return
+        source.header = header
+        source.has_stamp = header.get("message_definition", "").lstrip().startswith(_STAMPED)
+        reader = source.readers[address] = MessageReader(end)
+        self._selector.register(end, selectors.EVENT_READ, lambda: self._read(source, address, reader))
+        for inlet in set(source.wires.values()):
+            self._tell_switch(inlet)
+
+    def _read(self, source: _SourceTopic, address: str, reader: MessageReader) -> None:
+        for message in reader.read():
+            source.messages += 1
+            time_ns, turn = source.moment(message, time.time_ns())
+            for wire, inlet in list(source.wires.items()):
+                number = source.offered[wire]
+                source.offered[wire] += 1
+                self._hand_on(inlet, inlet.queue.accept(wire, Element(time_ns, turn, number, message)))
+        if reader.has_ended and source.readers.get(address) is reader:
+            self._forget_reader(source, address, reader)
+            if address in source.wanted:
+                self._begin_connecting(source, address)
+
+    def _forget_reader(self, source: _SourceTopic, address: str, reader: MessageReader) -> None:
+        del source.readers[address]
+        with suppress(KeyError, ValueError):
+            self._selector.unregister(reader.socket)
+        reader.socket.close()
+
+    def _hand_on(self, inlet: _LedInlet, elements: list[Element]) -> None:
+        self._tell_switch(inlet)
+        publication = inlet.publication
+        for element in elements:
+            inlet.elements += 1
+            message: Framed = element.payload  # type: ignore[assignment]
+            if publication.header is not None and publication.header["latching"] == "1":
+                publication.latched = message
+            for writer in publication.writers:
+                writer.offer(message)
+            meter = None if inlet.unit else self._meters.get(inlet.name)
+            if meter is not None:
+                meter.note((time.time_ns() - element.time_ns) / 1e9, time.monotonic())
+        if elements:
+            self._watch_writers(publication)
+
+    def _tell_switch(self, inlet: _LedInlet) -> None:
+        """Tell that an inlet goes on with another wire, once that is connected."""
+        active = inlet.queue.active
+        if active is None or active == inlet.told:
+            return
+        source = next(one for one in self._sources.values() if active in one.wires)
+        if source.header is not None:
+            self._advertise(inlet.publication, source.header)
+            inlet.told = active
+            self._say(Switched(inlet.name, active))
+
+    # What goes to nodes.
+
+    def _advertise(self, publication: _Publication, of: Header) -> None:
+        before = publication.header
+        publication.header = {
+            "callerid": self._node,
+            "topic": publication.topic,
+            "type": of["type"],
+            "md5sum": of["md5sum"],
+            "message_definition": of.get("message_definition", ""),
+            "latching": of.get("latching", "0"),
+        }
+        if before is None:
+            kind, address = of["type"], self._api.address
+            self._to_master.submit(self._ask_master, "registerPublisher", publication.topic, kind, address)
+        elif before["md5sum"] != of["md5sum"]:
+            publication.latched = None
+            for writer in publication.writers:  # who can take the other type comes back
+                self._forget_writer(writer)
+            publication.writers.clear()
+
+    def _accept(self) -> None:
+        with suppress(OSError):
+            end, _ = self._listener.accept()
+            threading.Thread(target=self._greet, args=(end,), daemon=True).start()
+
+    def _greet(self, end: socket.socket) -> None:
+        """Agree with a subscriber on a topic and its type. Works in a thread of its own."""
+        try:
+            asks = read_header(end)
+            publication = self._publications.get(asks.get("topic", ""))
+            header = None if publication is None else publication.header
+            if publication is None or header is None:
+                raise SilentError(f"{asks.get('topic')} is not published here")
+            if asks.get("md5sum") not in ("*", header["md5sum"]) and header["md5sum"] != "*":
+                cause = f"{asks.get('callerid')} wants {asks.get('type')}, and what comes there is {header['type']}"
+                self._post(lambda: self._say(Refused(publication.topic, cause)))
+                raise SilentError(cause)
+            end.sendall(header_of(header))
+            end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        except (SilentError, OSError) as error:
+            with suppress(OSError):
+                end.sendall(header_of({"error": str(error)}))
+            end.close()
+        else:
+            self._post(lambda: self._add_writer(publication, end))
+
+    def _add_writer(self, publication: _Publication, end: socket.socket) -> None:
+        if self._publications.get(publication.topic) is not publication:
+            end.close()
+            return
+        writer = MessageWriter(end, publication.queue)
+        publication.writers.append(writer)
+        self._selector.register(end, selectors.EVENT_READ, lambda: self._hear_subscriber(publication, writer))
+        if publication.latched is not None:
+            writer.offer(publication.latched)
+            self._watch_writers(publication)
+
+    def _hear_subscriber(self, publication: _Publication, writer: MessageWriter) -> None:
+        """Go on sending, or notice that the subscriber is gone: it says nothing itself."""
+        writer.flush()
+        try:
+            writer.has_ended = not writer.socket.recv(1 << 12)
+        except BlockingIOError:
+            pass
+        except OSError:
+            writer.has_ended = True
+        self._watch_writers(publication)
+
+    def _watch_writers(self, publication: _Publication) -> None:
+        for writer in list(publication.writers):
+            if writer.has_ended:
+                publication.writers.remove(writer)
+                publication.dropped += writer.dropped
+                self._forget_writer(writer)
+                continue
+            events = selectors.EVENT_READ | (selectors.EVENT_WRITE if writer.is_waiting else 0)
+            key = self._selector.get_key(writer.socket)
+            if key.events != events:
+                self._selector.modify(writer.socket, events, key.data)
+
+    def _forget_writer(self, writer: MessageWriter) -> None:
+        with suppress(KeyError, ValueError):
+            self._selector.unregister(writer.socket)
+        writer.socket.close()
+
+    # What the master is told, in the thread for that.
+
+    def _subscribe(self, topic: str) -> None:
+        again_s = _CONNECT_AGAIN_S
+        while any(one.topic == topic for one in list(self._sources.values())):
+            publishers = self._ask_master("registerSubscriber", topic, "*", self._api.address)
+            if publishers is not None:
+                self.note_publishers(topic, publishers)
+                return
+            time.sleep(again_s)
+            again_s = min(2 * again_s, _MOST_CONNECT_AGAIN_S)
+
+    def _ask_master(self, method: str, *arguments: str) -> list[str] | None:
+        """What the master answers; None if it does not."""
+        try:
+            answer: list[str] = asked(peer(self._master), self._node, method, *arguments)
+        except SilentError:
+            return None
+        return answer
+
+    # What the run is told.
+
+    def _sign(self) -> Passed:
+        now_s = time.monotonic()
+        sources = dict[str, int]()
+        for source in self._sources.values():
+            sources[source.topic] = sources.get(source.topic, 0) + source.messages
+        inlets = {name: self._counts(inlet) for name, inlet in self._inlets.items()}
+        flows = {}
+        for topic, meter in self._meters.items():
+            flows[topic] = meter.flow(inlets[topic].dropped if topic in inlets else 0, now_s)
+        return Passed(sources, inlets, flows)
+
+    def _counts(self, inlet: _LedInlet) -> PortCounts:
+        publication = inlet.publication
+        dropped = publication.dropped + sum(writer.dropped for writer in publication.writers)
+        return PortCounts(inlet.elements, dropped + inlet.queue.dropped, inlet.queue.stale)
+
+    def _say(self, message: FromTopicRelay) -> None:
+        self._control.send(message)
+        self._watch_control()
+
+    def _watch_control(self) -> None:
+        events = selectors.EVENT_READ | (selectors.EVENT_WRITE if self._control.is_waiting else 0)
+        if self._selector.get_key(self._control.socket).events != events:
+            self._selector.modify(self._control.socket, events, self._hear)
+
+
+def main() -> None:
+    """Run as a relay. Arguments: control socket's number, the run's process id, the order."""
+    number, parent, order = sys.argv[1:]
+    die_with_parent(int(parent))
+    control: ControlConnection[ToTopicRelay] = ControlConnection(socket.socket(fileno=int(number)), ToTopicRelay)
+    TopicRelay(msgspec.json.decode(order, type=RelayOrder), control).run()
+    os._exit(0)  # threads that wait for other nodes are not waited for

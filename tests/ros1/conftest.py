@@ -1,0 +1,47 @@
+"""A ROS 1 master's address and run folders of the tests' own; without ROS 1 on this computer they are skipped."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.append(str(Path(__file__).parents[1] / "operating"))
+PYTHON = "/usr/bin/python3"
+
+
+def _lacks_ros() -> str:
+    """Why nodes of ROS 1 can't be run here; empty if they can."""
+    if shutil.which("rosmaster") is None:
+        return "ROS 1 is not installed here (Debian: apt install python3-rosmaster)"
+    code = "import rospy, roscpp.srv, std_msgs.msg"
+    found = subprocess.run([PYTHON, "-c", code], env={}, capture_output=True, text=True, check=False)
+    return f"rospy can't be used here: {found.stderr.strip().rpartition(chr(10))[2]}" if found.returncode else ""
+
+
+LACKS_ROS = _lacks_ros()
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    here = Path(__file__).parent
+    for item in items:
+        if LACKS_ROS and here in item.path.parents:
+            item.add_marker(pytest.mark.skip(reason=LACKS_ROS))
+
+
+@pytest.fixture(autouse=True)
+def surroundings(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    for name in [name for name in os.environ if name.startswith("ROS_")]:
+        monkeypatch.delenv(name)
+    monkeypatch.setenv("ROS_MASTER_URI", f"http://127.0.0.1:{port}")
+    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path_factory.mktemp("log")))
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("r")))
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))

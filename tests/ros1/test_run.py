@@ -1,0 +1,66 @@
+"""`cfgplan run --middleware ros1`: what an environment asks for runs as nodes, and nothing of it is left."""
+
+from __future__ import annotations
+
+from itertools import islice
+from pathlib import Path
+
+import psutil
+import pytest
+from operated_world import await_event, running
+from words import ENVIRONMENT, eventually, listening, node_names, write_words
+
+from cfgplan.cli import main
+from cfgplan.errors import InputError
+from cfgplan.ros.master import master_graph
+
+
+@pytest.fixture
+def env(tmp_path: Path) -> Path:
+    return write_words(tmp_path)
+
+
+def test_nodes_are_started_connected_and_stopped_and_nothing_is_left(env: Path) -> None:
+    with running("--middleware", "ros1", env) as process:
+        await_event(process, "Running")
+        with listening("/shout") as shouts:
+            numbers = [int(word.removesuffix("!")) for word in islice(shouts, 20)]
+        assert numbers == list(range(numbers[0], numbers[0] + 20))
+        assert numbers[0] >= 1000, "the parameter was taken"
+        assert {"/talker_1", "/shouter_1"} <= node_names()
+        children = psutil.Process(process.pid).children(recursive=True)
+        assert any("talking.py" in " ".join(child.cmdline()) for child in children)
+        process.terminate()
+        process.communicate()
+    assert process.returncode == 0
+    eventually(lambda: not any(child.is_running() for child in children))
+    with pytest.raises(InputError, match="no ROS 1 master answers"):
+        master_graph()
+
+
+def test_nothing_is_left_of_a_run_that_is_killed(env: Path) -> None:
+    with running("--middleware", "ros1", env) as process:
+        await_event(process, "Running")
+        with listening("/shout") as shouts:
+            next(shouts)
+        children = psutil.Process(process.pid).children(recursive=True)
+        process.kill()
+    eventually(lambda: not any(child.is_running() and child.status() != "zombie" for child in children))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("node:./talking.py talker", "units.py:Talker", "talker: `units.py:Talker` is no node of ROS 1"),
+        ("node:./talking.py talker", "component:a/b::C", "talker: `component:a/b::C` is no node of ROS 1"),
+        ("remap: ~loud", "remap: quiet", "shouter: two ports are 'quiet' to the node"),
+        ("topic: /shout", "topic: /sh-out", "shout: `/sh-out` can't be the name of a ROS 1 topic"),
+        ("type: std_msgs/String, remap: chatter", "type: String, remap: chatter", "`String` is no message type"),
+    ],
+)
+def test_what_is_wrong_is_told_before_anything_starts(
+    env: Path, old: str, new: str, told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    env.write_text(ENVIRONMENT.replace(old, new))
+    assert main(["run", "--middleware", "ros1", str(env)]) == 30
+    assert told in " ".join(capsys.readouterr().err.split())

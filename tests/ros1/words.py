@@ -1,0 +1,88 @@
+"""A small environment of ROS 1 nodes for tests, and what comes on a topic."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import struct
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from cfgplan_runtime.ros1.tcpros import MessageReader, subscribed
+
+from cfgplan.ros.master import master_graph
+from cfgplan.ros.node_api import SilentError, asked, peer
+
+PATIENCE_S = 60.0
+"""Far longer than anything takes on the slowest machine."""
+NODES = Path(__file__).with_name("talking.py")
+ENVIRONMENT = """\
+format: cfgplan/1
+transformations:
+  - label: talker
+    source: node:./talking.py talker
+    params: {rate: 100, first: 1000}
+    outputs: {words: {tag: Word, type: std_msgs/String, remap: chatter}}
+  - label: shouter
+    source: node:./talking.py shouter
+    inputs: {quiet: {tag: Word, type: std_msgs/String}}
+    outputs: {loud: {tag: LoudWord, type: std_msgs/String, remap: ~loud}}
+targets:
+  - {label: shout, topic: /shout, tag: LoudWord}
+"""
+
+
+def write_words(folder: Path) -> Path:
+    """The environment file, with its nodes beside it."""
+    shutil.copy(NODES, folder)
+    path = folder / "env.yaml"
+    path.write_text(ENVIRONMENT)
+    return path
+
+
+def eventually(is_so: Callable[[], object]) -> None:
+    """Wait until something is so; fails if it never is."""
+    deadline = time.monotonic() + PATIENCE_S
+    while not is_so():
+        assert time.monotonic() < deadline, "it never came to be"
+        time.sleep(0.02)
+
+
+def node_names() -> set[str]:
+    return {node.name for node in master_graph().nodes}
+
+
+def published_topics() -> set[str]:
+    publishers, _, _ = asked(peer(os.environ["ROS_MASTER_URI"]), "/test", "getSystemState")
+    return {topic for topic, _ in publishers}
+
+
+@contextmanager
+def listening(topic: str) -> Iterator[Iterator[str]]:
+    """The texts that come on a topic of `std_msgs/String`, once it is published."""
+    master = peer(os.environ["ROS_MASTER_URI"])
+    found: list[socket.socket] = []
+
+    def connects() -> bool:
+        with suppress(SilentError, OSError):
+            publishers, _, _ = asked(master, "/test", "getSystemState")
+            node = dict(publishers).get(topic, [None])[0]
+            if node is not None:
+                found.append(subscribed(str(asked(master, "/test", "lookupNode", node)), "/test", topic)[0])
+        return bool(found)
+
+    eventually(connects)
+    with found[0]:
+        yield _texts(found[0])
+
+
+def _texts(end: socket.socket) -> Iterator[str]:
+    reader = MessageReader(end)
+    end.settimeout(PATIENCE_S)
+    while not reader.has_ended:
+        for message in reader.read():
+            (size,) = struct.unpack_from("<4xI", message)
+            yield bytes(message[8 : 8 + size]).decode()
