@@ -113,8 +113,9 @@ class Target:
     """A semantic subscription from outside (Definition 4); a larger `priority` matters more.
 
     `quality` is what it asks of its stream. With a `host`, the stream has to come there. In a run it counts as unmet
-    once nothing has come for `silent_us`; planning does not look at that. A target that wants no stream, but that a
-    unit of the transformation `run` runs, has no topic, and A_UNIT_OF that transformation as its tag.
+    once nothing has come for `silent_us`; planning does not look at that. `type` is the message type of its topic in
+    ROS. A target that wants no stream, but that a unit of the transformation `run` runs, has no topic, and A_UNIT_OF
+    that transformation as its tag.
     """
 
     label: str
@@ -125,6 +126,7 @@ class Target:
     host: str | None = None
     silent_us: int | None = None
     run: str | None = None
+    type: str | None = None
 
     def __post_init__(self) -> None:
         if self.run is not None:

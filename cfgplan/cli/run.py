@@ -7,8 +7,9 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
+from functools import partial
 from importlib.machinery import PathFinder
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -86,6 +87,9 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--page", type=shared.port, nargs="?", const=0, metavar="N", help="serve a page about the run on 127.0.0.1:N"
     )
+    parser.add_argument(
+        "--ros2", action="store_true", help="publish targets that say their message type as ROS 2 topics (rmw_zenoh)"
+    )
     parser.add_argument("--local", action="store_true", help="run all of the file's hosts on this computer")
     runs = "what units are: processes of ours, or nodes of ROS 1 (processes)"
     parser.add_argument("--middleware", choices=("processes", ROS1), default="processes", help=runs)
@@ -105,6 +109,10 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
 
     if options.page is not None:
         needed("pages", "starlette", "uvicorn")
+    if options.ros2:
+        from cfgplan_runtime.ros2.ros_session import check_installed
+
+        check_installed()
     for name in options.preload:
         top = name.partition(".")[0]
         if top not in sys.builtin_module_names and PathFinder.find_spec(top, ["", *sys.path]) is None:
@@ -121,8 +129,8 @@ def run(options: argparse.Namespace, screen: Screen) -> Exit:
     _check_can_start(loaded)
     if not options.dry_run and options.middleware == ROS1:
         _check_nodes(options, loaded)
-    elif not options.dry_run and _fleet(options) is None:
-        _check_ros2_units(loaded, Path(options.env))
+    else:
+        _check_ros2(options, loaded)
     said = loaded.environment if options.compared else None
     if loaded.environment.units and said is None:
         count = counted(len(loaded.environment.units), "running unit")
@@ -160,26 +168,38 @@ def _check_nodes(options: argparse.Namespace, world: World) -> None:
     if options.record is not None:
         mend = "use `rosbag record` on the targets' topics"
         raise InputError.of("--record knows no messages of ROS 1", mend=mend)
+    if options.ros2:
+        raise InputError.of("--ros2 does not know what nodes of ROS 1 publish", mend="leave it out, and use a bridge")
     if _fleet(options) is not None:
         raise InputError.of("ROS 1 nodes are started on this computer only", mend="leave out --local and --connect")
     check_nodes(world.environment, options.env)
 
 
-def _check_ros2_units(world: World, env: Path) -> None:
-    """Have all that is wrong with units for ROS 2 topics told before anything is started."""
-    units = [one for one in world.environment.library if (one.source or "").startswith("cfgplan_runtime.ros2:")]
-    if not units:
+def _check_ros2(options: argparse.Namespace, world: World) -> None:
+    """Have all that is wrong with ROS 2 topics told before anything is started; other hosts check their own units."""
+    library = () if options.dry_run or _fleet(options) is not None else world.environment.library
+    units = [one for one in library if (one.source or "").startswith("cfgplan_runtime.ros2:")]
+    if not units and not options.ros2:
         return
+    from cfgplan_runtime.ros2.targets import check_targets
     from cfgplan_runtime.ros2.units import check_unit
 
-    faults = list[Fault]()
-    for transformation in units:
+    folder, faults = _folder(options), list[Fault]()
+    checks: list[Callable[[], None]] = [partial(check_unit, each, folder) for each in units]
+    checks += [partial(check_targets, world.environment, folder)] if options.ros2 else []
+    for check in checks:
         try:
-            check_unit(transformation, env if env.is_dir() else env.parent)
+            check()
         except InputError as error:
-            faults += (fault if fault.file else replace(fault, file=str(env)) for fault in error.faults)
+            faults += (fault if fault.file else replace(fault, file=options.env) for fault in error.faults)
     if faults:
         raise InputError(faults)
+
+
+def _folder(options: argparse.Namespace) -> Path:
+    """What names of files in the environment are relative to."""
+    env = Path(options.env)
+    return env if env.is_dir() else env.parent
 
 
 def _operate(options: argparse.Namespace, world: World, screen: Screen, said: Environment | None) -> Exit:
@@ -188,7 +208,7 @@ def _operate(options: argparse.Namespace, world: World, screen: Screen, said: En
     with Interrupts() as interrupts:
         with screen.phase("start"):
             operation = Operation(world, Path(options.env), _settings(options))
-        with operation:
+        with operation, _published(options, operation):
             interrupts.only_count()
             _await_first_review(operation, interrupts, screen)
             operation.observe()
@@ -205,6 +225,15 @@ def _operate(options: argparse.Namespace, world: World, screen: Screen, said: En
     if operation.failure:
         return Exit.INTERNAL
     return Exit.OK if operation.all_met else Exit.UNMET
+
+
+def _published(options: argparse.Namespace, operation: Operation) -> AbstractContextManager[object]:
+    """Publish targets as ROS 2 topics, if that is asked for. Raises InputError."""
+    if not options.ros2:
+        return nullcontext()
+    from cfgplan_runtime.ros2.targets import PublishedTargets
+
+    return PublishedTargets(operation, _folder(options))
 
 
 @contextmanager

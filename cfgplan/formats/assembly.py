@@ -89,7 +89,7 @@ def _parts(document: Document, kind: str, faults: list[Fault]) -> Iterator[tuple
             yield Passage(file.source, (kind, index), faults), part
 
 
-_OF_A_STREAM = ("topic", "tag", "quality", "host", "silent")
+_OF_A_STREAM = ("topic", "tag", "type", "quality", "host", "silent")
 
 
 def _wants_one_thing(entry: Passage, part: TargetPart) -> bool:

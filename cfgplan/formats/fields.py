@@ -336,6 +336,7 @@ class TargetPart(Part):
     label: Name = row("unique", ..., xml=ELEMENT)
     topic: Name | None = row("where its stream is published; unique", xml=ELEMENT)
     tag: TagText | None = row("what is wanted, a concept in description logic or the paper's P(a)", xml=ELEMENT)
+    type: Name | None = row(f"{_MESSAGE_TYPE}; `cfgplan run --ros2` publishes it", use=Use.RUNNING, xml="message")
     run: Name | None = row("a transformation of which a unit is wanted, in place of `topic` and `tag`")
     priority: int = row("larger matters more", 0, ge=-LARGEST_AMOUNT, le=LARGEST_AMOUNT)
     quality: dict[Name, WishPart] | None = row("attribute to what is asked of it")

@@ -16,7 +16,8 @@ from cfgplan_runtime.ros2.definitions import Definitions
 from cfgplan_runtime.ros2.message_form import MessageForm
 from cfgplan_runtime.ros2.ros_session import RosSession, checked_name
 from operated_world import eventually
-from zenoh_ros2_sdk import ROS2Publisher, ROS2Subscriber, get_topic_info, get_topic_names_and_types
+from sdk_graph import at_last, ends
+from zenoh_ros2_sdk import ROS2Publisher, ROS2Subscriber, get_topic_names_and_types
 from zenoh_ros2_sdk.qos import QosDurability, QosProfile
 
 from cfgplan.errors import InputError
@@ -71,7 +72,7 @@ def sdk(router_port: int) -> Iterator[Callable[..., Any]]:
 def test_what_is_published_arrives_at_the_sdk_in_order(opened: Open, sdk: Any, text: MessageForm) -> None:
     got: list[str] = []
     sdk(ROS2Subscriber, "/ours", callback=lambda message: got.append(message.data))
-    put = opened("talker").publisher("/ours", text, Qos())
+    put = opened("talker").publisher("/ours", text, Qos()).put
 
     def both_know() -> bool:
         put(text.encode("first", NOW_NS), NOW_NS)
@@ -109,7 +110,7 @@ def test_an_image_arrives_whole(opened: Open, definitions: Definitions) -> None:
     given = {"height": 480, "width": 640, "encoding": "rgb8", "step": 1920, "data": pixels}
     got: list[dict[str, Any]] = []
     opened("viewer").subscribe("/image", own, Qos(), lambda data, _: got.append(own.decode(data)))
-    put = opened("camera").publisher("/image", own, Qos("best_effort"))
+    put = opened("camera").publisher("/image", own, Qos("best_effort")).put
 
     def arrived() -> bool:
         put(own.encode(given, NOW_NS), NOW_NS)
@@ -125,23 +126,20 @@ def test_the_sdk_lists_our_topics_with_type_hash_and_quality(opened: Open, route
     session.publisher("/listed", text, KEEPING)
     session.subscribe("/wanted", text, Qos("best_effort"), lambda *_: None)
 
-    def topics() -> dict[str, list[str]]:
-        return dict(get_topic_names_and_types(0, router_port=router_port))
-
-    eventually(lambda: {"/listed", "/wanted"} <= topics().keys())
-    assert topics()["/listed"] == topics()["/wanted"] == ["std_msgs/msg/String"]
-    told = get_topic_info("/listed", 0, router_port=router_port, verbose=True)
-    assert told is not None
-    (publisher,) = told.publishers
+    topics = at_last(
+        lambda: dict(get_topic_names_and_types(0, router_port=router_port)),
+        lambda found: {"/listed", "/wanted"} <= {*found},
+    )
+    assert topics["/listed"] == topics["/wanted"] == ["std_msgs/msg/String"]
+    (publisher,) = at_last(lambda: ends("/listed", router_port).publishers)
     assert (publisher.node_name, publisher.node_namespace) == ("talker", "/robot")
     assert (publisher.type_hash, Qos.read(publisher.qos)) == (text.type_hash, KEEPING)
-    wanted = get_topic_info("/wanted", 0, router_port=router_port, verbose=True)
-    assert wanted is not None
-    assert [Qos.read(subscriber.qos).reliability for subscriber in wanted.subscribers] == ["best_effort"]
+    (subscriber,) = at_last(lambda: ends("/wanted", router_port).subscribers)
+    assert Qos.read(subscriber.qos).reliability == "best_effort"
 
 
 def test_who_comes_late_gets_the_last_messages_that_are_kept(opened: Open, sdk: Any, text: MessageForm) -> None:
-    put = opened("map_server").publisher("/map", text, KEEPING)
+    put = opened("map_server").publisher("/map", text, KEEPING).put
     for number in range(5):
         put(text.encode(f"map {number}", NOW_NS), NOW_NS)
     ours: list[str] = []
@@ -160,7 +158,7 @@ def test_who_comes_late_gets_the_last_messages_that_are_kept(opened: Open, sdk: 
 
 
 def test_a_volatile_subscriber_gets_nothing_old(opened: Open, text: MessageForm) -> None:
-    put = opened("map_server").publisher("/old", text, KEEPING)
+    put = opened("map_server").publisher("/old", text, KEEPING).put
     put(text.encode("old", NOW_NS), NOW_NS)
     got: list[str] = []
     opened("planner").subscribe("/old", text, Qos(), lambda data, _: got.append(text.decode(data)["data"]))
@@ -179,7 +177,7 @@ def test_an_attachment_has_number_time_and_the_hash_of_the_publishers_token(open
     tokens: list[EndpointToken] = []
     other = opened("watcher")
     other.watch_publishers("/numbered", tokens.append)
-    put = session.publisher("/numbered", text, Qos())
+    put = session.publisher("/numbered", text, Qos()).put
     eventually(lambda: tokens)
     raw = other._session.declare_subscriber(tokens[0].key, lambda sample: heads.append(sample.attachment.to_bytes()))
 

@@ -209,7 +209,7 @@ class Operation:
         self.manager.start()
         stack.callback(self._stop_manager)
         code = code_watch(
-            folder, lambda: self.manager.world.environment.library, lambda: self.runtime.environment.units, self._show
+            folder, lambda: self.manager.world.environment.library, lambda: self.runtime.environment.units, self.show
         )
         for watch in (code, Watching(self._path, self._take_world, self.manager.refuse)):
             watch.start()
@@ -239,14 +239,14 @@ class Operation:
                 self.begun.set()
         if self._server.has_subscribers:
             self._server.publish({**report_record(report), "says": sentence(report)})
-        self._show(report)
+        self.show(report)
 
     def _tell_of_full_disks(self) -> None:
         """Warn once for each file that can't be written any more."""
         for file in (self.log, None if self.recorder is None else self.recorder.recording):
             if file is not None and file.failure is not None and file.path not in self._full:
                 self._full.add(file.path)
-                self._show(f"{file.path} takes no more: {file.failure}; what is lost is counted")
+                self.show(f"{file.path} takes no more: {file.failure}; what is lost is counted")
 
     def _tell_of_silence(self) -> None:
         """Warn once for each met target on whose topic nothing comes, and again if something has come in between."""
@@ -259,9 +259,10 @@ class Operation:
                 self._quiet_s.pop(target.topic, None)
             elif now - self._quiet_s.setdefault(target.topic, now) >= SILENT_S:
                 self._quiet_s[target.topic] = inf
-                self._show(f"{target.label} is met by {target.stream}, but nothing comes on {target.topic}")
+                self.show(f"{target.label} is met by {target.stream}, but nothing comes on {target.topic}")
 
-    def _show(self, news: News) -> None:
+    def show(self, news: News) -> None:
+        """Have something shown."""
         while True:
             try:
                 self.news.put_nowait(news)
@@ -285,7 +286,7 @@ class Operation:
             try:
                 load(self._estimator, self._settings.estimates, time.monotonic())
             except EstimatesError as error:
-                self._show(str(error))
+                self.show(str(error))
 
     def _keep_estimates(self) -> None:
         self._kept_s = time.monotonic()
@@ -293,7 +294,7 @@ class Operation:
             try:
                 save(self._estimator, self._settings.estimates, time.monotonic())
             except EstimatesError as error:
-                self._show(str(error))
+                self.show(str(error))
 
     def _stop_manager(self) -> None:
         if self._is_closed_at_once:
@@ -306,7 +307,7 @@ class Operation:
 
     def _finish_recording(self, recorder: Recorder) -> None:
         if not recorder.close():
-            self._show(f"{recorder.recording.path}: the disk does not answer; the recording has no proper end")
+            self.show(f"{recorder.recording.path}: the disk does not answer; the recording has no proper end")
 
 
 def _open_log(path: Path) -> RunLog:

@@ -26,18 +26,19 @@ _WITHOUT_HASHES = ("humble",)
 
 
 class Definitions:
-    """The messages that are known: of a distribution, then of files and folders, then of AMENT_PREFIX_PATH.
+    """The messages that are known: of `files`, which may be folders, of a distribution, and of ROS as it is set up.
 
-    A file or folder that is not absolute is in `folder`; without one it is in the working folder, or in one of those
-    that Python imports from, which a unit's is. Raises InputError.
+    What none of them has is looked for as PACKAGE/msg/NAME.msg in `folder`. A file that is not absolute is there too.
+    Without a `folder` that is the working folder, or one of those that Python imports from, which a unit's is. Raises
+    InputError.
     """
 
     def __init__(self, distribution: str | None = None, files: Sequence[str] = (), folder: Path | None = None) -> None:
         needed("ROS 2 topics", "rosbags")
-        places = [*map(Path, ("", *sys.path))] if folder is None else [folder]
+        self._places = [*map(Path, ("", *sys.path))] if folder is None else [folder]
         self.distribution = distribution or os.environ.get("ROS_DISTRO") or USUAL_DISTRIBUTION
         self._store = _store_of(self.distribution)
-        self._own = dict(_own_files(_found(file, places) for file in files))
+        self._own = dict(_own_files(_found(file, self._places) for file in files))
         for name in self._own:
             self._store.fielddefs.pop(name, None)
             self._store.types.pop(name, None)
@@ -64,11 +65,11 @@ class Definitions:
 
         if path and name.endswith("/wstring"):
             raise InputError.of(f"{path[-1]} has texts of wide characters (wstring), which can't be read or written")
-        file = self._own.get(name) or _installed(name)
+        file = self._own.get(name) or _installed(name, self._places)
         if file is None:
             wanted = f"no definition of {name}, which {path[-1]} has, is known" if path else f"{name} is not known"
-            mend = "name the folder of its .msg file by `definitions`, or start in a terminal where ROS is set up"
-            raise InputError.of(wanted, mend=did_you_mean(name, self._store.fielddefs, mend))
+            mend = f"put its definition into {_file_of(name)} here, or start in a terminal where ROS is set up"
+            raise InputError.of(wanted, mend=did_you_mean(name, self._alike(name), mend))
         try:
             return get_types_from_msg(file.read_text(encoding="utf-8"), name)
         except OSError as error:
@@ -76,6 +77,11 @@ class Definitions:
         except Exception as error:
             # The parser's own errors, and those of what it does not foresee, have no common class but this.
             raise InputError.of(f"this is no message definition: {error}", file=str(file)) from None
+
+    def _alike(self, name: str) -> list[str]:
+        """The known types of the same package."""
+        package = name.partition("/")[0]
+        return [other for other in self._store.fielddefs if other.partition("/")[0] == package]
 
     def _within(self, name: str) -> Iterator[str]:
         """A known type and those of its fields, each once."""
@@ -117,14 +123,16 @@ def _found(given: str, places: Iterable[Path]) -> Path:
     raise InputError.of("there is no such file or folder of message definitions", file=given)
 
 
-def _installed(name: str) -> Path | None:
-    """The file of a type in the packages of a ROS 2 that is set up in this terminal."""
+def _file_of(name: str) -> Path:
     package, kind, stem = name.split("/")
-    for prefix in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
-        file = Path(prefix, "share", package, kind, f"{stem}.msg")
-        if file.is_file():
-            return file
-    return None
+    return Path(package, kind, f"{stem}.msg")
+
+
+def _installed(name: str, places: Iterable[Path]) -> Path | None:
+    """The file of a type in one of these places, or in the packages of a ROS 2 that is set up in this terminal."""
+    prefixes = filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
+    files = (place / _file_of(name) for place in (*places, *(Path(prefix, "share") for prefix in prefixes)))
+    return next((file for file in files if file.is_file()), None)
 
 
 def _types_in(fields: Iterable[tuple[str, Any]]) -> Iterator[str]:

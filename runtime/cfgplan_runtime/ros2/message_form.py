@@ -13,7 +13,6 @@ import numpy
 from cfgplan.errors import did_you_mean
 from cfgplan.ros import MessageType
 from cfgplan_runtime.errors import EncodingError
-from cfgplan_runtime.streams.payload import Buffer
 
 if TYPE_CHECKING:
     from rosbags.interfaces.typing import FieldDesc
@@ -60,7 +59,7 @@ class MessageForm:
         self._only = next(iter(fields)) if len(fields) == 1 else None
         self._has_header = "header" in fields and fields["header"][1] == _HEADER
 
-    def encode(self, value: object, time_ns: int) -> Buffer:
+    def encode(self, value: object, time_ns: int) -> bytes | bytearray:
         """The message of a value that was made at `time_ns`, in CDR. Raises MisfitError."""
         if self._only is not None and not (isinstance(value, Mapping) or hasattr(value, self._only)):
             value = {self._only: value}

@@ -20,7 +20,6 @@ from cfgplan.ros.liveliness import ADMIN_SPACE, EndpointKind
 from cfgplan.ros.zenoh_config import first_line, ros_domain, zenoh_config
 from cfgplan_runtime.errors import RuntimeFaultError
 from cfgplan_runtime.ros2.message_form import MessageForm
-from cfgplan_runtime.streams.payload import Buffer
 
 if TYPE_CHECKING:
     import zenoh
@@ -43,7 +42,7 @@ class RosSession:
     """
 
     def __init__(self, node: str, *, domain: int | None = None, connect: Sequence[str] = ()) -> None:
-        needed("ROS 2 topics", "rosbags", "xxhash", "zenoh")
+        check_installed()
         import zenoh
 
         self._zenoh = zenoh
@@ -72,11 +71,8 @@ class RosSession:
         where = self._config.get_json("connect/endpoints")
         tell(f"no Zenoh router is reached at {where} yet; one is started by `ros2 run rmw_zenoh_cpp rmw_zenohd`")
 
-    def publisher(self, topic: str, form: MessageForm, qos: Qos) -> Callable[[Buffer, int], None]:
-        """Begin to publish; returns a function that puts a message in CDR, made at a time. Raises InputError.
-
-        It raises RuntimeFaultError once the session is closed.
-        """
+    def publisher(self, topic: str, form: MessageForm, qos: Qos) -> RosPublisher:
+        """Begin to publish a topic. Raises InputError."""
         ext, zenoh = self._zenoh.ext, self._zenoh
         endpoint = self._endpoint("publisher", topic, form, qos)
         is_reliable, keeps = qos.reliability == "reliable", qos.durability == "transient_local"
@@ -91,19 +87,10 @@ class RosSession:
             sample_miss_detection=miss if keeps and is_reliable else None,
             publisher_detection=keeps,
         )
-        self._kept.append(publisher)
-        self._live(str(endpoint))
-        publisher_id = _id_of(endpoint)
-        numbers = iter(range(1, 1 << 62))
-
-        def put(message: Buffer, time_ns: int) -> None:
-            head = _ATTACHMENT.pack(next(numbers), time_ns, len(publisher_id), publisher_id)
-            try:
-                publisher.put(zenoh.ZBytes(message), attachment=head)
-            except zenoh.ZError as error:
-                raise RuntimeFaultError(f"{topic}: {first_line(error)}") from None
-
-        return put
+        token = self._session.liveliness().declare_token(str(endpoint))
+        published = RosPublisher(endpoint, publisher, token, self._kept.remove)
+        self._kept.append(published)
+        return published
 
     def subscribe(self, topic: str, form: MessageForm, qos: Qos, take: Take) -> None:
         """Have the messages of a topic taken from now on, and with transient local the last ones. Raises InputError."""
@@ -154,6 +141,41 @@ class RosSession:
     def _endpoint(self, kind: EndpointKind, topic: str, form: MessageForm, qos: Qos) -> EndpointToken:
         name = checked_name(topic, "topic")
         return EndpointToken(self.node, next(self._numbers), kind, name, form.type, form.type_hash, qos)
+
+
+class RosPublisher:
+    """A topic that a node publishes, until it is closed, or its session is."""
+
+    def __init__(
+        self, endpoint: EndpointToken, publisher: Any, token: Any, forget: Callable[[RosPublisher], None]
+    ) -> None:
+        self._endpoint = endpoint
+        self._publisher = publisher
+        self._token = token
+        self._forget = forget
+        self._id = _id_of(endpoint)
+        self._numbers = iter(range(1, 1 << 62))
+
+    def put(self, message: bytes | bytearray, time_ns: int) -> None:
+        """Publish a message in CDR as of a time. Raises RuntimeFaultError once the topic is closed."""
+        import zenoh
+
+        head = _ATTACHMENT.pack(next(self._numbers), time_ns, len(self._id), self._id)
+        try:
+            self._publisher.put(zenoh.ZBytes(message), attachment=head)
+        except zenoh.ZError as error:
+            raise RuntimeFaultError(f"{self._endpoint.topic}: {first_line(error)}") from None
+
+    def close(self) -> None:
+        """Publish it no more. To be called once."""
+        self._forget(self)
+        self._token.undeclare()
+        self._publisher.undeclare()
+
+
+def check_installed() -> None:
+    """Raises InputError, which names the extra, if what ROS 2 topics need is not installed."""
+    needed("ROS 2 topics", "rosbags", "xxhash", "zenoh")
 
 
 def checked_name(name: str, what: str) -> str:

@@ -14,13 +14,12 @@ import msgspec
 
 from cfgplan.domain import Transformation
 from cfgplan.errors import Fault, InputError
-from cfgplan.extras import needed
 from cfgplan.ros import EndpointToken, MessageType, Qos
 from cfgplan_runtime.children.unit_code import At
 from cfgplan_runtime.errors import EncodingError, WrongPortsError
 from cfgplan_runtime.ros2.definitions import Definitions
 from cfgplan_runtime.ros2.message_form import MessageForm, MisfitError
-from cfgplan_runtime.ros2.ros_session import RosSession, checked_name
+from cfgplan_runtime.ros2.ros_session import RosSession, check_installed, checked_name
 
 SUBSCRIBER, PUBLISHER = "cfgplan_runtime.ros2:Subscriber", "cfgplan_runtime.ros2:Publisher"
 _ORDERS_LOOK_S = 0.05
@@ -122,7 +121,7 @@ class Publisher:
         self._form = self._params.form()
         self._once = Once(_say)
         self._session = self._params.open(_say)  # it is closed when nobody has it
-        self._put = self._session.publisher(self._params.topic, self._form, self._params.qos)
+        self._topic = self._session.publisher(self._params.topic, self._form, self._params.qos)
 
     def __call__(self, **inputs: object) -> None:
         if len(inputs) != 1:
@@ -130,7 +129,7 @@ class Publisher:
         (value,) = inputs.values()
         now_ns = time.time_ns()
         try:
-            self._put(self._form.encode(value, now_ns), now_ns)
+            self._topic.put(self._form.encode(value, now_ns), now_ns)
         except MisfitError as error:
             self._once.tell(error.path, f"{self._params.topic}: {error}")
 
@@ -154,7 +153,7 @@ def check_unit(transformation: Transformation, folder: Path) -> None:
     params_of = {SUBSCRIBER: SubscriberParams, PUBLISHER: PublisherParams}.get(transformation.source or "")
     if params_of is None:
         return
-    needed("ROS 2 topics", "rosbags", "xxhash", "zenoh")
+    check_installed()
     given, taken = len(transformation.outputs), len(transformation.inputs)
     is_source = params_of is SubscriberParams
     try:
